@@ -1,0 +1,56 @@
+"""Names for the arrays that cross module borders, and the check that each is what its name says."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from sceneloom.errors import ArrayError
+
+AnyArray = NDArray[Any]
+BoolArray = NDArray[np.bool_]
+UInt8Array = NDArray[np.uint8]
+UInt16Array = NDArray[np.uint16]
+UInt32Array = NDArray[np.uint32]
+Int64Array = NDArray[np.int64]
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+FloatArray = NDArray[np.floating[Any]]
+
+
+def check_array(
+    name: str, array: AnyArray | None, shape: Sequence[int | None], dtype: DTypeLike, *, optional: bool = False
+) -> int:
+    """Check that an array has the shape and dtype that its field promises.
+
+    Args:
+        name: the field's path, for the message.
+        shape: one entry per axis; None stands for any length.
+        dtype: the exact dtype.
+        optional: accept None.
+
+    Returns:
+        The length of the first axis, 0 for an absent array.
+
+    Raises:
+        ArrayError: the array is absent, or differs in shape or dtype.
+    """
+    if array is None:
+        if optional:
+            return 0
+        raise ArrayError(f"{name}: missing; expected an array of {np.dtype(dtype).name}")
+    expected = f"expected ({', '.join('N' if n is None else str(n) for n in shape)}) {np.dtype(dtype).name}"
+    if not isinstance(array, np.ndarray):
+        raise ArrayError(f"{name}: a {type(array).__name__}; {expected}")
+    fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
+    if not fits or array.dtype != np.dtype(dtype):
+        raise ArrayError(f"{name}: {array.shape} {array.dtype.name}; {expected}")
+    return int(array.shape[0])
+
+
+def read_only(array: ArrayLike, dtype: DTypeLike = None) -> AnyArray:
+    """Return the array as a contiguous view that refuses writing."""
+    view = np.ascontiguousarray(array, dtype=dtype).view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,52 @@
+"""The lens of a camera: which projection model, with which numbers, for which picture size."""
+
+from dataclasses import dataclass
+
+from sceneloom.errors import CalibrationError
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """Intrinsics of one camera in the centre convention: pixel (0, 0) is the centre of the top-left pixel.
+
+    Attributes:
+        model: a name out of `sceneloom.cameras.MODELS` ("pinhole", "brown_conrady", "fisheye").
+        width, height: picture size [px].
+        fx, fy: focal lengths [px].
+        cx, cy: principal point [px].
+        coefficients: distortion in the model's own order, as many as the model has; () for none.
+
+    Source: "Camera Sensor" of the SFS description.
+    """
+
+    model: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    coefficients: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.width <= 0 or self.height <= 0:
+            raise CalibrationError(f"picture size {self.width}x{self.height}; expected positive numbers of pixels")
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
+        if not all(abs(value) < float("inf") for value in numbers):
+            raise CalibrationError(f"camera numbers {numbers}; expected finite ones")
+        if self.fx <= 0 or self.fy <= 0:
+            raise CalibrationError(f"focal lengths {self.fx}, {self.fy}; expected positive numbers of pixels")
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same lens for pictures of another size: c' = (c + 0.5) s - 0.5 along each axis."""
+        scale_u, scale_v = width / self.width, height / self.height
+        return Camera(
+            self.model,
+            width,
+            height,
+            self.fx * scale_u,
+            self.fy * scale_v,
+            (self.cx + 0.5) * scale_u - 0.5,
+            (self.cy + 0.5) * scale_v - 0.5,
+            self.coefficients,
+        )

@@ -1,0 +1,77 @@
+"""What sensor-data fusion gives: for each lidar frame its coloured world points, for each picture its depths."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array, check_array
+from sceneloom.cameras.camera import Camera
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Identifier, LidarPoints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedView:
+    """The points of one lidar frame in one picture.
+
+    Attributes:
+        camera_id: the camera.
+        camera: its lens.
+        timestamp_ns: the picture's time [ns].
+        world_from_camera: where the camera was at that time.
+        rgb: (H, W, 3) uint8, the picture.
+        point_ids: (M,) int64, which points of the frame fall into the picture, ascending.
+        pixels: (M, 2) float32 [px], where (u, v), (0, 0) is the centre of the top-left pixel.
+        depths: (M,) float32 [m], z in the camera frame.
+        visible: (M,) bool, False for a point behind a nearer surface.
+        depth_image: (H, W) float32 [m], z of the nearest visible point in each pixel, 0 for none.
+    """
+
+    camera_id: Identifier
+    camera: Camera
+    timestamp_ns: int
+    world_from_camera: RigidTransform
+    rgb: UInt8Array
+    point_ids: Int64Array
+    pixels: Float32Array
+    depths: Float32Array
+    visible: BoolArray
+    depth_image: Float32Array
+
+    def __post_init__(self) -> None:
+        count = check_array("view.point_ids", self.point_ids, (None,), np.int64)
+        check_array("view.pixels", self.pixels, (count, 2), np.float32)
+        check_array("view.depths", self.depths, (count,), np.float32)
+        check_array("view.visible", self.visible, (count,), np.bool_)
+        check_array("view.rgb", self.rgb, (self.camera.height, self.camera.width, 3), np.uint8)
+        check_array("view.depth_image", self.depth_image, (self.camera.height, self.camera.width), np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedFrame:
+    """One lidar frame after fusion.
+
+    Attributes:
+        lidar_id: the lidar.
+        index: number of the frame in its sensor.
+        timestamp_ns: start of the sweep [ns].
+        reference_ns: the time by which it was paired [ns].
+        points: world frame (float32, relative to the scene's origin), deskewed, with colours and camera_index;
+            in the frame of the source where `unfused` says why.
+        views: one per picture that it was paired with.
+        unpaired: cameras without a picture near enough in time.
+        unposed: cameras whose picture lies beyond the reach of the trajectory.
+        extrapolated: whether poses beyond the trajectory's ends were used.
+        unfused: why the frame could not be fused, or None.
+    """
+
+    lidar_id: Identifier
+    index: int
+    timestamp_ns: int
+    reference_ns: int
+    points: LidarPoints
+    views: tuple[FusedView, ...] = ()
+    unpaired: tuple[Identifier, ...] = ()
+    unposed: tuple[Identifier, ...] = ()
+    extrapolated: bool = False
+    unfused: str | None = None

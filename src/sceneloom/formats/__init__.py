@@ -1,0 +1,6 @@
+"""The formats: one table, each imported on first use; content decides, the suffix only proposes."""
+
+from sceneloom.formats.loss import Loss, LossReport
+from sceneloom.formats.table import FORMATS, Format, find_format, open_scene, write_scene
+
+__all__ = ["FORMATS", "Format", "Loss", "LossReport", "find_format", "open_scene", "write_scene"]

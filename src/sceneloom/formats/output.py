@@ -1,0 +1,67 @@
+"""Writing beside the target and renaming: an output is there whole, or not at all."""
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sceneloom.errors import OutputError
+
+_WRITE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG}
+
+
+def check_output(target: Path, *, overwrite: bool) -> None:
+    """Refuse a target that exists or whose folder is missing.
+
+    Raises:
+        OutputError: naming what to do instead.
+    """
+    if target.exists() and not overwrite:
+        raise OutputError(f"{target}: exists already; choose another name or say `--overwrite`")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target}: the folder {target.parent} does not exist")
+    if not os.access(target.parent, os.W_OK):
+        raise OutputError(f"{target}: the folder {target.parent} is not writable")
+
+
+@contextmanager
+def replacing(target: Path, *, overwrite: bool, folder: bool = False) -> Iterator[Path]:
+    """Give a path beside the target to write to; on success it takes the target's place, on failure it goes.
+
+    Args:
+        target: where the output shall be in the end.
+        overwrite: whether something there may be replaced.
+        folder: give an empty folder in place of a file.
+
+    Raises:
+        OutputError: the target exists, or cannot be written.
+    """
+    check_output(target, overwrite=overwrite)
+    try:
+        workplace = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
+    draft = workplace / target.name
+    try:
+        if folder:
+            draft.mkdir()
+        yield draft
+        if folder or target.is_dir():
+            _replace_folder(draft, target, workplace)
+        else:
+            draft.replace(target)
+    except OSError as error:
+        if error.errno in _WRITE_FAULTS or str(error.filename or "").startswith(str(workplace)):
+            raise OutputError(f"{target}: cannot be written: {error.strerror or error}") from error
+        raise
+    finally:
+        shutil.rmtree(workplace, ignore_errors=True)
+
+
+def _replace_folder(draft: Path, target: Path, workplace: Path) -> None:
+    if target.exists():
+        target.rename(workplace / "replaced")
+    draft.rename(target)

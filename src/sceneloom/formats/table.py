@@ -1,0 +1,117 @@
+"""Which formats there are, and which of them a path is written in."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Protocol, cast
+
+from sceneloom.errors import OptionError, UnknownFormatError
+from sceneloom.formats.loss import LossReport
+from sceneloom.scene import Scene
+
+FORMATS: Mapping[str, str] = MappingProxyType(
+    {
+        "sfs": "sceneloom.formats.sfs:FORMAT",
+        "recording": "sceneloom.formats.recording:FORMAT",
+    }
+)
+"""Name of each format and the `module:object` that implements it."""
+
+
+class Format(Protocol):
+    """What a format module offers as `FORMAT`."""
+
+    name: str
+    suffixes: tuple[str, ...]
+
+    def recognises(self, path: Path) -> bool:
+        """Say whether the content of an existing path looks like this format."""
+        ...
+
+    def open(self, path: Path, **options: Any) -> Scene:
+        """Open lazily; the scene owns its files."""
+        ...
+
+    def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
+        """Write beside the target, then rename; say what the format could not hold."""
+        ...
+
+
+def format_names() -> list[str]:
+    """Names of all formats, ours first, then those that other packages add."""
+    return [*FORMATS, *(point.name for point in entry_points(group="sceneloom.formats") if point.name not in FORMATS)]
+
+
+def format_named(name: str) -> Format:
+    """Import one format.
+
+    Raises:
+        OptionError: there is none of that name.
+    """
+    if name in FORMATS:
+        module, attribute = FORMATS[name].split(":")
+        return cast("Format", getattr(import_module(module), attribute))
+    for point in entry_points(group="sceneloom.formats"):
+        if point.name == name:
+            return cast("Format", point.load())
+    raise OptionError(f"no format {name!r}; there are {', '.join(format_names())}")
+
+
+def find_format(path: Path) -> Format:
+    """Find the format whose content test accepts an existing path.
+
+    Raises:
+        UnknownFormatError: the path is missing, or none, or more than one format claims it.
+    """
+    if not path.exists():
+        raise UnknownFormatError(path, "", "no such file or folder")
+    claims = [form for form in map(format_named, format_names()) if form.recognises(path)]
+    if len(claims) == 1:
+        return claims[0]
+    known = ", ".join(format_names())
+    if not claims:
+        raise UnknownFormatError(path, "", f"no reader knows this; expected one of: {known}")
+    names = ", ".join(form.name for form in claims)
+    raise UnknownFormatError(path, "", f"more than one reader claims this ({names}); name one with `format=`")
+
+
+def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -> Scene:
+    """Open a recording or a scene file lazily.
+
+    Args:
+        path: a file or folder.
+        format: the format's name, where the content should not decide.
+        options: reading options of the format.
+
+    Raises:
+        UnknownFormatError: no format fits the path.
+        DataError: the content is wrong.
+    """
+    where = Path(path)
+    form = find_format(where) if format is None else format_named(format)
+    return form.open(where, **options)
+
+
+def format_for_output(path: Path) -> Format:
+    """Find the format that a path to be written asks for: its suffix; a path without one is a recording folder."""
+    for form in map(format_named, format_names()):
+        if path.suffix.lower() in form.suffixes:
+            return form
+    known = ", ".join(f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})" for name in format_names())
+    raise OptionError(f"{path}: suffix {path.suffix!r} belongs to no format; expected one of: {known}")
+
+
+def write_scene(
+    scene: Scene, path: str | Path, *, format: str | None = None, overwrite: bool = False, **options: Any
+) -> LossReport:
+    """Write a scene in the format that the path's suffix, or `format`, names.
+
+    Raises:
+        OutputError: the output exists, or cannot be written.
+        OptionError: no format has that suffix or name.
+    """
+    where = Path(path)
+    form = format_for_output(where) if format is None else format_named(format)
+    return form.write(scene, where, overwrite=overwrite, **options)

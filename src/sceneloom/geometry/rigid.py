@@ -1,0 +1,71 @@
+"""Rigid transforms: a rotation and a translation that take points of one frame into another."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, FloatArray, check_array, read_only
+from sceneloom.errors import CalibrationError
+from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidTransform:
+    """`a_from_b`: takes points of frame b into frame a, p_a = R p_b + t.
+
+    Attributes:
+        rotation: (3, 3) float64, orthonormal, determinant +1.
+        translation: (3,) float64 [m].
+
+    Raises:
+        CalibrationError: the rotation is off by more than 1e-6.
+    """
+
+    rotation: Float64Array
+    translation: Float64Array
+
+    def __post_init__(self) -> None:
+        check_array("rotation", self.rotation, (3, 3), np.float64)
+        check_array("translation", self.translation, (3,), np.float64)
+        error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
+        if not (error < 1e-6 and np.linalg.det(self.rotation) > 0 and np.isfinite(self.translation).all()):
+            raise CalibrationError(f"rotation off by {error:.2g}; expected an orthonormal right-handed matrix")
+        object.__setattr__(self, "rotation", read_only(self.rotation))
+        object.__setattr__(self, "translation", read_only(self.translation))
+
+    @classmethod
+    def identity(cls) -> Self:
+        """The transform that changes nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_quaternion(cls, position: FloatArray, quaternion_xyzw: FloatArray) -> Self:
+        """Build from a (3,) position [m] and a (4,) scalar-last quaternion, normalised here."""
+        return cls(matrix_from_quaternion(quaternion_xyzw), np.asarray(position, np.float64))
+
+    @property
+    def quaternion_xyzw(self) -> Float64Array:
+        """The rotation as a unit quaternion, scalar last, w >= 0."""
+        return quaternion_from_matrix(self.rotation)
+
+    @property
+    def matrix(self) -> Float64Array:
+        """The (4, 4) homogeneous matrix."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
+        return matrix
+
+    def __matmul__(self, other: "RigidTransform") -> "RigidTransform":
+        """`a_from_b @ b_from_c` is `a_from_c`."""
+        return RigidTransform(
+            self.rotation @ other.rotation, self.rotation @ other.translation + self.translation
+        )
+
+    def inverse(self) -> "RigidTransform":
+        """`b_from_a`."""
+        return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def apply(self, points: FloatArray) -> Float64Array:
+        """Take (..., 3) points [m] of frame b into frame a."""
+        return np.asarray(points, np.float64) @ self.rotation.T + self.translation

@@ -1,0 +1,26 @@
+"""The scene model, in the words of the Sensor Fusion Scene format, with IMU and GNSS added."""
+
+from sceneloom.scene.annotations import Annotation, CuboidAnnotation, CuboidPath, PlainAnnotation
+from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
+from sceneloom.scene.clouds import (
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    PointsSensor,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+)
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
+
+__all__ = [
+    "Annotation", "CameraSensor", "Coordinates", "CuboidAnnotation", "CuboidPath", "GnssSensor", "Identifier",
+    "ImuSensor", "LazyFrames", "LidarFrame", "LidarPoints", "LidarSensor", "Notice", "NoticeKind", "OdometrySensor",
+    "Picture", "PlainAnnotation", "PointsFrame", "PointsSensor", "PosePath", "PoseSamples", "RadarFrame",
+    "RadarPoints", "RadarSensor", "Scene", "Sensor", "SensorType", "Trajectory", "VectorSamples", "VideoContent",
+]

@@ -1,0 +1,93 @@
+"""Cameras and their pictures."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from sceneloom.arrays import UInt8Array, check_array, read_only
+from sceneloom.cameras.camera import Camera
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One picture of a camera.
+
+    Attributes:
+        timestamp_ns: mid-exposure of the middle row [ns].
+        camera: the lens at that time.
+        decode: makes the picture, (height, width, 3) uint8 red green blue; called anew each time.
+        mount: `ego_from_camera` where this picture has a mounting of its own, else None.
+        extras: further fields of the file, by name.
+    """
+
+    timestamp_ns: int
+    camera: Camera
+    decode: Callable[[], UInt8Array]
+    mount: RigidTransform | None = None
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    @classmethod
+    def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "Picture":
+        """Wrap a picture that is already in memory."""
+        check_array("picture.rgb", rgb, (camera.height, camera.width, 3), np.uint8)
+        return cls(timestamp_ns, camera, read_only(rgb).view)
+
+    @property
+    def rgb(self) -> UInt8Array:
+        """The picture, (height, width, 3) uint8, decoded now; keep it if you need it twice."""
+        return self.decode()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoContent:
+    """The encoded video behind a camera's pictures, for those who copy it without decoding.
+
+    Attributes:
+        open: gives a new seekable binary file over the video's bytes.
+        codec: "h264", "hevc", "ffv1", … as FFmpeg calls it.
+        frame_indices: which pictures of the video the camera's frames are, in order; None for all of them.
+    """
+
+    open: Callable[[], BinaryIO]
+    codec: str
+    frame_indices: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraSensor:
+    """A camera.
+
+    Attributes:
+        id: unique among the scene's sensors.
+        camera: the lens (a picture can have one of its own).
+        pictures: the pictures in time order, decoded when asked for.
+        poses: camera (x right, y down, z forward) to `coordinates` frame, or None.
+        mount: `ego_from_camera`, where the source knows a rigid mounting.
+        coordinates: the frame that `poses` lead into.
+        video: the encoded video, where the pictures come from one.
+        fps: nominal pictures a second, or None.
+        parent_id: id of the parent sensor, or None.
+        extras: further fields of the file, by name.
+    """
+
+    id: Identifier
+    camera: Camera
+    pictures: LazyFrames[Picture]
+    poses: PosePath | None = None
+    mount: RigidTransform | None = None
+    coordinates: Coordinates = Coordinates.WORLD
+    video: VideoContent | None = None
+    fps: float | None = None
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    @property
+    def type(self) -> SensorType:
+        """`camera`."""
+        return SensorType.CAMERA

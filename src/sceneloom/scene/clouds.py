@@ -1,0 +1,187 @@
+"""Lidar, radar and point-map sensors and their frames."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, PointsFrame, SensorType
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarPoints:
+    """The returns of one lidar frame.
+
+    Attributes:
+        positions: (N, 3) float32 [m], in the sensor's `points_frame`.
+        intensities: (N,) uint8, or None where the sensor gives none.
+        colors: (N, 3) uint8, red green blue, or None.
+        timestamps_ns: (N,) int64 [ns], time of each return on the scene's clock, or None.
+        rings: (N,) uint16, index of the laser, or None.
+        camera_index: (N,) uint8, which camera coloured the point (index among the scene's cameras), 255 for none.
+        extras: further arrays of the file, by name.
+    """
+
+    positions: Float32Array
+    intensities: UInt8Array | None = None
+    colors: UInt8Array | None = None
+    timestamps_ns: Int64Array | None = None
+    rings: UInt16Array | None = None
+    camera_index: UInt8Array | None = None
+    extras: Mapping[str, AnyArray] = field(default=NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        count = check_array("points.positions", self.positions, (None, 3), np.float32)
+        check_array("points.intensities", self.intensities, (count,), np.uint8, optional=True)
+        check_array("points.colors", self.colors, (count, 3), np.uint8, optional=True)
+        check_array("points.timestamps_ns", self.timestamps_ns, (count,), np.int64, optional=True)
+        check_array("points.rings", self.rings, (count,), np.uint16, optional=True)
+        check_array("points.camera_index", self.camera_index, (count,), np.uint8, optional=True)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarFrame:
+    """One sweep of a lidar.
+
+    Attributes:
+        timestamp_ns: start of the sweep [ns].
+        points: the returns.
+        extras: further fields of the file, by name.
+    """
+
+    timestamp_ns: int
+    points: LidarPoints
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    @property
+    def reference_ns(self) -> int:
+        """The time by which the sweep is paired with pictures: the median of its point times, else its start."""
+        times = self.points.timestamps_ns
+        if times is None or len(times) == 0:
+            return self.timestamp_ns
+        middle = len(times) // 2
+        return int(np.partition(times, middle)[middle])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarSensor:
+    """A sensor that measures points in space.
+
+    Attributes:
+        id: unique among the scene's sensors.
+        frames: the sweeps in time order, read when asked for.
+        poses: sensor to `coordinates` frame, or None where no trajectory is known.
+        mount: `ego_from_sensor`, where the source knows a rigid mounting.
+        coordinates: the frame that `poses` lead into.
+        points_frame: the frame of the points' positions.
+        model: the maker's name for the device or its data, or None.
+        parent_id: id of the parent sensor, or None.
+        extras: further fields of the file, by name.
+    """
+
+    id: Identifier
+    frames: LazyFrames[LidarFrame]
+    poses: PosePath | None = None
+    mount: RigidTransform | None = None
+    coordinates: Coordinates = Coordinates.WORLD
+    points_frame: PointsFrame = PointsFrame.SENSOR
+    model: str | None = None
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    @property
+    def type(self) -> SensorType:
+        """`lidar`."""
+        return SensorType.LIDAR
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadarPoints:
+    """The returns of one radar frame.
+
+    Attributes:
+        positions: (N, 3) float32 [m].
+        directions: (N, 3) float32 unit vectors, or None.
+        lengths: (N,) float32 [m/s] along `directions`, or None.
+        timestamps_ns: (N,) int64 [ns], or None.
+        extras: further arrays of the file, by name.
+    """
+
+    positions: Float32Array
+    directions: Float32Array | None = None
+    lengths: Float32Array | None = None
+    timestamps_ns: Int64Array | None = None
+    extras: Mapping[str, AnyArray] = field(default=NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        count = check_array("points.positions", self.positions, (None, 3), np.float32)
+        check_array("points.directions", self.directions, (count, 3), np.float32, optional=True)
+        check_array("points.lengths", self.lengths, (count,), np.float32, optional=True)
+        check_array("points.timestamps_ns", self.timestamps_ns, (count,), np.int64, optional=True)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadarFrame:
+    """One measurement cycle of a radar; fields as in `LidarFrame`."""
+
+    timestamp_ns: int
+    points: RadarPoints
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadarSensor:
+    """A sensor that measures points with radial speeds; fields as in `LidarSensor`."""
+
+    id: Identifier
+    frames: LazyFrames[RadarFrame]
+    poses: PosePath | None = None
+    mount: RigidTransform | None = None
+    coordinates: Coordinates = Coordinates.WORLD
+    points_frame: PointsFrame = PointsFrame.SENSOR
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    @property
+    def type(self) -> SensorType:
+        """`radar`."""
+        return SensorType.RADAR
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointsSensor:
+    """A cloud without time, such as a map.
+
+    Attributes:
+        id: unique among the scene's sensors.
+        positions: (N, 3) float32 [m], world frame.
+        colors: (N, 3) uint8, or None.
+        parent_id: id of the parent sensor, or None.
+        extras: further fields of the file, by name.
+    """
+
+    id: Identifier
+    positions: Float32Array
+    colors: UInt8Array | None = None
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        count = check_array("points.positions", self.positions, (None, 3), np.float32)
+        check_array("points.colors", self.colors, (count, 3), np.uint8, optional=True)
+
+    @property
+    def type(self) -> SensorType:
+        """`points`."""
+        return SensorType.POINTS

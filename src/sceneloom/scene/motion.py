@@ -1,0 +1,109 @@
+"""Sensors of the ego's own motion: odometry, IMU and GNSS."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, check_array
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import NO_FIELDS, Identifier, SensorType
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometrySensor:
+    """The pose of the ego itself over time (`world_from_ego`)."""
+
+    id: Identifier
+    poses: PosePath
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    @property
+    def type(self) -> SensorType:
+        """`odometry`."""
+        return SensorType.ODOMETRY
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VectorSamples:
+    """A stream of vectors with a time each.
+
+    Attributes:
+        timestamps_ns: (N,) int64 [ns].
+        values: (N, K) float64, in the unit of the stream.
+        file_seconds: (N,) float64 [s], the file's own time stamps, or None.
+    """
+
+    timestamps_ns: Int64Array
+    values: Float64Array
+    file_seconds: Float64Array | None = None
+
+    def __post_init__(self) -> None:
+        count = check_array("samples.timestamps_ns", self.timestamps_ns, (None,), np.int64)
+        check_array("samples.values", self.values, (count, None), np.float64)
+        check_array("samples.file_seconds", self.file_seconds, (count,), np.float64, optional=True)
+
+    def __len__(self) -> int:
+        return len(self.timestamps_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuSensor:
+    """An inertial measurement unit; its frame is the ego frame.
+
+    Attributes:
+        id: unique among the scene's sensors.
+        streams: by the recording's words: "accelerometer" [m/s²], "gyroscope" [rad/s], "magnetometer" [µT],
+            "imuTemperature" [K], …
+        parent_id: id of the parent sensor, or None.
+        extras: further fields of the file, by name.
+    """
+
+    id: Identifier
+    streams: Mapping[str, VectorSamples]
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    @property
+    def type(self) -> SensorType:
+        """`imu`."""
+        return SensorType.IMU
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GnssSensor:
+    """A satellite receiver.
+
+    Attributes:
+        id: unique among the scene's sensors.
+        timestamps_ns: (N,) int64 [ns].
+        positions_lla: (N, 3) float64: latitude [deg], longitude [deg], altitude above the WGS84 ellipsoid [m].
+        accuracies: (N,) float64 [m], NaN where not given.
+        vertical_accuracies: (N,) float64 [m], NaN where not given.
+        file_seconds: (N,) float64 [s], the file's own time stamps, or None.
+        parent_id: id of the parent sensor, or None.
+        extras: further fields of the file, by name.
+    """
+
+    id: Identifier
+    timestamps_ns: Int64Array
+    positions_lla: Float64Array
+    accuracies: Float64Array
+    vertical_accuracies: Float64Array
+    file_seconds: Float64Array | None = None
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        count = check_array("gnss.timestamps_ns", self.timestamps_ns, (None,), np.int64)
+        check_array("gnss.positions_lla", self.positions_lla, (count, 3), np.float64)
+        check_array("gnss.accuracies", self.accuracies, (count,), np.float64)
+        check_array("gnss.vertical_accuracies", self.vertical_accuracies, (count,), np.float64)
+        check_array("gnss.file_seconds", self.file_seconds, (count,), np.float64, optional=True)
+
+    @property
+    def type(self) -> SensorType:
+        """`gnss`."""
+        return SensorType.GNSS

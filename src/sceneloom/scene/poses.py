@@ -1,0 +1,143 @@
+"""Where something was over time: the PosePath of the Sensor Fusion Scene format, and named trajectories."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, check_array, read_only
+from sceneloom.errors import ArrayError, PoseError
+from sceneloom.geometry.interpolation import interpolate_poses
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseSamples:
+    """Poses at the times that were asked for.
+
+    Attributes:
+        positions: (M, 3) float64 [m]; NaN where out of reach.
+        quaternions_xyzw: (M, 4) float64, unit; NaN where out of reach.
+        coverage: (M,) uint8: 0 inside the path, 1 extrapolated, 2 out of reach.
+    """
+
+    positions: Float64Array
+    quaternions_xyzw: Float64Array
+    coverage: UInt8Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosePath:
+    """Position and orientation of a moving frame in its parent frame (`parent_from_body`).
+
+    Attributes:
+        timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 1.
+        positions: (N, 3) float64 [m].
+        quaternions_xyzw: (N, 4) float64, unit, scalar last.
+        endless: the pose holds at all times (only for N = 1: a body that stands still).
+
+    Raises:
+        ArrayError: shapes, order of times or norms are wrong.
+
+    Source: "PosePath" of the SFS description.
+    """
+
+    timestamps_ns: Int64Array
+    positions: Float64Array
+    quaternions_xyzw: Float64Array
+    endless: bool = False
+
+    def __post_init__(self) -> None:
+        count = check_array("poses.timestamps_ns", self.timestamps_ns, (None,), np.int64)
+        check_array("poses.positions", self.positions, (count, 3), np.float64)
+        check_array("poses.quaternions_xyzw", self.quaternions_xyzw, (count, 4), np.float64)
+        if count == 0:
+            raise ArrayError("poses: empty; expected at least one pose")
+        if self.endless and count != 1:
+            raise ArrayError(f"poses: {count} poses; an endless path has exactly one")
+        backwards = np.flatnonzero(np.diff(self.timestamps_ns) <= 0)
+        if len(backwards):
+            k = int(backwards[0]) + 1
+            raise ArrayError(f"poses.timestamps_ns[{k}]: {self.timestamps_ns[k]}; expected strictly increasing times")
+        if not (np.isfinite(self.positions).all() and np.isfinite(self.quaternions_xyzw).all()):
+            raise ArrayError("poses: a value is not finite")
+        off = np.flatnonzero(np.abs(np.linalg.norm(self.quaternions_xyzw, axis=1) - 1.0) > 0.01)
+        if len(off):
+            k = int(off[0])
+            norm = float(np.linalg.norm(self.quaternions_xyzw[k]))
+            raise ArrayError(f"poses.quaternions_xyzw[{k}]: norm {norm:.4f}; expected 1 within 0.01")
+        for name in ("timestamps_ns", "positions", "quaternions_xyzw"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @classmethod
+    def identity(cls) -> "PosePath":
+        """A body that stands at the origin for all time."""
+        return cls(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), endless=True)
+
+    @property
+    def start_ns(self) -> int:
+        """Time of the first pose [ns]."""
+        return int(self.timestamps_ns[0])
+
+    @property
+    def stop_ns(self) -> int:
+        """Time of the last pose [ns]."""
+        return int(self.timestamps_ns[-1])
+
+    def interpolate(self, timestamps_ns: Int64Array, *, reach_ns: int = 0) -> PoseSamples:
+        """Give the pose at each time: position linear, rotation slerp between the neighbouring poses.
+
+        Args:
+            timestamps_ns: (M,) int64 [ns].
+            reach_ns: how far beyond either end the constant velocity of the end segment is continued.
+        """
+        if self.endless:
+            count = len(timestamps_ns)
+            inside = np.zeros(count, np.uint8)
+            return PoseSamples(
+                np.repeat(self.positions, count, axis=0), np.repeat(self.quaternions_xyzw, count, axis=0), inside
+            )
+        return PoseSamples(
+            *interpolate_poses(
+                self.timestamps_ns, self.positions, self.quaternions_xyzw, timestamps_ns, reach_ns=reach_ns
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """The ego's way through the world under the name of the method that found it (`world_from_ego`).
+
+    Attributes:
+        name: "groundTruth", "pose", the name of a VIO method, …
+        timestamps_ns: (N,) int64 [ns], strictly increasing.
+        positions: (N, 3) float64 [m], world frame, z up.
+        quaternions_xyzw: (N, 4) float64, or None where the method gives positions only.
+        file_seconds: (N,) float64 [s], the file's own time stamps, or None.
+    """
+
+    name: str
+    timestamps_ns: Int64Array
+    positions: Float64Array
+    quaternions_xyzw: Float64Array | None = None
+    file_seconds: Float64Array | None = None
+
+    def __post_init__(self) -> None:
+        count = check_array(f"trajectories[{self.name}].timestamps_ns", self.timestamps_ns, (None,), np.int64)
+        check_array(f"trajectories[{self.name}].positions", self.positions, (count, 3), np.float64)
+        check_array(
+            f"trajectories[{self.name}].quaternions_xyzw", self.quaternions_xyzw, (count, 4), np.float64, optional=True
+        )
+        check_array(f"trajectories[{self.name}].file_seconds", self.file_seconds, (count,), np.float64, optional=True)
+
+    @property
+    def poses(self) -> PosePath:
+        """The trajectory as a PosePath.
+
+        Raises:
+            PoseError: the trajectory has positions only.
+        """
+        if self.quaternions_xyzw is None:
+            raise PoseError(
+                f"trajectory {self.name!r} holds positions without orientations; "
+                "derive the heading from the motion with `--heading motion`, or choose another with `--trajectory NAME`"
+            )
+        return PosePath(self.timestamps_ns, self.positions, self.quaternions_xyzw)

@@ -1,0 +1,96 @@
+"""The scene: every sensor of a drive on one clock and in one frame tree."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+from sceneloom.errors import OptionError
+from sceneloom.scene.annotations import Annotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.types import NO_FIELDS, Identifier
+
+Sensor = LidarSensor | RadarSensor | PointsSensor | CameraSensor | OdometrySensor | ImuSensor | GnssSensor
+
+
+def _nothing() -> None:
+    pass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A drive. Usable bare and in `with`; it owns the files behind it.
+
+    Attributes:
+        sensors: all sensors, ids unique.
+        annotations: what is said about the scene.
+        trajectories: the known ways of the ego through the world, by name, the default one first.
+        attributes: attribute paths of the scene and its sensors, as the file has them, times in nanoseconds.
+        metadata: free fields.
+        time_offset_ns: what a file's clock leaves out of its stamps [ns]; all our times include it.
+        source: where the scene comes from, for messages.
+        format: name of the format that it was read from, or "simulated", ….
+        notices: what was assumed, repaired or left out.
+        extras: further root fields of the file, by name.
+
+    Raises:
+        OptionError: two sensors or two annotations share an id.
+    """
+
+    sensors: tuple[Sensor, ...]
+    annotations: tuple[Annotation, ...] = ()
+    trajectories: Mapping[str, Trajectory] = field(default=NO_FIELDS)
+    attributes: tuple[Mapping[str, Any], ...] = ()
+    metadata: Mapping[str, Any] = field(default=NO_FIELDS)
+    time_offset_ns: int = 0
+    source: str = "scene"
+    format: str = "memory"
+    notices: tuple[Notice, ...] = ()
+    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    on_close: Callable[[], None] = _nothing
+
+    def __post_init__(self) -> None:
+        for kind, ids in (("sensors", [s.id for s in self.sensors]), ("annotations", [a.id for a in self.annotations])):
+            seen: set[tuple[type, Identifier]] = set()
+            for index, identifier in enumerate(ids):
+                if (type(identifier), identifier) in seen:
+                    raise OptionError(f"{self.source}: {kind}[{index}].id: {identifier!r} is used twice")
+                seen.add((type(identifier), identifier))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the files behind the scene; its frames cannot be read afterwards."""
+        self.on_close()
+
+    def sensor(self, sensor_id: Identifier) -> Sensor:
+        """Find a sensor by its id.
+
+        Raises:
+            OptionError: the scene has no such sensor.
+        """
+        for sensor in self.sensors:
+            if sensor.id == sensor_id and type(sensor.id) is type(sensor_id):
+                return sensor
+        known = ", ".join(repr(sensor.id) for sensor in self.sensors)
+        raise OptionError(f"{self.source}: no sensor {sensor_id!r}; it has {known}")
+
+    @property
+    def lidars(self) -> tuple[LidarSensor, ...]:
+        """The lidars, in the order of `sensors`."""
+        return tuple(sensor for sensor in self.sensors if isinstance(sensor, LidarSensor))
+
+    @property
+    def cameras(self) -> tuple[CameraSensor, ...]:
+        """The cameras, in the order of `sensors`; `camera_index` of a point counts these."""
+        return tuple(sensor for sensor in self.sensors if isinstance(sensor, CameraSensor))

@@ -1,0 +1,186 @@
+"""Rotations as unit quaternions (x, y, z, w) and as matrices, vectorised over leading axes.
+
+A quaternion and its negative are the same rotation; functions that give a quaternion for a rotation choose w >= 0.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import Float64Array
+from sceneloom.errors import ArrayError, CalibrationError
+
+_CONJUGATION = np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def normalise_quaternion(quaternion_xyzw: ArrayLike) -> Float64Array:
+    """Scale (..., 4) quaternions to length 1; NaN stays NaN.
+
+    Raises:
+        ArrayError: the last axis is not 4 long, or a quaternion is zero, which is no rotation.
+    """
+    quaternion = np.asarray(quaternion_xyzw, np.float64)
+    if quaternion.shape[-1:] != (4,):
+        raise ArrayError(f"quaternion_xyzw: {quaternion.shape}; expected (..., 4)")
+    # Scaling by the largest element first keeps the squares of tiny and huge numbers within float64.
+    largest = np.abs(quaternion).max(axis=-1, keepdims=True)
+    if (largest == 0).any():
+        raise ArrayError("quaternion_xyzw: 0, 0, 0, 0; expected a rotation")
+    scaled = quaternion / largest
+    unit: Float64Array = scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
+    return unit
+
+
+def matrix_from_quaternion(quaternion_xyzw: ArrayLike) -> Float64Array:
+    """Give the (..., 3, 3) rotation matrices of (..., 4) quaternions, which are normalised first.
+
+    Raises:
+        ArrayError: a quaternion is zero.
+    """
+    x, y, z, w = np.moveaxis(normalise_quaternion(quaternion_xyzw), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_from_matrix(matrix: ArrayLike) -> Float64Array:
+    """Give the (..., 4) unit quaternions, scalar last, w >= 0, of (..., 3, 3) rotation matrices.
+
+    The sums below are the rows of 4 q qᵀ; the row with the largest diagonal is the one that loses no digits.
+
+    Source: Shepperd 1978, "Quaternion from Rotation Matrix".
+    """
+    m = np.asarray(matrix, np.float64)
+    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    xw, yw, zw = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    products = (
+        (1 + m00 - m11 - m22, xy, xz, xw),
+        (xy, 1 - m00 + m11 - m22, yz, yw),
+        (xz, yz, 1 - m00 - m11 + m22, zw),
+        (xw, yw, zw, 1 + m00 + m11 + m22),
+    )
+    outer = np.stack([np.stack(row, axis=-1) for row in products], axis=-2)
+    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    return _with_positive_w(
+        normalise_quaternion(np.take_along_axis(outer, best[..., None, None], -2)[..., 0, :])
+    )
+
+
+def _with_positive_w(quaternion_xyzw: Float64Array) -> Float64Array:
+    return np.where(quaternion_xyzw[..., 3:] < 0, -quaternion_xyzw, quaternion_xyzw)
+
+
+def multiply_quaternions(a: ArrayLike, b: ArrayLike) -> Float64Array:
+    """Give the product of (..., 4) quaternions: rotate by b, then by a; the matrices multiply in the same order."""
+    first, second = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    u, s = first[..., :3], first[..., 3:]
+    v, t = second[..., :3], second[..., 3:]
+    vector = s * v + t * u + np.cross(u, v)
+    scalar = s * t - (u * v).sum(axis=-1, keepdims=True)
+    return np.concatenate([vector, scalar], axis=-1)
+
+
+def conjugate_quaternion(quaternion_xyzw: ArrayLike) -> Float64Array:
+    """Give the opposite rotations of (..., 4) unit quaternions."""
+    conjugate: Float64Array = np.asarray(quaternion_xyzw, np.float64) * _CONJUGATION
+    return conjugate
+
+
+def rotate_vectors(quaternion_xyzw: ArrayLike, vectors: ArrayLike) -> Float64Array:
+    """Rotate (..., 3) vectors by (..., 4) quaternions, which broadcast and are normalised first.
+
+    Raises:
+        ArrayError: a quaternion is zero.
+    """
+    quaternion = normalise_quaternion(quaternion_xyzw)
+    axis, scalar = quaternion[..., :3], quaternion[..., 3:]
+    points = np.asarray(vectors, np.float64)
+    twice = 2.0 * np.cross(axis, points)
+    rotated: Float64Array = points + scalar * twice + np.cross(axis, twice)
+    return rotated
+
+
+def angle_between(a: ArrayLike, b: ArrayLike) -> Float64Array:
+    """Give the angle [0, π] of the rotations that take a to b, for (..., 4) unit quaternions.
+
+    Source: Kahan 2006, "How Futile are Mindless Assessments of Roundoff", section 12: exact for tiny angles,
+    where the arc cosine of the dot product is not.
+    """
+    return 2.0 * _arc(*_on_one_side(np.asarray(a, np.float64), np.asarray(b, np.float64)))
+
+
+def _on_one_side(a: Float64Array, b: Float64Array) -> tuple[Float64Array, Float64Array]:
+    return a, np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
+
+
+def _arc(a: Float64Array, b: Float64Array) -> Float64Array:
+    apart, together = np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)
+    arc: Float64Array = 2.0 * np.arctan2(apart, together)
+    return arc
+
+
+def slerp(a: ArrayLike, b: ArrayLike, fraction: ArrayLike) -> Float64Array:
+    """Turn from a (fraction 0) towards b (fraction 1) at constant speed along the shorter way.
+
+    Args:
+        a, b: (..., 4) quaternions, normalised here.
+        fraction: (...) float; below 0 and above 1 the turning goes on.
+
+    Raises:
+        ArrayError: a quaternion is zero.
+
+    Source: Shoemake 1985, "Animating Rotation with Quaternion Curves"; the sines are written as
+    sin(x) = x sinc(x), which has no division by zero where a = b.
+    """
+    start, stop = _on_one_side(normalise_quaternion(a), normalise_quaternion(b))
+    along = np.asarray(fraction, np.float64)[..., None]
+    half_turns = _arc(start, stop)[..., None] / np.pi
+    whole = np.sinc(half_turns)
+    weight_start = (1.0 - along) * np.sinc((1.0 - along) * half_turns) / whole
+    weight_stop = along * np.sinc(along * half_turns) / whole
+    return normalise_quaternion(weight_start * start + weight_stop * stop)
+
+
+def nearest_rotation(matrix: ArrayLike) -> tuple[Float64Array, float]:
+    """Give the proper rotation closest to a (3, 3) matrix, and how far the matrix is from being one.
+
+    Returns:
+        rotation: (3, 3), orthonormal, determinant +1.
+        error: max abs of M Mᵀ - I; infinite where the determinant of M is not positive.
+
+    Raises:
+        CalibrationError: the matrix is not (3, 3) or holds a value that is not finite.
+
+    Source: Horn, Hilden and Negahdaripour 1988: of all rotations U Vᵀ is nearest in the Frobenius norm.
+    """
+    m = np.asarray(matrix, np.float64)
+    if m.shape != (3, 3) or not np.isfinite(m).all():
+        raise CalibrationError(f"rotation {m.tolist()}; expected 3x3 finite numbers")
+    u, _, vt = np.linalg.svd(m)
+    handedness = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    error = float(np.abs(m @ m.T - np.eye(3)).max()) if np.linalg.det(m) > 0 else np.inf
+    return (u * handedness) @ vt, error
+
+
+def rotation_vector_from_quaternion(quaternion_xyzw: ArrayLike) -> Float64Array:
+    """Give (..., 3) rotation vectors: along the axis, as long as the angle, which is at most π.
+
+    Raises:
+        ArrayError: a quaternion is zero.
+    """
+    quaternion = _with_positive_w(normalise_quaternion(quaternion_xyzw))
+    axis, scalar = quaternion[..., :3], quaternion[..., 3:]
+    half = np.arctan2(np.linalg.norm(axis, axis=-1, keepdims=True), scalar)
+    vector: Float64Array = 2.0 * axis / np.sinc(half / np.pi)
+    return vector
+
+
+def quaternion_from_rotation_vector(rotation_vector: ArrayLike) -> Float64Array:
+    """Give the (..., 4) unit quaternions, w >= 0, of (..., 3) rotation vectors."""
+    vector = np.asarray(rotation_vector, np.float64)
+    half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2.0
+    quaternion = np.concatenate([0.5 * np.sinc(half / np.pi) * vector, np.cos(half)], axis=-1)
+    return _with_positive_w(normalise_quaternion(quaternion))

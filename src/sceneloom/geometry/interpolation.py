@@ -82,9 +82,10 @@ def thin_poses(
 ) -> Int64Array:
     """Find the poses of a dense path that a thinner path needs besides those at the required times.
 
-    The thinner path has a pose, interpolated from the dense one, at every required time, and the poses returned here.
-    Between the first and the last required time it stays within the tolerances of the dense path. Segments are split
-    at their worst pose until they fit; all segments of one level at once, so long paths need no deep recursion.
+    The thinner path has a pose, interpolated from the dense one, at every required time, and the poses
+    returned here. Between the first and the last required time it stays within the tolerances of the dense
+    path. Segments are split at their worst pose until they fit; all segments of one level at once, so long
+    paths need no deep recursion.
 
     Args:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 1.
@@ -100,8 +101,8 @@ def thin_poses(
     Raises:
         ArrayError: the path has no pose.
 
-    Source: Douglas and Peucker 1973, with the distance taken at equal times; it is largest at a pose of the dense
-    path, since both paths move linearly between those.
+    Source: Douglas and Peucker 1973, with the distance taken at equal times; it is largest at a pose of the
+    dense path, since both paths move linearly between those.
     """
     unit = normalise_quaternion(quaternions_xyzw)
     required = np.unique(required_ns if len(required_ns) else timestamps_ns[[0, -1]])
@@ -131,8 +132,8 @@ def thin_poses(
 def _split(segments: Int64Array, misfits: Float64Array, *, at_worst: bool) -> tuple[Int64Array, BoolArray]:
     """Choose one pose of every segment that does not fit, and tell which poses have to be judged again.
 
-    Splitting at the worst pose gives few poses, but may take as many levels as there are poses; splitting in the
-    middle (not `at_worst`) bounds the levels.
+    Splitting at the worst pose gives few poses, but may take as many levels as there are poses; splitting in
+    the middle (not `at_worst`) bounds the levels.
     """
     starts = np.flatnonzero(np.diff(segments, prepend=segments[0] - 1))
     lengths = np.diff(starts, append=len(segments))

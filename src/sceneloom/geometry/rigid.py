@@ -31,7 +31,8 @@ class RigidTransform:
         error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
         if not (error < 1e-6 and np.linalg.det(self.rotation) > 0 and np.isfinite(self.translation).all()):
             raise CalibrationError(
-                f"rotation off by {error:.2g}; expected an orthonormal right-handed matrix"
+                f"rotation off by {error:.2g}, translation {self.translation.tolist()}; "
+                "expected an orthonormal right-handed matrix and finite numbers"
             )
         object.__setattr__(self, "rotation", read_only(self.rotation))
         object.__setattr__(self, "translation", read_only(self.translation))

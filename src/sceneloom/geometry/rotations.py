@@ -1,6 +1,7 @@
 """Rotations as unit quaternions (x, y, z, w) and as matrices, vectorised over leading axes.
 
-A quaternion and its negative are the same rotation; functions that give a quaternion for a rotation choose w >= 0.
+A quaternion and its negative are the same rotation; functions that give the quaternion of a rotation choose
+the one with w >= 0.
 """
 
 import numpy as np
@@ -74,7 +75,7 @@ def _with_positive_w(quaternion_xyzw: Float64Array) -> Float64Array:
 
 
 def multiply_quaternions(a: ArrayLike, b: ArrayLike) -> Float64Array:
-    """Give the product of (..., 4) quaternions: rotate by b, then by a; the matrices multiply in the same order."""
+    """Give the product of (..., 4) quaternions: rotate by b, then by a, like a product of matrices."""
     first, second = np.asarray(a, np.float64), np.asarray(b, np.float64)
     u, s = first[..., :3], first[..., 3:]
     v, t = second[..., :3], second[..., 3:]
@@ -126,7 +127,8 @@ def slerp(a: ArrayLike, b: ArrayLike, fraction: ArrayLike) -> Float64Array:
     """Turn from a (fraction 0) towards b (fraction 1) at constant speed along the shorter way.
 
     Args:
-        a, b: (..., 4) quaternions, normalised here.
+        a: (..., 4) quaternions, normalised here.
+        b: (..., 4) quaternions, normalised here.
         fraction: (...) float; below 0 and above 1 the turning goes on.
 
     Raises:

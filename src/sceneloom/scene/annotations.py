@@ -48,7 +48,7 @@ class CuboidAnnotation:
     label: str | None = None
     stationary: bool | None = None
     parent_id: Identifier | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @property
     def type(self) -> str:

@@ -30,7 +30,7 @@ class Picture:
     camera: Camera
     decode: Callable[[], UInt8Array]
     mount: RigidTransform | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @classmethod
     def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "Picture":
@@ -85,7 +85,7 @@ class CameraSensor:
     video: VideoContent | None = None
     fps: float | None = None
     parent_id: Identifier | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @property
     def type(self) -> SensorType:

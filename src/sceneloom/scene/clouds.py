@@ -33,7 +33,7 @@ class LidarPoints:
     timestamps_ns: Int64Array | None = None
     rings: UInt16Array | None = None
     camera_index: UInt8Array | None = None
-    extras: Mapping[str, AnyArray] = field(default=NO_FIELDS)
+    extras: Mapping[str, AnyArray] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
         count = check_array("points.positions", self.positions, (None, 3), np.float32)
@@ -59,7 +59,7 @@ class LidarFrame:
 
     timestamp_ns: int
     points: LidarPoints
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @property
     def reference_ns(self) -> int:
@@ -95,7 +95,7 @@ class LidarSensor:
     points_frame: PointsFrame = PointsFrame.SENSOR
     model: str | None = None
     parent_id: Identifier | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @property
     def type(self) -> SensorType:
@@ -119,7 +119,7 @@ class RadarPoints:
     directions: Float32Array | None = None
     lengths: Float32Array | None = None
     timestamps_ns: Int64Array | None = None
-    extras: Mapping[str, AnyArray] = field(default=NO_FIELDS)
+    extras: Mapping[str, AnyArray] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
         count = check_array("points.positions", self.positions, (None, 3), np.float32)
@@ -137,7 +137,7 @@ class RadarFrame:
 
     timestamp_ns: int
     points: RadarPoints
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +151,7 @@ class RadarSensor:
     coordinates: Coordinates = Coordinates.WORLD
     points_frame: PointsFrame = PointsFrame.SENSOR
     parent_id: Identifier | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @property
     def type(self) -> SensorType:
@@ -175,7 +175,7 @@ class PointsSensor:
     positions: Float32Array
     colors: UInt8Array | None = None
     parent_id: Identifier | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
         count = check_array("points.positions", self.positions, (None, 3), np.float32)

@@ -18,7 +18,7 @@ class OdometrySensor:
     id: Identifier
     poses: PosePath
     parent_id: Identifier | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @property
     def type(self) -> SensorType:
@@ -64,7 +64,7 @@ class ImuSensor:
     id: Identifier
     streams: Mapping[str, VectorSamples]
     parent_id: Identifier | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @property
     def type(self) -> SensorType:
@@ -94,7 +94,7 @@ class GnssSensor:
     vertical_accuracies: Float64Array
     file_seconds: Float64Array | None = None
     parent_id: Identifier | None = None
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
         count = check_array("gnss.timestamps_ns", self.timestamps_ns, (None,), np.int64)

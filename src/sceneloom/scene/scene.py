@@ -43,14 +43,14 @@ class Scene:
 
     sensors: tuple[Sensor, ...]
     annotations: tuple[Annotation, ...] = ()
-    trajectories: Mapping[str, Trajectory] = field(default=NO_FIELDS)
+    trajectories: Mapping[str, Trajectory] = field(default_factory=lambda: NO_FIELDS)
     attributes: tuple[Mapping[str, Any], ...] = ()
-    metadata: Mapping[str, Any] = field(default=NO_FIELDS)
+    metadata: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
     time_offset_ns: int = 0
     source: str = "scene"
     format: str = "memory"
     notices: tuple[Notice, ...] = ()
-    extras: Mapping[str, Any] = field(default=NO_FIELDS)
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
     on_close: Callable[[], None] = _nothing
 
     def __post_init__(self) -> None:

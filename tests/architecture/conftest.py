@@ -1,0 +1,116 @@
+"""The sources of the package and the files of the project, as the guards of the house look at them."""
+
+import ast
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).parents[2]
+SOURCES = PROJECT / "src"
+PACKAGE = SOURCES / "sceneloom"
+UNTRACKED_FOLDERS = {".git", ".venv", "build", "dist", "node_modules"}
+
+
+@dataclass(frozen=True)
+class SourceModule:
+    """One module of the package.
+
+    Attributes:
+        name: dotted, a package's `__init__` under the package's name.
+        path: its file.
+        is_package: whether it is an `__init__`.
+        tree: its syntax tree.
+    """
+
+    name: str
+    path: Path
+    is_package: bool
+    tree: ast.Module
+
+    @property
+    def imports(self) -> list[tuple[str, int]]:
+        """Dotted names of everything that is imported anywhere in the module, with the line."""
+        return [found for node in ast.walk(self.tree) for found in self._imports_of(node)]
+
+    def _imports_of(self, node: ast.AST) -> Iterator[tuple[str, int]]:
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = self._absolute(node)
+            yield from ((self._imported(base, alias.name), node.lineno) for alias in node.names)
+
+    def _absolute(self, node: ast.ImportFrom) -> str:
+        if node.level == 0:
+            return str(node.module)
+        here = self.name.split(".")
+        parents = here[: len(here) - node.level + self.is_package]
+        return ".".join([*parents, *([node.module] if node.module else [])])
+
+    @staticmethod
+    def _imported(base: str, name: str) -> str:
+        """`from sceneloom import scene` imports a module, `from sceneloom.scene import Scene` a name out of one."""
+        place = SOURCES / base.replace(".", "/") / name
+        return f"{base}.{name}" if place.is_dir() or place.with_suffix(".py").is_file() else base
+
+
+@cache
+def source_modules() -> tuple[SourceModule, ...]:
+    """All modules of the package, read from the checkout and not from where it is installed."""
+    modules = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(SOURCES).with_suffix("").parts
+        is_package = parts[-1] == "__init__"
+        name = ".".join(parts[:-1] if is_package else parts)
+        modules.append(SourceModule(name, path, is_package, ast.parse(path.read_text("utf-8"))))
+    return tuple(modules)
+
+
+def tracked_files() -> list[Path]:
+    """The files under version control; in a copy without it, every file but litter."""
+    git = shutil.which("git")
+    if git is not None and (PROJECT / ".git").exists():
+        listed = subprocess.run(
+            [git, "ls-files", "-z"], cwd=PROJECT, capture_output=True, check=True, text=True
+        )
+        return [PROJECT / name for name in listed.stdout.split("\0") if name and (PROJECT / name).is_file()]
+    files = []
+    for folder, folders, names in os.walk(PROJECT):
+        folders[:] = [
+            name for name in folders if name not in UNTRACKED_FOLDERS and not name.endswith("cache__")
+        ]
+        files += [Path(folder, name) for name in names]
+    return files
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a guard once per module where it asks for one, so that a failure names the module."""
+    if "module" in metafunc.fixturenames:
+        modules = source_modules()
+        metafunc.parametrize("module", modules, ids=[module.name for module in modules])
+    if "package" in metafunc.fixturenames:
+        packages = [module for module in source_modules() if module.is_package]
+        metafunc.parametrize("package", packages, ids=[module.name for module in packages])
+
+
+@pytest.fixture(scope="session")
+def modules() -> tuple[SourceModule, ...]:
+    """All modules of the package."""
+    return source_modules()
+
+
+@pytest.fixture(scope="session")
+def project_files() -> list[Path]:
+    """The files under version control."""
+    return tracked_files()
+
+
+@pytest.fixture(scope="session")
+def project() -> Path:
+    """The root of the checkout."""
+    return PROJECT

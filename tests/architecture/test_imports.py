@@ -1,0 +1,148 @@
+"""A module imports only from rows below its own, and `import sceneloom` stays light."""
+
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+ROWS = (
+    ("cli",),
+    ("service", "view", "report", "batch", "catalog"),
+    ("pipeline", "simulate", "evaluate"),
+    ("pictures",),
+    ("fusion",),
+    ("tracking", "calibrate"),
+    ("detections", "colouring"),
+    ("checks",),
+    ("formats",),
+    ("motion",),
+    ("scene", "visibility"),
+    ("cameras",),
+    ("geometry", "kernels"),
+    ("errors", "arrays", "version"),
+)
+"""The house from the roof to the ground. Rooms of one row do not import one another, but for `NEIGHBOURS`."""
+
+NEIGHBOURS = {("arrays", "errors"), ("visibility", "scene")}
+"""Pairs (importer, imported) inside one row."""
+
+ROW_OF = {room: number for number, row in enumerate(ROWS) for room in row}
+
+WRAPPERS = {
+    "numba": {"kernels", "cameras"},
+    "av": {"formats", "simulate"},
+    "simplejpeg": {"formats"},
+    "PIL": {"formats", "pictures", "simulate"},
+    "scipy": {"motion", "tracking", "calibrate", "detections", "evaluate"},
+    "click": {"cli"},
+    "rich": {"cli"},
+    "numpy": set(ROW_OF),
+    "msgspec": set(ROW_OF),
+}
+"""Each third party and the rooms that may wrap it."""
+
+
+def room_of(module_name: str) -> str:
+    """The room of a module: the first name after `sceneloom`, or "" for the package's own front."""
+    parts = module_name.split(".")
+    return parts[1] if len(parts) > 1 else ""
+
+
+def may_import(room: str, other: str) -> bool:
+    """Whether a module of one room may import from another."""
+    if room in ("", other):
+        return True
+    if other == "":
+        return False
+    return ROW_OF[other] > ROW_OF[room] or (room, other) in NEIGHBOURS
+
+
+def test_every_room_has_its_row(modules):
+    unknown = {room for m in modules if (room := room_of(m.name)) and room not in ROW_OF}
+    assert not unknown, f"rooms without a row: {unknown}; add them to ROWS and to docs/ARCHITECTURE.md"
+
+
+def test_a_module_imports_only_from_rows_below_its_own(module):
+    room = room_of(module.name)
+    wrong = [
+        f"line {line}: {name}"
+        for name, line in module.imports
+        if name.split(".")[0] == "sceneloom" and not may_import(room, room_of(name))
+    ]
+    assert not wrong, f"{module.name} imports from its own row or above: {wrong}"
+
+
+def test_a_third_party_is_imported_only_in_the_rooms_that_wrap_it(module):
+    room = room_of(module.name)
+    foreign = [
+        (name.split(".")[0], line)
+        for name, line in module.imports
+        if name.split(".")[0] not in sys.stdlib_module_names and name.split(".")[0] != "sceneloom"
+    ]
+    wrong = [f"line {line}: {name}" for name, line in foreign if room not in WRAPPERS.get(name, set())]
+    assert not wrong, f"{module.name}: {wrong}; WRAPPERS says who wraps what"
+
+
+def test_every_third_party_that_is_imported_is_declared(modules, project):
+    declared = tomllib.loads((project / "pyproject.toml").read_text("utf-8"))["project"]
+    requirements = [*declared["dependencies"], *sum(declared["optional-dependencies"].values(), [])]
+    names = {requirement.split(">")[0].split("=")[0].split("[")[0] for requirement in requirements}
+    distributions = {"PIL": "pillow"}
+    imported = {name.split(".")[0] for m in modules for name, _ in m.imports}
+    foreign = imported - set(sys.stdlib_module_names) - {"sceneloom"}
+    assert {distributions.get(name, name) for name in foreign} <= names
+
+
+@pytest.mark.parametrize(
+    ("importer", "imported", "allowed"),
+    [
+        ("formats", "scene", True),
+        ("scene", "formats", False),
+        ("simulate", "formats", True),
+        ("simulate", "pipeline", False),
+        ("service", "view", False),
+        ("geometry", "kernels", False),
+        ("arrays", "errors", True),
+        ("errors", "arrays", False),
+        ("scene", "", False),
+        ("", "cli", True),
+    ],
+)
+def test_the_rule_of_rows_tells_right_from_wrong(importer, imported, allowed):
+    assert may_import(importer, imported) is allowed
+
+
+LOADED = """
+import sys
+{statement}
+print(*sorted({{name.split(".")[0] for name in sys.modules}} - set(sys.stdlib_module_names)))
+"""
+
+OPENED = """
+import sys
+import numpy, msgspec
+opened = []
+watching = True
+sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" and watching else None)
+import sceneloom
+watching = False
+print(*(name for name in opened if not name.endswith((".py", ".pyc", ".so")) and ".pyc." not in name), sep="\\n")
+"""
+
+
+def run_python(program: str) -> str:
+    """Run a program in a fresh interpreter outside the checkout and give what it prints."""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_importing_the_package_loads_only_numpy_and_msgspec():
+    before = set(run_python(LOADED.format(statement="import numpy, msgspec")).split())
+    after = set(run_python(LOADED.format(statement="import sceneloom")).split())
+    assert after - before == {"sceneloom"}
+
+
+def test_importing_the_package_opens_no_file_but_modules():
+    assert run_python(OPENED).split() == []

@@ -1,0 +1,110 @@
+"""Files and functions stay small, have names of the field, and hold nothing of one machine."""
+
+import ast
+import re
+
+import pytest
+
+REFUSED_NAMES = {
+    "util",
+    "utils",
+    "common",
+    "core",
+    "helper",
+    "helpers",
+    "misc",
+    "manager",
+    "managers",
+    "tools",
+}
+LONGEST_MODULE = 600
+LONGEST_FUNCTION = 60
+LARGEST_FILE = 1_000_000
+
+LONG_FUNCTIONS: dict[str, str] = {}
+"""`module.function` and the reason why it is better in one piece."""
+
+LONG_MODULES: dict[str, str] = {}
+"""Module and the reason why it is better in one piece."""
+
+MACHINE_PATHS = re.compile(r"(?<![\w.~$}-])/(?:root|work|home|Users|mnt|data|scratch)/\w")
+HOSTS = (
+    "pypi.org",
+    "pythonhosted.org",
+    "conda.anaconda.org",
+    "index-url",
+    "find-links",
+    "artifactory",
+    "nexus",
+)
+QUOTES_THE_HOSTS = "tests/architecture/test_shape.py"
+
+
+def test_a_module_is_named_after_what_it_is_about(module):
+    refused = REFUSED_NAMES & set(module.name.split("."))
+    assert not refused, f"{module.name}: {refused} says nothing about its content"
+
+
+def test_a_module_is_short_enough_to_read(module):
+    length = len(module.path.read_text("utf-8").splitlines())
+    if module.name not in LONG_MODULES:
+        assert length <= LONGEST_MODULE, f"{module.name}: {length} lines"
+
+
+def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines from `def` to the end, the docstring's not counted."""
+    length = (function.end_lineno or function.lineno) - function.lineno + 1
+    first = function.body[0]
+    if (
+        isinstance(first, ast.Expr)
+        and isinstance(first.value, ast.Constant)
+        and isinstance(first.value.value, str)
+    ):
+        length -= (first.end_lineno or first.lineno) - first.lineno + 1
+    return length
+
+
+def test_a_function_is_short_enough_to_read(module):
+    functions = [n for n in ast.walk(module.tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    long = {f"{module.name}.{n.name}": body_length(n) for n in functions if body_length(n) > LONGEST_FUNCTION}
+    assert not {name: length for name, length in long.items() if name not in LONG_FUNCTIONS}
+
+
+def test_exceptions_to_length_are_still_needed(modules):
+    names = {m.name for m in modules}
+    functions = {
+        f"{m.name}.{n.name}" for m in modules for n in ast.walk(m.tree) if isinstance(n, ast.FunctionDef)
+    }
+    assert set(LONG_MODULES) <= names
+    assert set(LONG_FUNCTIONS) <= functions
+
+
+def test_no_file_is_large(project_files, project):
+    large = {
+        str(p.relative_to(project)): p.stat().st_size
+        for p in project_files
+        if p.stat().st_size > LARGEST_FILE
+    }
+    assert not large
+
+
+def test_no_file_holds_a_path_of_one_machine_or_the_host_of_a_registry(project_files, project):
+    found = []
+    for path in project_files:
+        name = path.relative_to(project).as_posix()
+        text = path.read_bytes().decode("utf-8", "replace")
+        if name == QUOTES_THE_HOSTS or "\0" in text:
+            continue
+        found += [f"{name}: {match.group()}" for match in MACHINE_PATHS.finditer(text)]
+        found += [f"{name}: {host}" for host in HOSTS if host in text]
+    assert not found
+
+
+@pytest.mark.parametrize("text", ["see /root/x", "'/work/main/a'", "at /home/someone", "file:///Users/a"])
+def test_paths_of_one_machine_are_noticed(text):
+    assert MACHINE_PATHS.search(text)
+
+
+@pytest.mark.parametrize("text", ["a/work/b", "$HOME/work/x", "../shared/data/x", "/tmp/x", "rows/data"])
+def test_relative_paths_are_not_mistaken_for_paths_of_one_machine(text):
+    assert not MACHINE_PATHS.search(text)

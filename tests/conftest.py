@@ -30,7 +30,7 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def scale_python() -> str:
-    """A Python interpreter that has Scale's scale-sensor-fusion-io; tests against it are skipped without one."""
+    """A Python interpreter that has scale-sensor-fusion-io; tests against it are skipped without one."""
     interpreter = os.environ.get("SCENELOOM_SCALE_PYTHON", "")
     if not interpreter:
         pytest.skip("no interpreter with Scale's library: set SCENELOOM_SCALE_PYTHON")

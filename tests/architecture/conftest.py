@@ -14,7 +14,7 @@ import pytest
 PROJECT = Path(__file__).parents[2]
 SOURCES = PROJECT / "src"
 PACKAGE = SOURCES / "sceneloom"
-UNTRACKED_FOLDERS = {".git", ".venv", "build", "dist", "node_modules"}
+UNTRACKED_FOLDERS = {".git", ".hypothesis", ".venv", "__pycache__", "build", "dist", "sceneloom-demo"}
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class SourceModule:
 
     @staticmethod
     def _imported(base: str, name: str) -> str:
-        """`from sceneloom import scene` imports a module, `from sceneloom.scene import Scene` a name out of one."""
+        """Give the module that `from base import name` reaches: `base` itself, or a module inside it."""
         place = SOURCES / base.replace(".", "/") / name
         return f"{base}.{name}" if place.is_dir() or place.with_suffix(".py").is_file() else base
 

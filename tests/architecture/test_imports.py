@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tomllib
+from itertools import chain
 
 import pytest
 
@@ -86,7 +87,7 @@ def test_a_third_party_is_imported_only_in_the_rooms_that_wrap_it(module):
 
 def test_every_third_party_that_is_imported_is_declared(modules, project):
     declared = tomllib.loads((project / "pyproject.toml").read_text("utf-8"))["project"]
-    requirements = [*declared["dependencies"], *sum(declared["optional-dependencies"].values(), [])]
+    requirements = [*declared["dependencies"], *chain(*declared["optional-dependencies"].values())]
     names = {requirement.split(">")[0].split("=")[0].split("[")[0] for requirement in requirements}
     distributions = {"PIL": "pillow"}
     imported = {name.split(".")[0] for m in modules for name, _ in m.imports}
@@ -127,7 +128,8 @@ watching = True
 sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" and watching else None)
 import sceneloom
 watching = False
-print(*(name for name in opened if not name.endswith((".py", ".pyc", ".so")) and ".pyc." not in name), sep="\\n")
+code = (".py", ".pyc", ".so")
+print(*(name for name in opened if not name.endswith(code) and ".pyc." not in name), sep="\\n")
 """
 
 

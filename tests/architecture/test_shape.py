@@ -45,6 +45,10 @@ def test_a_module_is_named_after_what_it_is_about(module):
     assert not refused, f"{module.name}: {refused} says nothing about its content"
 
 
+def test_a_folder_of_modules_is_a_package(module):
+    assert (module.path.parent / "__init__.py").is_file()
+
+
 def test_a_module_is_short_enough_to_read(module):
     length = len(module.path.read_text("utf-8").splitlines())
     if module.name not in LONG_MODULES:

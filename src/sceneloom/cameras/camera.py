@@ -30,7 +30,9 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
-            raise CalibrationError(f"picture size {self.width}x{self.height}; expected positive numbers of pixels")
+            raise CalibrationError(
+                f"picture size {self.width}x{self.height}; expected positive numbers of pixels"
+            )
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
         if not all(abs(value) < float("inf") for value in numbers):
             raise CalibrationError(f"camera numbers {numbers}; expected finite ones")

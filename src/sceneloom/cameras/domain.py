@@ -1,0 +1,47 @@
+"""How far from the axis a lens can be trusted: up to where its mapping folds and two points share a pixel."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import Float64Array
+
+_DIRECTIONS = 72
+_STEPS = 200
+_ROUNDS = 3
+_WIDEST = math.radians(89.9)
+
+Slopes = Callable[[Float64Array, Float64Array], tuple[Float64Array, ...]]
+"""Gives dx'/dx, dx'/dy, dy'/dx, dy'/dy at points (x, y) of the plane z = 1."""
+
+
+def first_positive_root(polynomial: ArrayLike) -> float:
+    """Give the smallest positive real root, infinity where there is none.
+
+    Args:
+        polynomial: coefficients, the highest power first.
+    """
+    roots = np.roots(np.asarray(polynomial, np.float64))
+    # A double root, where a slope touches zero without crossing it, comes out with a tiny imaginary part.
+    real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots.real)]
+    return float(real[real > 0].min(initial=math.inf))
+
+
+def radius_without_fold(slopes: Slopes, limit: float) -> float:
+    """Search the disk of radius `limit` for the circle on which the mapping's area factor first vanishes.
+
+    Returns:
+        The radius up to which the factor is positive in all directions, `limit` where it is so everywhere.
+    """
+    directions = np.linspace(0.0, 2.0 * math.pi, _DIRECTIONS, endpoint=False)
+    low, high = 0.0, min(math.atan(limit), _WIDEST)
+    for _ in range(_ROUNDS):
+        radii = np.tan(np.linspace(low, high, _STEPS))
+        xx, xy, yx, yy = slopes(np.outer(radii, np.cos(directions)), np.outer(radii, np.sin(directions)))
+        folded = np.flatnonzero(~(xx * yy - xy * yx > 0.0).all(axis=1))
+        if len(folded) == 0 or radii[folded[0]] >= limit:
+            return limit
+        low, high = (math.atan(radii[max(folded[0] - step, 0)]) for step in (1, 0))
+    return math.tan(low)

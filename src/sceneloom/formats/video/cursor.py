@@ -1,0 +1,107 @@
+"""A decoder on its way through a video, which knows which picture comes next."""
+
+from collections import deque
+from collections.abc import Iterator
+
+import av
+from av.packet import Packet
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
+
+from sceneloom.errors import DataError
+from sceneloom.formats.video.index import VideoIndex, codec_reorders, presentation_ticks
+from sceneloom.formats.video.source import OpenVideo, decoder_faults
+
+
+class Cursor:
+    """Decodes onward from where a container stands; keeps the picture it gave last and nothing else.
+
+    Attributes:
+        first: the first picture it can give; those before it need another start.
+    """
+
+    def __init__(self, opened: OpenVideo, pictures: VideoIndex, name: str) -> None:
+        """Start at the container's next packet, taken to be its first."""
+        self.first = 0
+        self._pictures, self._name = pictures, name
+        self._reorders = codec_reorders(opened.stream)
+        self._packets: Iterator[Packet[VideoStream]] = opened.container.demux(opened.stream)
+        self._pending: deque[VideoFrame] = deque()
+        self._current: tuple[int, VideoFrame] | None = None
+        self._next = 0
+        self._entered: Packet[VideoStream] | None = None
+        self._broken: int | None = None
+
+    def enter(self, entry: int) -> bool:
+        """Go on to the next key frame; say whether it lies early enough for what starts at `entry`."""
+        with decoder_faults(self._name, f"picture {entry}"):
+            for packet in self._packets:
+                picture = self._pictures.find(presentation_ticks(packet, reorders=self._reorders))
+                if packet.size and packet.is_keyframe and picture is not None:
+                    self.first, self._next, self._entered = picture, picture, packet
+                    return bool(self._pictures.positions[picture] <= self._pictures.positions[entry])
+        return False
+
+    def reaches(self, index: int) -> bool:
+        """Whether decoding on gives this picture, and no key frame further on gives it sooner."""
+        if self._current is not None and self._current[0] == index:
+            return True
+        return index >= self._next and int(self._pictures.entries[index]) <= self._next
+
+    def advance(self, index: int) -> VideoFrame | None:
+        """Decode on until this picture; None where the decoder passes over it.
+
+        Raises:
+            DataError: the picture, or one that it leans on, is damaged.
+        """
+        while self._current is None or self._current[0] != index:
+            step = self._decode_next(index)
+            if step is None:
+                return None
+            self._current, self._next = step, step[0] + 1
+            if step[0] > index:
+                return None
+        frame = self._current[1]
+        if frame.is_corrupt or self._leans_on_broken(index):
+            raise DataError(
+                self._name, f"picture {index}", "cannot be decoded: it or one before it is damaged"
+            )
+        return frame
+
+    def _leans_on_broken(self, index: int) -> bool:
+        if self._broken is None:
+            return False
+        pictures = self._pictures
+        same_group = pictures.entries[index] == pictures.entries[self._broken]
+        return bool(same_group and pictures.positions[index] >= pictures.positions[self._broken])
+
+    def _decode_next(self, wanted: int) -> tuple[int, VideoFrame] | None:
+        while True:
+            while not self._pending:
+                packet = self._next_packet()
+                if packet is None:
+                    return None
+                self._pending.extend(self._decode(packet, wanted))
+            frame = self._pending.popleft()
+            picture = self._pictures.find(frame.pts) if self._pictures.timed else self._next
+            if picture is not None:
+                return picture, frame
+
+    def _next_packet(self) -> "Packet[VideoStream] | None":
+        if self._entered is not None:
+            packet, self._entered = self._entered, None
+            return packet
+        with decoder_faults(self._name, f"picture {self._next}"):
+            return next(self._packets, None)
+
+    def _decode(self, packet: "Packet[VideoStream]", wanted: int) -> list[VideoFrame]:
+        if self._pictures.timed and packet.size:
+            packet.pts = presentation_ticks(packet, reorders=self._reorders)
+        try:
+            return packet.decode()
+        except (av.FFmpegError, ValueError) as error:
+            picture = self._pictures.find(packet.pts) if self._pictures.timed else None
+            if picture is None or picture == wanted:
+                raise DataError(self._name, f"picture {wanted}", f"cannot be decoded: {error}") from error
+            self._broken = picture
+            return []

@@ -1,0 +1,146 @@
+"""Which pictures a video holds, found by walking through its packets without decoding any."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import av
+import numpy as np
+from av.codec.codec import Properties
+from av.packet import Packet
+from av.video.stream import VideoStream
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.errors import DataError
+from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults
+
+_ASSUMED_RATE = Fraction(25)
+"""Pictures a second where neither packets nor container name any time; only `timestamps` depend on it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoIndex:
+    """The pictures of a video in the order in which they are shown.
+
+    Attributes:
+        time_base: length of one tick [s].
+        pts: (N,) int64 [ticks], presentation times, ascending; counted up where the container has none.
+        positions: (N,) int64, each picture's place among the packets.
+        entries: (N,) int64, the picture at whose key frame decoding has to begin to get this one.
+        timed: whether `pts` identify a picture; else pictures are known by counting from the start only.
+        hidden: packets that have to be decoded but are not shown (cut away by an edit list).
+    """
+
+    time_base: Fraction
+    pts: Int64Array
+    positions: Int64Array
+    entries: Int64Array
+    timed: bool
+    hidden: int
+
+    def __len__(self) -> int:
+        return len(self.pts)
+
+    @property
+    def timestamps(self) -> Float64Array:
+        """(N,) float64 [s], presentation time of each picture."""
+        return self.pts.astype(np.float64) * (self.time_base.numerator / self.time_base.denominator)
+
+    def find(self, pts: int | None) -> int | None:
+        """The picture that has this presentation time, or None."""
+        if pts is None:
+            return None
+        index = int(np.searchsorted(self.pts, pts))
+        return index if index < len(self) and self.pts[index] == pts else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Packets:
+    """What the walk through a container notes down, in the order of storage."""
+
+    ticks: list[int | None]
+    keys: list[bool]
+    hidden: int
+
+
+def codec_reorders(stream: VideoStream) -> bool:
+    """Whether pictures of this codec may be shown in another order than they are stored in."""
+    return Properties.REORDER in Properties(stream.codec_context.codec.properties)
+
+
+def presentation_ticks(packet: "Packet[VideoStream]", *, reorders: bool) -> int | None:
+    """When a packet's picture is shown: its pts, or its dts where the codec never reorders pictures."""
+    if packet.pts is not None:
+        return packet.pts
+    return None if reorders else packet.dts
+
+
+def read_index(source: VideoSource, name: str) -> VideoIndex:
+    """Walk through all packets of a video.
+
+    Raises:
+        DataError: the container breaks off, or a packet is damaged.
+    """
+    opened = OpenVideo(source, name)
+    try:
+        with decoder_faults(name, ""):
+            packets = _walk(opened, name)
+        stream = opened.stream
+        return _index_of(packets, stream.time_base or Fraction(1, av.time_base), stream.average_rate)
+    finally:
+        opened.close()
+
+
+def _walk(opened: OpenVideo, name: str) -> _Packets:
+    reorders = codec_reorders(opened.stream)
+    ticks: list[int | None] = []
+    keys: list[bool] = []
+    hidden = 0
+    for packet in opened.container.demux(opened.stream):
+        if packet.is_corrupt:
+            raise DataError(name, f"packet {len(ticks) + hidden}", "is damaged or cut off")
+        if packet.is_discard:
+            hidden += 1
+        elif packet.size:
+            ticks.append(presentation_ticks(packet, reorders=reorders))
+            keys.append(packet.is_keyframe)
+    declared = opened.stream.frames if "mp4" in opened.container.format.name else 0
+    if len(ticks) + hidden < declared:
+        found = len(ticks) + hidden
+        raise DataError(name, "", f"is cut off: holds {found} of the {declared} pictures that it declares")
+    return _Packets(ticks, keys, hidden)
+
+
+def _index_of(packets: _Packets, time_base: Fraction, rate: Fraction | None) -> VideoIndex:
+    known = [tick for tick in packets.ticks if tick is not None]
+    if len(set(known)) != len(packets.ticks):
+        return _counted_index(packets, time_base, rate)
+    pts = np.array(known, np.int64)
+    order = np.argsort(pts, kind="stable")
+    entries = _entries(pts, np.array(packets.keys, bool), order)
+    return VideoIndex(time_base, pts[order], order, entries, timed=True, hidden=packets.hidden)
+
+
+def _entries(pts: Int64Array, keys: BoolArray, order: Int64Array) -> Int64Array:
+    """For each picture, the last key frame that is both stored and shown no later than it.
+
+    A picture stored after a key frame but shown before it may lean on what came before the key frame (open
+    groups of pictures), so decoding for it has to begin at the key frame before.
+    """
+    ranks = np.empty(len(order), np.int64)
+    ranks[order] = np.arange(len(order))
+    entries = np.zeros(len(order), np.int64)
+    key_positions = [0]
+    for position, (tick, key) in enumerate(zip(pts.tolist(), keys.tolist(), strict=True)):
+        if key:
+            key_positions.append(position)
+        start = next((k for k in reversed(key_positions) if pts[k] <= tick), 0)
+        entries[ranks[position]] = ranks[start]
+    return entries
+
+
+def _counted_index(packets: _Packets, time_base: Fraction, rate: Fraction | None) -> VideoIndex:
+    count = len(packets.ticks)
+    period = 1 / (rate or _ASSUMED_RATE) / time_base
+    pts = np.array([round(k * period) for k in range(count)], np.int64)
+    start = np.zeros(count, np.int64)
+    return VideoIndex(time_base, pts, np.arange(count), start, timed=False, hidden=packets.hidden)

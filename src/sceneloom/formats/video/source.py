@@ -1,0 +1,142 @@
+"""Where the bytes of a video come from, and how a decoder's complaints become ours."""
+
+import io
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import av
+from av.container import InputContainer
+from av.video.stream import VideoStream
+
+from sceneloom.errors import DataError
+
+VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryIO]
+"""A file, its bytes, or a function that opens them anew each time."""
+
+_DEMUXERS = (
+    "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,flv,ogg,ivf,h264,hevc,obu,mjpeg,mxf,asf,nut,"
+    "yuv4mpegpipe"
+)
+"""Containers of one video each. Playlists are not among them: they could name any file or address."""
+
+
+class BytesView(io.RawIOBase):
+    """Bytes that are already in memory as a seekable file, without copying them."""
+
+    def __init__(self, content: bytes | bytearray | memoryview) -> None:
+        self._content = memoryview(content).cast("B")
+        self._place = 0
+
+    def readable(self) -> bool:
+        """Say yes."""
+        return True
+
+    def seekable(self) -> bool:
+        """Say yes."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Copy the next bytes into the buffer."""
+        piece = self._content[self._place : self._place + len(buffer)]
+        buffer[: len(piece)] = piece
+        self._place += len(piece)
+        return len(piece)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Move to a byte."""
+        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: len(self._content)}[whence]
+        self._place = max(0, base + offset)
+        return self._place
+
+    def tell(self) -> int:
+        """The byte that is read next."""
+        return self._place
+
+
+def source_name(source: VideoSource, name: str | None) -> str:
+    """What messages call the video: the given name, else its path, else `video`."""
+    if name is not None:
+        return name
+    return str(source) if isinstance(source, Path | str) else "video"
+
+
+def open_bytes(source: VideoSource) -> BinaryIO:
+    """Open the source as a new seekable binary file."""
+    if isinstance(source, Path | str):
+        return Path(source).open("rb")
+    if callable(source):
+        return source()
+    return cast("BinaryIO", io.BufferedReader(BytesView(source)))
+
+
+@contextmanager
+def decoder_faults(name: str, place: str) -> Iterator[None]:
+    """Turn whatever the video library raises into a DataError at `place`."""
+    try:
+        yield
+    except (av.FFmpegError, OSError, ValueError, MemoryError) as error:
+        problem = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise DataError(name, place, f"cannot be read as video: {problem}") from error
+
+
+class OpenVideo:
+    """An open container and its video stream; closes what it opened.
+
+    Attributes:
+        container: positioned at the first packet.
+        stream: the container's video.
+
+    Raises:
+        DataError: the source cannot be opened, is no video, or holds no video stream.
+    """
+
+    container: InputContainer
+    stream: VideoStream
+
+    def __init__(self, source: VideoSource, name: str) -> None:
+        """Open the source and find its video stream."""
+        if isinstance(source, Path | str) and not Path(source).is_file():
+            raise DataError(name, "", "not a file" if Path(source).exists() else "no such file")
+        self._file: BinaryIO | None = None
+        with decoder_faults(name, ""):
+            self._open(source)
+        try:
+            self.stream = self._find_stream(name)
+        except DataError:
+            self.close()
+            raise
+
+    def _open(self, source: VideoSource) -> None:
+        if isinstance(source, Path | str):
+            # the prefix keeps a colon in a file's name from being taken for a protocol
+            target: Any = f"file:{source}"
+        else:
+            target = self._file = open_bytes(source)
+        options = {"format_whitelist": _DEMUXERS}
+        try:
+            self.container = cast("InputContainer", av.open(target, "r", container_options=options))
+        except BaseException:
+            self._close_file()
+            raise
+
+    def _find_stream(self, name: str) -> VideoStream:
+        stream = cast("VideoStream | None", self.container.streams.best("video"))
+        if stream is None:
+            raise DataError(name, "", "holds no video stream")
+        decoder = stream.codec_context
+        if decoder is None or decoder.width <= 0 or decoder.height <= 0:
+            raise DataError(name, "", "its video stream is of an unknown codec or picture size")
+        return stream
+
+    def _close_file(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def close(self) -> None:
+        """Release the container and the file under it."""
+        with suppress(av.FFmpegError, OSError):
+            self.container.close()
+        self._close_file()

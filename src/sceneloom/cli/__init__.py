@@ -1,1 +1,5 @@
-"""cli."""
+"""The command line: parse, call, print."""
+
+from sceneloom.cli.main import main
+
+__all__ = ["main"]

@@ -40,19 +40,28 @@ def replacing(target: Path, *, overwrite: bool, folder: bool = False) -> Iterato
         OutputError: the target exists, or cannot be written.
     """
     check_output(target, overwrite=overwrite)
+    if target.is_dir() and not folder:
+        raise OutputError(f"{target}: is a folder; expected a file or a new name")
+    with _workplace(target) as workplace:
+        draft = workplace / target.name
+        if folder:
+            draft.mkdir()
+        yield draft
+        if folder:
+            _replace_folder(draft, target, workplace)
+        else:
+            draft.replace(target)
+
+
+@contextmanager
+def _workplace(target: Path) -> Iterator[Path]:
+    """Give a hidden folder beside the target, and take it away again whatever happens."""
     try:
         workplace = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     except OSError as error:
         raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
-    draft = workplace / target.name
     try:
-        if folder:
-            draft.mkdir()
-        yield draft
-        if folder or target.is_dir():
-            _replace_folder(draft, target, workplace)
-        else:
-            draft.replace(target)
+        yield workplace
     except OSError as error:
         if error.errno in _WRITE_FAULTS or str(error.filename or "").startswith(str(workplace)):
             raise OutputError(f"{target}: cannot be written: {error.strerror or error}") from error
@@ -65,3 +74,23 @@ def _replace_folder(draft: Path, target: Path, workplace: Path) -> None:
     if target.exists():
         target.rename(workplace / "replaced")
     draft.rename(target)
+
+
+@contextmanager
+def filling(folder: Path, *, overwrite: bool) -> Iterator[Path]:
+    """Give an empty folder beside `folder` to write files to; on success they move into it, on failure they go.
+
+    Files that were in the folder before stay, but for those of the same name.
+
+    Raises:
+        OutputError: the folder has something in it and `overwrite` is not said, or it cannot be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: is a file; expected a folder or a new name")
+    check_output(folder, overwrite=overwrite or (folder.is_dir() and not any(folder.iterdir())))
+    with _workplace(folder) as workplace:
+        yield workplace
+        for draft in sorted(path for path in workplace.rglob("*") if path.is_file()):
+            place = folder / draft.relative_to(workplace)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            draft.replace(place)

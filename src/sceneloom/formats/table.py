@@ -41,7 +41,10 @@ class Format(Protocol):
 
 def format_names() -> list[str]:
     """Names of all formats, ours first, then those that other packages add."""
-    return [*FORMATS, *(point.name for point in entry_points(group="sceneloom.formats") if point.name not in FORMATS)]
+    return [
+        *FORMATS,
+        *(point.name for point in entry_points(group="sceneloom.formats") if point.name not in FORMATS),
+    ]
 
 
 def format_named(name: str) -> Format:
@@ -99,7 +102,9 @@ def format_for_output(path: Path) -> Format:
     for form in map(format_named, format_names()):
         if path.suffix.lower() in form.suffixes:
             return form
-    known = ", ".join(f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})" for name in format_names())
+    known = ", ".join(
+        f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})" for name in format_names()
+    )
     raise OptionError(f"{path}: suffix {path.suffix!r} belongs to no format; expected one of: {known}")
 
 

@@ -56,7 +56,9 @@ class PosePath:
         backwards = np.flatnonzero(np.diff(self.timestamps_ns) <= 0)
         if len(backwards):
             k = int(backwards[0]) + 1
-            raise ArrayError(f"poses.timestamps_ns[{k}]: {self.timestamps_ns[k]}; expected strictly increasing times")
+            raise ArrayError(
+                f"poses.timestamps_ns[{k}]: {self.timestamps_ns[k]}; expected strictly increasing times"
+            )
         if not (np.isfinite(self.positions).all() and np.isfinite(self.quaternions_xyzw).all()):
             raise ArrayError("poses: a value is not finite")
         off = np.flatnonzero(np.abs(np.linalg.norm(self.quaternions_xyzw, axis=1) - 1.0) > 0.01)
@@ -93,7 +95,9 @@ class PosePath:
             count = len(timestamps_ns)
             inside = np.zeros(count, np.uint8)
             return PoseSamples(
-                np.repeat(self.positions, count, axis=0), np.repeat(self.quaternions_xyzw, count, axis=0), inside
+                np.repeat(self.positions, count, axis=0),
+                np.repeat(self.quaternions_xyzw, count, axis=0),
+                inside,
             )
         return PoseSamples(
             *interpolate_poses(
@@ -124,9 +128,15 @@ class Trajectory:
         count = check_array(f"trajectories[{self.name}].timestamps_ns", self.timestamps_ns, (None,), np.int64)
         check_array(f"trajectories[{self.name}].positions", self.positions, (count, 3), np.float64)
         check_array(
-            f"trajectories[{self.name}].quaternions_xyzw", self.quaternions_xyzw, (count, 4), np.float64, optional=True
+            f"trajectories[{self.name}].quaternions_xyzw",
+            self.quaternions_xyzw,
+            (count, 4),
+            np.float64,
+            optional=True,
         )
-        check_array(f"trajectories[{self.name}].file_seconds", self.file_seconds, (count,), np.float64, optional=True)
+        check_array(
+            f"trajectories[{self.name}].file_seconds", self.file_seconds, (count,), np.float64, optional=True
+        )
 
     @property
     def poses(self) -> PosePath:

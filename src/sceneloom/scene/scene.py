@@ -54,7 +54,10 @@ class Scene:
     on_close: Callable[[], None] = _nothing
 
     def __post_init__(self) -> None:
-        for kind, ids in (("sensors", [s.id for s in self.sensors]), ("annotations", [a.id for a in self.annotations])):
+        for kind, ids in (
+            ("sensors", [s.id for s in self.sensors]),
+            ("annotations", [a.id for a in self.annotations]),
+        ):
             seen: set[tuple[type, Identifier]] = set()
             for index, identifier in enumerate(ids):
                 if (type(identifier), identifier) in seen:

@@ -1,0 +1,46 @@
+"""`sceneloom convert`."""
+
+from pathlib import Path
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import print_json, print_losses, print_notices
+
+
+@click.command()
+@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("target", type=click.Path(path_type=Path))
+@options.writing_scenes
+@options.reading
+@options.printing
+def convert(
+    source: Path,
+    target: Path,
+    overwrite: bool,
+    profile: str,
+    time_unit: str,
+    lenient: bool,
+    points_frame: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Write a recording or a scene in another format; what the target cannot hold is reported."""
+    from sceneloom.pipeline.convert import convert as convert_scene
+
+    report = convert_scene(
+        source,
+        target,
+        overwrite=overwrite,
+        profile=profile,
+        time_unit=time_unit,
+        reading=options.reading_options(lenient=lenient, points_frame=points_frame),
+    )
+    if as_json:
+        print_json(report)
+        return
+    click.echo(f"{report.source} ({report.source_format}) → {report.target} ({report.target_format})")
+    if not quiet:
+        print_notices(report.notices, verbose=verbose)
+        print_losses(report.losses, verbose=verbose)

@@ -1,0 +1,63 @@
+"""`sceneloom demo`."""
+
+import time
+from pathlib import Path
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.fusion_summary import print_fusion
+from sceneloom.cli.printing import print_json, progress_bar
+
+
+@click.command()
+@click.option(
+    "--keep",
+    type=click.Path(path_type=Path),
+    default=Path("sceneloom-demo"),
+    show_default=True,
+    metavar="DIR",
+    help="Folder that gets the drive, the scene and the pictures.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Another number is another street.")
+@click.option(
+    "--frames", type=click.IntRange(min=2), default=30, show_default=True, help="Lidar sweeps at 10 Hz."
+)
+@click.option(
+    "--video",
+    type=click.Choice(["h264", "png"]),
+    default="h264",
+    show_default=True,
+    help="How the drive's pictures are kept.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
+@options.printing
+def demo(
+    keep: Path, seed: int, frames: int, video: str, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
+) -> None:
+    """Make a small drive through a made-up street, fuse it, and show what came out."""
+    from sceneloom.formats import open_scene, write_scene
+    from sceneloom.formats.output import check_output
+    from sceneloom.pipeline import FusionOutputs, fuse
+    from sceneloom.simulate import demo_drive
+
+    begun = time.perf_counter()
+    recording = keep / "drive"
+    outputs = FusionOutputs(
+        scene=keep / "drive.sfs", depth=keep / "depth", pictures=keep / "pictures", overwrite=overwrite
+    )
+    check_output(recording, overwrite=overwrite) if keep.exists() else keep.mkdir(parents=True)
+    if not quiet:
+        click.echo(f"making a drive of {frames / 10:.0f} s through a made-up street …", err=True)
+    write_scene(demo_drive(seed=seed, frames=frames).scene, recording, overwrite=overwrite, pictures=video)
+    with open_scene(recording) as scene, progress_bar("fusing", quiet=quiet) as progress:
+        report = fuse(scene, outputs=outputs, progress=progress)
+    if as_json:
+        print_json(report)
+        return
+    print_fusion(report, outputs, quiet=quiet, verbose=verbose)
+    click.echo(f"recording: {recording}")
+    click.echo(f"all in {time.perf_counter() - begun:.1f} s. Look at {keep / 'pictures'}; then try")
+    click.echo(f"  sceneloom info {recording}")
+    click.echo(f"  sceneloom info {keep / 'drive.sfs'}")
+    click.echo("  sceneloom fuse YOUR_DRIVE -o YOUR_DRIVE.sfs --pictures pictures")

@@ -1,0 +1,93 @@
+"""`sceneloom fuse`."""
+
+from pathlib import Path
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.fusion_summary import print_fusion
+from sceneloom.cli.printing import print_json, progress_bar
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="The .sfs file to write.")
+@click.option(
+    "--trajectory", help="The ego's way to use; `identity`: it stood still. [default: the drive's first]"
+)
+@click.option("--heading", type=click.Choice(["motion"]), help="Derive orientations from positions alone.")
+@click.option("--depth", type=click.Path(path_type=Path), help="Folder for depth images.")
+@click.option(
+    "--depth-form",
+    type=click.Choice(["png", "npz"]),
+    default="png",
+    show_default=True,
+    help="16-bit PNG (metres times 256) or NPZ (float32 metres).",
+)
+@click.option("--pictures", type=click.Path(path_type=Path), help="Folder for pictures to look at.")
+@click.option(
+    "--pictures-every",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Draw every Nth sweep. [default: eight spread over the drive]",
+)
+@click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp.")
+@click.option("--stop", type=float, metavar="S", help="End before S seconds after it.")
+@options.writing_scenes
+@options.reading
+@options.printing
+def fuse(
+    path: Path,
+    output: Path | None,
+    trajectory: str | None,
+    heading: str | None,
+    depth: Path | None,
+    depth_form: str,
+    pictures: Path | None,
+    pictures_every: int | None,
+    start: float | None,
+    stop: float | None,
+    overwrite: bool,
+    profile: str,
+    time_unit: str,
+    lenient: bool,
+    points_frame: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Fuse lidar and cameras of a drive: coloured clouds in one world, depth images, one scene file."""
+    if output is None and depth is None and pictures is None:
+        raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
+    from sceneloom.formats import open_scene
+    from sceneloom.pipeline import FusionOutputs
+    from sceneloom.pipeline import fuse as fuse_scene
+
+    outputs = FusionOutputs(
+        scene=output,
+        depth=depth,
+        depth_form=depth_form,
+        pictures=pictures,
+        pictures_every=pictures_every,
+        profile=profile,
+        time_unit=time_unit,
+        overwrite=overwrite,
+    )
+    with (
+        open_scene(path, **options.reading_options(lenient=lenient, points_frame=points_frame)) as scene,
+        progress_bar("fusing", quiet=quiet) as progress,
+    ):
+        report = fuse_scene(
+            scene,
+            trajectory=trajectory,
+            heading=heading,
+            start=start,
+            stop=stop,
+            outputs=outputs,
+            lenient=lenient,
+            progress=progress,
+        )
+    if as_json:
+        print_json(report)
+    else:
+        print_fusion(report, outputs, quiet=quiet, verbose=verbose)

@@ -1,0 +1,67 @@
+"""`sceneloom info`."""
+
+from pathlib import Path
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import amount, print_json, print_notices, print_table
+from sceneloom.scene.summary import SensorSummary
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path))
+@options.reading
+@options.printing
+def info(
+    path: Path, lenient: bool, points_frame: str | None, as_json: bool, quiet: bool, verbose: bool
+) -> None:
+    """Say what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
+    from sceneloom.formats import open_scene, size_on_disk
+    from sceneloom.scene.summary import summarise
+
+    with open_scene(path, **options.reading_options(lenient=lenient, points_frame=points_frame)) as scene:
+        summary = summarise(scene, size_bytes=size_on_disk(path))
+    if as_json:
+        print_json(summary)
+        return
+    size = "" if summary.size_bytes is None else f", {amount(summary.size_bytes)}"
+    click.echo(f"{summary.source}: {summary.format}, {summary.duration:.3f} s{size}")
+    if summary.start_ns is not None:
+        click.echo(f"clock starts at {summary.start_ns / 1e9:.9f} s")
+    click.echo("sensors")
+    print_table(_sensor_row(sensor) for sensor in summary.sensors)
+    click.echo("trajectories (the first is the default)" if summary.trajectories else "no trajectory")
+    print_table(
+        (
+            way.name,
+            f"{way.poses} poses",
+            f"{way.seconds:.3f} s",
+            f"{way.metres:.1f} m",
+            "" if way.oriented else "positions only",
+        )
+        for way in summary.trajectories
+    )
+    for kind, count in summary.annotations.items():
+        click.echo(f"annotations: {count} {kind}")
+    if not quiet:
+        print_notices(summary.notices, verbose=verbose)
+
+
+def _sensor_row(sensor: SensorSummary) -> list[str]:
+    """One line of the table; what a sensor does not have is left blank."""
+    rate = "" if sensor.rate_hz is None else f"{sensor.rate_hz:.4g} Hz"
+    span = "" if sensor.start is None else f"{sensor.start:.3f} to {sensor.stop:.3f} s"
+    gaps = f"{sensor.gap_count} gaps, first at {sensor.gaps[0].start:.3f} s" if sensor.gaps else ""
+    details = [
+        sensor.lens,
+        sensor.video,
+        None
+        if sensor.first_frame_points is None
+        else f"{sensor.first_frame_points} points in the first frame",
+        sensor.coordinates,
+        None if sensor.poses is None else f"{sensor.poses} poses",
+        "mounted on the ego" if sensor.mounted else None,
+        gaps,
+    ]
+    return [str(sensor.id), sensor.type, str(sensor.count), rate, span, ", ".join(filter(None, details))]

@@ -1,0 +1,82 @@
+"""The command `sceneloom` and the table of its verbs, each imported when it is called."""
+
+import sys
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+
+import click
+
+from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.version import __version__
+
+VERBS = MappingProxyType(
+    {
+        "demo": "Make a small drive, fuse it, show what came out.",
+        "info": "Say what is in a recording or a scene.",
+        "fuse": "Fuse lidar and cameras of a drive into one scene.",
+        "convert": "Write a recording or a scene in another format.",
+        "formats": "List the formats that can be read and written.",
+    }
+)
+
+
+class VerbGroup(click.Group):
+    """Imports a verb's module only when that verb is called, so that `--help` is quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        """Names of the verbs, in the order of a first walk through them."""
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import one verb."""
+        if cmd_name not in VERBS:
+            return None
+        command: click.Command = getattr(import_module(f"sceneloom.cli.{cmd_name}"), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the verbs from the table, without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
+
+
+@click.group(cls=VerbGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="sceneloom")
+def sceneloom() -> None:
+    """Weave every sensor of a drive into one scene.
+
+    Start with `sceneloom demo`; then `sceneloom info YOUR_DRIVE` and `sceneloom fuse YOUR_DRIVE -o drive.sfs`.
+    """
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; exit 0 when done, 1 on bad data, 2 on bad usage."""
+    sys.exit(_run(arguments))
+
+
+EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
+    (OptionError, 2),
+    (SceneloomError, 1),
+    (OSError, 1),
+    (MemoryError, 1),
+)
+"""What each kind of failure means to the shell; the first that fits counts."""
+
+
+def _run(arguments: list[str] | None) -> int:
+    try:
+        result: Any = sceneloom.main(args=arguments, prog_name="sceneloom", standalone_mode=False)
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        click.echo("sceneloom: stopped; nothing was left half written", err=True)
+        return 130
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1
+    except tuple(kind for kind, _ in EXIT_CODES) as error:
+        click.echo(f"sceneloom: {str(error) or type(error).__name__}", err=True)
+        return next(code for kind, code in EXIT_CODES if isinstance(error, kind))
+    return result if isinstance(result, int) else 0

@@ -1,0 +1,56 @@
+"""The options that many verbs share."""
+
+from collections.abc import Callable
+from functools import reduce
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def _stacked(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
+    return lambda command: reduce(lambda inner, option: option(inner), reversed(options), command)
+
+
+reading = _stacked(
+    click.option("--lenient", is_flag=True, help="Skip what is broken, count it, and go on."),
+    click.option(
+        "--points-frame",
+        type=click.Choice(["world", "ego", "sensor"]),
+        help="The frame of lidar points in a scene file that does not say it. [default: that of its coordinates]",
+    ),
+)
+"""On every verb that reads a drive."""
+
+printing = _stacked(
+    click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
+    click.option("-q", "--quiet", is_flag=True, help="No progress, no notices."),
+    click.option("-v", "--verbose", is_flag=True, help="Every notice and loss, not only the first ones."),
+)
+"""On every verb that has a result."""
+
+writing_scenes = _stacked(
+    click.option("--overwrite", is_flag=True, help="Replace outputs that exist."),
+    click.option(
+        "--profile",
+        type=click.Choice(["sfs", "scale"]),
+        default="sfs",
+        show_default=True,
+        help="`scale`: a scene file that Scale's own library loads and validates.",
+    ),
+    click.option(
+        "--time-unit",
+        type=click.Choice(["microseconds", "nanoseconds"]),
+        default="microseconds",
+        show_default=True,
+        help="Unit of all times in a scene file.",
+    ),
+)
+"""On every verb that writes `.sfs`."""
+
+
+def reading_options(*, lenient: bool, points_frame: str | None) -> dict[str, Any]:
+    """The options of `sceneloom.open` that were said."""
+    said = {"lenient": lenient or None, "points_frame": points_frame}
+    return {name: value for name, value in said.items() if value is not None}

@@ -1,0 +1,89 @@
+"""Results for people on standard output, progress and notices on standard error."""
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import click
+import msgspec
+
+from sceneloom.formats.loss import LossReport
+from sceneloom.scene import Notice
+
+SHOWN = 5
+"""Notices and losses shown unless `--verbose` is said."""
+
+
+def print_json(result: Any) -> None:
+    """Print a result for machines."""
+    click.echo(msgspec.json.format(msgspec.json.encode(result), indent=2).decode())
+
+
+def print_notices(notices: Sequence[Notice], *, verbose: bool) -> None:
+    """Print what was assumed, repaired or left out."""
+    _print_lines(
+        [
+            f"{notice.kind}: {notice.place}: {notice.message}"
+            + (f" ({notice.count} times)" if notice.count > 1 else "")
+            for notice in notices
+        ],
+        verbose=verbose,
+    )
+
+
+def print_losses(losses: LossReport, *, verbose: bool) -> None:
+    """Print what the target format could not hold."""
+    _print_lines(
+        [
+            f"lost: {loss.field}: {loss.what}"
+            + (f" ({loss.count} times)" if loss.count > 1 else "")
+            + (f"; kept in {loss.kept}" if loss.kept else "")
+            for loss in losses
+        ],
+        verbose=verbose,
+    )
+
+
+def _print_lines(lines: list[str], *, verbose: bool) -> None:
+    shown = lines if verbose else lines[:SHOWN]
+    for line in shown:
+        click.echo(line, err=True)
+    if len(lines) > len(shown):
+        click.echo(f"… and {len(lines) - len(shown)} more: say --verbose", err=True)
+
+
+def print_table(rows: Iterable[Sequence[str]], *, indent: str = "  ") -> None:
+    """Print rows in columns: the first one to the left, the others to the right unless they are texts."""
+    table = [list(row) for row in rows]
+    if not table:
+        return
+    widths = [max(len(row[k]) for row in table if k < len(row)) for k in range(max(map(len, table)))]
+    for row in table:
+        cells = [cell.ljust(widths[k]) for k, cell in enumerate(row)]
+        click.echo((indent + "  ".join(cells)).rstrip())
+
+
+@contextmanager
+def progress_bar(title: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Show a bar on standard error while work goes on; nothing where that is not a terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def amount(size_bytes: int) -> str:
+    """Bytes in a unit that reads well."""
+    size = float(size_bytes)
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if size < 1000 or unit == "GB":
+            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
+        size /= 1000
+    return f"{size:.1f} TB"

@@ -1,0 +1,10 @@
+"""How much a recording or a scene takes on disk."""
+
+from pathlib import Path
+
+
+def size_on_disk(path: Path) -> int:
+    """Bytes of a file, or of all files below a folder."""
+    if path.is_file():
+        return path.stat().st_size
+    return sum(entry.stat().st_size for entry in path.rglob("*") if entry.is_file())

@@ -1,0 +1,75 @@
+"""Which way of the ego a scene is fused by."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.motion.heading import headed_poses
+from sceneloom.scene import PosePath, Scene, Trajectory
+
+IDENTITY = "identity"
+RESERVED = ("gnss", "lidar")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EgoMotion:
+    """The chosen way of the ego.
+
+    Attributes:
+        name: the trajectory's name, or "identity".
+        path: `world_from_ego`.
+        heading: "motion" where the orientation was derived from the motion, else None.
+    """
+
+    name: str
+    path: PosePath
+    heading: str | None = None
+
+    def moved(self, origin_world: np.ndarray[tuple[int], np.dtype[np.float64]]) -> "EgoMotion":
+        """The same way seen from another origin, (3,) float64 [m]; the axes stay."""
+        path = self.path
+        shifted = PosePath(
+            path.timestamps_ns, path.positions - origin_world, path.quaternions_xyzw, path.endless
+        )
+        return EgoMotion(self.name, shifted, self.heading)
+
+
+def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | None = None) -> EgoMotion:
+    """Take the trajectory of that name, or the scene's default one.
+
+    Args:
+        name: a name out of `scene.trajectories`, "identity" for an ego that stands still, None for the default.
+        heading: "motion" to derive orientations from positions where a trajectory has none.
+
+    Raises:
+        OptionError: the name or the heading is unknown.
+        PoseError: the scene has no trajectory, or one without orientations.
+    """
+    if heading not in {None, "motion"}:
+        raise OptionError(f"heading {heading!r}; expected 'motion'")
+    if name == IDENTITY:
+        return EgoMotion(IDENTITY, PosePath.identity())
+    if name in RESERVED and name not in scene.trajectories:
+        raise PoseError(
+            f"{scene.source}: poses cannot be derived from {name} yet; choose one of: {_choices(scene)}"
+        )
+    if name is None and not scene.trajectories:
+        raise PoseError(
+            f"{scene.source}: no trajectory in it, so the motion between lidar and pictures is unknown; "
+            "say `--trajectory identity` to fuse as if the ego stood still"
+        )
+    chosen = next(iter(scene.trajectories)) if name is None else name
+    if chosen not in scene.trajectories:
+        raise OptionError(f"{scene.source}: no trajectory {chosen!r}; there are: {_choices(scene)}")
+    return _ego_motion(scene.trajectories[chosen], heading)
+
+
+def _ego_motion(trajectory: Trajectory, heading: str | None) -> EgoMotion:
+    if trajectory.quaternions_xyzw is None and heading == "motion":
+        return EgoMotion(trajectory.name, headed_poses(trajectory), heading)
+    return EgoMotion(trajectory.name, trajectory.poses)
+
+
+def _choices(scene: Scene) -> str:
+    return ", ".join([*scene.trajectories, IDENTITY])

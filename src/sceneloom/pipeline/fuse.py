@@ -1,0 +1,245 @@
+"""The main job: one scene in, one fused scene out."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sceneloom.colouring.results import FusedFrame
+from sceneloom.errors import OptionError
+from sceneloom.formats.loss import LossReport
+from sceneloom.formats.output import filling
+from sceneloom.formats.sfs import SceneWriter
+from sceneloom.fusion import FusionConfiguration
+from sceneloom.pipeline.play import Skips, build_system, play, scene_period_ns
+from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally
+from sceneloom.pipeline.sinks import DepthSink, PictureSink, SceneSink, Sink
+from sceneloom.pipeline.woven import Woven, output_scene, weave
+from sceneloom.scene import Scene
+from sceneloom.scene.span import cut_scene, time_span
+
+Progress = Callable[[int, int], None]
+"""Told after each sweep: how many are done, how many there are."""
+
+PICTURES_PER_DRIVE = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusionOutputs:
+    """Where a fusion writes what; None: not at all.
+
+    Attributes:
+        scene: the `.sfs` file.
+        depth: folder of depth images, one per sweep and picture.
+        depth_form: "png" (16 bit, metres times 256) or "npz" (float32 metres).
+        pictures: folder of pictures for people.
+        pictures_every: draw every Nth sweep; None: eight spread over the drive.
+        profile: "sfs", or "scale" for a file that Scale's own library accepts.
+        time_unit: "microseconds" or "nanoseconds", of the scene file.
+        overwrite: whether outputs that exist may be replaced.
+    """
+
+    scene: Path | None = None
+    depth: Path | None = None
+    depth_form: str = "png"
+    pictures: Path | None = None
+    pictures_every: int | None = None
+    profile: str = "sfs"
+    time_unit: str = "microseconds"
+    overwrite: bool = False
+
+
+def iter_fused(
+    scene: Scene,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    configuration: FusionConfiguration | None = None,
+) -> Iterator[FusedFrame]:
+    """Fuse a scene sweep by sweep without writing anything.
+
+    Args:
+        trajectory: name of the ego's way; "identity" for an ego that stands still; None for the scene's default.
+        heading: "motion" to derive orientations where the trajectory has positions only.
+        configuration: settings of the fusion system.
+
+    Yields:
+        One result per sweep: world points relative to the ego's first position, colours, views.
+
+    Raises:
+        PoseError: the sensors' motion is not known.
+        DataError: a sweep or a picture cannot be read.
+    """
+    woven = weave(scene, trajectory=trajectory, heading=heading)
+    yield from play(woven.scene, build_system(woven.scene, woven.ego, configuration or FusionConfiguration()))
+
+
+def fuse(
+    scene: Scene,
+    output: str | Path | None = None,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    outputs: FusionOutputs | None = None,
+    configuration: FusionConfiguration | None = None,
+    lenient: bool = False,
+    progress: Progress | None = None,
+) -> FusionReport:
+    """Fuse lidar and cameras of a scene and write the fused scene, depth images and pictures.
+
+    Args:
+        output: the `.sfs` file to write; the same as `outputs.scene`.
+        trajectory: name of the ego's way; "identity" for an ego that stands still; None for the scene's default.
+        heading: "motion" to derive orientations where the trajectory has positions only.
+        start: seconds after the scene's first time stamp, None for the beginning.
+        stop: seconds after it, exclusive, None for the end.
+        outputs: where to write what, and how.
+        configuration: settings of the fusion system.
+        lenient: count sweeps and pictures that cannot be read, and go on.
+        progress: told after each sweep.
+
+    Returns:
+        What was done, in numbers, with all losses and notices.
+
+    Raises:
+        PoseError: the sensors' motion is not known.
+        DataError: a sweep or a picture cannot be read.
+        OutputError: an output exists, or cannot be written.
+        OptionError: a value is not one that can be followed.
+    """
+    begun = time.perf_counter()
+    wanted = _checked(outputs or FusionOutputs(), output)
+    woven = weave(cut_scene(scene, start=start, stop=stop), trajectory=trajectory, heading=heading)
+    if not woven.scene.lidars:
+        raise OptionError(f"{scene.source}: no lidar in it, so there is nothing to fuse with its pictures")
+    skips = Skips() if lenient else None
+    system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
+    if skips is not None:
+        system.on_unreadable = lambda error: skips.reasons.append(str(error))
+    tally = FusionTally({camera.id: CameraTally(len(camera.pictures)) for camera in woven.scene.cameras})
+    total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
+    with ExitStack() as stack:
+        sinks = _open_sinks(woven, wanted, stack)
+        for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
+            tally.add(frame)
+            for sink in sinks.all:
+                sink.add(frame)
+            if progress is not None:
+                progress(done, total)
+        losses = sinks.finish()
+    return FusionReport(
+        source=scene.source,
+        output=None if wanted.scene is None else str(wanted.scene),
+        trajectory=None if woven.ego is None else woven.ego.name,
+        frames=tally.frames,
+        fused=tally.fused,
+        extrapolated=tally.extrapolated,
+        unfused=tally.unfused,
+        skipped=() if skips is None else tuple(skips.reasons),
+        points=tally.points,
+        coloured_percent=tally.coloured_percent,
+        cameras=tuple(camera.report(camera_id) for camera_id, camera in tally.cameras.items()),
+        files=sinks.files,
+        depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
+        seconds=time.perf_counter() - begun,
+        losses=losses,
+        notices=scene.notices,
+    )
+
+
+def _checked(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs:
+    wanted = outputs if output is None else replace(outputs, scene=Path(output))
+    if wanted.depth_form not in {"png", "npz"}:
+        raise OptionError(f"depth_form {wanted.depth_form!r}; expected 'png' or 'npz'")
+    if wanted.pictures_every is not None and wanted.pictures_every < 1:
+        raise OptionError(f"pictures_every {wanted.pictures_every}; expected 1 or more")
+    return wanted
+
+
+@dataclass(slots=True)
+class _Sinks:
+    scene: SceneSink | None = None
+    depth: DepthSink | None = None
+    pictures: PictureSink | None = None
+
+    @property
+    def all(self) -> list[Sink]:
+        return [sink for sink in (self.scene, self.depth, self.pictures) if sink is not None]
+
+    @property
+    def files(self) -> dict[str, int]:
+        kinds = {"depth images": self.depth, "pictures": self.pictures}
+        return {kind: sink.written for kind, sink in kinds.items() if sink is not None}
+
+    def finish(self) -> LossReport:
+        return LossReport() if self.scene is None else self.scene.finish()
+
+
+def _open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack) -> _Sinks:
+    """Open every wanted output; what goes wrong later takes all of them away again."""
+    sinks = _Sinks()
+    if wanted.depth is not None:
+        folder = stack.enter_context(filling(wanted.depth, overwrite=wanted.overwrite))
+        sinks.depth = DepthSink(folder, wanted.depth_form)
+    if wanted.pictures is not None:
+        folder = stack.enter_context(filling(wanted.pictures, overwrite=wanted.overwrite))
+        sinks.pictures = PictureSink(folder, _frames_to_draw(woven.scene, wanted.pictures_every))
+    if wanted.scene is not None:
+        sinks.scene = _open_scene_sink(woven, wanted, wanted.scene, stack)
+    return sinks
+
+
+def _open_scene_sink(woven: Woven, wanted: FusionOutputs, target: Path, stack: ExitStack) -> SceneSink:
+    scene, sources = output_scene(woven, reach_ns=scene_period_ns(woven.scene))
+    writer = stack.enter_context(
+        SceneWriter(
+            target,
+            overwrite=wanted.overwrite,
+            profile=wanted.profile,
+            time_unit=wanted.time_unit,
+            first_ns=earliest_ns(woven.scene),
+        )
+    )
+    writer.add_scene(scene)
+    writer.set_metadata(_provenance(woven))
+    return SceneSink(writer, sources)
+
+
+def earliest_ns(scene: Scene) -> int:
+    """The earliest time in a scene [ns], the points of each lidar's first sweep included."""
+    span = time_span(scene)
+    times = [] if span is None else [span[0]]
+    for lidar in scene.lidars:
+        if len(lidar.frames):
+            points = lidar.frames[0].points.timestamps_ns
+            times += [] if points is None or len(points) == 0 else [int(points.min())]
+    return min(times, default=0)
+
+
+def _provenance(woven: Woven) -> Mapping[str, Any]:
+    """How the fused scene came about, for its metadata."""
+    world_from_file = np.eye(4)
+    world_from_file[:3, 3] = woven.origin_world
+    return {
+        "world_from_file": world_from_file.tolist(),
+        "fusion": {
+            "trajectory": None if woven.ego is None else woven.ego.name,
+            "heading": None if woven.ego is None else woven.ego.heading,
+            "source": Path(woven.scene.source).name,
+            "source_format": woven.scene.format,
+        },
+    }
+
+
+def _frames_to_draw(scene: Scene, every: int | None) -> frozenset[int]:
+    """Numbers of the sweeps to draw: every Nth, or some spread over the drive."""
+    count = max((len(lidar.frames) for lidar in scene.lidars), default=0)
+    if every is not None:
+        return frozenset(range(0, count, every))
+    return frozenset(np.linspace(0, count - 1, min(PICTURES_PER_DRIVE, count)).astype(int).tolist())

@@ -1,0 +1,94 @@
+"""Play a recorded scene through the fusion system as if it happened now."""
+
+import heapq
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sceneloom.colouring.results import FusedFrame
+from sceneloom.errors import DataError
+from sceneloom.fusion import FusionConfiguration, FusionSystem
+from sceneloom.motion.sensor_sources import points_source, sensor_source
+from sceneloom.motion.trajectories import EgoMotion
+from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, Picture, Scene
+
+NOMINAL_PERIOD_NS = 100_000_000
+"""The sweep period of a lidar with a single frame: 10 Hz, the commonest."""
+
+
+@dataclass(slots=True)
+class Skips:
+    """Frames that could not be read, with the reason; filled while a scene is played leniently.
+
+    Attributes:
+        reasons: one line per frame.
+    """
+
+    reasons: list[str] = field(default_factory=list)
+
+
+def sweep_period_ns(lidar: LidarSensor) -> int:
+    """The median time from sweep to sweep [ns]."""
+    times = lidar.frames.timestamps_ns
+    return int(np.median(np.diff(times))) if len(times) > 1 else NOMINAL_PERIOD_NS
+
+
+def scene_period_ns(scene: Scene) -> int:
+    """The longest sweep period of the scene's lidars [ns]: how far poses may be extrapolated."""
+    return max((sweep_period_ns(lidar) for lidar in scene.lidars), default=NOMINAL_PERIOD_NS)
+
+
+def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration) -> FusionSystem:
+    """Make a fusion system that knows the scene's lidars and cameras and where they were.
+
+    Raises:
+        PoseError: for a sensor neither poses nor a mounting are known.
+    """
+    system = FusionSystem(configuration)
+    reach_ns = scene_period_ns(scene)
+    for lidar in scene.lidars:
+        source = points_source(scene, lidar, ego, reach_ns=reach_ns)
+        system.add_lidar(lidar.id, source, period_ns=sweep_period_ns(lidar))
+    for index, camera in enumerate(scene.cameras):
+        system.add_camera(camera.id, sensor_source(scene, camera, ego, reach_ns=reach_ns), index=index)
+    return system
+
+
+def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> Iterator[FusedFrame]:
+    """Send every sweep and picture in the order of time, and yield the results in the order of the sweeps.
+
+    Args:
+        skips: collects sweeps that cannot be read and goes on; without it they raise.
+
+    Raises:
+        DataError: a sweep or a picture cannot be read.
+    """
+    for sensor_id, read in _in_time_order(scene):
+        try:
+            measurement = read()
+        except DataError as error:
+            if skips is None:
+                raise
+            skips.reasons.append(str(error))
+            continue
+        system.send(sensor_id, measurement)
+        yield from iter(system.get, None)
+    system.flush()
+    yield from iter(system.get, None)
+
+
+Reader = Callable[[], LidarFrame | Picture]
+
+
+def _in_time_order(scene: Scene) -> Iterator[tuple[Identifier, Reader]]:
+    """All sweeps and pictures by time stamp; pictures before sweeps of the same time, sensors in the scene's order."""
+    streams = [_stamped(order, sensor) for order, sensor in enumerate((*scene.cameras, *scene.lidars))]
+    for _, _, sensor_id, read in heapq.merge(*streams, key=lambda entry: entry[:2]):
+        yield sensor_id, read
+
+
+def _stamped(order: int, sensor: LidarSensor | CameraSensor) -> Iterator[tuple[int, int, Identifier, Reader]]:
+    frames = sensor.frames if isinstance(sensor, LidarSensor) else sensor.pictures
+    for index, timestamp_ns in enumerate(frames.timestamps_ns.tolist()):
+        yield timestamp_ns, order, sensor.id, lambda index=index: frames[index]  # type: ignore[misc]

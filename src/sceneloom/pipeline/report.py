@@ -1,0 +1,164 @@
+"""What a fusion did, in numbers."""
+
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.formats.loss import LossReport
+from sceneloom.scene import Identifier, Notice
+
+
+class CameraReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One camera's part in a fusion.
+
+    Attributes:
+        camera: its id.
+        pictures: how many the scene has.
+        paired: sweeps that were fused with one of its pictures.
+        unpaired: sweeps without a picture near enough in time.
+        unposed: sweeps whose picture lies beyond the reach of the trajectory.
+        in_picture_percent: share of all points of the paired sweeps that fall into the picture.
+        hidden_percent: share of those that lie behind a nearer surface.
+        coloured: points that got their colour from this camera.
+    """
+
+    camera: Identifier
+    pictures: int
+    paired: int
+    unpaired: int
+    unposed: int
+    in_picture_percent: float
+    hidden_percent: float
+    coloured: int
+
+
+class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One fusion.
+
+    Attributes:
+        source: what was fused.
+        output: the scene file written, or None.
+        trajectory: name of the ego's way that the scene stands on, or None where its own poses were used.
+        frames: sweeps that were read.
+        fused: sweeps that were fused.
+        extrapolated: sweeps that needed poses beyond the trajectory's ends.
+        unfused: why the others were not fused, with counts.
+        skipped: sweeps that could not be read, one line each.
+        points: points of all sweeps.
+        coloured_percent: share of them that got a colour.
+        cameras: one report per camera.
+        files: further files written, with counts by kind.
+        depth_beyond_range: pixels too far for the depth image's format.
+        seconds: how long it took.
+        losses: what the scene file could not hold.
+        notices: what was assumed, repaired or left out on reading.
+    """
+
+    source: str
+    output: str | None
+    trajectory: str | None
+    frames: int
+    fused: int
+    extrapolated: int
+    unfused: dict[str, int]
+    skipped: tuple[str, ...]
+    points: int
+    coloured_percent: float
+    cameras: tuple[CameraReport, ...]
+    files: dict[str, int]
+    depth_beyond_range: int
+    seconds: float
+    losses: LossReport
+    notices: tuple[Notice, ...]
+
+    @property
+    def frames_per_second(self) -> float:
+        """Sweeps a second."""
+        return self.frames / self.seconds if self.seconds > 0 else 0.0
+
+
+@dataclass(slots=True)
+class CameraTally:
+    """Counts of one camera while frames pass."""
+
+    pictures: int
+    paired: int = 0
+    unpaired: int = 0
+    unposed: int = 0
+    points: int = 0
+    in_picture: int = 0
+    hidden: int = 0
+    coloured: int = 0
+
+    def add(self, view: FusedView, points: int) -> None:
+        """Count one view of a sweep with that many points."""
+        self.paired += 1
+        self.points += points
+        self.in_picture += len(view.point_ids)
+        self.hidden += int(np.count_nonzero(~view.visible))
+
+    def report(self, camera_id: Identifier) -> CameraReport:
+        """The counts as shares."""
+        return CameraReport(
+            camera=camera_id,
+            pictures=self.pictures,
+            paired=self.paired,
+            unpaired=self.unpaired,
+            unposed=self.unposed,
+            in_picture_percent=_percent(self.in_picture, self.points),
+            hidden_percent=_percent(self.hidden, self.in_picture),
+            coloured=self.coloured,
+        )
+
+
+@dataclass(slots=True)
+class FusionTally:
+    """Counts while frames pass.
+
+    Attributes:
+        cameras: by id, in the scene's order.
+    """
+
+    cameras: dict[Identifier, CameraTally]
+    frames: int = 0
+    fused: int = 0
+    extrapolated: int = 0
+    points: int = 0
+    coloured: int = 0
+    unfused: dict[str, int] = field(default_factory=dict)
+
+    def add(self, frame: FusedFrame) -> None:
+        """Count one sweep."""
+        self.frames += 1
+        self.points += len(frame.points)
+        if frame.unfused is not None:
+            reason = frame.unfused.split(":", maxsplit=1)[0]
+            self.unfused[reason] = self.unfused.get(reason, 0) + 1
+            return
+        self.fused += 1
+        self.extrapolated += frame.extrapolated
+        self._add_cameras(frame)
+
+    def _add_cameras(self, frame: FusedFrame) -> None:
+        for view in frame.views:
+            self.cameras[view.camera_id].add(view, len(frame.points))
+        for camera_id in frame.unpaired:
+            self.cameras[camera_id].unpaired += 1
+        for camera_id in frame.unposed:
+            self.cameras[camera_id].unposed += 1
+        if frame.points.camera_index is not None:
+            by_index = np.bincount(frame.points.camera_index, minlength=256)
+            for tally, count in zip(self.cameras.values(), by_index.tolist(), strict=False):
+                tally.coloured += count
+            self.coloured += int(by_index[:255].sum())
+
+    @property
+    def coloured_percent(self) -> float:
+        """Share of all points that got a colour."""
+        return _percent(self.coloured, self.points)
+
+
+def _percent(part: int, whole: int) -> float:
+    return 100.0 * part / whole if whole else 0.0

@@ -1,0 +1,118 @@
+"""Where the results of a fusion go: a scene file, depth images, pictures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from sceneloom.colouring.results import FusedFrame
+from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
+from sceneloom.formats.sfs import SceneWriter
+from sceneloom.motion.pose_source import PoseSource
+from sceneloom.motion.sensor_paths import sensor_path
+from sceneloom.pictures import save_pictures
+from sceneloom.scene import Identifier, LidarFrame, Scene
+
+
+class Sink(Protocol):
+    """Takes the results of a fusion, one after another."""
+
+    def add(self, frame: FusedFrame) -> None:
+        """Take one result."""
+        ...
+
+
+@dataclass(slots=True)
+class SceneSink:
+    """Writes fused sweeps into a scene file whose other sensors stand in it already.
+
+    Attributes:
+        writer: the open file.
+        sources: `world_from_sensor` of each lidar and camera; absent for sensors that keep their own poses.
+        tick_ns: the file's unit of time [ns].
+    """
+
+    writer: SceneWriter
+    sources: Mapping[Identifier, PoseSource]
+    tick_ns: int
+    _starts_ns: dict[Identifier, list[int]] = field(default_factory=dict)
+
+    def add_sensors(self, scene: Scene) -> None:
+        """Write every sensor but the lidars' frames, and the annotations."""
+        for sensor in scene.sensors:
+            self.writer.add_sensor(sensor)
+
+    def add(self, frame: FusedFrame) -> None:
+        """Write one sweep; an unfused one goes, in its sensor's frame, under the file's metadata."""
+        start_ns = _start_ns(frame, self.tick_ns)
+        if frame.unfused is not None:
+            self.writer.add_unfused(frame.lidar_id, LidarFrame(start_ns, frame.points), frame.unfused)
+            return
+        self.writer.add_frame(frame.lidar_id, LidarFrame(start_ns, frame.points))
+        self._starts_ns.setdefault(frame.lidar_id, []).append(start_ns)
+
+    def finish(self) -> None:
+        """Give each lidar its poses at the times of its frames."""
+        for lidar_id, starts_ns in self._starts_ns.items():
+            if lidar_id in self.sources:
+                path = sensor_path(self.sources[lidar_id], np.array(starts_ns, np.int64))
+                if path is not None:
+                    self.writer.set_poses(lidar_id, path)
+
+
+def _start_ns(frame: FusedFrame, tick_ns: int) -> int:
+    """The earliest point time, rounded down to the file's unit; READINGS: a frame never starts after a point."""
+    times = frame.points.timestamps_ns
+    earliest = frame.timestamp_ns if times is None or len(times) == 0 else int(times.min())
+    return earliest // tick_ns * tick_ns
+
+
+@dataclass(slots=True)
+class DepthSink:
+    """Writes one depth image per view: `<camera>/<frame number>.png`, or `.npz`.
+
+    Attributes:
+        folder: where to.
+        form: "png" (16 bit, metres times 256) or "npz" (float32 metres).
+        written: files so far.
+        beyond_range: pixels that the form cannot hold.
+    """
+
+    folder: Path
+    form: str
+    written: int = 0
+    beyond_range: int = 0
+
+    def add(self, frame: FusedFrame) -> None:
+        """Write the views of one sweep."""
+        for view in frame.views:
+            folder = self.folder / str(view.camera_id)
+            folder.mkdir(exist_ok=True)
+            target = folder / f"{frame.index:06d}.{self.form}"
+            if self.form == "npz":
+                write_depth_npz(view.depth_image, target)
+            else:
+                self.beyond_range += write_depth_png(view.depth_image, target)
+            self.written += 1
+
+
+@dataclass(slots=True)
+class PictureSink:
+    """Draws some of the sweeps for people to look at.
+
+    Attributes:
+        folder: where to.
+        chosen: numbers of the sweeps to draw.
+        written: files so far.
+    """
+
+    folder: Path
+    chosen: frozenset[int]
+    written: int = 0
+
+    def add(self, frame: FusedFrame) -> None:
+        """Draw the sweep if it is chosen."""
+        if frame.index in self.chosen and frame.unfused is None:
+            self.written += len(save_pictures(frame, self.folder, frame.index))

@@ -1,0 +1,192 @@
+"""What is in a scene, in numbers: for people who open a drive that they did not record."""
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.span import frame_times, time_span
+from sceneloom.scene.types import Identifier
+
+GAP_FACTOR = 1.5
+"""Two stamps farther apart than this many median intervals make a gap."""
+
+
+class Gap(msgspec.Struct, frozen=True, kw_only=True):
+    """A hole in a stream, in seconds after the scene's first time stamp."""
+
+    start: float
+    stop: float
+
+
+class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """One sensor.
+
+    Attributes:
+        id: its id.
+        type: the word of the format.
+        count: frames, pictures, poses or samples.
+        rate_hz: one over the median interval, or None for fewer than two.
+        start, stop: first and last stamp, in seconds after the scene's first one.
+        gaps: intervals longer than 1.5 median ones; the first 20.
+        gap_count: all of them.
+        first_frame_points: points of the first frame, for lidars and maps.
+        lens: projection model and picture size, for cameras.
+        video: codec, where the pictures come from a video.
+        poses: how many, None where there are none.
+        coordinates: frame of the poses, and of the points of a lidar.
+        mounted: whether the rigid mounting on the ego is known.
+    """
+
+    id: Identifier
+    type: str
+    count: int
+    rate_hz: float | None
+    start: float | None
+    stop: float | None
+    gaps: tuple[Gap, ...]
+    gap_count: int
+    first_frame_points: int | None = None
+    lens: str | None = None
+    video: str | None = None
+    poses: int | None = None
+    coordinates: str | None = None
+    mounted: bool = False
+
+
+class TrajectorySummary(msgspec.Struct, frozen=True, kw_only=True):
+    """One way of the ego: how many poses, over how many seconds and metres, and whether it has orientations."""
+
+    name: str
+    poses: int
+    seconds: float
+    metres: float
+    oriented: bool
+
+
+class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """A scene.
+
+    Attributes:
+        source: where it comes from.
+        format: name of its format.
+        start_ns: first time stamp [ns], None for a scene without time.
+        duration: seconds from the first to the last one.
+        size_bytes: bytes on disk, where known.
+        sensors: all of them.
+        trajectories: all of them, the default one first.
+        annotations: how many of each type.
+        notices: what was assumed, repaired or left out.
+    """
+
+    source: str
+    format: str
+    start_ns: int | None
+    duration: float
+    size_bytes: int | None
+    sensors: tuple[SensorSummary, ...]
+    trajectories: tuple[TrajectorySummary, ...]
+    annotations: dict[str, int]
+    notices: tuple[Notice, ...]
+
+
+def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
+    """Count what a scene holds; reads the first frame of each lidar and nothing more of them.
+
+    Raises:
+        DataError: the first frame of a lidar cannot be read.
+    """
+    span = time_span(scene)
+    start_ns = 0 if span is None else span[0]
+    types = [annotation.type for annotation in scene.annotations]
+    return SceneSummary(
+        source=scene.source,
+        format=scene.format,
+        start_ns=None if span is None else span[0],
+        duration=0.0 if span is None else (span[1] - span[0]) / 1e9,
+        size_bytes=size_bytes,
+        sensors=tuple(_summarise_sensor(sensor, start_ns) for sensor in scene.sensors),
+        trajectories=tuple(
+            TrajectorySummary(
+                name=name,
+                poses=len(way.timestamps_ns),
+                seconds=int(np.ptp(way.timestamps_ns)) / 1e9 if len(way.timestamps_ns) else 0.0,
+                metres=float(np.linalg.norm(np.diff(way.positions, axis=0), axis=1).sum()),
+                oriented=way.quaternions_xyzw is not None,
+            )
+            for name, way in scene.trajectories.items()
+        ),
+        annotations={kind: types.count(kind) for kind in sorted(set(types))},
+        notices=scene.notices,
+    )
+
+
+def _summarise_sensor(sensor: Sensor, start_ns: int) -> SensorSummary:
+    times = frame_times(sensor)
+    gaps = _gaps(times, start_ns)
+    poses: PosePath | None = getattr(sensor, "poses", None)
+    return SensorSummary(
+        id=sensor.id,
+        type=str(sensor.type),
+        count=_count(sensor, times),
+        rate_hz=_rate(times),
+        start=(int(times[0]) - start_ns) / 1e9 if len(times) else None,
+        stop=(int(times[-1]) - start_ns) / 1e9 if len(times) else None,
+        gaps=tuple(gaps[:20]),
+        gap_count=len(gaps),
+        first_frame_points=_first_frame_points(sensor),
+        lens=_lens(sensor),
+        video=sensor.video.codec if isinstance(sensor, CameraSensor) and sensor.video is not None else None,
+        poses=None if poses is None else len(poses.timestamps_ns),
+        coordinates=_coordinates(sensor),
+        mounted=getattr(sensor, "mount", None) is not None,
+    )
+
+
+def _count(sensor: Sensor, times: Int64Array) -> int:
+    return len(sensor.positions) if isinstance(sensor, PointsSensor) else len(times)
+
+
+def _rate(times: Int64Array) -> float | None:
+    intervals = np.diff(times)
+    median = float(np.median(intervals)) if len(intervals) else 0.0
+    return 1e9 / median if median > 0 else None
+
+
+def _gaps(times: Int64Array, start_ns: int) -> list[Gap]:
+    intervals = np.diff(times)
+    if len(intervals) < 2:
+        return []
+    places = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals))
+    return [
+        Gap(start=(int(times[k]) - start_ns) / 1e9, stop=(int(times[k + 1]) - start_ns) / 1e9)
+        for k in places.tolist()
+    ]
+
+
+def _first_frame_points(sensor: Sensor) -> int | None:
+    if isinstance(sensor, PointsSensor):
+        return len(sensor.positions)
+    if isinstance(sensor, LidarSensor) and len(sensor.frames):
+        return len(sensor.frames[0].points)
+    return None
+
+
+def _lens(sensor: Sensor) -> str | None:
+    if not isinstance(sensor, CameraSensor):
+        return None
+    return f"{sensor.camera.model} {sensor.camera.width}x{sensor.camera.height}"
+
+
+def _coordinates(sensor: Sensor) -> str | None:
+    if isinstance(sensor, LidarSensor):
+        return f"points {sensor.points_frame}" + (
+            "" if sensor.poses is None else f", poses {sensor.coordinates}"
+        )
+    if isinstance(sensor, CameraSensor) and sensor.poses is not None:
+        return f"poses {sensor.coordinates}"
+    return None

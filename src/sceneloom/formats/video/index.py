@@ -5,7 +5,6 @@ from fractions import Fraction
 
 import av
 import numpy as np
-from av.codec.codec import Properties
 from av.packet import Packet
 from av.video.stream import VideoStream
 
@@ -15,6 +14,10 @@ from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_fault
 
 _ASSUMED_RATE = Fraction(25)
 """Pictures a second where neither packets nor container name any time; only `timestamps` depend on it."""
+
+
+_REORDERS = 1 << 3
+"""Source: AV_CODEC_PROP_REORDER of libavcodec/codec_desc.h."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +67,7 @@ class _Packets:
 
 def codec_reorders(stream: VideoStream) -> bool:
     """Whether pictures of this codec may be shown in another order than they are stored in."""
-    return Properties.REORDER in Properties(stream.codec_context.codec.properties)
+    return bool(stream.codec_context.codec.properties & _REORDERS)
 
 
 def presentation_ticks(packet: "Packet[VideoStream]", *, reorders: bool) -> int | None:

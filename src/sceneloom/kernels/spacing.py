@@ -1,0 +1,91 @@
+"""How far apart the scan lines of a cloud appear to a camera."""
+
+import math
+
+import numba
+import numpy as np
+from numba import float32, float64, int64, types
+
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from sceneloom.kernels.direction_grid import INNER, place_in_cells
+
+_IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
+_IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
+
+SECTORS = 8
+
+
+@numba.njit(**INNER)
+def _list_disc(reach: int, columns: int) -> tuple[Int64Array, Int64Array, Float64Array]:
+    """List the cells around a middle one, nearest first: what to add to its number, their sector and distance."""
+    side = 2 * reach + 1
+    offsets, sectors = np.empty(side * side, np.int64), np.empty(side * side, np.int64)
+    distances = np.empty(side * side)
+    count = 0
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            squared = dx * dx + dy * dy
+            if 0 < squared <= reach * reach:
+                turn = math.atan2(float(dy), float(dx)) / (2.0 * math.pi)
+                offsets[count] = dy * columns + dx
+                sectors[count] = int(math.floor(SECTORS * turn + 0.5)) % SECTORS
+                distances[count] = math.sqrt(float(squared))
+                count += 1
+    order = np.argsort(distances[:count], kind="mergesort")
+    return offsets[:count][order], sectors[:count][order], distances[:count][order]
+
+
+@numba.njit(**INNER)
+def _find_next(
+    occupied: BoolArray, cell: int, offsets: Int64Array, sectors: Int64Array, distances: Float64Array, found: Float64Array
+) -> None:
+    """Write the distance in cells to the nearest occupied cell of each sector, NaN for none."""
+    found[:] = math.nan
+    missing = SECTORS
+    for k in range(offsets.shape[0]):
+        if occupied[cell + offsets[k]] and math.isnan(found[sectors[k]]):
+            found[sectors[k]] = distances[k]
+            missing -= 1
+            if missing == 0:
+                return
+
+
+@numba.njit(
+    float64(_IN_F32_2D, _IN_F32_1D, float64, int64, int64), cache=True, nogil=True, error_model="numpy"
+)
+def measure_spacing(
+    directions: Float32Array, inverse_ranges: Float32Array, cell: float, reach: int, samples: int
+) -> float:
+    """Measure the wider of the two spacings of a cloud that is made of scan lines.
+
+    Around some points, evenly drawn from the cloud, the nearest neighbour in each of eight sectors is looked for.
+    Opposite sectors belong together; the axis whose median is largest crosses the scan lines.
+
+    Args:
+        directions: (M, 2) in the equal-area map [rad].
+        inverse_ranges: (M,) [1/m]; 0 for a point that takes no part.
+        cell: resolution of the measurement [rad].
+        reach: farthest neighbour looked for [cells].
+        samples: around so many points.
+
+    Returns:
+        The spacing [rad]; NaN where the cloud has too few neighbours within reach to say.
+    """
+    cells, columns, rows = place_in_cells(directions, inverse_ranges, cell, reach)
+    occupied = np.zeros(columns * rows, np.bool_)
+    for i in range(cells.shape[0]):
+        if cells[i] >= 0:
+            occupied[cells[i]] = True
+    offsets, sectors, distances = _list_disc(reach, columns)
+    found = np.full((samples, SECTORS), math.nan)
+    for s in range(min(samples, cells.shape[0])):
+        c = cells[s * cells.shape[0] // min(samples, cells.shape[0])]
+        if c >= 0:
+            _find_next(occupied, c, offsets, sectors, distances, found[s])
+    widest = math.nan
+    for axis in range(SECTORS // 2):
+        steps = np.concatenate((found[:, axis], found[:, axis + SECTORS // 2]))
+        steps = steps[~np.isnan(steps)]
+        if 2 * steps.shape[0] >= samples and not np.median(steps) * cell <= widest:
+            widest = np.median(steps) * cell
+    return widest

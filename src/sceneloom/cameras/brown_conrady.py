@@ -16,7 +16,7 @@ lx, ly); the order of the first ten coefficients, and lx and ly, are those of th
 import math
 
 import numpy as np
-from numba import njit
+from numba import float32, njit
 
 from sceneloom.arrays import Float64Array
 from sceneloom.cameras.compiled import (
@@ -26,8 +26,9 @@ from sceneloom.cameras.compiled import (
     PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     camera_coordinates,
-    keep_if_inside,
-    store_ray,
+    in_picture,
+    pose_numbers,
+    unit_ray,
 )
 from sceneloom.cameras.domain import first_positive_root, radius_without_fold
 
@@ -142,11 +143,16 @@ def project_into_picture(  # type: ignore[no-untyped-def]
     """Keep the points that fall into the picture; see `compiled`."""
     fx, fy, cx, cy, limit_squared = lens[0], lens[1], lens[2], lens[3], lens[20] * lens[20]
     terms, tilt = _terms(lens), _tilt(lens)
-    count = 0
+    pose, count = pose_numbers(camera_from_world), 0
     for i in range(len(points_world)):
-        x, y, z = camera_coordinates(points_world, i, camera_from_world)
+        x, y, z = camera_coordinates(points_world[i, 0], points_world[i, 1], points_world[i, 2], pose)
         u, v = _project(x, y, z, fx, fy, cx, cy, terms, tilt, limit_squared)
-        count = keep_if_inside(i, u, v, z, width, height, count, point_ids, pixels, depths)
+        column, row = float32(u), float32(v)
+        # The test is made on what is stored: rounding that to the nearest pixel must stay inside the picture.
+        if in_picture(column, row, width, height):
+            point_ids[count], depths[count] = i, z
+            pixels[count, 0], pixels[count, 1] = column, row
+            count += 1
     return count
 
 
@@ -155,8 +161,10 @@ def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
     terms, tilt = _terms(lens), _tilt(lens)
     for i in range(len(points_camera)):
-        x, y, z = points_camera[i]
-        pixels[i] = _project(x, y, z, lens[0], lens[1], lens[2], lens[3], terms, tilt, lens[20] * lens[20])
+        x, y, z = points_camera[i, 0], points_camera[i, 1], points_camera[i, 2]
+        pixels[i, 0], pixels[i, 1] = _project(
+            x, y, z, lens[0], lens[1], lens[2], lens[3], terms, tilt, lens[20] * lens[20]
+        )
 
 
 @njit(**INLINE)
@@ -199,4 +207,4 @@ def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
         if tilt[6]:
             x, y = _from_tilted(x, y, tilt)
         x, y = _undistort(x, y, terms, lens[20])
-        store_ray(i, x, y, rays)
+        rays[i, 0], rays[i, 1], rays[i, 2] = unit_ray(x, y)

@@ -14,7 +14,7 @@ model".
 import math
 
 import numpy as np
-from numba import njit
+from numba import float32, njit
 
 from sceneloom.cameras.compiled import (
     INLINE,
@@ -22,7 +22,8 @@ from sceneloom.cameras.compiled import (
     PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     camera_coordinates,
-    keep_if_inside,
+    in_picture,
+    pose_numbers,
 )
 from sceneloom.cameras.domain import first_positive_root
 
@@ -68,11 +69,16 @@ def project_into_picture(  # type: ignore[no-untyped-def]
     fx, fy, cx, cy, k1, k2, k3, k4, limit = (
         lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8],
     )  # fmt: skip
-    count = 0
+    pose, count = pose_numbers(camera_from_world), 0
     for i in range(len(points_world)):
-        x, y, z = camera_coordinates(points_world, i, camera_from_world)
+        x, y, z = camera_coordinates(points_world[i, 0], points_world[i, 1], points_world[i, 2], pose)
         u, v = _project(x, y, z, fx, fy, cx, cy, k1, k2, k3, k4, limit)
-        count = keep_if_inside(i, u, v, z, width, height, count, point_ids, pixels, depths)
+        column, row = float32(u), float32(v)
+        # The test is made on what is stored: rounding that to the nearest pixel must stay inside the picture.
+        if in_picture(column, row, width, height):
+            point_ids[count], depths[count] = i, z
+            pixels[count, 0], pixels[count, 1] = column, row
+            count += 1
     return count
 
 
@@ -80,8 +86,8 @@ def project_into_picture(  # type: ignore[no-untyped-def]
 def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
     for i in range(len(points_camera)):
-        x, y, z = points_camera[i]
-        pixels[i] = _project(
+        x, y, z = points_camera[i, 0], points_camera[i, 1], points_camera[i, 2]
+        pixels[i, 0], pixels[i, 1] = _project(
             x, y, z, lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8]
         )
 

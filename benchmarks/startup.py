@@ -1,7 +1,7 @@
-"""How long a user waits before anything happens: `import sceneloom` and `sceneloom --help`, medians over runs.
+"""How long a user waits before anything happens: `import sceneloom` and `sceneloom --help`.
 
-Run with `python -m benchmarks.startup [RUNS]`. Each run is a new process; the commands take turns, so that a busy
-machine slows all of them alike.
+Run with `python -m benchmarks.startup [RUNS]`. Each run is a new process; the commands take turns, so that a
+busy machine slows all of them alike. Printed are medians.
 """
 
 import statistics

@@ -11,11 +11,11 @@ from sceneloom.formats.table import format_named
 
 
 def public_bindings(tree: ast.Module) -> set[str]:
-    """Names that a module's top level binds by import, assignment or definition, private ones left out."""
+    """Public names that a package binds: imported out of its own rooms, assigned or defined."""
     names: set[str] = set()
     for node in tree.body:
-        if isinstance(node, ast.ImportFrom | ast.Import):
-            names |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
+        if isinstance(node, ast.ImportFrom) and (node.level or str(node.module).startswith("sceneloom")):
+            names |= {alias.asname or alias.name for alias in node.names}
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.Assign | ast.AnnAssign):
@@ -71,12 +71,17 @@ def test_a_package_has_only_a_docstring_imports_and_its_names(package):
     assert not strange, f"{package.name} defines things in its __init__: {strange}"
 
 
+def public_classes(tree: ast.Module) -> list[ast.ClassDef]:
+    """The classes of a module whose methods are there for others."""
+    return [node for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+
+
 def test_public_things_are_explained(module):
     explained = ast.get_docstring(module.tree)
     assert explained, f"{module.name} has no docstring"
     silent = [
         f"{node.name} (line {node.lineno})"
-        for scope in (module.tree, *(n for n in module.tree.body if isinstance(n, ast.ClassDef)))
+        for scope in (module.tree, *public_classes(module.tree))
         for node in scope.body
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
         and not node.name.startswith("_")

@@ -1,0 +1,71 @@
+"""The choice of the ego's way, and headings from motion."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.motion.heading import headed_poses
+from sceneloom.motion.trajectories import choose_trajectory
+from sceneloom.scene import Scene, Trajectory
+
+
+def circle(radius: float = 20.0, count: int = 200) -> Trajectory:
+    angle = np.linspace(0, np.pi, count)
+    positions = radius * np.stack([np.cos(angle), np.sin(angle), 0.05 * angle], axis=1)
+    return Trajectory("gnssEnu", np.arange(count, dtype=np.int64), positions)
+
+
+def test_the_heading_of_a_circle_is_its_tangent() -> None:
+    way = circle()
+    ahead = rotate_vectors(headed_poses(way).quaternions_xyzw, np.array([1.0, 0, 0]))
+    tangent = np.gradient(way.positions, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip((ahead * tangent).sum(axis=1), -1, 1)))
+    # a chord over 1 m of a 20 m circle is off by at most half its arc, at the ends where it is one-sided
+    assert angle.max() < np.degrees(0.5 * 1.0 / 20) + 0.1
+    assert angle[5:-5].max() < 0.5
+
+
+def test_the_y_axis_of_a_heading_is_level() -> None:
+    left = rotate_vectors(headed_poses(circle()).quaternions_xyzw, np.array([0, 1.0, 0]))
+    np.testing.assert_allclose(left[:, 2], 0, atol=1e-12)
+
+
+def test_a_standing_ego_keeps_the_direction_that_it_came_with() -> None:
+    x = np.concatenate([np.linspace(0, 10, 50), np.full(30, 10.0)])
+    way = Trajectory("fixes", np.arange(80, dtype=np.int64), np.stack([x, 0 * x, 0 * x], axis=1))
+    np.testing.assert_allclose(headed_poses(way).quaternions_xyzw[-1], [0, 0, 0, 1], atol=1e-12)
+
+
+def test_an_ego_that_never_moves_has_no_heading() -> None:
+    way = Trajectory("fixes", np.arange(3, dtype=np.int64), np.zeros((3, 3)))
+    with pytest.raises(PoseError, match=r"at least 0\.5 m"):
+        headed_poses(way)
+
+
+def test_the_first_trajectory_is_the_default_and_a_name_chooses_another() -> None:
+    first = Trajectory("groundTruth", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
+    second = Trajectory("pose", np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]]))
+    scene = Scene((), trajectories={"groundTruth": first, "pose": second})
+    assert choose_trajectory(scene).name == "groundTruth"
+    assert choose_trajectory(scene, name="pose").path.positions[0, 0] == 0
+
+
+def test_a_scene_without_trajectory_offers_identity() -> None:
+    with pytest.raises(PoseError, match="--trajectory identity"):
+        choose_trajectory(Scene(()))
+    assert choose_trajectory(Scene(()), name="identity").path.endless
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones() -> None:
+    scene = Scene((), trajectories={"arcore": circle()})
+    with pytest.raises(OptionError, match="arcore, identity"):
+        choose_trajectory(scene, name="arkit")
+
+
+def test_positions_alone_need_the_heading_to_be_asked_for() -> None:
+    scene = Scene((), trajectories={"gnssEnu": circle()})
+    with pytest.raises(PoseError, match="--heading motion"):
+        choose_trajectory(scene)
+    assert choose_trajectory(scene, heading="motion").heading == "motion"

@@ -1,0 +1,55 @@
+"""PosePath refuses what is no path, and says where."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import ArrayError, PoseError
+from sceneloom.scene import PosePath, Trajectory
+
+UPRIGHT = np.array([[0.0, 0.0, 0.0, 1.0]])
+
+
+def path_with(times: list[int], quaternion: list[float] | None = None, place: float = 0.0) -> PosePath:
+    count = len(times)
+    turns = np.tile(UPRIGHT if quaternion is None else np.array([quaternion]), (count, 1))
+    return PosePath(np.array(times, np.int64), np.full((count, 3), place), turns)
+
+
+def test_times_that_do_not_increase_are_named_by_their_index() -> None:
+    with pytest.raises(ArrayError, match=r"timestamps_ns\[2\]: 5; expected strictly increasing"):
+        path_with([0, 5, 5])
+
+
+def test_a_quaternion_far_from_unit_norm_is_refused_and_a_near_one_accepted() -> None:
+    with pytest.raises(ArrayError, match=r"norm 1\.0200"):
+        path_with([0], [0, 0, 0, 1.02])
+    assert path_with([0], [0, 0, 0, 1.005]).start_ns == 0
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_values_that_are_not_finite_are_refused(bad: float) -> None:
+    with pytest.raises(ArrayError, match="not finite"):
+        path_with([0], place=bad)
+
+
+def test_an_empty_path_is_refused() -> None:
+    with pytest.raises(ArrayError, match="at least one pose"):
+        PosePath(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 4)))
+
+
+def test_the_identity_holds_at_all_times() -> None:
+    samples = PosePath.identity().interpolate(np.array([-(2**60), 0, 2**60], np.int64))
+    np.testing.assert_array_equal(samples.positions, 0)
+    np.testing.assert_array_equal(samples.quaternions_xyzw, np.repeat(UPRIGHT, 3, axis=0))
+    np.testing.assert_array_equal(samples.coverage, 0)
+
+
+def test_the_arrays_of_a_path_cannot_be_written() -> None:
+    path = path_with([0, 1])
+    with pytest.raises(ValueError, match="read-only"):
+        path.positions[0, 0] = 1.0
+
+
+def test_a_trajectory_of_positions_has_no_poses_and_says_what_to_do() -> None:
+    with pytest.raises(PoseError, match="--heading motion"):
+        _ = Trajectory("gnssEnu", np.zeros(1, np.int64), np.zeros((1, 3))).poses

@@ -1,0 +1,98 @@
+"""A scene: ids, parts in time, and its summary."""
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    CameraSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Picture,
+    Scene,
+    Trajectory,
+    VectorSamples,
+    VideoContent,
+)
+from sceneloom.scene.span import cut_scene, time_span
+from sceneloom.scene.summary import summarise
+
+CAMERA = Camera("pinhole", 4, 2, 3.0, 3.0, 1.5, 0.5)
+SECOND = 1_000_000_000
+
+
+def lidar_at(times_ns: list[int], sensor_id: str | int = "lidar") -> LidarSensor:
+    frames = [LidarFrame(t, LidarPoints(np.full((k + 1, 3), k, np.float32))) for k, t in enumerate(times_ns)]
+    return LidarSensor(sensor_id, LazyFrames.of(frames, times_ns))
+
+
+def camera_at(times_ns: list[int]) -> CameraSensor:
+    pictures = [Picture.of(t, CAMERA, np.zeros((2, 4, 3), np.uint8)) for t in times_ns]
+    video = VideoContent(lambda: pytest.fail("a summary opens no video"), "h264")
+    return CameraSensor("camera0", CAMERA, LazyFrames.of(pictures, times_ns), video=video)
+
+
+def test_two_sensors_of_one_id_are_refused_but_a_number_is_not_its_text() -> None:
+    with pytest.raises(OptionError, match=r"sensors\[1\].id: 'a' is used twice"):
+        Scene((lidar_at([0], "a"), lidar_at([0], "a")))
+    scene = Scene((lidar_at([0], 1), lidar_at([0, 1], "1")))
+    assert len(scene.lidars[1].frames) == 2
+    assert scene.sensor("1") is scene.lidars[1]
+    with pytest.raises(OptionError, match="no sensor 2; it has 1, '1'"):
+        scene.sensor(2)
+
+
+def test_the_span_reaches_over_all_sensors() -> None:
+    imu = ImuSensor("imu", {"gyroscope": VectorSamples(np.array([-5, 3], np.int64), np.zeros((2, 3)))})
+    assert time_span(Scene((lidar_at([0, 10]), imu))) == (-5, 10)
+    assert time_span(Scene(())) is None
+
+
+def test_a_part_holds_the_frames_from_start_until_before_stop() -> None:
+    lidar, camera = lidar_at([k * SECOND for k in range(5)]), camera_at([k * SECOND + 7 for k in range(5)])
+    part = cut_scene(Scene((lidar, camera)), start=1.0, stop=3.0)
+    np.testing.assert_array_equal(part.lidars[0].frames.timestamps_ns, [SECOND, 2 * SECOND])
+    assert len(part.lidars[0].frames[0].points) == 2
+    assert part.cameras[0].video is not None
+    assert part.cameras[0].video.frame_indices == (1, 2)
+    again = cut_scene(part, start=0.9)
+    assert again.cameras[0].video is not None
+    assert again.cameras[0].video.frame_indices == (2,)
+
+
+def test_a_part_that_takes_all_pictures_keeps_the_video_whole() -> None:
+    part = cut_scene(Scene((camera_at([0, SECOND]),)), start=0.0, stop=10.0)
+    assert part.cameras[0].video is not None
+    assert part.cameras[0].video.frame_indices is None
+
+
+@pytest.mark.parametrize(
+    ("start", "stop"), [(2.0, 1.0), (-1.0, None), (None, 0.0), (50.0, None), (float("nan"), None)]
+)
+def test_an_empty_part_is_refused(start: float | None, stop: float | None) -> None:
+    with pytest.raises(OptionError):
+        cut_scene(Scene((lidar_at([0, SECOND]),)), start=start, stop=stop)
+
+
+def test_a_summary_counts_rates_and_gaps() -> None:
+    times = [k * SECOND // 10 for k in range(10)] + [2 * SECOND + k * SECOND // 10 for k in range(3)]
+    way = Trajectory("pose", np.array([0, SECOND], np.int64), np.array([[0.0, 0, 0], [3, 4, 0]]))
+    summary = summarise(Scene((lidar_at(times), camera_at([0])), trajectories={"pose": way}))
+    lidar, camera = summary.sensors
+    assert lidar.count == 13
+    assert lidar.rate_hz == pytest.approx(10)
+    assert [(gap.start, gap.stop) for gap in lidar.gaps] == [(0.9, 2.0)]
+    assert lidar.first_frame_points == 1
+    assert (camera.lens, camera.rate_hz, camera.video) == ("pinhole 4x2", None, "h264")
+    assert (summary.trajectories[0].metres, summary.trajectories[0].oriented) == (5.0, False)
+    assert summary.duration == pytest.approx(2.2)
+
+
+def test_the_reference_time_of_a_sweep_is_the_median_of_its_points() -> None:
+    points = LidarPoints(np.zeros((5, 3), np.float32), timestamps_ns=np.array([9, 1, 5, 7, 3], np.int64))
+    assert LidarFrame(0, points).reference_ns == 5
+    assert LidarFrame(3, LidarPoints(np.zeros((1, 3), np.float32))).reference_ns == 3

@@ -1,0 +1,133 @@
+"""All pictures of a fused lidar frame: as files in a folder, or side by side on one sheet."""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from urllib.parse import quote
+
+from sceneloom.arrays import FloatArray
+from sceneloom.colouring.results import FusedFrame
+from sceneloom.errors import OptionError, OutputError
+from sceneloom.formats.output import replacing
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pictures.canvas import Canvas, PilImage, seconds_text
+from sceneloom.pictures.cloud_above import draw_cloud_above
+from sceneloom.pictures.cloud_perspective import draw_cloud_perspective
+from sceneloom.pictures.ego import find_ego
+from sceneloom.pictures.views import draw_depth_image, draw_overlay, view_scale
+from sceneloom.scene import Identifier
+
+_COMPRESSION = 2
+"""Higher levels of PNG make these pictures 3 % smaller and take three times as long."""
+
+
+def iter_pictures(
+    frame: FusedFrame,
+    index: int,
+    *,
+    world_from_ego: RigidTransform | None = None,
+    ego_path: FloatArray | None = None,
+    show_hidden: bool = False,
+) -> Iterator[tuple[str, Callable[[], PilImage]]]:
+    """Name each picture of a frame and say how to draw it.
+
+    Args:
+        index: number of the frame, part of the names.
+        world_from_ego: where the ego is; by default the place of the first camera stands in.
+        ego_path: (K, 3) float [m], the way of the ego through the world.
+        show_hidden: mark hidden points in the overlays.
+
+    Yields:
+        A file name without suffix, unique within the frame, and a function that draws.
+    """
+    taken: dict[str, int] = {}
+    for view in frame.views:
+        stem = _stem(view.camera_id, taken)
+        scale = view_scale(view)
+        yield f"{stem}_{index:06d}_overlay", partial(draw_overlay, view, scale=scale, show_hidden=show_hidden)
+        yield f"{stem}_{index:06d}_depth", partial(draw_depth_image, view, scale=scale)
+    title = f"{frame.lidar_id} · {seconds_text(frame.timestamp_ns)}"
+    ego = find_ego(world_from_ego, ego_path, frame.views)
+    points = frame.points
+    stem = f"cloud_{_stem(frame.lidar_id, {})}_{index:06d}"
+    for name, draw in (("above", draw_cloud_above), ("perspective", draw_cloud_perspective)):
+        cloud = partial(draw, points.positions, points.colors, camera_index=points.camera_index)
+        yield f"{stem}_{name}", partial(cloud, ego=ego, ego_path=ego_path, caption=[title])
+
+
+def save_pictures(
+    frame: FusedFrame,
+    folder: Path,
+    index: int,
+    *,
+    world_from_ego: RigidTransform | None = None,
+    ego_path: FloatArray | None = None,
+    show_hidden: bool = False,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Draw all pictures of a frame into a folder, which is made where it is missing.
+
+    For each view `<camera>_<index>_overlay.png` and `..._depth.png`; for the frame `cloud_<lidar>_<index>_above.png`
+    and `..._perspective.png`. What a file name cannot hold of an id is written as %XX.
+
+    Args:
+        index: number of the frame, six digits in the names.
+        world_from_ego: where the ego is; by default the place of the first camera stands in.
+        ego_path: (K, 3) float [m], the way of the ego through the world.
+        show_hidden: mark hidden points in the overlays.
+        overwrite: replace files that are there.
+
+    Returns:
+        The paths written.
+
+    Raises:
+        OutputError: a file exists or cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
+    drawings = iter_pictures(
+        frame, index, world_from_ego=world_from_ego, ego_path=ego_path, show_hidden=show_hidden
+    )
+    return [_save(draw(), folder / f"{name}.png", overwrite=overwrite) for name, draw in drawings]
+
+
+def contact_sheet(pictures: Sequence[PilImage], *, columns: int = 2, width_px: int = 1600) -> PilImage:
+    """Put pictures side by side in rows on one sheet, each scaled to its column.
+
+    Args:
+        columns: pictures in a row; the last row may have fewer.
+        width_px: width of the sheet.
+
+    Raises:
+        OptionError: no picture, no column, or no room for one.
+    """
+    gap = max(2, width_px // 160)
+    cell = (width_px - gap * (columns + 1)) // max(columns, 1)
+    if not pictures or columns < 1 or cell < 1:
+        raise OptionError(f"sheet of {len(pictures)} pictures in {columns} columns on {width_px} px; no room")
+    scaled = [image.resize((cell, max(1, round(image.height * cell / image.width)))) for image in pictures]
+    rows = [scaled[start : start + columns] for start in range(0, len(scaled), columns)]
+    heights = [max(image.height for image in row) for row in rows]
+    sheet = Canvas.blank(width_px, sum(heights) + gap * (len(rows) + 1), text_px=12)
+    top = gap
+    for row, height in zip(rows, heights, strict=True):
+        for number, image in enumerate(row):
+            sheet.image.paste(image, (gap + number * (cell + gap), top))
+        top += height + gap
+    return sheet.image
+
+
+def _save(image: PilImage, path: Path, *, overwrite: bool) -> Path:
+    with replacing(path, overwrite=overwrite) as draft:
+        image.save(draft, "PNG", compress_level=_COMPRESSION)
+    return path
+
+
+def _stem(identifier: Identifier, taken: dict[str, int]) -> str:
+    """Turn an id into a part of a file name; a second one that comes out the same gets a number."""
+    stem = quote(str(identifier), safe=" ()+,=@").replace("~", "%7E")
+    stem = f"%2E{stem[1:]}" if stem.startswith(".") else stem
+    taken[stem] = taken.get(stem, 0) + 1
+    return stem if taken[stem] == 1 else f"{stem}~{taken[stem]}"

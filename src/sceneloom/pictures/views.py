@@ -1,0 +1,96 @@
+"""Pictures of what one camera sees of a lidar frame: its points over the photograph, and their depths alone."""
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, UInt8Array
+from sceneloom.colouring.results import FusedView
+from sceneloom.pictures.canvas import Canvas, PilImage, count_text, seconds_text, text_height
+from sceneloom.pictures.depth_scale import DepthScale
+from sceneloom.pictures.scale_bar import draw_caption, draw_depth_bar, draw_strip, strip_height
+from sceneloom.pictures.stamping import stamp_crosses, stamp_discs
+
+LEAST_WIDTH_PX = 400
+"""Narrower pictures get a canvas of this width, so that caption and scale fit below them."""
+NO_DEPTH = (10, 11, 14)
+"""Colour of the pixels of a depth image that hold no depth: darker than any colour of the maps."""
+HIDDEN = (176, 178, 184)
+
+_GREYNESS = 0.45
+_BRIGHTNESS = 0.62
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+
+
+def draw_overlay(view: FusedView, *, scale: DepthScale | None = None, show_hidden: bool = False) -> PilImage:
+    """Draw the points over the picture as discs coloured by depth, the nearer over the farther.
+
+    Args:
+        scale: the colours of the depths; by default chosen to hold the view's own depths.
+        show_hidden: mark the points behind nearer surfaces with small grey crosses.
+
+    Returns:
+        The picture, its pixels where they were, with a strip of caption and scale bar below it.
+    """
+    used = scale or view_scale(view)
+    drawn = _subdued(view.rgb)
+    if show_hidden:
+        drawn = stamp_crosses(drawn, view.pixels[~view.visible], HIDDEN, arm_px=round(disc_radius(view)))
+    depths = view.depths[view.visible]
+    radius = disc_radius(view)
+    drawn = stamp_discs(drawn, view.pixels[view.visible], depths, used.colours(depths), radius)
+    hidden = len(view.depths) - len(depths)
+    counts = f"{count_text(len(depths), 'point')}, {hidden:,} more hidden" + (
+        " (crosses)" if show_hidden else ""
+    )
+    return _framed(drawn, used, [_title(view), counts])
+
+
+def draw_depth_image(view: FusedView, *, scale: DepthScale | None = None) -> PilImage:
+    """Draw the depth image, each depth enlarged to a small disc; nearly black where there is none.
+
+    Args:
+        scale: the colours of the depths; by default chosen to hold the view's own depths.
+
+    Returns:
+        The depth image, its pixels where they were, with a strip of caption and scale bar below it.
+    """
+    used = scale or view_scale(view)
+    rows, columns = np.nonzero(view.depth_image > 0)
+    depths: Float32Array = view.depth_image[rows, columns]
+    empty: UInt8Array = np.full((*view.depth_image.shape, 3), NO_DEPTH, np.uint8)
+    pixels = np.column_stack([columns, rows]).astype(np.float32)
+    drawn = stamp_discs(empty, pixels, depths, used.colours(depths), disc_radius(view))
+    share = 100.0 * len(depths) / view.depth_image.size
+    return _framed(
+        drawn, used, [_title(view), f"{count_text(len(depths), 'pixel')} with depth, {share:.2g} %"]
+    )
+
+
+def view_scale(view: FusedView) -> DepthScale:
+    """Choose the depth scale that suits the visible points of a view."""
+    return DepthScale.of(view.depths[view.visible])
+
+
+def disc_radius(view: FusedView) -> float:
+    """Choose the radius of the discs [px]: larger on larger pictures, in half pixels."""
+    return float(np.clip(round(2 * view.camera.width / 950) / 2, 1.0, 4.0))
+
+
+def _title(view: FusedView) -> str:
+    return f"{view.camera_id} · {seconds_text(view.timestamp_ns)}"
+
+
+def _subdued(rgb: UInt8Array) -> UInt8Array:
+    """Take colour and brightness off a picture, so that what is drawn over it stands out."""
+    grey = (rgb @ _LUMA)[..., None]
+    return np.asarray(_BRIGHTNESS * (_GREYNESS * grey + (1.0 - _GREYNESS) * rgb.astype(np.float32)), np.uint8)
+
+
+def _framed(drawn: UInt8Array, scale: DepthScale, lines: list[str]) -> PilImage:
+    """Add the strip with caption and scale bar below a drawn picture."""
+    height, width = drawn.shape[:2]
+    text_px = text_height(max(width, LEAST_WIDTH_PX), height)
+    canvas = Canvas.blank(max(width, LEAST_WIDTH_PX), height + strip_height(text_px), text_px=text_px)
+    canvas.paste(drawn, 0, 0)
+    draw_strip(canvas, height)
+    draw_caption(canvas, height, draw_depth_bar(canvas, height, scale), lines)
+    return canvas.image

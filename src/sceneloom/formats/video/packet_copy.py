@@ -1,0 +1,140 @@
+"""Copying the packets of a video into another container, with times that every container accepts."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Self
+
+import numpy as np
+from av.container import OutputContainer
+from av.packet import Packet
+from av.video.stream import VideoStream
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import ArrayError, DataError
+from sceneloom.formats.video.index import VideoIndex
+from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults
+from sceneloom.formats.video.writer import (
+    MICROSECONDS,
+    VideoTarget,
+    abandon,
+    open_container,
+    target_name,
+    writing_faults,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PacketTimes:
+    """When the packets of a copy are shown and decoded.
+
+    Attributes:
+        tick: length of one tick [s].
+        pts, dts, durations: (N,) int64 [ticks], one per packet in the order of storage.
+    """
+
+    tick: Fraction
+    pts: Int64Array
+    dts: Int64Array
+    durations: Int64Array
+
+    @classmethod
+    def of(cls, index: VideoIndex, timestamps_seconds: Sequence[float] | Float64Array | None) -> Self:
+        """Spread times, given in the order of showing, over the packets in their order of storage.
+
+        A picture must be decoded no later than it is shown. With the packets' times sorted, s, and d the most
+        places that a packet is stored behind its rank in showing, dts[k] = s[k - d] fulfils that and increases;
+        before the first time it goes on backwards in steps of the first period.
+        """
+        if timestamps_seconds is None:
+            tick, shown = index.time_base, index.pts - index.pts[:1]
+        else:
+            tick, shown = MICROSECONDS, _to_ticks(timestamps_seconds, len(index))
+        count = len(shown)
+        periods = np.ones(count, np.int64)
+        periods[:-1] = np.diff(shown)
+        periods[-1:] = periods[-2:-1] if count > 1 else 1
+        ranks = np.empty(count, np.int64)
+        ranks[index.positions] = np.arange(count)
+        delay = int((np.arange(count) - ranks).max(initial=0))
+        before = -periods[:1] * np.arange(delay, 0, -1)
+        return cls(tick, shown[ranks], np.concatenate([before, shown])[:count], periods[ranks])
+
+
+def check_count(stamps: int, pictures: int) -> None:
+    """Refuse a list of times that is not one for each picture.
+
+    Raises:
+        ArrayError: it is not.
+    """
+    if stamps != pictures:
+        raise ArrayError(f"timestamps_seconds: {stamps} times for {pictures} pictures; expected one for each")
+
+
+def copy_packets(
+    source: VideoSource, target: VideoTarget, container: str, times: PacketTimes, name: str
+) -> None:
+    """Copy all packets that hold pictures into a new container, one at a time.
+
+    Raises:
+        DataError: the source is damaged.
+        OutputError: the target cannot be written.
+    """
+    called = target_name(target)
+    opened = OpenVideo(source, name)
+    try:
+        output = open_container(target, container)
+        try:
+            with writing_faults(called):
+                stream = _same_stream(output, opened.stream, times.tick)
+            for position, packet in enumerate(_pictures(opened, name)):
+                _set_times(packet, times, position, name)
+                packet.stream = stream
+                with writing_faults(called):
+                    output.mux_one(packet)
+        except BaseException:
+            abandon(output)
+            raise
+        with writing_faults(called):
+            output.close()
+    finally:
+        opened.close()
+
+
+def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction) -> VideoStream:
+    stream = output.add_stream_from_template(original, opaque=True)
+    stream.time_base = tick
+    if output.format.name == "mp4" and original.codec_context.codec.canonical_name == "hevc":
+        # of the two names of HEVC in mp4, Apple's players know this one only
+        stream.codec_context.codec_tag = "hvc1"
+    return stream
+
+
+def _pictures(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
+    packets = opened.container.demux(opened.stream)
+    while True:
+        with decoder_faults(name, ""):
+            packet = next(packets, None)
+        if packet is None:
+            return
+        if packet.size and not packet.is_discard:
+            yield packet
+
+
+def _set_times(packet: "Packet[VideoStream]", times: PacketTimes, position: int, name: str) -> None:
+    if position >= len(times.pts):
+        raise DataError(name, f"packet {position}", "was not there before; the file changes while it is read")
+    packet.time_base = times.tick
+    packet.pts, packet.dts = int(times.pts[position]), int(times.dts[position])
+    packet.duration = int(times.durations[position])
+
+
+def _to_ticks(timestamps_seconds: Sequence[float] | Float64Array, count: int) -> Int64Array:
+    stamps = np.asarray(timestamps_seconds, np.float64)
+    check_count(len(stamps), count)
+    ticks = np.rint((stamps - stamps[:1]) / float(MICROSECONDS)).astype(np.int64)
+    backwards = np.flatnonzero(np.diff(ticks) <= 0)
+    if len(backwards):
+        k = int(backwards[0]) + 1
+        raise ArrayError(f"timestamps_seconds[{k}]: {stamps[k]}; expected more than {stamps[k - 1]}")
+    return ticks

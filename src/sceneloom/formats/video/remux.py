@@ -1,0 +1,171 @@
+"""Putting a video into another container: its packets copied where that can be done, encoded anew where not."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import BinaryIO
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, UInt8Array
+from sceneloom.errors import OutputError
+from sceneloom.formats.video.packet_copy import PacketTimes, check_count, copy_packets
+from sceneloom.formats.video.reader import VideoReader
+from sceneloom.formats.video.source import VideoSource, source_name
+from sceneloom.formats.video.writer import VideoTarget, VideoWriter, target_name
+
+_MP4_CODECS = frozenset({"h264", "hevc"})
+"""What is copied into mp4; others either do not belong there or play nowhere."""
+_DEFAULT_FPS = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class RemuxResult:
+    """What was written.
+
+    Attributes:
+        pictures: how many.
+        codec: the codec in the target.
+        copied: whether the packets are the source's own.
+        reason: why they are not; None where they are.
+    """
+
+    pictures: int
+    codec: str
+    copied: bool
+    reason: str | None = None
+
+
+def remux_to_mp4(
+    source: VideoSource,
+    target: BinaryIO,
+    *,
+    timestamps_seconds: Sequence[float] | Float64Array | None = None,
+    frame_indices: Sequence[int] | None = None,
+    crop_to_even: bool = False,
+    name: str | None = None,
+) -> RemuxResult:
+    """Put a video into mp4, H.264 and HEVC packet by packet, others as H.264; the first picture is shown at 0.
+
+    Args:
+        source: read twice or more: the packets' times have to be known before the first is written.
+        target: a seekable binary file, written from where it stands at 0; it stays open.
+        timestamps_seconds: when each picture is shown, strictly increasing; None for the source's own times.
+        frame_indices: which pictures to take, ascending, by the order in which they are shown; None for all.
+        crop_to_even: where the pictures must be encoded and a side is odd, cut off its last line.
+        name: what messages call the source.
+
+    Raises:
+        DataError: the source is damaged.
+        ArrayError: not one time for each picture, or times that do not increase.
+        OptionError: the pictures must be encoded, have an odd size, and may not be cropped.
+        OutputError: the target cannot be written.
+    """
+    called = source_name(source, name)
+    with VideoReader(source, name=called) as reader:
+        chosen = range(reader.count) if frame_indices is None else frame_indices
+        reason = _obstacle(reader, chosen, _MP4_CODECS)
+        if reason is not None:
+            stamps = _stamps_of(reader, chosen) if timestamps_seconds is None else timestamps_seconds
+            pictures = (reader.rgb(index) for index in chosen)
+            result = encode_to_mp4(
+                pictures, target, fps=reader.fps, timestamps_seconds=stamps, crop_to_even=crop_to_even
+            )
+            return RemuxResult(result.pictures, result.codec, copied=False, reason=reason)
+        codec, index = reader.codec, reader.index
+    copy_packets(source, target, "mp4", PacketTimes.of(index, timestamps_seconds), called)
+    return RemuxResult(len(index), codec, copied=True)
+
+
+def copy_to_matroska(
+    source: VideoSource, target: VideoTarget, *, name: str | None = None
+) -> RemuxResult | None:
+    """Put a video into Matroska packet by packet, whatever its codec, at its own times from 0 on.
+
+    Returns:
+        What was written; None, and nothing written, where the packets cannot be copied: their times are unknown
+        or some are not to be shown.
+
+    Raises:
+        DataError: the source is damaged.
+        OutputError: the target cannot be written.
+    """
+    called = source_name(source, name)
+    with VideoReader(source, name=called) as reader:
+        if _obstacle(reader, range(reader.count), frozenset({reader.codec})) is not None:
+            return None
+        codec, index = reader.codec, reader.index
+    copy_packets(source, target, "matroska", PacketTimes.of(index, None), called)
+    return RemuxResult(len(index), codec, copied=True)
+
+
+def encode_to_mp4(
+    pictures: Iterable[UInt8Array],
+    target: VideoTarget,
+    *,
+    fps: float | None = None,
+    timestamps_seconds: Sequence[float] | Float64Array | None = None,
+    crop_to_even: bool = False,
+) -> RemuxResult:
+    """Encode pictures as H.264 in mp4, one at a time; the first is shown at 0.
+
+    Args:
+        pictures: (height, width, 3) uint8 each, red green blue, all of one size.
+        target: a path or a seekable binary file.
+        fps: nominal pictures a second; None for what the times say.
+        timestamps_seconds: when each picture is shown, strictly increasing; None for even steps at `fps`.
+        crop_to_even: cut off the last line of an odd side; else odd sizes are refused.
+
+    Raises:
+        ArrayError: not one time for each picture, or times that do not increase.
+        OptionError: the size is odd.
+        OutputError: there is no picture, or the target cannot be written.
+    """
+    stamps = None if timestamps_seconds is None else np.asarray(timestamps_seconds, np.float64)
+    remaining = iter(pictures)
+    first = next(remaining, None)
+    if first is None:
+        raise OutputError(f"{target_name(target)}: cannot be written: a video needs at least one picture")
+    height, width = first.shape[:2]
+    if crop_to_even:
+        height, width = height - height % 2, width - width % 2
+    with VideoWriter(target, width, height, fps or _mean_rate(stamps), container="mp4") as writer:
+        for rgb, seconds in _with_times(chain([first], remaining), stamps):
+            writer.add(rgb[:height, :width], seconds)
+    return RemuxResult(writer.count, "h264", copied=False)
+
+
+def _obstacle(reader: VideoReader, chosen: Sequence[int], codecs: frozenset[str]) -> str | None:
+    """Why the packets cannot be copied; None where they can."""
+    index = reader.index
+    obstacles = (
+        (reader.codec not in codecs, f"{reader.codec} is not copied into mp4"),
+        (not index.timed, "the source does not say when its pictures are shown"),
+        (index.hidden > 0, "the source holds pictures that are not to be shown"),
+        (not np.array_equal(chosen, np.arange(len(index))), "not all pictures of the source are taken"),
+    )
+    return next((reason for stands, reason in obstacles if stands), None)
+
+
+def _stamps_of(reader: VideoReader, chosen: Sequence[int]) -> Float64Array | None:
+    return reader.timestamps[np.asarray(chosen, np.int64)] if reader.index.timed else None
+
+
+def _mean_rate(stamps: Float64Array | None) -> float:
+    if stamps is None or len(stamps) < 2 or not stamps[-1] > stamps[0]:
+        return _DEFAULT_FPS
+    return (len(stamps) - 1) / float(stamps[-1] - stamps[0])
+
+
+def _with_times(
+    pictures: Iterable[UInt8Array], stamps: Float64Array | None
+) -> Iterator[tuple[UInt8Array, float | None]]:
+    if stamps is None:
+        yield from ((rgb, None) for rgb in pictures)
+        return
+    count = 0
+    for rgb in pictures:
+        if count < len(stamps):
+            yield rgb, float(stamps[count])
+        count += 1
+    check_count(len(stamps), count)

@@ -1,0 +1,257 @@
+"""Encoding pictures into a video file."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Any, BinaryIO, Self, cast
+
+import av
+import numpy as np
+from av.container import OutputContainer
+from av.video.frame import VideoFrame
+from av.video.reformatter import ColorRange, Colorspace, Interpolation, VideoReformatter
+from av.video.stream import VideoStream
+
+from sceneloom.arrays import UInt8Array, check_array
+from sceneloom.errors import ArrayError, OptionError, OutputError
+
+VideoTarget = Path | BinaryIO
+"""A file to be made, or a seekable binary file open for writing, which stays open."""
+
+MICROSECONDS = Fraction(1, 1_000_000)
+_TICKS = MappingProxyType({"matroska": Fraction(1, 1000), "mp4": MICROSECONDS})
+"""Length of one tick in each container; Matroska's is the millisecond that its muxer is bound to."""
+_CONTAINERS = MappingProxyType({".mkv": "matroska", ".mp4": "mp4"})
+
+_TO_YUV = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INP | Interpolation.ACCURATE_RND
+_BT601_MATRIX = 6
+"""AVCOL_SPC_SMPTE170M. Readers that ignore what a stream says of its colours, OpenCV among them, take BT.601."""
+
+_KEY_FRAME_DISTANCE = 30
+"""Pictures from key frame to key frame at most: what a jump to any picture has to decode."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Encoder:
+    """How one codec is set up.
+
+    Attributes:
+        library: FFmpeg's name of the encoder.
+        pixel_format: what it is fed with.
+        options: its settings; `crf` and `threads` are added where it knows them.
+        halves: whether chroma has half the resolution, so that sizes must be even.
+    """
+
+    library: str
+    pixel_format: str
+    options: Mapping[str, str]
+    halves: bool
+
+
+_ENCODERS = MappingProxyType(
+    {
+        # a fixed number of threads, so that the same pictures give the same bytes on every machine
+        "h264": _Encoder("libx264", "yuv420p", {"preset": "fast", "threads": "2"}, halves=True),
+        "ffv1": _Encoder("ffv1", "bgr0", {"level": "3", "slices": "4", "threads": "2"}, halves=False),
+    }
+)
+
+
+@contextmanager
+def writing_faults(name: str) -> Iterator[None]:
+    """Turn what the video library raises while writing into an OutputError."""
+    try:
+        yield
+    except (av.FFmpegError, OSError, ValueError) as error:
+        problem = getattr(error, "strerror", None) or str(error)
+        raise OutputError(f"{name}: cannot be written: {problem}") from error
+
+
+def target_name(target: VideoTarget) -> str:
+    """What messages call the target."""
+    return str(target) if isinstance(target, Path) else str(getattr(target, "name", "video"))
+
+
+def open_container(target: VideoTarget, container: str) -> OutputContainer:
+    """Start a file; the same content gives the same bytes.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    file: Any = f"file:{target}" if isinstance(target, Path) else target
+    with writing_faults(target_name(target)):
+        options = {"fflags": "+bitexact"}
+        return av.open(file, "w", format=container, container_options=options)
+
+
+def container_of(target: VideoTarget, container: str | None) -> str:
+    """The container's name: the given one, else what the file's suffix says, else `mp4`.
+
+    Raises:
+        OptionError: there is no such container.
+    """
+    suffix = target.suffix.lower() if isinstance(target, Path) else ".mp4"
+    chosen = container or _CONTAINERS.get(suffix, suffix)
+    if chosen not in _TICKS:
+        known = ", ".join((*_CONTAINERS, *_TICKS))
+        raise OptionError(f"no video container {container or suffix!r}; there are {known}")
+    return chosen
+
+
+class VideoWriter:
+    """Encodes pictures one by one; a context manager.
+
+    Attributes:
+        count: pictures added so far.
+
+    Raises:
+        OptionError: an odd size for a codec that halves it, or an unknown codec or container.
+        OutputError: the target cannot be written.
+    """
+
+    def __init__(
+        self,
+        target: VideoTarget,
+        width: int,
+        height: int,
+        fps: float,
+        *,
+        codec: str = "h264",
+        crf: int = 18,
+        container: str | None = None,
+    ) -> None:
+        """Start the file.
+
+        Args:
+            target: a path, or a seekable binary file.
+            width, height: size of every picture [px].
+            fps: nominal pictures a second; times of pictures that come without one.
+            codec: "h264", or "ffv1", which loses nothing.
+            crf: quality of h264: 0 loses nothing, 18 nothing that the eye sees, 51 is the worst.
+            container: "matroska" or "mp4"; None for what the path's suffix says.
+        """
+        self._name = target_name(target)
+        self._encoder = _encoder_for(codec, width, height)
+        if not 0 < fps < float("inf"):
+            raise OptionError(f"{fps} pictures a second; expected a positive number")
+        self.width, self.height, self.fps, self.count = width, height, fps, 0
+        kind = container_of(target, container)
+        self._tick = _TICKS[kind]
+        self._output: OutputContainer | None = open_container(target, kind)
+        with writing_faults(self._name):
+            self._stream = self._add_stream(self._output, crf)
+        self._reformatter = VideoReformatter()
+        self._origin_seconds: float | None = None
+        self._last_seconds = 0.0
+        self._last_ticks = -1
+
+    def add(self, rgb: UInt8Array, timestamp_seconds: float | None = None) -> None:
+        """Encode the next picture.
+
+        Args:
+            rgb: (height, width, 3) uint8, red green blue.
+            timestamp_seconds: when it is shown; the first picture's time becomes 0. None for the next at `fps`.
+
+        Raises:
+            ArrayError: the picture has another shape or type, or its time is not after the one before.
+            OutputError: the target cannot be written, or the writer is closed.
+        """
+        check_array(f"picture {self.count}", rgb, (self.height, self.width, 3), np.uint8)
+        if self._output is None:
+            raise OutputError(f"{self._name}: cannot be written: the video is closed")
+        ticks = self._ticks_at(timestamp_seconds)
+        with writing_faults(self._name):
+            frame = self._to_encoder(rgb)
+            frame.pts, frame.time_base = ticks, self._tick
+            frame.duration = round(1 / self.fps / self._tick)
+            self._output.mux(self._stream.encode(frame))
+        self.count += 1
+
+    def close(self) -> None:
+        """Finish the file.
+
+        Raises:
+            OutputError: no picture was added, or the target cannot be written.
+        """
+        output, self._output = self._output, None
+        if output is None:
+            return
+        if self.count == 0:
+            abandon(output)
+            raise OutputError(f"{self._name}: cannot be written: a video needs at least one picture")
+        with writing_faults(self._name):
+            output.mux(self._stream.encode(None))
+            output.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        elif self._output is not None:
+            abandon(self._output)
+            self._output = None
+
+    def _add_stream(self, output: OutputContainer, crf: int) -> VideoStream:
+        options = dict(self._encoder.options)
+        if self._encoder.library == "libx264":
+            options["crf"] = str(crf)
+        rate = Fraction(self.fps).limit_denominator(100_000)
+        stream = cast("VideoStream", output.add_stream(self._encoder.library, rate=rate, options=options))
+        stream.width, stream.height, stream.pix_fmt = self.width, self.height, self._encoder.pixel_format
+        stream.time_base = stream.codec_context.time_base = self._tick
+        stream.codec_context.gop_size = _KEY_FRAME_DISTANCE
+        if self._encoder.pixel_format.startswith("yuv"):
+            stream.codec_context.colorspace = _BT601_MATRIX
+            stream.codec_context.color_range = ColorRange.MPEG
+        return stream
+
+    def _to_encoder(self, rgb: UInt8Array) -> VideoFrame:
+        return self._reformatter.reformat(
+            VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24"),
+            format=self._encoder.pixel_format,
+            dst_colorspace=Colorspace.ITU601,
+            dst_color_range=ColorRange.MPEG,
+            interpolation=_TO_YUV,
+            threads=1,
+        )
+
+    def _ticks_at(self, timestamp_seconds: float | None) -> int:
+        seconds = self.count / self.fps if timestamp_seconds is None else timestamp_seconds
+        if self._origin_seconds is None:
+            self._origin_seconds = self._last_seconds = seconds
+        elif not seconds > self._last_seconds:
+            problem = f"its time {seconds} s is not after {self._last_seconds} s, that of the picture before"
+            raise ArrayError(f"picture {self.count}: {problem}")
+        self._last_seconds = seconds
+        # pictures closer than one tick keep their order
+        ticks = max(round(Fraction(seconds - self._origin_seconds) / self._tick), self._last_ticks + 1)
+        self._last_ticks = ticks
+        return ticks
+
+
+def _encoder_for(codec: str, width: int, height: int) -> _Encoder:
+    encoder = _ENCODERS.get(codec)
+    if encoder is None:
+        raise OptionError(f"no video codec {codec!r}; there are {', '.join(_ENCODERS)}")
+    if width <= 0 or height <= 0:
+        raise OptionError(f"picture size {width}x{height}; expected positive numbers of pixels")
+    if encoder.halves and (width % 2 or height % 2):
+        even = f"{width - width % 2}x{height - height % 2}"
+        raise OptionError(
+            f"{codec} cannot hold pictures of {width}x{height}, it needs even sizes; cut them to {even}, "
+            "or keep them as PNG pictures"
+        )
+    return encoder
+
+
+def abandon(output: OutputContainer) -> None:
+    """Close a file that will not be kept."""
+    with suppress(av.FFmpegError, OSError, ValueError):
+        output.close()

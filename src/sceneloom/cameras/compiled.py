@@ -35,8 +35,8 @@ PICTURE_SIGNATURE = int64(
 ROWS_SIGNATURE = void(_READ_ONLY_ROWS, _READ_ONLY_NUMBERS, float64[:, ::1])
 
 # Of the fast mathematics only fused multiply-add: the others would let a NaN slip through the tests.
-INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
-KERNEL: dict[str, Any] = {**INLINE, "cache": True}
+INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "inline": "always"}
+KERNEL: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "cache": True}
 
 MINIMUM_DEPTH = 1e-6
 """Perspective models see only what lies at least so far in front of the camera [m]."""

@@ -11,6 +11,7 @@ from sceneloom.arrays import Float64Array
 _DIRECTIONS = 72
 _STEPS = 200
 _ROUNDS = 3
+_VANISHED = 1e-30
 _WIDEST = math.radians(89.9)
 
 Slopes = Callable[[Float64Array, Float64Array], tuple[Float64Array, ...]]
@@ -23,9 +24,11 @@ def first_positive_root(polynomial: ArrayLike) -> float:
     Args:
         polynomial: coefficients, the highest power first.
     """
-    roots = np.roots(np.asarray(polynomial, np.float64))
-    # A double root, where a slope touches zero without crossing it, comes out with a tiny imaginary part.
-    real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots.real)]
+    coefficients = np.asarray(polynomial, np.float64)
+    # Nearly vanished ones have no root within reach, but would overflow the division by the leading one.
+    kept = np.where(np.abs(coefficients) < _VANISHED * np.abs(coefficients).max(), 0.0, coefficients)
+    roots = np.roots(kept)
+    real = roots.real[roots.imag == 0]
     return float(real[real > 0].min(initial=math.inf))
 
 

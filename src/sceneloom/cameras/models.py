@@ -33,6 +33,8 @@ MODELS: Mapping[str, Model] = MappingProxyType(
 )
 """Name of each model, its module (imported on first use, since it loads the compiler), its coefficients."""
 
+_LARGEST_COEFFICIENT = 1e12
+
 ProjectionKernel = Callable[
     [Float64Array, Float64Array, Float64Array, int, int, Int64Array, Float32Array, Float32Array], int
 ]
@@ -58,7 +60,7 @@ def _module(name: str) -> ModelModule:
 
 
 def check_camera(camera: Camera) -> None:
-    """Check that the table knows the camera's model, and that its coefficients are not too many.
+    """Check that the table knows the camera's model, and that its coefficients are not too many or too large.
 
     Raises:
         CalibrationError: naming the known models, or the coefficients that the model has.
@@ -68,6 +70,10 @@ def check_camera(camera: Camera) -> None:
         raise CalibrationError(
             f"{len(camera.coefficients)} distortion coefficients; "
             f"{camera.model} has {len(names)}{': ' if names else ''}{' '.join(names)}"
+        )
+    if any(abs(value) > _LARGEST_COEFFICIENT for value in camera.coefficients):
+        raise CalibrationError(
+            f"distortion coefficients {camera.coefficients}; expected no more than {_LARGEST_COEFFICIENT:g}"
         )
 
 

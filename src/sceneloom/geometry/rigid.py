@@ -7,7 +7,9 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray, check_array, read_only
 from sceneloom.errors import CalibrationError
-from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix
+from sceneloom.geometry.rotations import matrix_from_quaternion, nearest_rotation, quaternion_from_matrix
+
+_LAST_ROW_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +49,25 @@ class RigidTransform:
         """Build from a (3,) position [m] and a (4,) scalar-last quaternion, normalised here."""
         return cls(matrix_from_quaternion(quaternion_xyzw), np.asarray(position, np.float64))
 
+    @classmethod
+    def nearest(cls, matrix: FloatArray) -> tuple[Self, float]:
+        """Build from a (4, 4) or (3, 4) matrix of a file, whose rotation may be rounded.
+
+        Returns:
+            The transform with the closest proper rotation, and how far the given one is from it: max abs of
+            R Rᵀ - I, infinite for a mirrored one. The caller judges that number.
+
+        Raises:
+            CalibrationError: shape, a value that is not finite, or a last row that is not 0 0 0 1.
+        """
+        m = np.asarray(matrix, np.float64)
+        if m.shape not in {(4, 4), (3, 4)} or not np.isfinite(m).all():
+            raise CalibrationError(f"matrix {m.tolist()}; expected 4x4 or 3x4 finite numbers")
+        if m.shape == (4, 4) and np.abs(m[3] - (0.0, 0.0, 0.0, 1.0)).max() > _LAST_ROW_TOLERANCE:
+            raise CalibrationError(f"matrix with the last row {m[3].tolist()}; expected 0 0 0 1")
+        rotation, error = nearest_rotation(m[:3, :3])
+        return cls(rotation, m[:3, 3].copy()), error
+
     @property
     def quaternion_xyzw(self) -> Float64Array:
         """The rotation as a unit quaternion, scalar last, w >= 0."""
@@ -72,3 +93,8 @@ class RigidTransform:
     def apply(self, points: FloatArray) -> Float64Array:
         """Take (..., 3) points [m] of frame b into frame a."""
         return np.asarray(points, np.float64) @ self.rotation.T + self.translation
+
+    def rotate(self, vectors: FloatArray) -> Float64Array:
+        """Take (..., 3) directions or velocities of frame b into frame a, which moves nothing."""
+        rotated: Float64Array = np.asarray(vectors, np.float64) @ self.rotation.T
+        return rotated

@@ -1,0 +1,94 @@
+"""Roll, pitch and yaw of cuboids: rotations about x, y and z, in either unit and any order of the product."""
+
+from enum import StrEnum
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import Float64Array
+from sceneloom.errors import OptionError
+
+ORDERS = tuple("".join(order) for order in permutations("xyz"))
+"""Orders of the product: "xyz" is Rx(roll) Ry(pitch) Rz(yaw), "zyx" is Rz(yaw) Ry(pitch) Rx(roll), …"""
+
+
+class AngleUnit(StrEnum):
+    """What the angles of a file are counted in."""
+
+    DEGREES = "degrees"
+    RADIANS = "radians"
+
+
+def rotation_from_cuboid_angles(
+    angles_rpy: ArrayLike, *, unit: AngleUnit | str = AngleUnit.DEGREES, order: str = "xyz"
+) -> Float64Array:
+    """Give the orientation of cuboids.
+
+    Args:
+        angles_rpy: (..., 3) roll about x, pitch about y and yaw about z, whatever the order.
+        unit: what they are counted in.
+        order: one of `ORDERS`; the matrices are multiplied in this order.
+
+    Returns:
+        (..., 3, 3) float64 rotation matrices.
+
+    Raises:
+        OptionError: the unit or the order is none of those known.
+
+    Source: "Cuboid Annotation" of the SFS description leaves unit and order open; the defaults are those of
+        the only public writer.
+    """
+    i, j, k, _ = _axes(order)
+    angles = np.asarray(angles_rpy, np.float64) * _radians_per(unit)
+    return _turn(i, angles[..., i]) @ _turn(j, angles[..., j]) @ _turn(k, angles[..., k])
+
+
+def cuboid_angles_from_rotation(
+    rotation: ArrayLike, *, unit: AngleUnit | str = AngleUnit.DEGREES, order: str = "xyz"
+) -> Float64Array:
+    """Give (..., 3) roll, pitch and yaw of (..., 3, 3) rotation matrices.
+
+    The angle about the middle axis lies within a quarter turn, the others within half a turn, of zero.
+    Where the middle one is a quarter turn, only the sum or difference of the others is determined.
+
+    Raises:
+        OptionError: the unit or the order is none of those known.
+
+    Source: Shuster 1993, "A Survey of Attitude Representations", section on Euler angles. The last angle is
+        read off after the first rotation is undone, which loses no digits near a quarter turn.
+    """
+    i, j, k, sign = _axes(order)
+    m = np.asarray(rotation, np.float64)
+    angles = np.empty(m.shape[:-1])
+    first = np.arctan2(-sign * m[..., j, k], m[..., k, k])
+    undone = np.cos(first)[..., None] * m[..., j, :] + sign * np.sin(first)[..., None] * m[..., k, :]
+    angles[..., i] = first
+    angles[..., j] = np.arctan2(sign * m[..., i, k], np.hypot(m[..., i, i], m[..., i, j]))
+    angles[..., k] = np.arctan2(sign * undone[..., i], undone[..., j])
+    return angles / _radians_per(unit)
+
+
+def _axes(order: str) -> tuple[int, int, int, float]:
+    """The axes of an order, and whether they follow each other as x, y, z do (1) or the other way (-1)."""
+    if order not in ORDERS:
+        raise OptionError(f"order of angles {order!r}; expected one of {', '.join(ORDERS)}")
+    i, j, k = ("xyz".index(axis) for axis in order)
+    return i, j, k, 1.0 if (j - i) % 3 == 1 else -1.0
+
+
+def _radians_per(unit: AngleUnit | str) -> float:
+    if unit not in tuple(AngleUnit):
+        raise OptionError(f"unit of angles {str(unit)!r}; expected one of {', '.join(AngleUnit)}")
+    return float(np.pi / 180.0) if unit == AngleUnit.DEGREES else 1.0
+
+
+def _turn(axis: int, angle: Float64Array) -> Float64Array:
+    """Rotation matrices about one axis."""
+    after, last = (axis + 1) % 3, (axis + 2) % 3
+    turn = np.zeros((*np.shape(angle), 3, 3))
+    turn[..., axis, axis] = 1.0
+    turn[..., after, after] = turn[..., last, last] = np.cos(angle)
+    turn[..., last, after] = np.sin(angle)
+    turn[..., after, last] = -np.sin(angle)
+    return turn

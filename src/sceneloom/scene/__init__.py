@@ -14,6 +14,7 @@ from sceneloom.scene.clouds import (
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.plain import PlainSensor
 from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
@@ -36,6 +37,7 @@ __all__ = [
     "OdometrySensor",
     "Picture",
     "PlainAnnotation",
+    "PlainSensor",
     "PointsFrame",
     "PointsSensor",
     "PosePath",

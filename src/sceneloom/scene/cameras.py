@@ -24,6 +24,7 @@ class Picture:
         decode: makes the picture, (height, width, 3) uint8 red green blue; called anew each time.
         mount: `ego_from_camera` where this picture has a mounting of its own, else None.
         extras: further fields of the file, by name.
+        encoded: gives the JPEG file that the picture is decoded from, for those who copy it; None where there is none.
     """
 
     timestamp_ns: int
@@ -31,6 +32,7 @@ class Picture:
     decode: Callable[[], UInt8Array]
     mount: RigidTransform | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+    encoded: Callable[[], bytes] | None = None
 
     @classmethod
     def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "Picture":

@@ -11,10 +11,20 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.notices import Notice
+from sceneloom.scene.plain import PlainSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
-Sensor = LidarSensor | RadarSensor | PointsSensor | CameraSensor | OdometrySensor | ImuSensor | GnssSensor
+Sensor = (
+    LidarSensor
+    | RadarSensor
+    | PointsSensor
+    | CameraSensor
+    | OdometrySensor
+    | ImuSensor
+    | GnssSensor
+    | PlainSensor
+)
 
 
 def _nothing() -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, cast
@@ -39,12 +38,16 @@ class Format(Protocol):
         ...
 
 
+def _entry_points() -> list[Any]:
+    """The formats that other packages add; what finds them is slow to import, so not before it is needed."""
+    from importlib.metadata import entry_points
+
+    return [point for point in entry_points(group="sceneloom.formats") if point.name not in FORMATS]
+
+
 def format_names() -> list[str]:
     """Names of all formats, ours first, then those that other packages add."""
-    return [
-        *FORMATS,
-        *(point.name for point in entry_points(group="sceneloom.formats") if point.name not in FORMATS),
-    ]
+    return [*FORMATS, *(point.name for point in _entry_points())]
 
 
 def format_named(name: str) -> Format:
@@ -56,7 +59,7 @@ def format_named(name: str) -> Format:
     if name in FORMATS:
         module, attribute = FORMATS[name].split(":")
         return cast("Format", getattr(import_module(module), attribute))
-    for point in entry_points(group="sceneloom.formats"):
+    for point in _entry_points():
         if point.name == name:
             return cast("Format", point.load())
     raise OptionError(f"no format {name!r}; there are {', '.join(format_names())}")

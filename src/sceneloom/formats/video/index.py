@@ -15,6 +15,8 @@ from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_fault
 _ASSUMED_RATE = Fraction(25)
 """Pictures a second where neither packets nor container name any time; only `timestamps` depend on it."""
 
+_UNTIMED = frozenset({"avi", "h264", "hevc"})
+"""Containers that say nothing of when a picture is shown."""
 
 _REORDERS = 1 << 3
 """Source: AV_CODEC_PROP_REORDER of libavcodec/codec_desc.h."""
@@ -65,6 +67,12 @@ class _Packets:
     hidden: int
 
 
+def _lacks_presentation_times(opened: OpenVideo) -> bool:
+    """Whether the presentation times of the packets are guesses: the container has none, and they are needed."""
+    decoder = opened.stream.codec_context
+    return opened.container.format.name in _UNTIMED and codec_reorders(opened.stream) and decoder.has_b_frames
+
+
 def codec_reorders(stream: VideoStream) -> bool:
     """Whether pictures of this codec may be shown in another order than they are stored in."""
     return bool(stream.codec_context.codec.properties & _REORDERS)
@@ -94,7 +102,7 @@ def read_index(source: VideoSource, name: str) -> VideoIndex:
 
 
 def _walk(opened: OpenVideo, name: str) -> _Packets:
-    reorders = codec_reorders(opened.stream)
+    reorders, guessed = codec_reorders(opened.stream), _lacks_presentation_times(opened)
     ticks: list[int | None] = []
     keys: list[bool] = []
     hidden = 0
@@ -104,7 +112,7 @@ def _walk(opened: OpenVideo, name: str) -> _Packets:
         if packet.is_discard:
             hidden += 1
         elif packet.size:
-            ticks.append(presentation_ticks(packet, reorders=reorders))
+            ticks.append(None if guessed else presentation_ticks(packet, reorders=reorders))
             keys.append(packet.is_keyframe)
     declared = opened.stream.frames if "mp4" in opened.container.format.name else 0
     if len(ticks) + hidden < declared:

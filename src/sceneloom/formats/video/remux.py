@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from sceneloom.arrays import Float64Array, UInt8Array
-from sceneloom.errors import OutputError
+from sceneloom.errors import DataError, OutputError
 from sceneloom.formats.video.packet_copy import PacketTimes, check_count, copy_packets
 from sceneloom.formats.video.reader import VideoReader
 from sceneloom.formats.video.source import VideoSource, source_name
@@ -138,6 +138,8 @@ def encode_to_mp4(
 def _obstacle(reader: VideoReader, chosen: Sequence[int], codecs: frozenset[str]) -> str | None:
     """Why the packets cannot be copied; None where they can."""
     index = reader.index
+    if len(index) == 0:
+        raise DataError(reader.name, "", "holds no pictures")
     obstacles = (
         (reader.codec not in codecs, f"{reader.codec} is not copied into mp4"),
         (not index.timed, "the source does not say when its pictures are shown"),

@@ -55,7 +55,12 @@ _ENCODERS = MappingProxyType(
     {
         # a fixed number of threads, so that the same pictures give the same bytes on every machine
         "h264": _Encoder("libx264", "yuv420p", {"preset": "fast", "threads": "2"}, halves=True),
-        "ffv1": _Encoder("ffv1", "bgr0", {"level": "3", "slices": "4", "threads": "2"}, halves=False),
+        "ffv1": _Encoder(
+            "ffv1",
+            "bgr0",
+            {"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "threads": "2"},
+            halves=False,
+        ),
     }
 )
 

@@ -18,8 +18,8 @@ def convert(
     source: Path,
     target: Path,
     overwrite: bool,
-    profile: str,
-    time_unit: str,
+    profile: str | None,
+    time_unit: str | None,
     lenient: bool,
     points_frame: str | None,
     as_json: bool,
@@ -33,9 +33,8 @@ def convert(
         source,
         target,
         overwrite=overwrite,
-        profile=profile,
-        time_unit=time_unit,
-        reading=options.reading_options(lenient=lenient, points_frame=points_frame),
+        **options.said(profile=profile, time_unit=time_unit),
+        reading=options.said(lenient=lenient, points_frame=points_frame),
     )
     if as_json:
         print_json(report)

@@ -48,8 +48,8 @@ def fuse(
     start: float | None,
     stop: float | None,
     overwrite: bool,
-    profile: str,
-    time_unit: str,
+    profile: str | None,
+    time_unit: str | None,
     lenient: bool,
     points_frame: str | None,
     as_json: bool,
@@ -69,12 +69,11 @@ def fuse(
         depth_form=depth_form,
         pictures=pictures,
         pictures_every=pictures_every,
-        profile=profile,
-        time_unit=time_unit,
+        **options.said(profile=profile, time_unit=time_unit),
         overwrite=overwrite,
     )
     with (
-        open_scene(path, **options.reading_options(lenient=lenient, points_frame=points_frame)) as scene,
+        open_scene(path, **options.said(lenient=lenient, points_frame=points_frame)) as scene,
         progress_bar("fusing", quiet=quiet) as progress,
     ):
         report = fuse_scene(

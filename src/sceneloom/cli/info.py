@@ -20,7 +20,7 @@ def info(
     from sceneloom.formats import open_scene, size_on_disk
     from sceneloom.scene.summary import summarise
 
-    with open_scene(path, **options.reading_options(lenient=lenient, points_frame=points_frame)) as scene:
+    with open_scene(path, **options.said(lenient=lenient, points_frame=points_frame)) as scene:
         summary = summarise(scene, size_bytes=size_on_disk(path))
     if as_json:
         print_json(summary)

@@ -35,22 +35,17 @@ writing_scenes = _stacked(
     click.option(
         "--profile",
         type=click.Choice(["sfs", "scale"]),
-        default="sfs",
-        show_default=True,
-        help="`scale`: a scene file that Scale's own library loads and validates.",
+        help="`scale`: a scene file that Scale's own library loads and validates. [default: sfs]",
     ),
     click.option(
         "--time-unit",
         type=click.Choice(["microseconds", "nanoseconds"]),
-        default="microseconds",
-        show_default=True,
-        help="Unit of all times in a scene file.",
+        help="Unit of all times in a scene file. [default: microseconds]",
     ),
 )
 """On every verb that writes `.sfs`."""
 
 
-def reading_options(*, lenient: bool, points_frame: str | None) -> dict[str, Any]:
-    """The options of `sceneloom.open` that were said."""
-    said = {"lenient": lenient or None, "points_frame": points_frame}
-    return {name: value for name, value in said.items() if value is not None}
+def said(**values: Any) -> dict[str, Any]:
+    """The options that the user said; the others are left to the library's defaults."""
+    return {name: value for name, value in values.items() if value not in {None, False}}

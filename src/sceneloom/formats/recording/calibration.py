@@ -1,0 +1,171 @@
+"""`calibration.json`: the entries of cameras and lidars, checked one by one, their text kept."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.recording.lenses import CameraParameters
+from sceneloom.formats.recording.line_shapes import SensorIndex
+from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import NoticeKind
+
+CALIBRATION_FILE = "calibration.json"
+
+
+class CameraEntry(CameraParameters, frozen=True):
+    """One of `cameras`, as far as it is used here; the text of the format calls the matrix `imuToCameraMatrix`."""
+
+    imuToCamera: MatrixNumbers | None = None  # noqa: N815 - the format's own word
+    imuToCameraMatrix: MatrixNumbers | None = None  # noqa: N815 - the format's own word
+    imuToCameraShiftSeconds: float | None = None  # noqa: N815 - the format's own word
+
+
+class LidarEntry(msgspec.Struct, frozen=True):
+    """One of `lidars`, as far as it is used here."""
+
+    lidarInd: SensorIndex | None = None  # noqa: N815 - as `cameraInd`; our extension for several lidars
+    imuToLidar: MatrixNumbers | None = None  # noqa: N815 - the format's own word
+    imuToLidarMatrix: MatrixNumbers | None = None  # noqa: N815 - as the cameras' word
+
+
+Entry = TypeVar("Entry", CameraEntry, LidarEntry)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibration:
+    """A camera of the calibration.
+
+    Attributes:
+        place: file and path of the entry, for messages.
+        parameters: the lens.
+        camera_from_imu: the mounting, or None where the entry has none.
+        entry: all of the entry, as the file has it.
+    """
+
+    place: str
+    parameters: CameraParameters
+    camera_from_imu: RigidTransform | None = None
+    entry: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarCalibration:
+    """A lidar of the calibration; `lidar_from_imu` is None where the entry has no mounting."""
+
+    place: str
+    lidar_from_imu: RigidTransform | None = None
+    entry: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A whole calibration; empty where the recording has none.
+
+    Attributes:
+        path: where the file is, or would be.
+        cameras: by `cameraInd`, which is the place in the list.
+        lidars: by `lidarInd`.
+        content: all of the file.
+    """
+
+    path: Path
+    cameras: Mapping[int, CameraCalibration] = field(default_factory=dict)
+    lidars: Mapping[int, LidarCalibration] = field(default_factory=dict)
+    content: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_calibration(folder: Path, ledger: Ledger) -> Calibration:
+    """Read the calibration of a recording; one without the file has an empty one.
+
+    Raises:
+        DataError: the file cannot be read, is no JSON object, or an entry has a value of the wrong type.
+        CalibrationError: a mounting is not rigid.
+    """
+    path = folder / CALIBRATION_FILE
+    if not path.exists():
+        return Calibration(path)
+    content = _read_object(path)
+    cameras = dict(_cameras(path, content, ledger))
+    lidars: dict[int, LidarCalibration] = {}
+    for index, lidar in _lidars(path, content, ledger):
+        if index in lidars:
+            ledger.fault("repeated-lidars", DataError(path, lidar.place, f"lidarInd {index} is used twice"))
+            continue
+        lidars[index] = lidar
+    return Calibration(path, cameras, lidars, content)
+
+
+def _read_object(path: Path) -> Mapping[str, Any]:
+    try:
+        text = path.read_bytes()
+        content = msgspec.json.decode(text)
+    except OSError as error:
+        raise DataError(path, "", f"cannot be read: {error.strerror}") from error
+    except DECODER_FAULTS as error:
+        raise DataError(path, "", json_problem(error, text)) from error
+    if not isinstance(content, dict):
+        raise DataError(path, "", f"a JSON {type(content).__name__}; expected an object with `cameras`")
+    return content
+
+
+def _cameras(
+    path: Path, content: Mapping[str, Any], ledger: Ledger
+) -> Iterator[tuple[int, CameraCalibration]]:
+    for index, item in enumerate(_entries(path, content, "cameras")):
+        name = f"cameras[{index}]"
+        try:
+            entry = _convert(path, name, item, CameraEntry)
+            mount = entry.imuToCamera if entry.imuToCamera is not None else entry.imuToCameraMatrix
+            place = f"{path}: {name}"
+            camera_from_imu = (
+                None if mount is None else rigid_transform(mount, f"{place}.imuToCamera", ledger)
+            )
+        except (DataError, CalibrationError) as error:
+            ledger.fault("unusable-calibrations", error)
+            continue
+        if entry.imuToCameraShiftSeconds:
+            _note_shift(place, entry.imuToCameraShiftSeconds, ledger)
+        yield index, CameraCalibration(place, entry, camera_from_imu, item)
+
+
+def _lidars(path: Path, content: Mapping[str, Any], ledger: Ledger) -> Iterator[tuple[int, LidarCalibration]]:
+    for index, item in enumerate(_entries(path, content, "lidars")):
+        name = f"lidars[{index}]"
+        try:
+            entry = _convert(path, name, item, LidarEntry)
+            mount = entry.imuToLidar if entry.imuToLidar is not None else entry.imuToLidarMatrix
+            place = f"{path}: {name}"
+            lidar_from_imu = None if mount is None else rigid_transform(mount, f"{place}.imuToLidar", ledger)
+        except (DataError, CalibrationError) as error:
+            ledger.fault("unusable-calibrations", error)
+            continue
+        number = index if entry.lidarInd is None else entry.lidarInd
+        yield number, LidarCalibration(place, lidar_from_imu, item)
+
+
+def _entries(path: Path, content: Mapping[str, Any], name: str) -> list[Any]:
+    entries = content.get(name)
+    if entries is None:
+        return []
+    if not isinstance(entries, list):
+        raise DataError(path, name, f"{type(entries).__name__}; expected a list of objects")
+    return entries
+
+
+def _convert(path: Path, place: str, item: object, shape: type[Entry]) -> Entry:
+    try:
+        return msgspec.convert(item, shape)
+    except DECODER_FAULTS as error:
+        raise DataError(path, place, json_problem(error, msgspec.json.encode(item))) from error
+
+
+def _note_shift(place: str, shift: float, ledger: Ledger) -> None:
+    message = f"imuToCameraShiftSeconds {shift} is not applied: frame times are taken to be on the recording's clock"
+    ledger.note(NoticeKind.ASSUMED, "camera-shift-not-applied", place, message)

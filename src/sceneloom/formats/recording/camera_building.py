@@ -1,0 +1,215 @@
+"""The cameras of a recording: lens, mounting, pictures and poses brought together."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import BinaryIO
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.recording.calibration import Calibration, CameraCalibration
+from sceneloom.formats.recording.columns import CameraColumns, FrameColumns
+from sceneloom.formats.recording.frame_parameters import read_mount, read_parameters, read_texts
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.recording.lenses import lens
+from sceneloom.formats.recording.picture_files import (
+    PictureFiles,
+    choose_pictures,
+    expected_names,
+    find_pictures,
+    open_pictures,
+)
+from sceneloom.formats.recording.picture_table import PictureTable, build_table
+from sceneloom.formats.recording.trajectories import poses_along
+from sceneloom.formats.video import VideoReader
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraSensor, LazyFrames, NoticeKind, PosePath, VideoContent
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraSources:
+    """What the cameras of a recording are built from.
+
+    Attributes:
+        folder: the recording.
+        data_path: `data.jsonl`.
+        calibration: all of `calibration.json`.
+        frames: the `frames` lines.
+        ego_path: `world_from_ego` of the default trajectory, or None.
+        ledger: takes notices and faults.
+        open_files: closes the files of the cameras that were built.
+    """
+
+    folder: Path
+    data_path: Path
+    calibration: Calibration
+    frames: FrameColumns
+    ego_path: PosePath | None
+    ledger: Ledger
+    open_files: ExitStack
+
+
+def build_cameras(sources: CameraSources) -> list[CameraSensor]:
+    """Build every camera that the calibration or a line names.
+
+    Raises:
+        DataError: pictures are missing, unreadable, or not as many as the lines say; or there is no calibration.
+        CalibrationError: a lens or a mounting is unusable.
+    """
+    cameras: list[CameraSensor] = []
+    for index in sorted({*sources.calibration.cameras, *sources.frames.cameras}):
+        try:
+            cameras.extend(_build(sources, index))
+        except (DataError, CalibrationError) as error:
+            sources.ledger.fault("unusable-cameras", error)
+    return cameras
+
+
+def _build(sources: CameraSources, index: int) -> list[CameraSensor]:
+    """Build one camera; none where neither calibration nor pictures tell the picture's size, and no line needs it."""
+    columns = sources.frames.cameras.get(index, CameraColumns())
+    calibration = sources.calibration.cameras.get(index) or _calibration_of_lines(sources, index, columns)
+    files, indices = _match_pictures(sources, index, columns)
+    if files is None and not columns.rows and calibration.parameters.imageWidth is None:
+        message = "has no picture size, and there are no pictures of it; the camera was left out"
+        sources.ledger.note(NoticeKind.SKIPPED, "cameras-without-size", calibration.place, message)
+        return []
+    camera = _fitted_lens(sources, calibration, files)
+    read_lens = _lens_reader(sources, calibration, camera)
+    reading_mount = partial(read_mount, path=sources.data_path, ledger=sources.ledger)
+    lenses = read_texts(sources.frames, columns.rows, columns.parameters, read_lens, sources.ledger)
+    mounts = read_texts(sources.frames, columns.rows, columns.mounts, reading_mount, sources.ledger)
+    table = build_table(index, camera, sources.frames, indices, lenses, mounts, sources.data_path)
+    return [_sensor(sources, table, calibration, files)]
+
+
+def _calibration_of_lines(sources: CameraSources, index: int, columns: CameraColumns) -> CameraCalibration:
+    """Take the lens of a camera's first line for a camera that the calibration does not have."""
+    line = sources.frames.lines[columns.rows[0]]
+    if columns.parameters[0] < 0:
+        path = sources.calibration.path
+        place = f"cameras[{index}]" if path.exists() else ""
+        problem = (
+            f"missing, while {sources.data_path.name} has frames of camera {index} (line {line}); write its entry "
+            "in `cameras` (model, focalLengthX, focalLengthY, principalPointX, principalPointY, imuToCamera), "
+            "or give `cameraParameters` in every line"
+        )
+        raise DataError(path, place, problem)
+    text = list(sources.frames.texts)[columns.parameters[0]]
+    parameters = read_parameters(text, line, path=sources.data_path)
+    return CameraCalibration(f"{sources.data_path}: line {line}: frames[].cameraParameters", parameters)
+
+
+def _match_pictures(
+    sources: CameraSources, index: int, columns: CameraColumns
+) -> tuple[PictureFiles | None, Int64Array]:
+    """Open a camera's pictures, and find the one that each of its entries means, -1 for none."""
+    ledger, rows = sources.ledger, np.asarray(columns.rows, np.int64)
+    none = np.full(len(rows), -1, np.int64)
+    path = find_pictures(sources.folder, index, ledger)
+    if path is None:
+        if len(rows):
+            problem = f"no pictures of camera {index}, while data.jsonl has {len(rows)} frames of it"
+            expected = expected_names(index)
+            ledger.fault("missing-videos", DataError(sources.folder, "", f"{problem}; expected {expected}"))
+        return None, none
+    try:
+        files = open_pictures(path)
+        sources.open_files.callback(files.close)
+        choice = choose_pictures(np.asarray(sources.frames.numbers, np.int64), files.count)
+    except DataError as error:
+        ledger.fault("unreadable-videos", error)
+        return None, none
+    if choice.problem is not None:
+        left_out = int((choice.indices[rows] < 0).sum())
+        ledger.fault("unmatched-pictures", DataError(path, "", choice.problem), count=max(left_out, 1))
+    if choice.by_line:
+        message = "frame numbers have gaps, while pictures and lines are equally many; they were counted line by line"
+        ledger.note(NoticeKind.REPAIRED, "frame-numbers-not-used", str(path), message)
+    return files, choice.indices[rows]
+
+
+def _size(files: PictureFiles | None) -> tuple[int, int] | None:
+    return None if files is None else (files.width, files.height)
+
+
+def _fitted_lens(
+    sources: CameraSources, calibration: CameraCalibration, files: PictureFiles | None
+) -> Camera:
+    """Give the lens for the pictures as they are, with a notice where the calibration is for another size."""
+    calibrated = lens(calibration.parameters, _size(files), calibration.place)
+    width, height = _size(files) or (calibrated.width, calibrated.height)
+    if (width, height) == (calibrated.width, calibrated.height):
+        return calibrated
+    sizes = f"{calibrated.width}x{calibrated.height}, pictures are {width}x{height}"
+    message = f"calibrated for {sizes}; the lens was scaled"
+    sources.ledger.note(NoticeKind.REPAIRED, "lens-scaled", calibration.place, message)
+    return calibrated.resized(width, height)
+
+
+def _lens_reader(
+    sources: CameraSources, calibration: CameraCalibration, camera: Camera
+) -> Callable[[bytes, int], Camera]:
+    """Give the function that reads a line's own `cameraParameters` over those of the calibration."""
+
+    def read(text: bytes, line: int) -> Camera:
+        parameters = read_parameters(text, line, path=sources.data_path).over(calibration.parameters)
+        place = f"{sources.data_path}: line {line}: frames[].cameraParameters"
+        return lens(parameters, (camera.width, camera.height), place).resized(camera.width, camera.height)
+
+    return read
+
+
+def _sensor(
+    sources: CameraSources, table: PictureTable, calibration: CameraCalibration, files: PictureFiles | None
+) -> CameraSensor:
+    ego_from_camera = _own_mount(sources, table, calibration)
+    mounts = table.mounts if ego_from_camera is None else {table.OWN: ego_from_camera, **table.mounts}
+    if table.missing:
+        message = f"frames of camera {table.camera_index} say `missingBitmap`; they have no picture"
+        place = str(sources.data_path)
+        sources.ledger.note(NoticeKind.SKIPPED, "missing-bitmaps", place, message, count=table.missing)
+    return CameraSensor(
+        id=f"camera{table.camera_index}",
+        camera=table.camera,
+        pictures=LazyFrames(table.timestamps_ns, partial(table.picture, files=files)),
+        poses=poses_along(sources.ego_path, mounts, table.mount_texts, table.timestamps_ns),
+        mount=ego_from_camera,
+        video=_video(files, table.indices),
+        fps=None if files is None else files.fps,
+        extras=MappingProxyType({"calibration": calibration.entry} if calibration.entry else {}),
+    )
+
+
+def _own_mount(
+    sources: CameraSources, table: PictureTable, calibration: CameraCalibration
+) -> RigidTransform | None:
+    """The mounting of the calibration, else the first that a line brings along."""
+    if calibration.camera_from_imu is not None:
+        return calibration.camera_from_imu.inverse()
+    first = next(iter(table.mounts.values()), None)
+    if first is None:
+        message = "imuToCamera is missing, so it is not known where the camera is on the vehicle"
+        sources.ledger.note(NoticeKind.SKIPPED, "mounts-missing", calibration.place, message)
+    return first
+
+
+def _video(files: PictureFiles | None, indices: Int64Array) -> VideoContent | None:
+    if not isinstance(files, VideoReader):
+        return None
+    all_in_order = np.array_equal(indices, np.arange(files.count))
+    return VideoContent(
+        open=partial(_open_binary, Path(files.name)),
+        codec=files.codec,
+        frame_indices=None if all_in_order else tuple(indices.tolist()),
+    )
+
+
+def _open_binary(path: Path) -> BinaryIO:
+    return path.open("rb")

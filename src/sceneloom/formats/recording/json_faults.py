@@ -1,0 +1,51 @@
+"""From what the JSON decoder complains about to messages that name place, value and what was expected."""
+
+import re
+from typing import Any
+
+import msgspec
+
+DECODER_FAULTS = (msgspec.MsgspecError, ValueError, RecursionError)
+"""What decoding of bytes that nobody checked may raise."""
+
+_PATH = re.compile(r"(?P<what>.*) - at `\$(?P<path>.*)`", re.DOTALL)
+_STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
+_LONGEST_QUOTE = 60
+
+
+def json_problem(error: Exception, text: bytes, *, prefix: str = "") -> str:
+    """Describe why a text is not the JSON that was expected.
+
+    Args:
+        error: what the decoder raised.
+        text: what it was given.
+        prefix: path of the text inside the data.
+
+    Returns:
+        `path: value: what was expected` where the text is JSON of another shape, else the beginning of the text.
+    """
+    if isinstance(error, RecursionError):
+        return f"{quote(text)}: nested too deeply"
+    if not isinstance(error, msgspec.ValidationError):
+        return f"{quote(text)}: not a JSON object: {error}; NaN and Infinity are no JSON numbers"
+    match = _PATH.fullmatch(str(error))
+    what, path = (match["what"], match["path"]) if match else (str(error), "")
+    value = _value_at(path, text)
+    full_path = f"{prefix}{path}".lstrip(".")
+    return f"{full_path}: {value}: {what}" if full_path else f"{value}: {what}"
+
+
+def _value_at(path: str, text: bytes) -> str:
+    try:
+        value: Any = msgspec.json.decode(text)
+        for key, index in _STEP.findall(path):
+            value = value[key] if key else value[int(index)]
+        return quote(msgspec.json.encode(value))
+    except (*DECODER_FAULTS, KeyError, IndexError, TypeError):
+        return quote(text)
+
+
+def quote(text: bytes) -> str:
+    """Show the beginning of a text that may be anything."""
+    shown = text.strip().decode("utf-8", "backslashreplace")
+    return shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}…"

@@ -1,0 +1,60 @@
+"""What is assumed, repaired or left out while a recording is read, counted per kind."""
+
+from dataclasses import dataclass
+
+from sceneloom.errors import DataError, SceneloomError
+from sceneloom.scene import Notice, NoticeKind
+
+
+@dataclass(slots=True)
+class _Entry:
+    kind: NoticeKind
+    code: str
+    place: str
+    message: str
+    count: int
+
+
+class Ledger:
+    """Collects notices; a fault is raised, or counted and passed over in a lenient reading.
+
+    Attributes:
+        lenient: whether faults are passed over.
+    """
+
+    def __init__(self, *, lenient: bool) -> None:
+        """Begin with no notices."""
+        self.lenient = lenient
+        self._entries: dict[str, _Entry] = {}
+
+    def fault(self, code: str, error: SceneloomError, *, count: int = 1) -> None:
+        """Raise the error, or count it as something left out.
+
+        Args:
+            code: kind of fault, kebab case; faults of one code become one notice that quotes the first.
+            error: names file, place, value and what was expected.
+            count: how many things a lenient reading leaves out for it.
+        """
+        if not self.lenient:
+            raise error
+        place = f"{error.file}: {error.place}" if isinstance(error, DataError) else ""
+        problem = error.problem if isinstance(error, DataError) else str(error)
+        self._add(code, NoticeKind.SKIPPED, code, place, f"left out: {problem}", count)
+
+    def note(self, kind: NoticeKind, code: str, place: str, message: str, *, count: int = 1) -> None:
+        """Add a notice; of several with one message the first one's place is kept, and the counts are added."""
+        self._add(f"{code}: {message}", kind, code, place, message, count)
+
+    def _add(self, key: str, kind: NoticeKind, code: str, place: str, message: str, count: int) -> None:
+        entry = self._entries.setdefault(key, _Entry(kind, code, place, message, 0))
+        entry.count += count
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """All notices, in the order in which they first came up."""
+        return tuple(
+            Notice(
+                kind=entry.kind, code=entry.code, place=entry.place, message=entry.message, count=entry.count
+            )
+            for entry in self._entries.values()
+        )

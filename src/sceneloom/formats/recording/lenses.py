@@ -1,0 +1,134 @@
+"""Camera parameters of a recording as lenses: names of the models, and what their coefficients mean here."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from msgspec import Struct, structs
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+
+Coefficients = tuple[float, ...]
+
+
+class CameraParameters(Struct, frozen=True):
+    """The lens of an entry in `calibration.json` or of a `cameraParameters`; None for what is not said.
+
+    Source: "Calibration format" of the recording format's description; `distortionModel` is the word of its lines.
+    """
+
+    model: str | None = None
+    distortionModel: str | None = None  # noqa: N815 - the format's own word
+    distortionCoefficients: list[float] | None = None  # noqa: N815 - the format's own word
+    focalLengthX: float | None = None  # noqa: N815 - the format's own word
+    focalLengthY: float | None = None  # noqa: N815 - the format's own word
+    principalPointX: float | None = None  # noqa: N815 - the format's own word
+    principalPointY: float | None = None  # noqa: N815 - the format's own word
+    imageWidth: int | float | None = None  # noqa: N815 - the format's own word
+    imageHeight: int | float | None = None  # noqa: N815 - the format's own word
+
+    def over(self, base: "CameraParameters") -> "CameraParameters":
+        """These parameters, and those of `base` where they say nothing."""
+        said = {name: value for name, value in structs.asdict(self).items() if value is not None}
+        if "model" in said or "distortionModel" in said:
+            base = structs.replace(base, model=None, distortionModel=None, distortionCoefficients=None)
+        return structs.replace(base, **said)
+
+
+def _no_distortion(_: Coefficients) -> Coefficients:
+    return ()
+
+
+def _as_given(coefficients: Coefficients) -> Coefficients:
+    return coefficients
+
+
+def _radial(coefficients: Coefficients) -> Coefficients:
+    """k1 k2 k3 become k1 k2 p1 p2 k3."""
+    return (*coefficients[:2], 0.0, 0.0, *coefficients[2:])
+
+
+def _with_prism_and_tilt(coefficients: Coefficients) -> Coefficients:
+    """After the eight of the rational model come lx ly of ours, which the format does not have."""
+    return (*coefficients[:8], 0.0, 0.0, *coefficients[8:])
+
+
+class _Reading(NamedTuple):
+    model: str
+    coefficients: Callable[[Coefficients], Coefficients]
+
+
+LENS_READINGS: Mapping[str, Mapping[int, _Reading]] = {
+    "pinhole": {0: _Reading("pinhole", _no_distortion), 3: _Reading("brown_conrady", _radial)},
+    "brown-conrady": {
+        5: _Reading("brown_conrady", _as_given),
+        8: _Reading("brown_conrady", _as_given),
+        14: _Reading("brown_conrady", _with_prism_and_tilt),
+    },
+    "kannala-brandt4": {0: _Reading("fisheye", _as_given), 4: _Reading("fisheye", _as_given)},
+}
+"""By the format's name of a model and its number of coefficients: our model, and our order of them.
+
+Source: the models that the vendor's software knows, as docs/CONVENTIONS.md lists them.
+"""
+
+
+def lens(parameters: CameraParameters, picture_size: tuple[int, int] | None, place: str) -> Camera:
+    """Build the lens, for the calibrated picture size.
+
+    Args:
+        picture_size: width and height of the pictures [px], which stand in where the calibration names none.
+        place: file and path of the parameters, for messages.
+
+    Raises:
+        CalibrationError: a number is missing or impossible, or the model is unknown.
+    """
+    reading, coefficients = _reading(parameters, place)
+    width, height = _calibrated_size(parameters, place) or picture_size or (0, 0)
+    if width == 0:
+        raise CalibrationError(f"{place}: no imageWidth and imageHeight, and no picture that would tell them")
+    fx, fy = _required(parameters, "focalLengthX", place), _required(parameters, "focalLengthY", place)
+    cx, cy = _required(parameters, "principalPointX", place), _required(parameters, "principalPointY", place)
+    try:
+        return Camera(reading.model, width, height, fx, fy, cx, cy, reading.coefficients(coefficients))
+    except CalibrationError as error:
+        raise CalibrationError(f"{place}: {error}") from error
+
+
+def _reading(parameters: CameraParameters, place: str) -> tuple[_Reading, Coefficients]:
+    name = parameters.model if parameters.model is not None else parameters.distortionModel
+    if name is None:
+        raise CalibrationError(f"{place}.model: missing; expected one of: {', '.join(LENS_READINGS)}")
+    spelling = {_plain(known): known for known in LENS_READINGS}
+    if _plain(name) not in spelling:
+        raise CalibrationError(f"{place}.model: {name!r}; expected one of: {', '.join(LENS_READINGS)}")
+    readings = LENS_READINGS[spelling[_plain(name)]]
+    coefficients = tuple(map(float, parameters.distortionCoefficients or ()))
+    if len(coefficients) not in readings:
+        counts = " or ".join(map(str, readings))
+        raise CalibrationError(
+            f"{place}.distortionCoefficients: {len(coefficients)} numbers; expected {counts} for {name!r}"
+        )
+    return readings[len(coefficients)], coefficients
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
+def _calibrated_size(parameters: CameraParameters, place: str) -> tuple[int, int] | None:
+    if parameters.imageWidth is None or parameters.imageHeight is None:
+        return None
+    size = (parameters.imageWidth, parameters.imageHeight)
+    if any(number != int(number) or number <= 0 for number in size):
+        raise CalibrationError(
+            f"{place}: imageWidth, imageHeight {size}; expected positive whole numbers of pixels"
+        )
+    return int(size[0]), int(size[1])
+
+
+def _required(parameters: CameraParameters, name: str, place: str) -> float:
+    value = getattr(parameters, name)
+    if value is None:
+        raise CalibrationError(f"{place}.{name}: missing; expected a number of pixels")
+    return float(value)

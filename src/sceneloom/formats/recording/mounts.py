@@ -1,0 +1,61 @@
+"""Extrinsic matrices of a recording as rigid transforms."""
+
+import numpy as np
+
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import nearest_rotation
+from sceneloom.scene import NoticeKind
+
+MatrixNumbers = list[float | list[float]]
+"""A matrix as JSON has it: four rows of four, or sixteen numbers column by column."""
+
+SILENT_ERROR = 1e-3
+GREATEST_ERROR = 1e-2
+"""Errors of a rotation, max abs of R·Rᵀ - I: up to the first normalised in silence (the format's own examples are
+2e-4 off), up to the second with a notice, beyond it refused."""
+
+_LAST_ROW_ERROR = 1e-6
+
+
+def rigid_transform(numbers: MatrixNumbers, place: str, ledger: Ledger) -> RigidTransform:
+    """Read a 4x4 matrix, rows of four or sixteen numbers column by column.
+
+    Args:
+        place: file and path of the matrix, for messages.
+        ledger: takes the notice of a rotation that had to be normalised.
+
+    Raises:
+        CalibrationError: it is no such matrix, or not rigid.
+    """
+    matrix = _square(numbers, place)
+    if not (np.abs(matrix[3] - [0, 0, 0, 1]) <= _LAST_ROW_ERROR).all():
+        hint = "; is it transposed?" if (matrix[:3, 3] == 0).all() else ""
+        raise CalibrationError(f"{place}: last row {matrix[3].tolist()}; expected 0, 0, 0, 1{hint}")
+    rotation, error = nearest_rotation(matrix[:3, :3])
+    if not error <= GREATEST_ERROR:
+        problem = "mirrored or singular" if error == float("inf") else f"off by {error:.2g}"
+        raise CalibrationError(
+            f"{place}: rotation {problem}; expected an orthonormal right-handed one within {GREATEST_ERROR:g}"
+        )
+    if error > SILENT_ERROR:
+        message = f"rotation off by {error:.2g} (max abs of R Rᵀ - I); the nearest rotation was taken"
+        ledger.note(NoticeKind.REPAIRED, "rotation-normalised", place, message)
+    return RigidTransform(rotation, matrix[:3, 3].copy())
+
+
+def _square(numbers: MatrixNumbers, place: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    rows = [row for row in numbers if isinstance(row, list)]
+    if len(rows) == len(numbers) == 4 and all(len(row) == 4 for row in rows):
+        matrix = np.array(rows, np.float64)
+    elif len(numbers) == 16 and not rows:
+        matrix = np.array(numbers, np.float64).reshape(4, 4).T
+    else:
+        shape = f"{len(numbers)} rows" if rows else f"{len(numbers)} numbers"
+        raise CalibrationError(
+            f"{place}: {shape}; expected 4 rows of 4 numbers, or 16 numbers column by column"
+        )
+    if not np.isfinite(matrix).all():
+        raise CalibrationError(f"{place}: a number is not finite; expected 4x4 finite numbers")
+    return matrix

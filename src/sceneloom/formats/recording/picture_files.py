@@ -1,0 +1,93 @@
+"""Where a recording keeps the pictures of each camera, and which of them each `frames` line means."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.video import PngFolder, VideoReader, open_video
+
+VIDEO_SUFFIXES = ("mkv", "mp4", "mov", "avi", "ts")
+"""Endings of `data`, `data2`, … that are looked for, in this order."""
+
+PictureFiles = VideoReader | PngFolder
+
+
+def find_pictures(folder: Path, camera_index: int, ledger: Ledger) -> Path | None:
+    """Find the video, or the folder of PNG pictures, of a camera; None where there is neither.
+
+    Raises:
+        DataError: there is more than one.
+    """
+    number = "" if camera_index == 0 else str(camera_index + 1)
+    names = [*(f"data{number}.{suffix}" for suffix in VIDEO_SUFFIXES), f"frames{camera_index + 1}"]
+    found = [folder / name for name in names if (folder / name).exists()]
+    if len(found) > 1:
+        listed = ", ".join(path.name for path in found)
+        ledger.fault(
+            "repeated-videos", DataError(folder, "", f"{listed} for camera {camera_index}; expected one")
+        )
+    return found[0] if found else None
+
+
+def expected_names(camera_index: int) -> str:
+    """Name the files that could hold a camera's pictures, for messages."""
+    number = "" if camera_index == 0 else str(camera_index + 1)
+    return f"data{number}.{{{','.join(VIDEO_SUFFIXES)}}} or frames{camera_index + 1}/00000000.png"
+
+
+def open_pictures(path: Path) -> PictureFiles:
+    """Open a video or a folder of PNG pictures.
+
+    Raises:
+        DataError: it cannot be read.
+    """
+    return PngFolder(path) if path.is_dir() else open_video(path)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureChoice:
+    """Which picture each `frames` line means.
+
+    Attributes:
+        indices: (N,) int64, index among the pictures, -1 for none.
+        problem: why lines and pictures do not fit together, or None.
+        by_line: whether the pictures were counted line by line although the numbers have gaps.
+    """
+
+    indices: Int64Array
+    problem: str | None = None
+    by_line: bool = False
+
+
+def choose_pictures(numbers: Int64Array, picture_count: int) -> PictureChoice:
+    """Match `frames` lines with pictures.
+
+    A line's picture is `number` minus the first number where the pictures are as many as the numbers span; else
+    pictures and lines are counted in parallel, if they are equally many. Lines that do not fit still get the pictures
+    that their numbers mean, as far as there are any.
+
+    Args:
+        numbers: (N,) int64, `number` of all frames lines, in the order of the file.
+        picture_count: how many pictures there are.
+    """
+    count = len(numbers)
+    if count == 0:
+        problem = f"{picture_count} pictures, but data.jsonl has no frames line" if picture_count else None
+        return PictureChoice(numbers, problem)
+    ranks = np.argsort(np.argsort(numbers, kind="stable"))
+    first, last = int(numbers.min()), int(numbers.max())
+    distinct = len(np.unique(numbers)) == count
+    if distinct and picture_count == last - first + 1:
+        return PictureChoice(numbers - first)
+    if picture_count == count:
+        return PictureChoice(ranks if distinct else np.arange(count), by_line=True)
+    indices = numbers - first if distinct else np.arange(count)
+    problem = (
+        f"{picture_count} pictures, but data.jsonl has {count} frames lines with numbers from {first} to {last}; "
+        f"expected {count} pictures" + (f" or {last - first + 1}" if last - first + 1 != count else "")
+    )
+    return PictureChoice(np.where(indices < picture_count, indices, -1), problem)

@@ -1,0 +1,148 @@
+"""The pictures of one camera of a recording: small columns, from which each picture is made when asked for."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError
+from sceneloom.formats.recording.columns import CameraColumns, FrameColumns, nanoseconds, time_order, view
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS
+from sceneloom.formats.recording.line_shapes import FrameEntry
+from sceneloom.formats.recording.picture_files import PictureFiles
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Picture
+
+_HELD_KEYS = frozenset(FrameEntry.__struct_fields__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureTable:
+    """The pictures of one camera, in time order.
+
+    Attributes:
+        camera_index: `cameraInd`.
+        camera: the lens of pictures that have none of their own.
+        timestamps_ns: (N,) int64 [ns].
+        seconds: (N,) float64 [s], as the file has them.
+        line_seconds: (N,) float64 [s], `time` of the line that each picture is in.
+        numbers: (N,) int64, `number` of that line.
+        offsets: (N,) int64, byte at which that line begins if it says more, else -1.
+        indices: (N,) int64, place among the encoded pictures.
+        lens_texts: (N,) int64, key in `lenses`, -1 for none.
+        mount_texts: (N,) int64, key in `mounts`, -1 for none.
+        lenses: lenses of single pictures.
+        mounts: mountings of single pictures, `ego_from_camera`.
+        missing: how many entries have no picture (`missingBitmap`).
+        data_path: `data.jsonl`.
+    """
+
+    OWN: ClassVar[int] = -1
+
+    camera_index: int
+    camera: Camera
+    timestamps_ns: Int64Array
+    seconds: Float64Array
+    line_seconds: Float64Array
+    numbers: Int64Array
+    offsets: Int64Array
+    indices: Int64Array
+    lens_texts: Int64Array
+    mount_texts: Int64Array
+    lenses: Mapping[int, Camera]
+    mounts: Mapping[int, RigidTransform]
+    missing: int
+    data_path: Path
+
+    def picture(self, k: int, *, files: PictureFiles | None) -> Picture:
+        """Make picture `k`; a table with pictures has files.
+
+        Raises:
+            DataError: `data.jsonl` was changed since it was opened.
+        """
+        decode = _no_pixels if files is None else files.rgb
+        return Picture(
+            timestamp_ns=int(self.timestamps_ns[k]),
+            camera=self.lenses.get(int(self.lens_texts[k]), self.camera),
+            decode=partial(decode, int(self.indices[k])),
+            mount=self.mounts.get(int(self.mount_texts[k])),
+            extras=MappingProxyType(self._extras(k)),
+        )
+
+    def _extras(self, k: int) -> dict[str, Any]:
+        extras: dict[str, Any] = {"file_seconds": float(self.seconds[k]), "number": int(self.numbers[k])}
+        if self.line_seconds[k] != self.seconds[k]:
+            extras["line_seconds"] = float(self.line_seconds[k])
+        if self.offsets[k] >= 0:
+            extras.update(self._further_fields(int(self.offsets[k])))
+        return extras
+
+    def _further_fields(self, offset: int) -> dict[str, Any]:
+        """Read again what a line says beyond the columns: lists of features can be long, so they are not kept."""
+        try:
+            with self.data_path.open("rb") as file:
+                file.seek(offset)
+                line = msgspec.json.decode(file.readline())
+            entry = next(entry for entry in line["frames"] if entry["cameraInd"] == self.camera_index)
+        except (OSError, *DECODER_FAULTS, KeyError, TypeError, StopIteration) as error:
+            raise DataError(self.data_path, f"byte {offset}", "was changed after it was opened") from error
+        further = {key: value for key, value in entry.items() if key not in _HELD_KEYS}
+        beside = {key: value for key, value in line.items() if key not in {"frames", "number", "time"}}
+        return {**further, "line": beside} if beside else further
+
+
+def _no_pixels(index: int) -> UInt8Array:
+    raise DataError("", f"picture {index}", "there are no pictures")
+
+
+def build_table(
+    camera_index: int,
+    camera: Camera,
+    frames: FrameColumns,
+    indices: Int64Array,
+    lenses: Mapping[int, Camera],
+    mounts: Mapping[int, RigidTransform],
+    data_path: Path,
+) -> PictureTable:
+    """Bring a camera's entries into the order of time; those without picture, lens or mounting are left out.
+
+    Args:
+        camera: the lens of entries that have none of their own.
+        frames: the frames lines.
+        indices: (N,) int64, the picture of each entry, -1 for none.
+        lenses: by number of their text.
+        mounts: by number of their text.
+    """
+    columns = frames.cameras.get(camera_index, CameraColumns())
+    lens_texts, mount_texts = np.asarray(columns.parameters, np.int64), np.asarray(columns.mounts, np.int64)
+    missing = np.asarray(columns.missing, np.bool_)
+    usable = (indices >= 0) & ~missing
+    usable &= np.isin(lens_texts, [PictureTable.OWN, *lenses]) & np.isin(
+        mount_texts, [PictureTable.OWN, *mounts]
+    )
+    seconds = view(columns.seconds)
+    chosen = np.flatnonzero(usable)[time_order(seconds[usable])]
+    lines = np.asarray(columns.rows, np.int64)[chosen]
+    return PictureTable(
+        camera_index=camera_index,
+        camera=camera,
+        timestamps_ns=nanoseconds(seconds[chosen]),
+        seconds=seconds[chosen],
+        line_seconds=view(frames.seconds)[lines],
+        numbers=np.asarray(frames.numbers, np.int64)[lines],
+        offsets=np.asarray(frames.offsets, np.int64)[lines],
+        indices=indices[chosen],
+        lens_texts=lens_texts[chosen],
+        mount_texts=mount_texts[chosen],
+        lenses=lenses,
+        mounts=mounts,
+        missing=int(missing.sum()),
+        data_path=data_path,
+    )

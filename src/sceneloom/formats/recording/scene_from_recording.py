@@ -1,0 +1,172 @@
+"""A recording's folder as a scene."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from sceneloom.arrays import read_only
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.recording.calibration import Calibration, read_calibration
+from sceneloom.formats.recording.camera_building import CameraSources, build_cameras
+from sceneloom.formats.recording.columns import Columns, RecordingColumns
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.recording.lidar_building import build_lidars
+from sceneloom.formats.recording.lines import read_lines
+from sceneloom.formats.recording.trajectories import build_trajectories
+from sceneloom.scene import (
+    GnssSensor,
+    ImuSensor,
+    NoticeKind,
+    PosePath,
+    Scene,
+    Sensor,
+    Trajectory,
+    VectorSamples,
+)
+
+DATA_FILE = "data.jsonl"
+ALTITUDES = ("wgs84", "msl")
+
+
+def recording_folder(path: Path) -> Path:
+    """The folder of a recording that is named by its folder or by its `data.jsonl`."""
+    return path.parent if path.name == DATA_FILE and not path.is_dir() else path
+
+
+def open_recording(path: Path, *, lenient: bool = False, altitude: str = "wgs84") -> Scene:
+    """Open a recording; pictures and points are read when asked for.
+
+    Args:
+        path: the folder, or the `data.jsonl` in it.
+        lenient: leave out and count what is wrong instead of raising.
+        altitude: what the altitudes of `gps` lines are above: "wgs84", the ellipsoid, or "msl", mean sea level.
+
+    Raises:
+        DataError: files are missing or wrong.
+        CalibrationError: a lens or a mounting is unusable.
+        OptionError: the altitude is unknown.
+    """
+    if altitude not in ALTITUDES:
+        raise OptionError(f"altitude {altitude!r}; expected one of: {', '.join(ALTITUDES)}")
+    folder = recording_folder(path)
+    data_path = folder / DATA_FILE
+    if not folder.is_dir():
+        raise DataError(folder, "", "no such folder; expected a recording's folder")
+    if not data_path.is_file():
+        raise DataError(folder, "", f"holds no {DATA_FILE}; expected a recording's folder")
+    ledger = Ledger(lenient=lenient)
+    columns = read_lines(data_path, ledger)
+    calibration = read_calibration(folder, ledger)
+    trajectories = build_trajectories(columns.poses, data_path, ledger)
+    ego_path = _default_path(trajectories, data_path, ledger)
+    with ExitStack() as stack:
+        sources = CameraSources(folder, data_path, calibration, columns.frames, ego_path, ledger, stack)
+        lidars = build_lidars(folder, data_path, columns.lidars, calibration, ego_path, ledger)
+        cameras = build_cameras(sources)
+        ego_sensors = [*_imu(columns), *_gnss(columns)]
+        metadata = _metadata(folder, altitude, columns, calibration, trajectories, ledger)
+        return Scene(
+            sensors=(*lidars, *cameras, *ego_sensors),
+            trajectories=MappingProxyType(
+                {trajectory.name: trajectory for trajectory in trajectories.values()}
+            ),
+            metadata=MappingProxyType({"recording": metadata}),
+            source=str(folder),
+            format="recording",
+            notices=ledger.notices,
+            on_close=stack.pop_all().close,
+        )
+
+
+def _default_path(
+    trajectories: dict[tuple[str, str], Trajectory], data_path: Path, ledger: Ledger
+) -> PosePath | None:
+    default = next(iter(trajectories.values()), None)
+    if default is None:
+        return None
+    if default.quaternions_xyzw is None:
+        message = (
+            f"trajectory {default.name!r} holds positions without orientations, so the sensors have no poses"
+        )
+        ledger.note(NoticeKind.SKIPPED, "orientations-missing", str(data_path), message)
+        return None
+    return default.poses
+
+
+def _imu(columns: RecordingColumns) -> list[Sensor]:
+    if not columns.sensors:
+        return []
+    return [ImuSensor("imu", MappingProxyType({name: _samples(c) for name, c in columns.sensors.items()}))]
+
+
+def _samples(columns: Columns) -> VectorSamples:
+    stream = columns.by_time()
+    return VectorSamples(stream.timestamps_ns, stream.values, stream.seconds)
+
+
+def _gnss(columns: RecordingColumns) -> list[Sensor]:
+    if not len(columns.gnss):
+        return []
+    fixes = columns.gnss.by_time()
+    return [
+        GnssSensor(
+            id="gnss",
+            timestamps_ns=fixes.timestamps_ns,
+            positions_lla=read_only(fixes.values[:, :3]),
+            accuracies=read_only(fixes.values[:, 3]),
+            vertical_accuracies=read_only(fixes.values[:, 4]),
+            file_seconds=fixes.seconds,
+        )
+    ]
+
+
+def _metadata(
+    folder: Path,
+    altitude: str,
+    columns: RecordingColumns,
+    calibration: Calibration,
+    trajectories: dict[tuple[str, str], Trajectory],
+    ledger: Ledger,
+) -> dict[str, Any]:
+    """Collect what the scene has no other place for."""
+    roots = {
+        found.name: list(origin)
+        for origin, found in trajectories.items()
+        if origin != (found.name, found.name)
+    }
+    found = {
+        "calibration": dict(calibration.content),
+        "vio_config": _vio_config(folder, ledger),
+        "other_lines": list(columns.other_lines),
+        "further_keys": _further_keys(columns, trajectories),
+        "trajectory_origins": roots,
+    }
+    return {"altitude": altitude, **{name: value for name, value in found.items() if value}}
+
+
+def _vio_config(folder: Path, ledger: Ledger) -> str | None:
+    path = folder / "vio_config.yaml"
+    if not path.is_file():
+        return None
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        ledger.fault("unreadable-vio-config", DataError(path, "", f"cannot be read as text: {error}"))
+        return None
+
+
+def _further_keys(
+    columns: RecordingColumns, trajectories: dict[tuple[str, str], Trajectory]
+) -> dict[str, dict[str, str]]:
+    """The texts of lines that say more than the scene holds, by stream and time [ns]."""
+    streams = {f"imu.{name}": stream for name, stream in columns.sensors.items()}
+    streams["gnss"] = columns.gnss
+    streams |= {
+        f"trajectories.{found.name}": columns.poses[origin].samples for origin, found in trajectories.items()
+    }
+    streams |= {f"lidars.{index}": lidar.sweeps for index, lidar in columns.lidars.items()}
+    texts = {
+        name: stream.further_by_time(stream.by_time()) for name, stream in streams.items() if stream.further
+    }
+    return {name: by_time for name, by_time in texts.items() if by_time}

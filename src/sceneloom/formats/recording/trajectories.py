@@ -1,0 +1,131 @@
+"""The trajectories of a recording: the ego's way under each name, and where sensors were along the default one."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Int64Array, read_only
+from sceneloom.errors import DataError
+from sceneloom.formats.recording.columns import PoseColumns, SortedColumns
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.pose_source import PoseSource
+from sceneloom.scene import NoticeKind, PosePath, Trajectory
+
+RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
+"""Which root keys are taken for the default trajectory before others."""
+
+RESERVED_NAMES = {"gnss", "lidar", "identity"}
+"""Names that stand for ways which are computed."""
+
+GREATEST_NORM_ERROR = 0.01
+
+
+def build_trajectories(
+    poses: Mapping[tuple[str, str], PoseColumns], path: Path, ledger: Ledger
+) -> dict[tuple[str, str], Trajectory]:
+    """Build the trajectories, the default one first.
+
+    Args:
+        poses: by root key and name.
+        path: `data.jsonl`, for messages.
+
+    Returns:
+        The trajectories by root key and name as in `poses`; their own names differ from each other.
+
+    Raises:
+        DataError: an orientation is missing or not of length 1, and the reading is not lenient.
+    """
+    trajectories: dict[tuple[str, str], Trajectory] = {}
+    names = set(RESERVED_NAMES)
+    for origin in sorted(poses, key=lambda origin: RANKS.get(origin[0], 2)):
+        root, name = origin
+        free = name if name not in names else f"{root or 'root'}:{name}"
+        trajectory = _trajectory(free, poses[origin], path, ledger)
+        if trajectory is not None:
+            trajectories[origin] = trajectory
+            names.add(free)
+    return trajectories
+
+
+def _trajectory(name: str, columns: PoseColumns, path: Path, ledger: Ledger) -> Trajectory | None:
+    samples = columns.samples.by_time()
+    lines = np.asarray(columns.lines)[samples.order]
+    quaternions = samples.values[:, 3:]
+    oriented = bool(np.isfinite(quaternions[:, 0]).any())
+    usable = np.ones(len(lines), np.bool_)
+    if oriented:
+        usable = _check_orientations(name, samples, lines, path, ledger)
+    usable = _first_of_each_time(name, samples, usable, lines, path, ledger)
+    if not usable.any():
+        return None
+    return Trajectory(
+        name,
+        read_only(samples.timestamps_ns[usable]),
+        read_only(samples.values[usable, :3]),
+        read_only(quaternions[usable]) if oriented else None,
+        read_only(samples.seconds[usable]),
+    )
+
+
+def _check_orientations(
+    name: str, samples: SortedColumns, lines: Int64Array, path: Path, ledger: Ledger
+) -> BoolArray:
+    quaternions = samples.values[:, 3:]
+    error = np.abs(np.sqrt((quaternions * quaternions).sum(axis=1)) - 1.0)
+    usable: BoolArray = error <= GREATEST_NORM_ERROR
+    for row in np.flatnonzero(~usable):
+        if np.isnan(error[row]):
+            problem = f"{name}.orientation: missing, while other lines of {name!r} have one"
+        else:
+            problem = (
+                f"{name}.orientation: {quaternions[row].tolist()} (x, y, z, w); expected length 1 within 0.01"
+            )
+        ledger.fault("unusable-orientations", DataError(path, f"line {lines[row]}", problem))
+    return usable
+
+
+def _first_of_each_time(
+    name: str, samples: SortedColumns, usable: BoolArray, lines: Int64Array, path: Path, ledger: Ledger
+) -> BoolArray:
+    """Keep one pose per time: a body is in one place."""
+    kept = usable.copy()
+    rows = np.flatnonzero(usable)
+    repeated = rows[1:][np.diff(samples.timestamps_ns[rows]) == 0]
+    if len(repeated):
+        kept[repeated] = False
+        message = f"{name!r} has several poses at {samples.seconds[repeated[0]]} s; the first was kept"
+        place = f"{path}: line {lines[repeated[0]]}"
+        ledger.note(NoticeKind.SKIPPED, "repeated-poses", place, message, count=len(repeated))
+    return kept
+
+
+def poses_along(
+    path: PosePath | None,
+    mounts: Mapping[int, RigidTransform],
+    chosen: Int64Array,
+    timestamps_ns: Int64Array,
+) -> PosePath | None:
+    """Give `world_from_sensor` at those of the times that the path covers; None where there are none.
+
+    Args:
+        path: `world_from_ego`, or None where it is not known.
+        mounts: `ego_from_sensor` by number.
+        chosen: (N,) int64, number of the mounting at each time; a time whose mounting is not known gets no pose.
+        timestamps_ns: (N,) int64 [ns], ascending; of equal ones the first counts.
+    """
+    if path is None:
+        return None
+    times, rows = np.unique(timestamps_ns, return_index=True)
+    numbers = chosen[rows]
+    positions, quaternions = np.full((len(times), 3), np.nan), np.full((len(times), 4), np.nan)
+    for number in np.unique(numbers).tolist():
+        if number in mounts:
+            same = numbers == number
+            samples = PoseSource(path, mounts[number]).at(times[same])
+            positions[same], quaternions[same] = samples.positions, samples.quaternions_xyzw
+    known = np.isfinite(positions[:, 0])
+    if not known.any():
+        return None
+    return PosePath(times[known], positions[known], quaternions[known])

@@ -21,9 +21,8 @@ def pixel_index(u: float, v: float, width: int, height: int) -> int:
     """
     if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
         return -1
-    column = min(int64(math.floor(u + 0.5)), width - 1)
-    row = min(int64(math.floor(v + 0.5)), height - 1)
-    return row * width + column
+    column, row = int(u + 0.5), int(v + 0.5)
+    return min(row, height - 1) * width + min(column, width - 1)
 
 
 @numba.njit(

@@ -28,7 +28,7 @@ def _list_disc(reach: int, columns: int) -> tuple[Int64Array, Int64Array, Float6
             if 0 < squared <= reach * reach:
                 turn = math.atan2(float(dy), float(dx)) / (2.0 * math.pi)
                 offsets[count] = dy * columns + dx
-                sectors[count] = int(math.floor(SECTORS * turn + 0.5)) % SECTORS
+                sectors[count] = math.floor(SECTORS * turn + 0.5) % SECTORS
                 distances[count] = math.sqrt(float(squared))
                 count += 1
     order = np.argsort(distances[:count], kind="mergesort")
@@ -37,7 +37,12 @@ def _list_disc(reach: int, columns: int) -> tuple[Int64Array, Int64Array, Float6
 
 @numba.njit(**INNER)
 def _find_next(
-    occupied: BoolArray, cell: int, offsets: Int64Array, sectors: Int64Array, distances: Float64Array, found: Float64Array
+    occupied: BoolArray,
+    cell: int,
+    offsets: Int64Array,
+    sectors: Int64Array,
+    distances: Float64Array,
+    found: Float64Array,
 ) -> None:
     """Write the distance in cells to the nearest occupied cell of each sector, NaN for none."""
     found[:] = math.nan

@@ -1,0 +1,99 @@
+"""The algorithms of sensor-data fusion, by name."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Protocol
+
+from sceneloom.arrays import Float64Array, UInt8Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.colours import colour_points
+from sceneloom.colouring.results import FusedView
+from sceneloom.colouring.views import view_points
+from sceneloom.colouring.visibility import VisibilitySettings
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Identifier
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewRequest:
+    """A picture that a cloud is to be fused with.
+
+    Attributes:
+        camera_id: the camera.
+        camera_index: its number, which the points coloured from this picture will bear, 0 to 254.
+        camera: the lens of the picture.
+        timestamp_ns: the picture's time [ns].
+        world_from_camera: where the camera was at that time.
+        rgb: (H, W, 3) uint8, the picture.
+    """
+
+    camera_id: Identifier
+    camera_index: int
+    camera: Camera
+    timestamp_ns: int
+    world_from_camera: RigidTransform
+    rgb: UInt8Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColouredPoints:
+    """What an algorithm gives.
+
+    Attributes:
+        views: the cloud in each picture, in the order of the requests.
+        colors: (N, 3) uint8; 255, 255, 255 for a point that no picture shows.
+        camera_index: (N,) uint8, which camera coloured the point, 255 for none.
+    """
+
+    views: tuple[FusedView, ...]
+    colors: UInt8Array
+    camera_index: UInt8Array
+
+
+class FusionAlgorithm(Protocol):
+    """How an algorithm is called."""
+
+    def __call__(
+        self, points_world: Float64Array, requests: Sequence[ViewRequest], visibility: VisibilitySettings, /
+    ) -> ColouredPoints:
+        """Fuse (N, 3) float64 points [m] with pictures."""
+        ...
+
+
+def fuse_by_projection(
+    points_world: Float64Array, requests: Sequence[ViewRequest], visibility: VisibilitySettings
+) -> ColouredPoints:
+    """Project the cloud into each picture and take colours and depths where points are seen.
+
+    Args:
+        points_world: (N, 3) float64 [m].
+        requests: the pictures.
+        visibility: what counts as hidden.
+
+    Raises:
+        ArrayError: an array has another shape or dtype.
+        CalibrationError: a camera's model is unknown or has other coefficients.
+        OptionError: a camera's index is out of range.
+    """
+    views = tuple(
+        view_points(
+            points_world,
+            request.camera,
+            request.world_from_camera,
+            request.rgb,
+            camera_id=request.camera_id,
+            timestamp_ns=request.timestamp_ns,
+            visibility=visibility,
+        )
+        for request in requests
+    )
+    colors, camera_index = colour_points(len(points_world), views, [r.camera_index for r in requests])
+    return ColouredPoints(views, colors, camera_index)
+
+
+ALGORITHMS: Mapping[str, FusionAlgorithm] = MappingProxyType({"projection": fuse_by_projection})
+"""Name of each algorithm and the function that runs it.
+
+Source: DB34/T 4101-2022, table 2, property `fusion_algorithm`.
+"""

@@ -1,0 +1,48 @@
+"""Colours of a cloud out of all pictures that show it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sceneloom.arrays import UInt8Array
+from sceneloom.colouring.results import FusedView
+from sceneloom.errors import OptionError
+from sceneloom.kernels.point_colours import paint_points
+
+NO_CAMERA = 255
+"""In `camera_index`: no picture shows the point; its colour is then 255, 255, 255."""
+
+
+def colour_points(
+    count: int, views: Sequence[FusedView], camera_indices: Sequence[int]
+) -> tuple[UInt8Array, UInt8Array]:
+    """Give each point the colour of its nearest pixel.
+
+    Among the pictures in which a point is visible, the one counts in which it is nearest to the picture's centre,
+    in units of half the picture's diagonal: lenses are sharpest and best calibrated there. Of equally near ones the
+    first.
+
+    Args:
+        count: number of points of the cloud.
+        views: the cloud in each picture.
+        camera_indices: what to write into `camera_index`, one for each view, 0 to 254.
+
+    Returns:
+        colors: (count, 3) uint8, red green blue; 255, 255, 255 where no picture shows the point.
+        camera_index: (count,) uint8; 255 where no picture shows the point.
+
+    Raises:
+        OptionError: the indices are not as many as the views, or out of range.
+    """
+    if len(views) != len(camera_indices):
+        raise OptionError(f"{len(camera_indices)} camera indices for {len(views)} views; expected one each")
+    colors, camera_index = np.full((count, 3), 255, np.uint8), np.full(count, NO_CAMERA, np.uint8)
+    eccentricities = np.full(count, np.inf)
+    for view, index in zip(views, camera_indices, strict=True):
+        if not 0 <= index < NO_CAMERA:
+            raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
+        rgb = np.ascontiguousarray(view.rgb)
+        paint_points(
+            view.point_ids, view.pixels, view.visible, rgb, index, eccentricities, colors, camera_index
+        )
+    return colors, camera_index

@@ -1,0 +1,66 @@
+"""Roll, pitch and yaw of cuboids against scipy in every unit and order."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.errors import OptionError
+from sceneloom.geometry.euler import ORDERS, cuboid_angles_from_rotation, rotation_from_cuboid_angles
+
+ROUNDING = 1e-14
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_rotations_are_those_of_scipy_in_every_order(order):
+    angles = np.random.default_rng(0).uniform(-200, 200, (50, 3))
+    in_order = angles[:, ["xyz".index(axis) for axis in order]]
+    expected = Rotation.from_euler(
+        order.upper(), in_order, degrees=True
+    ).as_matrix()  # capitals: about moved axes
+    assert np.abs(rotation_from_cuboid_angles(angles, order=order) - expected).max() < ROUNDING
+
+
+def test_the_default_is_roll_times_pitch_times_yaw_in_degrees():
+    roll, pitch, yaw = 10.0, 20.0, 30.0
+    rx, ry, rz = (
+        Rotation.from_euler(a, v, degrees=True).as_matrix()
+        for a, v in (("x", roll), ("y", pitch), ("z", yaw))
+    )
+    assert np.allclose(rotation_from_cuboid_angles((roll, pitch, yaw)), rx @ ry @ rz, atol=ROUNDING)
+
+
+def test_yaw_alone_means_the_same_in_every_order():
+    turns = [rotation_from_cuboid_angles((0, 0, 0.7), unit="radians", order=order) for order in ORDERS]
+    assert all(np.allclose(turn, Rotation.from_euler("z", 0.7).as_matrix(), atol=ROUNDING) for turn in turns)
+
+
+@pytest.mark.parametrize("unit", ["degrees", "radians"])
+@pytest.mark.parametrize("order", ORDERS)
+def test_angles_come_back(order, unit):
+    turns = Rotation.random(200, np.random.default_rng(1)).as_matrix()
+    angles = cuboid_angles_from_rotation(turns, unit=unit, order=order)
+    middle = angles[:, "xyz".index(order[1])]
+    assert np.abs(rotation_from_cuboid_angles(angles, unit=unit, order=order) - turns).max() < ROUNDING
+    assert np.abs(middle).max() <= (90 if unit == "degrees" else np.pi / 2)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("short_of", [0.0, 1e-15, 1e-9, 1e-5])
+@pytest.mark.parametrize("side", [1, -1])
+def test_near_a_quarter_turn_of_the_middle_axis_the_rotation_still_comes_back(order, short_of, side):
+    angles = np.array([0.4, -1.1, 2.3])
+    angles["xyz".index(order[1])] = side * (np.pi / 2 - short_of)
+    turn = rotation_from_cuboid_angles(angles, unit="radians", order=order)
+    found = cuboid_angles_from_rotation(turn, unit="radians", order=order)
+    assert np.abs(rotation_from_cuboid_angles(found, unit="radians", order=order) - turn).max() < ROUNDING
+
+
+def test_a_unit_that_nobody_knows_is_refused_with_those_known():
+    with pytest.raises(OptionError, match="'grad'; expected one of degrees, radians"):
+        rotation_from_cuboid_angles((0, 0, 0), unit="grad")
+
+
+@pytest.mark.parametrize("order", ["xyx", "XYZ", "", "rpy"])
+def test_an_order_that_nobody_knows_is_refused_with_those_known(order):
+    with pytest.raises(OptionError, match="expected one of xyz, xzy"):
+        cuboid_angles_from_rotation(np.eye(3), order=order)

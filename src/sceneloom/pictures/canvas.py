@@ -109,7 +109,7 @@ class Canvas:
         return line[:kept].rstrip() + "..." if kept else ""
 
     def _font(self, scale: float) -> ImageFont.ImageFont | ImageFont.FreeTypeFont:
-        return ImageFont.load_default(size=max(8.0, self.text_px * scale))
+        return ImageFont.load_default(size=max(11.0, self.text_px * scale))
 
 
 def text_height(width: int, height: int) -> int:

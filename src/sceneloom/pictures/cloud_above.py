@@ -55,7 +55,10 @@ class MapLayout:
         places = np.repeat(np.array([self.center_world]), len(numbers), axis=0)
         places[:, axis] = numbers * spacing
         pixels = self.pixels(places)[:, axis]
-        return [(float(at), round(float(pixel))) for at, pixel in zip(numbers * spacing, pixels, strict=True)]
+        return [
+            (float(at) + 0.0, round(float(pixel)))
+            for at, pixel in zip(numbers * spacing, pixels, strict=True)
+        ]
 
 
 def layout_map(center_world: tuple[float, float], reach: float, size_px: tuple[int, int]) -> MapLayout:

@@ -69,8 +69,9 @@ def _path_direction(ego_path: FloatArray, position_world: Float64Array) -> Float
         return np.zeros(3)
     nearest = int(np.argmin(np.linalg.norm(known - position_world, axis=1)))
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(known, axis=0), axis=1))])
-    first, last = np.searchsorted(lengths, lengths[nearest] + np.array([-_AROUND, _AROUND]))
-    step = known[min(int(last), len(known) - 1)] - known[int(first)]
+    first = int(np.searchsorted(lengths, lengths[nearest] - _AROUND))
+    last = int(np.searchsorted(lengths, lengths[nearest] + _AROUND, side="right")) - 1
+    step = known[last] - known[first]
     return step if np.linalg.norm(step[:2]) >= _MOVED else np.zeros(3)
 
 

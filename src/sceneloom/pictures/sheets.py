@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from urllib.parse import quote
+from zlib import crc32
 
 from sceneloom.arrays import FloatArray
 from sceneloom.colouring.results import FusedFrame
@@ -19,6 +20,8 @@ from sceneloom.scene import Identifier
 
 _COMPRESSION = 2
 """Higher levels of PNG make these pictures 3 % smaller and take three times as long."""
+_LONGEST_STEM = 120
+"""Longer ids are cut: most file systems allow 255 bytes for a name."""
 
 
 def iter_pictures(
@@ -129,5 +132,7 @@ def _stem(identifier: Identifier, taken: dict[str, int]) -> str:
     """Turn an id into a part of a file name; a second one that comes out the same gets a number."""
     stem = quote(str(identifier), safe=" ()+,=@").replace("~", "%7E")
     stem = f"%2E{stem[1:]}" if stem.startswith(".") else stem
+    if len(stem) > _LONGEST_STEM:
+        stem = f"{stem[:_LONGEST_STEM]}~{crc32(stem.encode()):08x}"
     taken[stem] = taken.get(stem, 0) + 1
     return stem if taken[stem] == 1 else f"{stem}~{taken[stem]}"

@@ -58,8 +58,10 @@ def _fine_discs(
     Columns and rows count the corners between fine cells: a disc then lies evenly around the centre of a pixel.
     """
     order = np.argsort(-depths, kind="stable")
-    fine = np.rint((pixels[order] + 0.5) * _FINE).astype(np.int64)
     radii = np.broadcast_to(np.asarray(radii_px, np.float64), (len(order),))[order]
+    # A disc of about one pixel, were it spread over two, would take half of each pixel's colour from below.
+    centers = np.where(radii[:, None] < 1.0, np.rint(pixels[order]), pixels[order])
+    fine = np.rint((centers + 0.5) * _FINE).astype(np.int64)
     return fine[:, 0], fine[:, 1], np.maximum(np.rint(radii * _FINE), 1).astype(np.int64)
 
 

@@ -9,12 +9,15 @@ from sceneloom.pictures.depth_scale import DepthScale
 from sceneloom.pictures.scale_bar import draw_caption, draw_depth_bar, draw_strip, strip_height
 from sceneloom.pictures.stamping import stamp_crosses, stamp_discs
 
-LEAST_WIDTH_PX = 400
+LEAST_WIDTH_PX = 520
 """Narrower pictures get a canvas of this width, so that caption and scale fit below them."""
 NO_DEPTH = (10, 11, 14)
 """Colour of the pixels of a depth image that hold no depth: darker than any colour of the maps."""
 HIDDEN = (176, 178, 184)
 
+_LARGEST_RADIUS_PX = 4.0
+_MOST_COVER = 0.35
+"""Share of the picture that the discs may cover together, so that the picture can be seen between them."""
 _GREYNESS = 0.45
 _BRIGHTNESS = 0.62
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -58,7 +61,7 @@ def draw_depth_image(view: FusedView, *, scale: DepthScale | None = None) -> Pil
     depths: Float32Array = view.depth_image[rows, columns]
     empty: UInt8Array = np.full((*view.depth_image.shape, 3), NO_DEPTH, np.uint8)
     pixels = np.column_stack([columns, rows]).astype(np.float32)
-    drawn = stamp_discs(empty, pixels, depths, used.colours(depths), disc_radius(view))
+    drawn = stamp_discs(empty, pixels, depths, used.colours(depths), max(1.0, disc_radius(view)))
     share = 100.0 * len(depths) / view.depth_image.size
     return _framed(
         drawn, used, [_title(view), f"{count_text(len(depths), 'pixel')} with depth, {share:.2g} %"]
@@ -71,8 +74,11 @@ def view_scale(view: FusedView) -> DepthScale:
 
 
 def disc_radius(view: FusedView) -> float:
-    """Choose the radius of the discs [px]: larger on larger pictures, in half pixels."""
-    return float(np.clip(round(2 * view.camera.width / 950) / 2, 1.0, 4.0))
+    """Choose the radius of the discs [px], in half pixels: larger on larger pictures, smaller for dense points."""
+    width, height = view.camera.width, view.camera.height
+    by_size = min(width / 950.0, _LARGEST_RADIUS_PX)
+    by_density = np.sqrt(_MOST_COVER * width * height / (np.pi * max(len(view.depths), 1)))
+    return float(max(round(2 * min(max(by_size, 1.0), by_density)) / 2, 0.5))
 
 
 def _title(view: FusedView) -> str:

@@ -63,9 +63,13 @@ class LidarFrame:
 
     @property
     def reference_ns(self) -> int:
-        """The time by which the sweep is paired with pictures: the median of its point times, else its start."""
+        """The time by which the sweep is paired with pictures: the median of its point times.
+
+        It is the sweep's start where the points have no times, or all the same one, which tells nothing about when
+        they were measured.
+        """
         times = self.points.timestamps_ns
-        if times is None or len(times) == 0:
+        if times is None or len(times) == 0 or times.min() == times.max():
             return self.timestamp_ns
         middle = len(times) // 2
         return int(np.partition(times, middle)[middle])

@@ -24,6 +24,7 @@ from sceneloom.formats.recording.picture_files import (
     expected_names,
     find_pictures,
     open_pictures,
+    unused_pictures,
 )
 from sceneloom.formats.recording.picture_table import PictureTable, build_table
 from sceneloom.formats.recording.trajectories import poses_along
@@ -68,7 +69,17 @@ def build_cameras(sources: CameraSources) -> list[CameraSensor]:
             cameras.extend(_build(sources, index))
         except (DataError, CalibrationError) as error:
             sources.ledger.fault("unusable-cameras", error)
+    _note_unused(sources)
     return cameras
+
+
+def _note_unused(sources: CameraSources) -> None:
+    unused = unused_pictures(sources.folder, {*sources.calibration.cameras, *sources.frames.cameras})
+    if unused:
+        names = ", ".join(path.name for path in unused)
+        message = f"{names}: neither calibration.json nor a frames line names the camera; not used"
+        ledger, place = sources.ledger, str(sources.folder)
+        ledger.note(NoticeKind.SKIPPED, "videos-not-used", place, message, count=len(unused))
 
 
 def _build(sources: CameraSources, index: int) -> list[CameraSensor]:
@@ -76,7 +87,7 @@ def _build(sources: CameraSources, index: int) -> list[CameraSensor]:
     columns = sources.frames.cameras.get(index, CameraColumns())
     calibration = sources.calibration.cameras.get(index) or _calibration_of_lines(sources, index, columns)
     files, indices = _match_pictures(sources, index, columns)
-    if files is None and not columns.rows and calibration.parameters.imageWidth is None:
+    if files is None and not columns.rows and not calibration.parameters.has_size:
         message = "has no picture size, and there are no pictures of it; the camera was left out"
         sources.ledger.note(NoticeKind.SKIPPED, "cameras-without-size", calibration.place, message)
         return []

@@ -68,13 +68,10 @@ class Columns:
             read_only(nanoseconds(seconds)), read_only(seconds), read_only(values), read_only(order)
         )
 
-    def further_by_time(self, sorted_columns: SortedColumns) -> dict[str, str]:
+    def further_by_time(self) -> dict[str, str]:
         """Give the texts by their sample's time [ns], as text; of samples with one time, the last one's."""
-        if not self.further:
-            return {}
-        row_after = np.argsort(sorted_columns.order)
-        stamps = sorted_columns.timestamps_ns
-        return {str(stamps[row_after[row]]): text for row, text in self.further.items()}
+        stamps = nanoseconds(view(self.seconds))
+        return {str(stamps[row]): text for row, text in self.further.items()}
 
 
 def view(numbers: "array[float]") -> Float64Array:

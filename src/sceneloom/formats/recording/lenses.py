@@ -27,6 +27,11 @@ class CameraParameters(Struct, frozen=True):
     imageWidth: int | float | None = None  # noqa: N815 - the format's own word
     imageHeight: int | float | None = None  # noqa: N815 - the format's own word
 
+    @property
+    def has_size(self) -> bool:
+        """Whether the picture size is said."""
+        return self.imageWidth is not None and self.imageHeight is not None
+
     def over(self, base: "CameraParameters") -> "CameraParameters":
         """These parameters, and those of `base` where they say nothing."""
         said = {name: value for name, value in structs.asdict(self).items() if value is not None}

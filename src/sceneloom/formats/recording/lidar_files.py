@@ -88,9 +88,10 @@ def read_points(path: Path) -> LidarPoints:
     """
     try:
         count = check_size(path)
-        records = np.fromfile(path, XYZIRT, count)
-    except OSError as error:
-        raise DataError(path, "", f"cannot be read: {error.strerror}") from error
+        # an empty file cannot be mapped
+        records = np.memmap(path, XYZIRT, "r", shape=(count,)) if count else np.empty(0, XYZIRT)
+    except (OSError, ValueError) as error:
+        raise DataError(path, "", f"cannot be read: {error}") from error
     return _points(records, path)
 
 
@@ -98,13 +99,13 @@ def _points(records: AnyArray, path: Path) -> LidarPoints:
     positions = np.empty((len(records), 3), np.float32)
     for axis, name in enumerate("xyz"):
         positions[:, axis] = records[name]
-    seconds = np.ascontiguousarray(records["timestamp"], np.float64)
+    seconds = np.array(records["timestamp"], np.float64)
     _check_times(seconds, path)
     return LidarPoints(
         positions=read_only(positions),
-        intensities=read_only(records["intensity"], np.uint8),
+        intensities=read_only(np.array(records["intensity"], np.uint8)),
         timestamps_ns=read_only(nanoseconds(seconds)),
-        rings=read_only(records["ring"], np.uint16),
+        rings=read_only(np.array(records["ring"], np.uint16)),
         extras=MappingProxyType({"file_seconds": read_only(seconds)}),
     )
 

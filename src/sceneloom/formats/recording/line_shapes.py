@@ -16,7 +16,7 @@ from sceneloom.formats.recording.columns import FARTHEST_TIME
 
 Seconds = Annotated[float, Meta(ge=-FARTHEST_TIME, le=FARTHEST_TIME)]
 SensorIndex = Annotated[int, Meta(ge=0, le=254)]
-FrameNumber = Annotated[int, Meta(ge=-(2**62), le=2**62)]
+FrameNumber = Annotated[int, Meta(ge=-(2**60), le=2**60)]
 
 
 class Point(Struct, gc=False):

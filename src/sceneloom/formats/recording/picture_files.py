@@ -1,5 +1,7 @@
 """Where a recording keeps the pictures of each camera, and which of them each `frames` line means."""
 
+import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,10 @@ from sceneloom.formats.video import PngFolder, VideoReader, open_video
 
 VIDEO_SUFFIXES = ("mkv", "mp4", "mov", "avi", "ts")
 """Endings of `data`, `data2`, … that are looked for, in this order."""
+
+_PICTURES = re.compile(
+    rf"data(?P<video>|[2-9]|[1-9]\d+)\.(?:{'|'.join(VIDEO_SUFFIXES)})|frames(?P<folder>[1-9]\d*)"
+)
 
 PictureFiles = VideoReader | PngFolder
 
@@ -31,6 +37,18 @@ def find_pictures(folder: Path, camera_index: int, ledger: Ledger) -> Path | Non
             "repeated-videos", DataError(folder, "", f"{listed} for camera {camera_index}; expected one")
         )
     return found[0] if found else None
+
+
+def unused_pictures(folder: Path, camera_indices: Collection[int]) -> list[Path]:
+    """Find videos and picture folders of other cameras than these."""
+    used = {"" if index == 0 else str(index + 1) for index in camera_indices}
+    used_folders = {str(index + 1) for index in camera_indices}
+    found = []
+    for path in sorted(folder.iterdir()):
+        match = _PICTURES.fullmatch(path.name)
+        if match and (match["folder"] not in used_folders if match["folder"] else match["video"] not in used):
+            found.append(path)
+    return found
 
 
 def expected_names(camera_index: int) -> str:

@@ -3,13 +3,13 @@
 from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 from sceneloom.arrays import read_only
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.recording.calibration import Calibration, read_calibration
+from sceneloom.formats.recording.calibration import read_calibration
 from sceneloom.formats.recording.camera_building import CameraSources, build_cameras
 from sceneloom.formats.recording.columns import Columns, RecordingColumns
+from sceneloom.formats.recording.further_contents import RecordingContents, further_contents
 from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lidar_building import build_lidars
 from sceneloom.formats.recording.lines import read_lines
@@ -50,12 +50,18 @@ def open_recording(path: Path, *, lenient: bool = False, altitude: str = "wgs84"
     if altitude not in ALTITUDES:
         raise OptionError(f"altitude {altitude!r}; expected one of: {', '.join(ALTITUDES)}")
     folder = recording_folder(path)
+    try:
+        return _open(folder, altitude, Ledger(lenient=lenient))
+    except OSError as error:
+        raise DataError(folder, "", f"cannot be read: {error}") from error
+
+
+def _open(folder: Path, altitude: str, ledger: Ledger) -> Scene:
     data_path = folder / DATA_FILE
     if not folder.is_dir():
         raise DataError(folder, "", "no such folder; expected a recording's folder")
     if not data_path.is_file():
         raise DataError(folder, "", f"holds no {DATA_FILE}; expected a recording's folder")
-    ledger = Ledger(lenient=lenient)
     columns = read_lines(data_path, ledger)
     calibration = read_calibration(folder, ledger)
     trajectories = build_trajectories(columns.poses, data_path, ledger)
@@ -65,7 +71,8 @@ def open_recording(path: Path, *, lenient: bool = False, altitude: str = "wgs84"
         lidars = build_lidars(folder, data_path, columns.lidars, calibration, ego_path, ledger)
         cameras = build_cameras(sources)
         ego_sensors = [*_imu(columns), *_gnss(columns)]
-        metadata = _metadata(folder, altitude, columns, calibration, trajectories, ledger)
+        contents = RecordingContents(folder, columns, calibration, trajectories)
+        metadata = {"altitude": altitude, **further_contents(contents, ledger)}
         return Scene(
             sensors=(*lidars, *cameras, *ego_sensors),
             trajectories=MappingProxyType(
@@ -119,54 +126,3 @@ def _gnss(columns: RecordingColumns) -> list[Sensor]:
             file_seconds=fixes.seconds,
         )
     ]
-
-
-def _metadata(
-    folder: Path,
-    altitude: str,
-    columns: RecordingColumns,
-    calibration: Calibration,
-    trajectories: dict[tuple[str, str], Trajectory],
-    ledger: Ledger,
-) -> dict[str, Any]:
-    """Collect what the scene has no other place for."""
-    roots = {
-        found.name: list(origin)
-        for origin, found in trajectories.items()
-        if origin != (found.name, found.name)
-    }
-    found = {
-        "calibration": dict(calibration.content),
-        "vio_config": _vio_config(folder, ledger),
-        "other_lines": list(columns.other_lines),
-        "further_keys": _further_keys(columns, trajectories),
-        "trajectory_origins": roots,
-    }
-    return {"altitude": altitude, **{name: value for name, value in found.items() if value}}
-
-
-def _vio_config(folder: Path, ledger: Ledger) -> str | None:
-    path = folder / "vio_config.yaml"
-    if not path.is_file():
-        return None
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        ledger.fault("unreadable-vio-config", DataError(path, "", f"cannot be read as text: {error}"))
-        return None
-
-
-def _further_keys(
-    columns: RecordingColumns, trajectories: dict[tuple[str, str], Trajectory]
-) -> dict[str, dict[str, str]]:
-    """The texts of lines that say more than the scene holds, by stream and time [ns]."""
-    streams = {f"imu.{name}": stream for name, stream in columns.sensors.items()}
-    streams["gnss"] = columns.gnss
-    streams |= {
-        f"trajectories.{found.name}": columns.poses[origin].samples for origin, found in trajectories.items()
-    }
-    streams |= {f"lidars.{index}": lidar.sweeps for index, lidar in columns.lidars.items()}
-    texts = {
-        name: stream.further_by_time(stream.by_time()) for name, stream in streams.items() if stream.further
-    }
-    return {name: by_time for name, by_time in texts.items() if by_time}

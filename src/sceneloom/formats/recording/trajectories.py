@@ -73,7 +73,8 @@ def _check_orientations(
     name: str, samples: SortedColumns, lines: Int64Array, path: Path, ledger: Ledger
 ) -> BoolArray:
     quaternions = samples.values[:, 3:]
-    error = np.abs(np.sqrt((quaternions * quaternions).sum(axis=1)) - 1.0)
+    with np.errstate(over="ignore"):
+        error = np.abs(np.sqrt((quaternions * quaternions).sum(axis=1)) - 1.0)
     usable: BoolArray = error <= GREATEST_NORM_ERROR
     for row in np.flatnonzero(~usable):
         if np.isnan(error[row]):

@@ -1,0 +1,230 @@
+"""First hits of many rays on a flat ground and on convex shapes: the inner loop of the simulated sensors.
+
+Every shape is one of four unit bodies, brought into the world by an affine map, so that a ray is taken into the
+shape's own space and one short test per body suffices. The ray parameter keeps its meaning under the map: with
+directions of unit length it is the range in metres.
+
+Rays come in bundles of neighbours (a tile of pixels, a patch of laser shots). For each bundle the shapes outside its
+cone are dropped and the rest sorted by distance, so a ray meets a handful of shapes instead of all.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
+
+Int32Array = NDArray[np.int32]
+
+BOX, CYLINDER, ELLIPSOID, GABLE = range(4)
+"""The unit bodies: the cube abs(x), abs(y), abs(z) <= 1; a disc of radius 1 over abs(z) <= 1; a ball of radius 1; a
+roof whose ridge runs along x at z = 1, over the square at z = -1."""
+
+GROUND = -1
+"""The hit number of the plane z = 0."""
+
+SKY = -2
+"""The hit number of a ray that meets nothing."""
+
+INNER: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "arcp", "nsz"},
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+"""Options of functions that only compiled functions call; without wrappers they compile faster."""
+
+
+@njit(**INNER)
+def _clip(near: float, far: float, value: float, slope: float) -> tuple[float, float]:
+    """Cut the interval (near, far) down to where `value + t slope <= 0`."""
+    if slope == 0.0:
+        return (near, far) if value <= 0.0 else (1.0, 0.0)
+    t = -value / slope
+    if slope < 0.0:
+        return (t, far) if t > near else (near, far)
+    return (near, t) if t < far else (near, far)
+
+
+@njit(**INNER)
+def _clip_round(near: float, far: float, a: float, b: float, c: float) -> tuple[float, float]:
+    """Cut the interval (near, far) down to where `a t² + 2 b t + c <= 0`, a >= 0."""
+    if a == 0.0:
+        return (near, far) if c <= 0.0 else (1.0, 0.0)
+    discriminant = b * b - a * c
+    if discriminant <= 0.0:
+        return 1.0, 0.0
+    root = math.sqrt(discriminant)
+    return max(near, (-b - root) / a), min(far, (-b + root) / a)
+
+
+@njit(**INNER)
+def _enter_unit_body(
+    kind: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, reach: float
+) -> float:
+    """Parameter at which a ray enters a unit body, or `reach` where it does not before."""
+    near, far = 0.0, reach
+    if kind == BOX:
+        near, far = _clip(near, far, ox - 1.0, dx)
+        near, far = _clip(near, far, -ox - 1.0, -dx)
+        near, far = _clip(near, far, oy - 1.0, dy)
+        near, far = _clip(near, far, -oy - 1.0, -dy)
+    elif kind == CYLINDER:
+        near, far = _clip_round(near, far, dx * dx + dy * dy, ox * dx + oy * dy, ox * ox + oy * oy - 1.0)
+    elif kind == ELLIPSOID:
+        near, far = _clip_round(
+            near,
+            far,
+            dx * dx + dy * dy + dz * dz,
+            ox * dx + oy * dy + oz * dz,
+            ox * ox + oy * oy + oz * oz - 1.0,
+        )
+    else:
+        near, far = _clip(near, far, ox - 1.0, dx)
+        near, far = _clip(near, far, -ox - 1.0, -dx)
+        near, far = _clip(near, far, oy + 0.5 * oz - 0.5, dy + 0.5 * dz)
+        near, far = _clip(near, far, -oy + 0.5 * oz - 0.5, -dy + 0.5 * dz)
+    if kind != ELLIPSOID and near < far:
+        near, far = _clip(near, far, oz - 1.0, dz)
+        near, far = _clip(near, far, -oz - 1.0, -dz)
+    return near if 0.0 < near < far else reach
+
+
+@njit(**INNER)
+def _cull(
+    axis: Float64Array, cosine: float, anchor: Float64Array, spread: float, spheres: Float64Array,
+    candidates: Int32Array, reach: float, chosen: Int32Array, nears: Float64Array,
+) -> int:  # fmt: skip
+    """List the shapes whose bounding spheres touch a bundle's cone, nearest first; give their number."""
+    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+    count = 0
+    for k in candidates:
+        vx, vy, vz = spheres[k, 0] - anchor[0], spheres[k, 1] - anchor[1], spheres[k, 2] - anchor[2]
+        radius = spheres[k, 3] + spread
+        along = vx * axis[0] + vy * axis[1] + vz * axis[2]
+        if along < -radius and cosine > 0.0:
+            continue
+        squared = vx * vx + vy * vy + vz * vz
+        across = math.sqrt(max(0.0, squared - along * along))
+        if cosine > 0.0 and across * cosine - along * sine > radius:
+            continue
+        near = math.sqrt(squared) - radius
+        if near > reach:
+            continue
+        place = count
+        while place > 0 and nears[place - 1] > near:
+            nears[place], chosen[place] = nears[place - 1], chosen[place - 1]
+            place -= 1
+        nears[place], chosen[place] = near, k
+        count += 1
+    return count
+
+
+@njit(**INNER)
+def _bundle_cone(
+    directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
+    start: int, stop: int, rays: Float64Array, axis: Float64Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Turn a bundle's directions into the world; give the cone around them: axis, cosine, spread of the origins."""
+    axis[0], axis[1], axis[2] = 0.0, 0.0, 0.0
+    anchor, spread = origins[pose_of_ray[start]], 0.0
+    for k in range(start, stop):
+        rotation, origin, row = rotations[pose_of_ray[k]], origins[pose_of_ray[k]], k - start
+        for i in range(3):
+            rays[row, i] = (
+                rotation[i, 0] * directions[k, 0]
+                + rotation[i, 1] * directions[k, 1]
+                + rotation[i, 2] * directions[k, 2]
+            )
+            axis[i] += rays[row, i]
+        apart = (origin[0] - anchor[0]) ** 2 + (origin[1] - anchor[1]) ** 2 + (origin[2] - anchor[2]) ** 2
+        spread = max(spread, apart)
+    length = max(1e-300, math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2))
+    axis[0], axis[1], axis[2] = axis[0] / length, axis[1] / length, axis[2] / length
+    cosine = 1.0
+    for row in range(stop - start):
+        cosine = min(cosine, rays[row, 0] * axis[0] + rays[row, 1] * axis[1] + rays[row, 2] * axis[2])
+    return cosine, math.sqrt(spread)
+
+
+@njit(**INNER)
+def _trace_bundle(
+    directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
+    start: int, stop: int, slots: Int64Array, kinds: UInt8Array, maps: Float64Array, spheres: Float64Array,
+    candidates: Int32Array, reach: float, ranges: Float64Array, hits: Int32Array,
+) -> None:  # fmt: skip
+    """Trace the rays from `start` to `stop`, which share one cone; arguments as in `trace_rays`."""
+    rays, axis = np.empty((stop - start, 3)), np.empty(3)
+    cosine, spread = _bundle_cone(directions, pose_of_ray, rotations, origins, start, stop, rays, axis)
+    chosen, nears = np.empty(len(candidates), np.int32), np.empty(len(candidates))
+    count = _cull(
+        axis, cosine, origins[pose_of_ray[start]], spread, spheres, candidates, reach, chosen, nears
+    )
+    for k in range(start, stop):
+        x, y, z = origins[pose_of_ray[k], 0], origins[pose_of_ray[k], 1], origins[pose_of_ray[k], 2]
+        u, v, w = rays[k - start, 0], rays[k - start, 1], rays[k - start, 2]
+        best, hit = reach, SKY
+        if w * z < 0.0 and -z / w < reach:
+            best, hit = -z / w, GROUND
+        for c in range(count):
+            if nears[c] > best:
+                break
+            m = maps[chosen[c]]
+            t = _enter_unit_body(
+                kinds[chosen[c]],
+                m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3],
+                m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3],
+                m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3],
+                m[0, 0] * u + m[0, 1] * v + m[0, 2] * w,
+                m[1, 0] * u + m[1, 1] * v + m[1, 2] * w,
+                m[2, 0] * u + m[2, 1] * v + m[2, 2] * w,
+                best,
+            )
+            if t < best:
+                best, hit = t, chosen[c]
+        ranges[slots[k]] = best if hit != SKY else 0.0
+        hits[slots[k]] = hit
+
+
+@njit(
+    "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], "
+    "uint8[::1], float64[:,:,::1], float64[:,::1], int32[::1], float64, float64[::1], int32[::1])",
+    parallel=True,
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def trace_rays(
+    directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
+    bundle_starts: Int64Array, slots: Int64Array, kinds: UInt8Array, maps: Float64Array, spheres: Float64Array,
+    candidates: Int32Array, reach: float, ranges: Float64Array, hits: Int32Array,
+) -> None:  # fmt: skip
+    """Find what each ray meets first.
+
+    Args:
+        directions: (N, 3) float64, unit, sensor frame, neighbours together.
+        pose_of_ray: (N,) int32, the row of `rotations` and `origins` that holds for a ray.
+        rotations: (M, 3, 3) float64 `world_from_sensor`.
+        origins: (M, 3) float64 [m], world frame.
+        bundle_starts: (B + 1,) int64, the first ray of each bundle and N.
+        slots: (N,) int64, where the answer of a ray goes.
+        kinds: (P,) uint8, the unit body of each shape.
+        maps: (P, 3, 4) float64, world to the space of the unit body.
+        spheres: (P, 4) float64 [m], centre and radius of a ball around each shape, world frame.
+        candidates: (C,) int32, the shapes to look at.
+        reach: rays end here [m].
+        ranges: (slots,) float64 [m], written: range of the first hit, 0 where there is none.
+        hits: (slots,) int32, written: the shape's number, `GROUND` or `SKY`.
+
+    Shapes are entered from outside: a ray that starts inside one does not see it.
+    """
+    for bundle in prange(len(bundle_starts) - 1):
+        _trace_bundle(
+            directions, pose_of_ray, rotations, origins, bundle_starts[bundle], bundle_starts[bundle + 1], slots,
+            kinds, maps, spheres, candidates, reach, ranges, hits,
+        )  # fmt: skip

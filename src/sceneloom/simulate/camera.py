@@ -1,0 +1,201 @@
+"""A camera with a global shutter: one ray through the middle of every pixel, or a few of them."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import check_camera, unproject
+from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Picture
+from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint
+from sceneloom.simulate.path import EgoPath, rotation_from_angles
+from sceneloom.simulate.street import Street
+
+_TILE = 16
+_REACH = 900.0
+_EGO_FROM_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Axes of a camera that looks along the ego's x: right, down, forward."""
+
+
+def camera_mount(
+    *,
+    position: tuple[float, float, float] = (0.55, 0.06, 1.62),
+    yaw_deg: float = 0.0,
+    pitch_deg: float = 0.0,
+    roll_deg: float = 0.0,
+) -> RigidTransform:
+    """Give `ego_from_camera` of a camera that looks ahead, turned left by yaw and down by pitch.
+
+    Args:
+        position: in the ego frame [m].
+        yaw_deg, pitch_deg, roll_deg: turns about the ego's z, y and x axis, roll first.
+    """
+    roll, pitch, yaw = np.radians([roll_deg, pitch_deg, yaw_deg])
+    return RigidTransform(rotation_from_angles(roll, pitch, yaw) @ _EGO_FROM_AHEAD, np.array(position))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraSpec:
+    """A camera that takes one picture in each sweep of the lidar.
+
+    Attributes:
+        camera: the lens.
+        mount: `ego_from_camera`.
+        offset_ns: time of the picture after the start of the sweep [ns].
+        supersampling: rays per pixel along each axis. 1: a pixel is the colour of the surface at its centre, exactly
+            what the truth says; 2 or more: the mean over the pixel, which is prettier at outlines.
+
+    Raises:
+        OptionError: `supersampling` is not 1 to 8.
+        CalibrationError: the lens is unknown.
+    """
+
+    camera: Camera = field(default=Camera("pinhole", 1242, 375, 720.0, 720.0, 620.5, 187.0))
+    mount: RigidTransform = field(
+        default_factory=lambda: camera_mount(yaw_deg=-0.4, pitch_deg=0.6, roll_deg=0.2)
+    )
+    offset_ns: int = 50_000_000
+    supersampling: int = 1
+
+    def __post_init__(self) -> None:
+        check_camera(self.camera)
+        if not 1 <= self.supersampling <= 8:
+            raise OptionError(f"camera.supersampling: {self.supersampling}; expected 1 to 8")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureTruth:
+    """What a camera sees along the rays through the pixels' centres.
+
+    Attributes:
+        depths: (H, W) float32 [m], z in the camera frame, 0 for the sky and outside the lens.
+        instances: (H, W) int32, 0 the ground, -1 the sky and outside the lens.
+        colors: (H, W, 3) uint8; equal to the picture where `supersampling` is 1.
+    """
+
+    depths: Float32Array
+    instances: AnyArray
+    colors: UInt8Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderedCamera:
+    """A camera on its way through a street.
+
+    Attributes:
+        spec: the device.
+        street, path: what it sees and how it moves.
+        timestamps_ns: (F,) int64 [ns], time of each picture.
+        rays: the rays through the pixels' centres.
+        between: further sets of rays, for supersampling.
+    """
+
+    spec: CameraSpec
+    street: Street
+    path: EgoPath
+    timestamps_ns: Int64Array
+    rays: Rays
+    between: tuple[Rays, ...]
+
+    @classmethod
+    def of(
+        cls, spec: CameraSpec, street: Street, path: EgoPath, *, timestamps_ns: Int64Array
+    ) -> "RenderedCamera":
+        """Set up the rays of a picture."""
+        steps = (np.arange(spec.supersampling) + 0.5) / spec.supersampling - 0.5
+        between = tuple(
+            _pixel_rays(spec.camera, du, dv) for dv in steps for du in steps if spec.supersampling > 1
+        )
+        return cls(spec, street, path, timestamps_ns, _pixel_rays(spec.camera, 0.0, 0.0), between)
+
+    def pose(self, k: int) -> RigidTransform:
+        """Exact `world_from_camera` of picture k."""
+        ego = self.path.at(self.timestamps_ns[k : k + 1])
+        return RigidTransform(ego.rotations[0], ego.positions[0]) @ self.spec.mount
+
+    def picture(self, k: int) -> Picture:
+        """Picture k, rendered when its pixels are asked for."""
+        return Picture(int(self.timestamps_ns[k]), self.spec.camera, lambda: self.render(k))
+
+    def render(self, k: int) -> UInt8Array:
+        """Render picture k, (H, W, 3) uint8."""
+        shape = (self.spec.camera.height, self.spec.camera.width, 3)
+        if not self.between:
+            return self._look(k, self.rays)[1].colors.reshape(shape)
+        total = np.zeros(shape, np.uint16)
+        for rays in self.between:
+            total += self._look(k, rays)[1].colors.reshape(shape)
+        count = len(self.between)
+        return ((total + count // 2) // count).astype(np.uint8)
+
+    def truth(self, k: int) -> PictureTruth:
+        """Render the truth of picture k."""
+        shape = (self.spec.camera.height, self.spec.camera.width)
+        hits, look = self._look(k, self.rays)
+        depths = np.zeros(self.rays.slot_count, np.float32)
+        depths[self.rays.slots] = hits.ranges[self.rays.slots] * self.rays.directions[:, 2]
+        instances = instances_of(self.street, hits).reshape(shape)
+        return PictureTruth(depths.reshape(shape), instances, look.colors.reshape(*shape, 3))
+
+    def _look(self, k: int, rays: Rays) -> tuple[Hits, Paint]:
+        pose = self.pose(k)
+        rotations, origins = pose.rotation[None].copy(), pose.translation[None].copy()
+        angle = 1.0 / (max(1, self.spec.supersampling) * min(self.spec.camera.fx, self.spec.camera.fy))
+        hits = cast(self.street, rays, rotations, origins, reach=_REACH)
+        return hits, paint(self.street, rays, rotations, origins, hits, pixel_angle=angle)
+
+
+def _pixel_rays(camera: Camera, du: float, dv: float) -> Rays:
+    """Rays through all pixels, (du, dv) beside their centres, bundled by tiles; slots count along the rows."""
+    v, u = (grid.ravel() for grid in np.mgrid[: camera.height, : camera.width])
+    pixels = np.column_stack([u + du, v + dv])
+    directions: Float64Array = unproject(camera, pixels)
+    tiles = v // _TILE * camera.width + u // _TILE
+    return Rays.bundled(directions, tiles.astype(np.int64))
+
+
+def edge_mask(truth: PictureTruth, *, within_px: int = 2) -> BoolArray:
+    """Mark the pixels near an outline.
+
+    An outline lies between two neighbouring pixels that show different objects, or depths that differ by more than
+    a plane could explain: 5 % of the depth and more than double the step on either side.
+
+    Args:
+        within_px: how far from an outline pixels are still marked, along rows, columns and diagonals.
+
+    Returns:
+        (H, W) bool.
+    """
+    edges = np.zeros(truth.depths.shape, np.bool_)
+    for axis in (0, 1):
+        instances, depths = (np.moveaxis(array, axis, 0) for array in (truth.instances, truth.depths))
+        view = np.moveaxis(edges, axis, 0)
+        change = (instances[1:] != instances[:-1]) | _jumps(depths.astype(np.float64))
+        view[1:] |= change
+        view[:-1] |= change
+    return _grown(edges, within_px - 1)
+
+
+def _jumps(depths: Float64Array) -> BoolArray:
+    """Where the depth leaps between rows, (H - 1, W)."""
+    steps = np.abs(np.diff(depths, axis=0))
+    beside = np.zeros_like(steps)
+    beside[1:] = steps[:-1]
+    beside[:-1] = np.maximum(beside[:-1], steps[1:])
+    leaps: BoolArray = (steps > 0.05 * np.minimum(depths[1:], depths[:-1])) & (steps > 2.0 * beside)
+    return leaps
+
+
+def _grown(mask: BoolArray, by_px: int) -> BoolArray:
+    """The mask and all pixels at most `by_px` rows and columns from it."""
+    grown = mask
+    for axis in (0, 1):
+        source = grown.copy()
+        for step in range(1, by_px + 1):
+            view, old = np.moveaxis(grown, axis, 0), np.moveaxis(source, axis, 0)
+            view[step:] |= old[:-step]
+            view[:-step] |= old[step:]
+    return grown

@@ -1,0 +1,180 @@
+"""Rays cast into the street: bundles of neighbours go in, ranges, objects and colours come out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.kernels.painting import paint_rays
+from sceneloom.kernels.raycast import SKY, trace_rays
+from sceneloom.simulate import ground
+from sceneloom.simulate.street import Street
+
+SKY_INSTANCE, GROUND_INSTANCE = -1, 0
+"""What instance pictures say where there is no object."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """Directions in a sensor's frame, sorted into bundles of neighbours.
+
+    Attributes:
+        directions: (N, 3) float64, unit.
+        pose_of_ray: (N,) int32, which of the sensor's poses a ray starts from.
+        bundle_starts: (B + 1,) int64, the first ray of each bundle and N.
+        slots: (N,) int64, where a ray's answer goes.
+        slot_count: length of the answers; slots without a ray stay empty.
+    """
+
+    directions: Float64Array
+    pose_of_ray: AnyArray
+    bundle_starts: Int64Array
+    slots: Int64Array
+    slot_count: int
+
+    @classmethod
+    def bundled(
+        cls, directions: Float64Array, bundle_of_ray: Int64Array, *, pose_of_ray: Int64Array | None = None
+    ) -> "Rays":
+        """Sort rays by the bundle they belong to; rays that are not finite are left out.
+
+        Args:
+            directions: (N, 3) float64, unit; ray k answers in slot k.
+            bundle_of_ray: (N,) int64, any numbers, equal for neighbours.
+            pose_of_ray: (N,) int64, None where all rays share one pose.
+        """
+        order = np.argsort(bundle_of_ray, kind="stable")
+        order = order[np.isfinite(directions[order]).all(axis=1)]
+        edges = np.flatnonzero(np.diff(bundle_of_ray[order])) + 1
+        starts = np.concatenate([[0], edges, [len(order)]]) if len(order) else np.zeros(1)
+        poses = np.zeros(len(order)) if pose_of_ray is None else pose_of_ray[order]
+        return cls(
+            np.ascontiguousarray(directions[order], np.float64),
+            poses.astype(np.int32),
+            starts.astype(np.int64),
+            order.astype(np.int64),
+            len(directions),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hits:
+    """What rays met, one answer per slot.
+
+    Attributes:
+        ranges: (S,) float64 [m], 0 where nothing was met.
+        shapes: (S,) int32, number of the shape, or `GROUND` or `SKY` of the ray caster.
+    """
+
+    ranges: Float64Array
+    shapes: AnyArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Paint:
+    """How the met surfaces look, one answer per slot.
+
+    Attributes:
+        colors: (S, 3) uint8.
+        facings: (S,) float32, cosine between ray and normal, 0 where nothing was met.
+    """
+
+    colors: UInt8Array
+    facings: Float32Array
+
+
+def cast(street: Street, rays: Rays, rotations: Float64Array, origins: Float64Array, *, reach: float) -> Hits:
+    """Find what each ray meets first.
+
+    Args:
+        rotations: (M, 3, 3) float64 `world_from_sensor`, one per pose.
+        origins: (M, 3) float64 [m], world frame.
+        reach: how far the rays go [m].
+    """
+    ranges = np.zeros(rays.slot_count)
+    shapes = np.full(rays.slot_count, SKY, np.int32)
+    spheres = street.shapes.spheres
+    middle = origins.mean(axis=0)
+    spread = float(np.linalg.norm(origins - middle, axis=1).max())
+    apart = np.linalg.norm(spheres[:, :3] - middle, axis=1)
+    candidates = np.flatnonzero(apart < reach + spread + spheres[:, 3]).astype(np.int32)
+    trace_rays(
+        rays.directions,
+        rays.pose_of_ray,
+        np.ascontiguousarray(rotations, np.float64),
+        np.ascontiguousarray(origins, np.float64),
+        rays.bundle_starts,
+        rays.slots,
+        street.shapes.kinds,
+        street.shapes.maps,
+        spheres,
+        candidates,
+        float(reach),
+        ranges,
+        shapes,
+    )
+    return Hits(ranges, shapes)
+
+
+def paint(
+    street: Street,
+    rays: Rays,
+    rotations: Float64Array,
+    origins: Float64Array,
+    hits: Hits,
+    *,
+    pixel_angle: float = 0.0,
+) -> Paint:
+    """Colour what the rays met; `pixel_angle` [rad] is the width of a ray, 0 for the bare surface."""
+    colors = np.zeros((rays.slot_count, 3), np.uint8)
+    facings = np.zeros(rays.slot_count, np.float32)
+    shapes = street.shapes
+    paint_rays(
+        rays.directions,
+        rays.pose_of_ray,
+        np.ascontiguousarray(rotations, np.float64),
+        np.ascontiguousarray(origins, np.float64),
+        rays.slots,
+        hits.ranges,
+        hits.shapes,
+        shapes.kinds,
+        shapes.maps,
+        shapes.halves,
+        shapes.patterns,
+        shapes.palettes,
+        shapes.measures,
+        shapes.instances,
+        street.ground.nodes,
+        street.ground.corner,
+        street.ground.cell,
+        np.array(ground.PALETTE, np.float64),
+        float(pixel_angle),
+        colors,
+        facings,
+    )
+    return Paint(colors, facings)
+
+
+def instances_of(street: Street, hits: Hits) -> AnyArray:
+    """Give the instance number of each hit, (S,) int32."""
+    numbers = np.append(street.shapes.instances, [SKY_INSTANCE, GROUND_INSTANCE]).astype(np.int32)
+    # The ray caster's SKY and GROUND are -2 and -1, so they index the two entries at the end.
+    return numbers[hits.shapes]
+
+
+def reflectivities_of(street: Street, hits: Hits) -> Float64Array:
+    """Give the reflectivity of each hit's material, (S,) float64, 0 for the sky."""
+    values: Float64Array = np.append(street.shapes.reflectivities, [0.0, ground.GRAIN])[hits.shapes]
+    return values
+
+
+def bundles_by_direction(directions: Float64Array, *, across: int = 64) -> Int64Array:
+    """Put unit directions (N, 3) that point nearly the same way under one number: cells of a cube's faces."""
+    largest = np.argmax(np.abs(directions), axis=1)
+    rows = np.arange(len(directions))
+    scaled = directions / np.maximum(1e-300, np.abs(directions[rows, largest]))[:, None]
+    cells = np.clip(((scaled + 1.0) * (0.5 * across)).astype(np.int64), 0, across - 1)
+    face = 2 * largest + (directions[rows, largest] > 0)
+    a, b = cells[rows, (largest + 1) % 3], cells[rows, (largest + 2) % 3]
+    numbers: Int64Array = (face * across + a) * across + b
+    return numbers

@@ -1,0 +1,211 @@
+"""A made-up drive: one scene as a reader would give it, and the truth behind it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.pose_source import PoseSource
+from sceneloom.scene import (
+    CameraSensor,
+    CuboidAnnotation,
+    CuboidPath,
+    LazyFrames,
+    LidarSensor,
+    PosePath,
+    Scene,
+    Trajectory,
+)
+from sceneloom.simulate.camera import CameraSpec, RenderedCamera, camera_mount
+from sceneloom.simulate.inertial import ImuSpec, imu_sensor, imu_truth
+from sceneloom.simulate.lidar import LidarSpec, SpinningLidar
+from sceneloom.simulate.path import plan_path
+from sceneloom.simulate.randomness import Stream, generator_for
+from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
+from sceneloom.simulate.street import StreetObject, build_street
+from sceneloom.simulate.truth import Truth
+
+TRAJECTORY = "groundTruth"
+"""Name of the trajectory that is exactly the ego's way."""
+
+ANNOTATED = frozenset({"car", "bin", "tree", "pole"})
+"""Classes of objects that get a box in the scene's annotations; `Truth.objects` knows all."""
+
+_MARGIN_NS = 200_000_000
+"""How far trajectory, IMU and GNSS reach beyond the first and the last sweep."""
+_IMU_SHIFT_NS = 1_300_000
+"""Keeps the IMU's stamps from falling on those of other sensors, as two clocks would."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedDrive:
+    """A drive that never happened.
+
+    Attributes:
+        scene: what sensors recorded of it; sweeps and pictures are made when asked for.
+        truth: what was really there.
+    """
+
+    scene: Scene
+    truth: Truth
+
+
+def simulate_street(
+    seed: int = 0,
+    *,
+    frames: int = 30,
+    lidar: LidarSpec | None = None,
+    cameras: Sequence[CameraSpec] | None = None,
+    imu: ImuSpec | None = None,
+    gnss: GnssSpec | None = None,
+    trajectory_hz: float = 100.0,
+    start_ns: int = 1_000_000_000,
+) -> SimulatedDrive:
+    """Drive through a made-up street.
+
+    Args:
+        seed: another number is another street, another way and other noise.
+        frames: lidar sweeps; each camera takes one picture in each.
+        lidar: the lidar, by default 64 beams and 1800 steps at 10 Hz on the roof.
+        cameras: by default one of 1242x375 pixels, looking ahead; ids are "camera0", "camera1", …
+        imu, gnss: the inertial unit and the satellite receiver.
+        trajectory_hz: samples of the trajectory a second; 100 keeps interpolation within 0.1 mm and 0.001 degrees.
+        start_ns: time of the first sweep [ns].
+
+    Returns:
+        The drive; the same for the same arguments, whatever is asked of it and in which order.
+
+    Raises:
+        OptionError: a number is out of bounds.
+        CalibrationError: a lens cannot be used.
+    """
+    if frames < 1 or not 10.0 <= trajectory_hz <= 10_000.0:
+        raise OptionError(f"{frames} frames at {trajectory_hz} poses a second; expected >= 1, 10 to 10000")
+    lidar, imu, gnss = lidar or LidarSpec(), imu or ImuSpec(), gnss or GnssSpec()
+    specs = (CameraSpec(),) if cameras is None else tuple(cameras)
+    starts = start_ns + lidar.period_ns * np.arange(frames, dtype=np.int64)
+    span_ns = _span(starts, lidar, specs)
+    path = plan_path(
+        generator_for(seed, Stream.PATH), start_ns=start_ns, duration=(span_ns[1] - start_ns) * 1e-9
+    )
+    street = build_street(generator_for(seed, Stream.STREET), path)
+    inertial = imu_truth(imu, path, _stamps(span_ns, imu.rate_hz) + _IMU_SHIFT_NS, seed=seed)
+    truth = Truth(
+        street,
+        path,
+        SpinningLidar.of(lidar, street, path, seed=seed, timestamps_ns=starts),
+        {
+            f"camera{index}": RenderedCamera.of(spec, street, path, timestamps_ns=starts + spec.offset_ns)
+            for index, spec in enumerate(specs)
+        },
+        inertial,
+    )
+    sensors = (
+        imu_sensor(imu, inertial, seed=seed),
+        gnss_sensor(gnss, path, _stamps(span_ns, gnss.rate_hz), seed=seed),
+    )
+    return SimulatedDrive(_scene(seed, truth, sensors, _stamps(span_ns, trajectory_hz)), truth)
+
+
+def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
+    """A small drive for a first look: two cameras with different lenses, smooth outlines, a 32-beam lidar."""
+    ahead = Camera(
+        "brown_conrady", 800, 400, 430.0, 430.0, 399.5, 190.0, (-0.12, 0.04, 0.0004, -0.0003, -0.006)
+    )
+    aside = Camera("fisheye", 640, 400, 250.0, 250.0, 319.5, 190.0, (0.03, -0.008, 0.002, -0.0004))
+    cameras = (
+        CameraSpec(ahead, camera_mount(pitch_deg=0.6), supersampling=2),
+        CameraSpec(
+            aside,
+            camera_mount(position=(0.35, 0.25, 1.6), yaw_deg=62.0, pitch_deg=2.0),
+            45_000_000,
+            supersampling=2,
+        ),
+    )
+    return simulate_street(seed, frames=frames, lidar=LidarSpec(steps=1200), cameras=cameras)
+
+
+def _span(starts_ns: Int64Array, lidar: LidarSpec, cameras: Sequence[CameraSpec]) -> tuple[int, int]:
+    """First and last time that any sensor needs [ns], with a margin."""
+    offsets = [0, lidar.period_ns, *(spec.offset_ns for spec in cameras)]
+    if min(offsets) < -lidar.period_ns or max(offsets) > 2 * lidar.period_ns:
+        raise OptionError(
+            f"camera offsets {offsets[2:]} ns; expected within one sweep ({lidar.period_ns} ns)"
+        )
+    return int(starts_ns[0]) + min(offsets) - _MARGIN_NS, int(starts_ns[-1]) + max(offsets) + _MARGIN_NS
+
+
+def _stamps(span_ns: tuple[int, int], rate_hz: float) -> Int64Array:
+    """Times at a constant rate over a span, (N,) int64 [ns]."""
+    count = int((span_ns[1] - span_ns[0]) * 1e-9 * rate_hz) + 2
+    stamps: Int64Array = span_ns[0] + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+    return stamps
+
+
+def _scene(seed: int, truth: Truth, others: tuple[Any, ...], stamps_ns: Int64Array) -> Scene:
+    ego = truth.path.poses(stamps_ns)
+    lidar = truth.lidar
+    sensors = (
+        LidarSensor(
+            "lidar",
+            LazyFrames(lidar.timestamps_ns, lidar.frame),
+            poses=_mounted(ego, lidar.spec.mount),
+            mount=lidar.spec.mount,
+            model="simulated",
+        ),
+        *(_camera_sensor(name, camera, ego) for name, camera in truth.cameras.items()),
+        *others,
+    )
+    trajectory = Trajectory(TRAJECTORY, ego.timestamps_ns, ego.positions, ego.quaternions_xyzw)
+    return Scene(
+        sensors,
+        annotations=_annotations(truth.objects, int(lidar.timestamps_ns[0])),
+        trajectories={TRAJECTORY: trajectory},
+        metadata=_metadata(seed),
+        source=f"simulated street {seed}",
+        format="simulated",
+    )
+
+
+def _metadata(seed: int) -> Mapping[str, Any]:
+    return {"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz", "seed": seed}}
+
+
+def _camera_sensor(name: str, camera: RenderedCamera, ego: PosePath) -> CameraSensor:
+    times = camera.timestamps_ns
+    return CameraSensor(
+        name,
+        camera.spec.camera,
+        LazyFrames(times, camera.picture),
+        poses=_mounted(ego, camera.spec.mount),
+        mount=camera.spec.mount,
+        fps=1e9 / float(times[1] - times[0]) if len(times) > 1 else None,
+    )
+
+
+def _mounted(ego: PosePath, mount: RigidTransform) -> PosePath:
+    """`world_from_sensor` at the trajectory's own times."""
+    poses = PoseSource(ego, mount).at(ego.timestamps_ns)
+    return PosePath(ego.timestamps_ns, poses.positions, poses.quaternions_xyzw)
+
+
+def _annotations(objects: Sequence[StreetObject], timestamp_ns: int) -> tuple[CuboidAnnotation, ...]:
+    """A standing box for each object of an annotated class; angles in degrees."""
+    return tuple(
+        CuboidAnnotation(
+            f"{thing.label}-{thing.instance}",
+            CuboidPath(
+                np.array([timestamp_ns], np.int64),
+                np.array([[*thing.size_lwh, *thing.center_world, 0.0, 0.0, np.degrees(thing.yaw)]]),
+            ),
+            label=thing.label,
+            stationary=True,
+        )
+        for thing in objects
+        if thing.label in ANNOTATED
+    )

@@ -1,0 +1,103 @@
+"""What an inertial unit in the ego's origin measures on the way."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import OptionError
+from sceneloom.scene import ImuSensor, VectorSamples
+from sceneloom.simulate.path import EgoPath
+from sceneloom.simulate.randomness import Stream, generator_for
+
+GRAVITY = 9.80665
+"""[m/s²], down the world's z axis. Source: CGPM 1901, standard gravity."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSpec:
+    """An inertial unit whose axes are the ego's.
+
+    Attributes:
+        rate_hz: samples a second.
+        accelerometer_noise: density of the white noise [m/s²/√Hz]; a sample's deviation is this times √rate.
+        gyroscope_noise: the same [rad/s/√Hz].
+        accelerometer_bias_sigma: deviation from which the constant bias of each axis is drawn [m/s²].
+        gyroscope_bias_sigma: the same [rad/s].
+
+    Raises:
+        OptionError: the rate is not between 1 and 10000, or a deviation is negative.
+    """
+
+    rate_hz: float = 200.0
+    accelerometer_noise: float = 0.001
+    gyroscope_noise: float = 0.0001
+    accelerometer_bias_sigma: float = 0.02
+    gyroscope_bias_sigma: float = 0.001
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.rate_hz <= 10_000.0:
+            raise OptionError(f"imu.rate_hz: {self.rate_hz}; expected 1 to 10000")
+        deviations = (
+            self.accelerometer_noise,
+            self.gyroscope_noise,
+            self.accelerometer_bias_sigma,
+            self.gyroscope_bias_sigma,
+        )
+        if min(deviations) < 0:
+            raise OptionError(f"imu: deviations {deviations}; expected none below 0")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuTruth:
+    """What the unit would report without errors, and its constant errors.
+
+    Attributes:
+        timestamps_ns: (N,) int64 [ns].
+        specific_forces: (N, 3) float64 [m/s²], ego frame; at rest it points up.
+        angular_rates: (N, 3) float64 [rad/s], ego frame.
+        accelerometer_bias: (3,) float64 [m/s²].
+        gyroscope_bias: (3,) float64 [rad/s].
+    """
+
+    timestamps_ns: Int64Array
+    specific_forces: Float64Array
+    angular_rates: Float64Array
+    accelerometer_bias: Float64Array
+    gyroscope_bias: Float64Array
+
+
+def imu_truth(spec: ImuSpec, path: EgoPath, timestamps_ns: Int64Array, *, seed: int) -> ImuTruth:
+    """Derive the unit's signals from the exact motion."""
+    states = path.at(timestamps_ns)
+    pulled = states.accelerations + np.array([0.0, 0.0, GRAVITY])
+    return ImuTruth(
+        timestamps_ns,
+        np.einsum("nji,nj->ni", states.rotations, pulled),
+        states.angular_rates,
+        _bias(spec.accelerometer_bias_sigma, seed, Stream.ACCELEROMETER),
+        _bias(spec.gyroscope_bias_sigma, seed, Stream.GYROSCOPE),
+    )
+
+
+def imu_sensor(spec: ImuSpec, truth: ImuTruth, *, seed: int) -> ImuSensor:
+    """Add bias and white noise to the true signals."""
+    forces = truth.specific_forces + truth.accelerometer_bias
+    rates = truth.angular_rates + truth.gyroscope_bias
+    noise = np.sqrt(spec.rate_hz)
+    streams = {
+        "accelerometer": _noisy(forces, noise * spec.accelerometer_noise, seed, Stream.ACCELEROMETER),
+        "gyroscope": _noisy(rates, noise * spec.gyroscope_noise, seed, Stream.GYROSCOPE),
+    }
+    return ImuSensor(
+        "imu", {name: VectorSamples(truth.timestamps_ns, values) for name, values in streams.items()}
+    )
+
+
+def _bias(sigma: float, seed: int, stream: Stream) -> Float64Array:
+    return sigma * generator_for(seed, stream, 0).standard_normal(3)
+
+
+def _noisy(values: Float64Array, sigma: float, seed: int, stream: Stream) -> Float64Array:
+    noisy: Float64Array = values + sigma * generator_for(seed, stream, 1).standard_normal(values.shape)
+    return noisy

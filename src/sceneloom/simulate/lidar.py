@@ -1,0 +1,196 @@
+"""A spinning lidar: every shot leaves from where the sensor is at the shot's own time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, read_only
+from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import LidarFrame, LidarPoints
+from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint, reflectivities_of
+from sceneloom.simulate.path import EgoPath, rotation_from_angles
+from sceneloom.simulate.randomness import Stream, generator_for
+from sceneloom.simulate.street import Street
+
+_BUNDLE_COLUMNS, _BUNDLE_BEAMS = 16, 8
+"""Shots that are culled together: about as wide as high at the default resolution."""
+
+
+def _default_mount() -> RigidTransform:
+    """A roof mounting that is a little off square, so that no one can take it for the identity."""
+    roll, pitch, yaw = np.radians([0.3, -0.5, 0.8])
+    return RigidTransform(rotation_from_angles(roll, pitch, yaw), np.array([0.25, 0.02, 1.78]))
+
+
+DEFAULT_MOUNT = _default_mount()
+"""`ego_from_lidar` on the roof."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarSpec:
+    """A lidar that turns about its z axis.
+
+    Attributes:
+        beams: number of lasers; ring 0 is the lowest.
+        elevations_deg: elevation of the lowest and of the highest laser; the others lie evenly between.
+        steps: shots of each laser in a turn; `beams * steps` shots make a sweep.
+        period_ns: time of a turn [ns].
+        clockwise: the way it turns, seen from above.
+        start_azimuth_deg: where a turn begins, counter-clockwise from the sensor's x axis; 180 looks back, so the
+            sensor looks ahead in the middle of a sweep.
+        range_sigma: standard deviation of the measured range [m].
+        drop_rate: share of returns that are lost at random.
+        min_range, max_range: no returns nearer or farther [m].
+        mount: `ego_from_lidar`.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    beams: int = 64
+    elevations_deg: tuple[float, float] = (-24.8, 2.0)
+    steps: int = 1800
+    period_ns: int = 100_000_000
+    clockwise: bool = True
+    start_azimuth_deg: float = 180.0
+    range_sigma: float = 0.02
+    drop_rate: float = 0.01
+    min_range: float = 0.9
+    max_range: float = 120.0
+    mount: RigidTransform = DEFAULT_MOUNT
+
+    def __post_init__(self) -> None:
+        bounds = (
+            ("beams", self.beams, 1, 65535),
+            ("steps", self.steps, 1, self.period_ns),
+            ("period_ns", self.period_ns, 1, 10**12),
+            ("range_sigma", self.range_sigma, 0.0, 10.0),
+            ("drop_rate", self.drop_rate, 0.0, 1.0),
+            ("min_range", self.min_range, 0.0, self.max_range),
+            ("max_range", self.max_range, self.min_range, 1e4),
+        )
+        for name, value, low, high in bounds:
+            if not low <= value <= high:
+                raise OptionError(f"lidar.{name}: {value}; expected {low} to {high}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """Everything about one sweep; the arrays hold its returns in the order of their time.
+
+    Attributes:
+        frame: what the sensor reports.
+        ranges: (N,) float64 [m], without noise.
+        directions: (N, 3) float64, unit, lidar frame.
+        origins_world: (N, 3) float64 [m], where the lidar was.
+        points_world: (N, 3) float64 [m], where the shots ended, without noise.
+        instances: (N,) int32, what they hit.
+        colors: (N, 3) uint8, its colour there.
+    """
+
+    frame: LidarFrame
+    ranges: Float64Array
+    directions: Float64Array
+    origins_world: Float64Array
+    points_world: Float64Array
+    instances: AnyArray
+    colors: UInt8Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpinningLidar:
+    """A lidar on its way through a street.
+
+    Attributes:
+        spec: the device.
+        street, path: what it meets and how it moves.
+        seed: of the drive.
+        timestamps_ns: (F,) int64 [ns], start of each sweep.
+        rays: all shots of a sweep, column after column.
+        offsets_ns: (steps,) int64 [ns], time of each column after the start of its sweep.
+    """
+
+    spec: LidarSpec
+    street: Street
+    path: EgoPath
+    seed: int
+    timestamps_ns: Int64Array
+    rays: Rays
+    offsets_ns: Int64Array
+
+    @classmethod
+    def of(
+        cls, spec: LidarSpec, street: Street, path: EgoPath, *, seed: int, timestamps_ns: Int64Array
+    ) -> "SpinningLidar":
+        """Set up the shots of a sweep."""
+        offsets = np.arange(spec.steps, dtype=np.int64) * spec.period_ns // spec.steps
+        return cls(spec, street, path, seed, timestamps_ns, _shots(spec), offsets)
+
+    def frame(self, k: int) -> LidarFrame:
+        """What the sensor reports of sweep k."""
+        return self.sweep(k).frame
+
+    def sweep(self, k: int) -> Sweep:
+        """Make sweep k with its truth; the same every time."""
+        rotations, origins = self._poses(self.timestamps_ns[k] + self.offsets_ns)
+        hits = cast(self.street, self.rays, rotations, origins, reach=self.spec.max_range)
+        look = paint(self.street, self.rays, rotations, origins, hits)
+        noise, kept = self._noise(k, hits)
+        directions = np.empty((self.rays.slot_count, 3))
+        directions[self.rays.slots] = self.rays.directions
+        column = kept // self.spec.beams
+        ranges, directions = hits.ranges[kept], directions[kept]
+        in_world = np.einsum("nij,nj->ni", rotations[column], directions)
+        positions = directions * np.maximum(0.0, ranges + noise[kept])[:, None]
+        points = LidarPoints(
+            read_only(positions, np.float32),
+            intensities=read_only(_intensities(self.street, hits, look)[kept]),
+            timestamps_ns=read_only(self.timestamps_ns[k] + self.offsets_ns[column]),
+            rings=read_only((kept % self.spec.beams).astype(np.uint16)),
+        )
+        return Sweep(
+            LidarFrame(int(self.timestamps_ns[k]), points),
+            ranges,
+            directions,
+            origins[column],
+            origins[column] + ranges[:, None] * in_world,
+            instances_of(self.street, hits)[kept],
+            look.colors[kept],
+        )
+
+    def _poses(self, timestamps_ns: Int64Array) -> tuple[Float64Array, Float64Array]:
+        """`world_from_lidar` at each time: (M, 3, 3) rotations and (M, 3) positions."""
+        ego = self.path.at(timestamps_ns)
+        mount = self.spec.mount
+        return ego.rotations @ mount.rotation, ego.positions + ego.rotations @ mount.translation
+
+    def _noise(self, k: int, hits: Hits) -> tuple[Float64Array, Int64Array]:
+        """Range errors (S,) [m] and the slots of the returns that arrive."""
+        generator = generator_for(self.seed, Stream.LIDAR, k)
+        noise = self.spec.range_sigma * generator.standard_normal(len(hits.ranges), dtype=np.float32)
+        lost = generator.random(len(hits.ranges), dtype=np.float32) < self.spec.drop_rate
+        kept = np.flatnonzero((hits.ranges >= self.spec.min_range) & ~lost)
+        return noise.astype(np.float64), kept
+
+
+def _shots(spec: LidarSpec) -> Rays:
+    """Directions of all shots, ordered by column, then by ring; each column has a pose of its own."""
+    elevations = np.radians(np.linspace(*spec.elevations_deg, spec.beams))
+    turn = (-2.0 if spec.clockwise else 2.0) * np.pi / spec.steps
+    azimuths = np.radians(spec.start_azimuth_deg) + turn * np.arange(spec.steps)
+    column, beam = (grid.ravel() for grid in np.mgrid[: spec.steps, : spec.beams])
+    flat = np.cos(elevations[beam])
+    directions = np.column_stack(
+        [flat * np.cos(azimuths[column]), flat * np.sin(azimuths[column]), np.sin(elevations[beam])]
+    )
+    bundle = column // _BUNDLE_COLUMNS * spec.beams + beam // _BUNDLE_BEAMS
+    return Rays.bundled(directions, bundle, pose_of_ray=column)
+
+
+def _intensities(street: Street, hits: Hits, look: Paint) -> UInt8Array:
+    """Strength of each return: the material, how light its surface is, and the angle at which it is met."""
+    lightness = look.colors.astype(np.float32).mean(axis=1) / 255.0
+    strength = reflectivities_of(street, hits) * (0.25 + 0.75 * lightness) * np.sqrt(look.facings)
+    levels: UInt8Array = np.rint(255.0 * np.minimum(1.0, strength)).astype(np.uint8)
+    return levels

@@ -1,0 +1,207 @@
+"""The ego's way: a curve that can be differentiated exactly, so that every sensor's truth is a formula."""
+
+from dataclasses import dataclass
+from math import comb, factorial
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.geometry.rotations import quaternion_from_matrix
+from sceneloom.scene import PosePath, PoseSamples
+
+_DEGREE = 5
+_LEAD = 16.0
+"""Seconds by which the curve goes on before and after the drive: the street is built along all of it."""
+_KNOT_STEP = 1.0
+_WIDEST_HEADING = np.radians(55.0)
+_TURN_RATE = 0.21
+"""Fastest turning [rad/s]; at the speed of a turn its radius stays beyond the pavement."""
+_SLOWEST, _FASTEST = 5.0, 10.5
+
+
+def _basis_rows() -> Float64Array:
+    """Coefficients (6, 6) of the uniform quintic B-spline: row j weighs control point i + j, powers ascending.
+
+    Source: Schoenberg 1946: N(x) = 1/5! Σ (-1)^k C(6, k) max(x - k, 0)^5.
+    """
+    rows = np.zeros((_DEGREE + 1, _DEGREE + 1))
+    for j in range(_DEGREE + 1):
+        for k in range(_DEGREE - j + 1):
+            power = polynomial.polypow([_DEGREE - j - k, 1.0], _DEGREE)
+            rows[j] += (-1) ** k * comb(_DEGREE + 1, k) / factorial(_DEGREE) * power
+    return rows
+
+
+_BASIS = _basis_rows()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EgoStates:
+    """Exact motion of the ego at some times.
+
+    Attributes:
+        positions: (M, 3) float64 [m], world frame.
+        rotations: (M, 3, 3) float64 `world_from_ego`.
+        velocities: (M, 3) float64 [m/s], world frame.
+        accelerations: (M, 3) float64 [m/s²], world frame, without gravity.
+        angular_rates: (M, 3) float64 [rad/s], ego frame.
+    """
+
+    positions: Float64Array
+    rotations: Float64Array
+    velocities: Float64Array
+    accelerations: Float64Array
+    angular_rates: Float64Array
+
+    @property
+    def quaternions_xyzw(self) -> Float64Array:
+        """The rotations as (M, 4) unit quaternions."""
+        return quaternion_from_matrix(self.rotations)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EgoPath:
+    """A smooth way through the world: a quintic spline on the ground, with a little heave, roll and pitch.
+
+    The ego looks along its horizontal velocity; roll, pitch and height are sums of sines. Position has four
+    continuous derivatives.
+
+    Attributes:
+        start_ns: time zero of the curve [ns].
+        first_knot: time of the first knot [s], relative to `start_ns`.
+        control_points: (K, 2) float64 [m], one per `knot_step`.
+        waves: (3, W, 3) float64: for height [m], roll and pitch [rad] the amplitude, angular frequency [rad/s] and
+            phase of W sines.
+        knot_step: time between knots [s].
+    """
+
+    start_ns: int
+    first_knot: float
+    control_points: Float64Array
+    waves: Float64Array
+    knot_step: float = _KNOT_STEP
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """First and last time at which the curve is defined [s], relative to `start_ns`."""
+        pieces = len(self.control_points) - _DEGREE
+        return self.first_knot, self.first_knot + pieces * self.knot_step
+
+    def at(self, timestamps_ns: Int64Array) -> EgoStates:
+        """Give the exact motion at (M,) int64 times [ns], which lie within `reach`."""
+        seconds: Float64Array = (np.asarray(timestamps_ns) - self.start_ns) * 1e-9
+        return self.at_seconds(seconds)
+
+    def at_seconds(self, seconds: Float64Array) -> EgoStates:
+        """Give the exact motion at (M,) times [s] relative to `start_ns`."""
+        plane = [self._plane(seconds, order) for order in range(3)]
+        (height, roll, pitch), (climb, roll_rate, pitch_rate), (heave, _, _) = (
+            self._wave(seconds, order) for order in range(3)
+        )
+        (vx, vy), (ax, ay) = plane[1].T, plane[2].T
+        yaw, yaw_rate = np.arctan2(vy, vx), (vx * ay - vy * ax) / (vx * vx + vy * vy)
+        return EgoStates(
+            np.column_stack([plane[0], height]),
+            rotation_from_angles(roll, pitch, yaw),
+            np.column_stack([plane[1], climb]),
+            np.column_stack([plane[2], heave]),
+            _body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate),
+        )
+
+    def poses(self, timestamps_ns: Int64Array) -> PosePath:
+        """Sample `world_from_ego` at (M,) int64 times [ns]."""
+        states = self.at(timestamps_ns)
+        return PosePath(np.asarray(timestamps_ns, np.int64), states.positions, states.quaternions_xyzw)
+
+    def samples(self, timestamps_ns: Int64Array) -> PoseSamples:
+        """Give exact poses in the form of `PoseSource.at`."""
+        states = self.at(timestamps_ns)
+        return PoseSamples(
+            states.positions, states.quaternions_xyzw, np.zeros(len(states.positions), np.uint8)
+        )
+
+    def _plane(self, seconds: Float64Array, order: int) -> Float64Array:
+        """The horizontal position or one of its derivatives, (M, 2)."""
+        along = (np.asarray(seconds, np.float64) - self.first_knot) / self.knot_step
+        piece = np.clip(np.floor(along).astype(np.int64), 0, len(self.control_points) - _DEGREE - 1)
+        coefficients = polynomial.polyder(_BASIS, order, axis=1) / self.knot_step**order
+        weights = polynomial.polyval(along - piece, coefficients.T)
+        control = self.control_points[piece[:, None] + np.arange(_DEGREE + 1)]
+        plane: Float64Array = np.einsum("jm,mji->mi", weights, control)
+        return plane
+
+    def _wave(self, seconds: Float64Array, order: int) -> Float64Array:
+        """Height, roll and pitch or one of their derivatives, (3, M)."""
+        amplitude, frequency, phase = np.moveaxis(self.waves, -1, 0)[..., None]
+        swing = np.sin(frequency * np.asarray(seconds) + phase + order * np.pi / 2)
+        wave: Float64Array = (amplitude * frequency**order * swing).sum(axis=1)
+        return wave
+
+
+def rotation_from_angles(roll: Float64Array, pitch: Float64Array, yaw: Float64Array) -> Float64Array:
+    """Give Rz(yaw) Ry(pitch) Rx(roll) as (..., 3, 3), angles in radians."""
+    (sr, cr), (sp, cp), (sy, cy) = ((np.sin(angle), np.cos(angle)) for angle in (roll, pitch, yaw))
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _body_rates(
+    roll: Float64Array,
+    pitch: Float64Array,
+    roll_rate: Float64Array,
+    pitch_rate: Float64Array,
+    yaw_rate: Float64Array,
+) -> Float64Array:
+    """Angular rates in the body frame, (M, 3).
+
+    Source: Diebel 2006, "Representing Attitude", section 8, Euler angles (1, 2, 3).
+    """
+    return np.column_stack(
+        [
+            roll_rate - yaw_rate * np.sin(pitch),
+            pitch_rate * np.cos(roll) + yaw_rate * np.sin(roll) * np.cos(pitch),
+            yaw_rate * np.cos(roll) * np.cos(pitch) - pitch_rate * np.sin(roll),
+        ]
+    )
+
+
+def plan_path(generator: np.random.Generator, *, start_ns: int, duration: float) -> EgoPath:
+    """Lay out a drive of some seconds: straights and turns, faster and slower, never across itself."""
+    knots = np.arange(-_LEAD, duration + _LEAD + _KNOT_STEP, _KNOT_STEP)
+    headings = _plan_headings(generator, knots, duration)
+    turning = np.abs(np.gradient(headings, _KNOT_STEP)) / _TURN_RATE
+    phase, rate = generator.uniform(0, 2 * np.pi), generator.uniform(0.35, 0.5)
+    wish = 0.5 * (_SLOWEST + _FASTEST) + 0.5 * (_FASTEST - _SLOWEST) * np.sin(rate * knots + phase)
+    speeds = wish + np.minimum(1.0, turning) * (_SLOWEST - wish)
+    steps = _KNOT_STEP * speeds[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
+    points = np.cumsum(steps, axis=0)
+    path = EgoPath(start_ns, float(knots[0]), points, _plan_waves(generator))
+    origin = path.at_seconds(np.zeros(1)).positions[0, :2]
+    return EgoPath(start_ns, float(knots[0]), points - origin, path.waves)
+
+
+def _plan_headings(generator: np.random.Generator, knots: Float64Array, duration: float) -> Float64Array:
+    """Heading at each knot [rad]: straight before and after the drive, turns to either side in turn."""
+    times, angles = [float(knots[0]), generator.uniform(0.3, 1.0)], [0.0, 0.0]
+    side = 1.0 if generator.uniform() < 0.5 else -1.0
+    while times[-1] < duration:
+        target = side * generator.uniform(0.4, 1.0) * _WIDEST_HEADING
+        times.append(times[-1] + abs(target - angles[-1]) / _TURN_RATE)
+        times.append(times[-1] + generator.uniform(1.0, 4.0))
+        angles += [target, target]
+        side = -side
+    held = np.minimum(knots, max(duration, times[1]))
+    headings: Float64Array = np.interp(held, times, angles)
+    return headings
+
+
+def _plan_waves(generator: np.random.Generator) -> Float64Array:
+    """Two sines each for height, roll and pitch: 1-2 cm and a few tenths of a degree, slower than 1 Hz."""
+    amplitudes = np.array([[0.012, 0.006], [0.006, 0.003], [0.005, 0.0025]])
+    frequencies = generator.uniform([[1.5, 3.0]] * 3, [[2.5, 5.0]] * 3)
+    return np.stack([amplitudes, frequencies, generator.uniform(0, 2 * np.pi, (3, 2))], axis=-1)

@@ -1,0 +1,132 @@
+"""The exact answers to what a simulated drive asks."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import PosePath
+from sceneloom.simulate.camera import PictureTruth, RenderedCamera, edge_mask
+from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
+from sceneloom.simulate.inertial import ImuTruth
+from sceneloom.simulate.lidar import SpinningLidar, Sweep
+from sceneloom.simulate.path import EgoPath
+from sceneloom.simulate.street import Street, StreetObject
+
+_BEYOND = 1.0
+"""How far past a point its line of sight is followed [m]: enough to find the surface that it lies on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanPoints:
+    """Where the returns of a sweep come from, in the order of the frame's points, without noise.
+
+    Attributes:
+        positions_world: (N, 3) float64 [m].
+        instances: (N,) int32, what was hit; 0 is the ground.
+        colors: (N, 3) uint8, colour of the bare surface there, which a picture shows averaged over a pixel.
+        ranges: (N,) float64 [m], from the lidar at the point's own time.
+    """
+
+    positions_world: Float64Array
+    instances: AnyArray
+    colors: UInt8Array
+    ranges: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What is exactly so in a simulated drive. Pictures are rendered when asked for, nothing is kept.
+
+    Attributes:
+        street: everything that stands still.
+        path: the ego's way as a curve.
+        lidar: the lidar with its noise apart.
+        cameras: the cameras by id.
+        imu: the inertial unit's signals without errors, and its bias.
+    """
+
+    street: Street
+    path: EgoPath
+    lidar: SpinningLidar
+    cameras: Mapping[str, RenderedCamera]
+    imu: ImuTruth
+
+    @property
+    def objects(self) -> tuple[StreetObject, ...]:
+        """What stands in the street; object k has instance number k + 1."""
+        return self.street.objects
+
+    def world_from_ego(self, timestamps_ns: Int64Array) -> PosePath:
+        """Exact ego poses at strictly increasing times [ns]."""
+        return self.path.poses(timestamps_ns)
+
+    def world_from_camera(self, camera_id: str, k: int) -> RigidTransform:
+        """Exact pose of a camera at its picture k."""
+        return self._camera(camera_id).pose(k)
+
+    def picture(self, camera_id: str, k: int) -> PictureTruth:
+        """Depths, instances and colours of picture k in one go.
+
+        Raises:
+            OptionError: there is no such camera.
+        """
+        return self._camera(camera_id).truth(k)
+
+    def depth(self, camera_id: str, k: int) -> Float32Array:
+        """Depth z at the pixels' centres, (H, W) float32 [m]; 0 for the sky."""
+        return self.picture(camera_id, k).depths
+
+    def instances(self, camera_id: str, k: int) -> AnyArray:
+        """What the pixels' centres show, (H, W) int32; 0 the ground, -1 the sky."""
+        return self.picture(camera_id, k).instances
+
+    def colors(self, camera_id: str, k: int) -> UInt8Array:
+        """Colour along the ray through each pixel's centre, (H, W, 3) uint8."""
+        return self.picture(camera_id, k).colors
+
+    def edges(self, camera_id: str, k: int, *, within_px: int = 2) -> BoolArray:
+        """Which pixels lie near an outline, (H, W) bool; `edge_mask` says what an outline is."""
+        return edge_mask(self.picture(camera_id, k), within_px=within_px)
+
+    def visible(
+        self, camera_id: str, k: int, points_world: ArrayLike, *, tolerance: float = 0.01
+    ) -> BoolArray:
+        """Say for each surface point whether nothing stands between it and the camera.
+
+        Whether it falls into the picture is another question.
+
+        Args:
+            points_world: (N, 3) float [m], on surfaces, such as `clean_points_world` gives.
+            tolerance: how far from the first surface on its line of sight a point may lie and be seen [m].
+
+        Returns:
+            (N,) bool.
+        """
+        origin = self._camera(camera_id).pose(k).translation
+        apart = np.asarray(points_world, np.float64).reshape(-1, 3) - origin
+        distances = np.linalg.norm(apart, axis=1)
+        directions = apart / np.maximum(1e-12, distances)[:, None]
+        rays = Rays.bundled(directions, bundles_by_direction(directions))
+        reach = float(distances.max(initial=0.0)) + _BEYOND
+        hits = cast(self.street, rays, np.eye(3)[None], origin[None].copy(), reach=reach)
+        free: BoolArray = (hits.ranges == 0.0) | (hits.ranges > distances - tolerance)
+        return free
+
+    def sweep(self, k: int) -> Sweep:
+        """Sweep k of the lidar with everything that is known about it."""
+        return self.lidar.sweep(k)
+
+    def clean_points_world(self, k: int) -> CleanPoints:
+        """Where the points of lidar frame k come from, without noise."""
+        sweep = self.lidar.sweep(k)
+        return CleanPoints(sweep.points_world, sweep.instances, sweep.colors, sweep.ranges)
+
+    def _camera(self, camera_id: str) -> RenderedCamera:
+        if camera_id not in self.cameras:
+            raise OptionError(f"camera {camera_id!r}; expected one of {', '.join(map(repr, self.cameras))}")
+        return self.cameras[camera_id]

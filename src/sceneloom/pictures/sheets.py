@@ -6,7 +6,8 @@ from pathlib import Path
 from urllib.parse import quote
 from zlib import crc32
 
-from sceneloom.arrays import FloatArray
+import numpy as np
+
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.output import replacing
@@ -16,7 +17,7 @@ from sceneloom.pictures.cloud_above import draw_cloud_above
 from sceneloom.pictures.cloud_perspective import draw_cloud_perspective
 from sceneloom.pictures.ego import find_ego
 from sceneloom.pictures.views import draw_depth_image, draw_overlay, view_scale
-from sceneloom.scene import Identifier
+from sceneloom.scene import Identifier, PosePath
 
 _COMPRESSION = 2
 """Higher levels of PNG make these pictures 3 % smaller and take three times as long."""
@@ -28,16 +29,14 @@ def iter_pictures(
     frame: FusedFrame,
     index: int,
     *,
-    world_from_ego: RigidTransform | None = None,
-    ego_path: FloatArray | None = None,
+    ego_poses: PosePath | None = None,
     show_hidden: bool = False,
 ) -> Iterator[tuple[str, Callable[[], PilImage]]]:
     """Name each picture of a frame and say how to draw it.
 
     Args:
         index: number of the frame, part of the names.
-        world_from_ego: where the ego is; by default the place of the first camera stands in.
-        ego_path: (K, 3) float [m], the way of the ego through the world.
+        ego_poses: the way of the ego through the world; by default the place of the first camera stands in.
         show_hidden: mark hidden points in the overlays.
 
     Yields:
@@ -50,7 +49,8 @@ def iter_pictures(
         yield f"{stem}_{index:06d}_overlay", partial(draw_overlay, view, scale=scale, show_hidden=show_hidden)
         yield f"{stem}_{index:06d}_depth", partial(draw_depth_image, view, scale=scale)
     title = f"{frame.lidar_id} · {seconds_text(frame.timestamp_ns)}"
-    ego = find_ego(world_from_ego, ego_path, frame.views)
+    ego_path = None if ego_poses is None else ego_poses.positions
+    ego = find_ego(_ego_at(ego_poses, frame.reference_ns), ego_path, frame.views)
     points = frame.points
     stem = f"cloud_{_stem(frame.lidar_id, {})}_{index:06d}"
     for name, draw in (("above", draw_cloud_above), ("perspective", draw_cloud_perspective)):
@@ -63,8 +63,7 @@ def save_pictures(
     folder: Path,
     index: int,
     *,
-    world_from_ego: RigidTransform | None = None,
-    ego_path: FloatArray | None = None,
+    ego_poses: PosePath | None = None,
     show_hidden: bool = False,
     overwrite: bool = False,
 ) -> list[Path]:
@@ -75,8 +74,7 @@ def save_pictures(
 
     Args:
         index: number of the frame, six digits in the names.
-        world_from_ego: where the ego is; by default the place of the first camera stands in.
-        ego_path: (K, 3) float [m], the way of the ego through the world.
+        ego_poses: the way of the ego through the world; by default the place of the first camera stands in.
         show_hidden: mark hidden points in the overlays.
         overwrite: replace files that are there.
 
@@ -90,9 +88,7 @@ def save_pictures(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
-    drawings = iter_pictures(
-        frame, index, world_from_ego=world_from_ego, ego_path=ego_path, show_hidden=show_hidden
-    )
+    drawings = iter_pictures(frame, index, ego_poses=ego_poses, show_hidden=show_hidden)
     return [_save(draw(), folder / f"{name}.png", overwrite=overwrite) for name, draw in drawings]
 
 
@@ -120,6 +116,17 @@ def contact_sheet(pictures: Sequence[PilImage], *, columns: int = 2, width_px: i
             sheet.image.paste(image, (gap + number * (cell + gap), top))
         top += height + gap
     return sheet.image
+
+
+def _ego_at(ego_poses: PosePath | None, timestamp_ns: int) -> RigidTransform | None:
+    """Give `world_from_ego` at a time; beyond the path's ends the pose of the nearer end."""
+    if ego_poses is None:
+        return None
+    nearest = (
+        timestamp_ns if ego_poses.endless else min(max(timestamp_ns, ego_poses.start_ns), ego_poses.stop_ns)
+    )
+    pose = ego_poses.interpolate(np.array([nearest], np.int64))
+    return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
 
 
 def _save(image: PilImage, path: Path, *, overwrite: bool) -> Path:

@@ -189,7 +189,8 @@ def _open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack) -> _Sinks
         sinks.depth = DepthSink(folder, wanted.depth_form)
     if wanted.pictures is not None:
         folder = stack.enter_context(filling(wanted.pictures, overwrite=wanted.overwrite))
-        sinks.pictures = PictureSink(folder, _frames_to_draw(woven.scene, wanted.pictures_every))
+        chosen = _frames_to_draw(woven.scene, wanted.pictures_every)
+        sinks.pictures = PictureSink(folder, chosen, None if woven.ego is None else woven.ego.path)
     if wanted.scene is not None:
         sinks.scene = _open_scene_sink(woven, wanted, wanted.scene, stack)
     return sinks

@@ -13,7 +13,7 @@ from sceneloom.formats.sfs import SceneWriter
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.pictures import save_pictures
-from sceneloom.scene import Identifier, LidarFrame, Scene
+from sceneloom.scene import Identifier, LidarFrame, PosePath, Scene
 
 
 class Sink(Protocol):
@@ -105,14 +105,16 @@ class PictureSink:
     Attributes:
         folder: where to.
         chosen: numbers of the sweeps to draw.
+        ego_poses: the way of the ego, drawn into the clouds; None where it is not known.
         written: files so far.
     """
 
     folder: Path
     chosen: frozenset[int]
+    ego_poses: PosePath | None = None
     written: int = 0
 
     def add(self, frame: FusedFrame) -> None:
         """Draw the sweep if it is chosen."""
         if frame.index in self.chosen and frame.unfused is None:
-            self.written += len(save_pictures(frame, self.folder, frame.index))
+            self.written += len(save_pictures(frame, self.folder, frame.index, ego_poses=self.ego_poses))

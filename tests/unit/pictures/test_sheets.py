@@ -1,11 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.pictures import contact_sheet, save_pictures
-from sceneloom.scene import LidarPoints
+from sceneloom.pictures import EgoPlace, contact_sheet, draw_cloud_above, iter_pictures, save_pictures
+from sceneloom.scene import LidarPoints, PosePath
 
 
 def _frame(views, *, lidar_id="lidar"):
@@ -31,6 +33,22 @@ def test_one_file_per_picture_is_written_and_named(make_view, tmp_path):
         with Image.open(path) as image:
             assert image.mode == "RGB"
             assert image.width >= view.camera.width
+
+
+def test_the_cloud_is_drawn_around_the_ego_at_the_time_of_its_sweep(tmp_path):
+    times = np.array([0, 10**9], np.int64)
+    positions = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
+    ego_poses = PosePath(times, positions, np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
+    for reference_ns, x in ((500_000_000, 20.0), (-1, 0.0), (3 * 10**9, 40.0)):
+        frame = replace(_frame([]), reference_ns=reference_ns)
+        ego = EgoPlace(np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+        drawn = dict(iter_pictures(frame, 0, ego_poses=ego_poses))["cloud_lidar_000000_above"]()
+        points = frame.points
+        around = draw_cloud_above(
+            points.positions, points.colors, camera_index=points.camera_index, ego=ego, ego_path=positions
+        )
+        # Only the captions differ.
+        assert np.array_equal(np.asarray(drawn)[:800], np.asarray(around)[:800])
 
 
 def test_a_frame_without_views_and_colours_has_pictures_of_its_cloud(tmp_path):

@@ -12,6 +12,7 @@ _DIRECTIONS = 72
 _STEPS = 200
 _ROUNDS = 3
 _VANISHED = 1e-30
+_JUST_INSIDE = 1.0 - 1e-9
 _WIDEST = math.radians(89.9)
 
 Slopes = Callable[[Float64Array, Float64Array], tuple[Float64Array, ...]]
@@ -39,12 +40,13 @@ def radius_without_fold(slopes: Slopes, limit: float) -> float:
         The radius up to which the factor is positive in all directions, `limit` where it is so everywhere.
     """
     directions = np.linspace(0.0, 2.0 * math.pi, _DIRECTIONS, endpoint=False)
-    low, high = 0.0, min(math.atan(limit), _WIDEST)
+    beyond, low, high = limit, 0.0, min(_JUST_INSIDE * math.atan(limit), _WIDEST)
     for _ in range(_ROUNDS):
         radii = np.tan(np.linspace(low, high, _STEPS))
         xx, xy, yx, yy = slopes(np.outer(radii, np.cos(directions)), np.outer(radii, np.sin(directions)))
         folded = np.flatnonzero(~(xx * yy - xy * yx > 0.0).all(axis=1))
-        if len(folded) == 0 or radii[folded[0]] >= limit:
-            return limit
-        low, high = (math.atan(radii[max(folded[0] - step, 0)]) for step in (1, 0))
+        if len(folded) == 0:
+            return beyond
+        beyond, before = float(radii[folded[0]]), float(radii[max(folded[0] - 1, 0)])
+        low, high = math.atan(before), math.atan(beyond)
     return math.tan(low)

@@ -1,0 +1,97 @@
+"""The lenses that OpenCV knows, against OpenCV."""
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras import Camera, project_unbounded, unproject
+
+cv2 = pytest.importorskip("cv2")
+
+MATRIX = np.array([[901.3, 0.0, 957.2], [0.0, 898.7, 541.9], [0.0, 0.0, 1.0]])
+NUMBERS = (1920, 1080, MATRIX[0, 0], MATRIX[1, 1], MATRIX[0, 2], MATRIX[1, 2])
+DIFFERENCE_PX = (
+    1e-8  # both compute in float64; OpenCV undoes lenses to 1e-12 of the focal length when told so
+)
+
+LENSES = {
+    "five": (-0.3437, 0.1402, 0.00031, -0.00082, -0.0271),
+    "eight": (0.4461, -0.1213, 0.00017, -0.00025, 0.0035, 0.8021, -0.0771, 0.0110),
+    "prism": (
+        0.4461,
+        -0.1213,
+        0.00017,
+        -0.00025,
+        0.0035,
+        0.8021,
+        -0.0771,
+        0.0110,
+        1e-3,
+        -2e-4,
+        -1.5e-3,
+        3e-4,
+    ),
+    "tilt": (
+        -0.2,
+        0.05,
+        0.0003,
+        -0.0008,
+        0.001,
+        0.02,
+        0.01,
+        0.002,
+        1e-3,
+        -2e-4,
+        -1.5e-3,
+        3e-4,
+        0.031,
+        -0.047,
+    ),
+}
+EACH_LENS = pytest.mark.parametrize("coefficients", LENSES.values(), ids=LENSES)
+
+
+def brown_conrady(coefficients: tuple[float, ...]) -> Camera:
+    """OpenCV's order has no lx, ly between k6 and s1."""
+    ours = (*coefficients[:8], 0.0, 0.0, *coefficients[8:]) if len(coefficients) > 8 else coefficients
+    return Camera("brown_conrady", *NUMBERS, ours)
+
+
+@pytest.fixture(scope="module")
+def points() -> np.ndarray:
+    """Points in front of the camera, up to 40 degrees off its axis and a little outside the picture."""
+    z = np.random.default_rng(0).uniform(1, 80, (2000, 1))
+    return np.hstack([np.random.default_rng(1).uniform(-1, 1, (2000, 2)) * (1.05, 0.6) * z, z])
+
+
+@EACH_LENS
+def test_brown_conrady_projects_as_opencv_does(points, coefficients):
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(coefficients))
+    found = project_unbounded(brown_conrady(coefficients), points)
+    assert np.abs(found - expected[:, 0]).max() < DIFFERENCE_PX
+
+
+@EACH_LENS
+def test_brown_conrady_finds_the_points_that_opencv_projected(points, coefficients):
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(coefficients))
+    rays = unproject(brown_conrady(coefficients), pixels[:, 0])
+    assert (
+        np.abs(rays[:, :2] / rays[:, 2:] - points[:, :2] / points[:, 2:]).max() < 1e-9
+    )  # a millionth of a pixel
+
+
+def test_pinhole_projects_as_opencv_does_without_distortion(points):
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, None)
+    assert (
+        np.abs(project_unbounded(Camera("pinhole", *NUMBERS), points) - expected[:, 0]).max() < DIFFERENCE_PX
+    )
+
+
+@pytest.mark.parametrize("coefficients", [(), (0.0345, -0.0121, 0.0053, -0.0018), (-0.05, 0.01)])
+def test_fisheye_projects_and_unprojects_as_opencv_does(points, coefficients):
+    four = np.array([*coefficients, *(0.0,) * (4 - len(coefficients))])
+    camera = Camera("fisheye", *NUMBERS, coefficients)
+    expected, _ = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), MATRIX, four)
+    assert np.abs(project_unbounded(camera, points) - expected[:, 0]).max() < DIFFERENCE_PX
+    plane = cv2.fisheye.undistortPoints(expected, MATRIX, four)[:, 0]
+    rays = unproject(camera, expected[:, 0])
+    assert np.abs(rays[:, :2] / rays[:, 2:] - plane).max() < 1e-7  # OpenCV stops its iterations at 1e-8

@@ -1,0 +1,44 @@
+"""What a camera refuses, and how a lens looks in pictures of another size."""
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras import Camera, project_unbounded
+from sceneloom.errors import CalibrationError
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ((0, 480, 500.0, 500.0, 320.0, 240.0), "picture size 0x480"),
+        ((640, -1, 500.0, 500.0, 320.0, 240.0), "picture size 640x-1"),
+        ((640, 480, -500.0, 500.0, 320.0, 240.0), "focal lengths -500.0, 500.0"),
+        ((640, 480, 500.0, 0.0, 320.0, 240.0), "focal lengths 500.0, 0.0"),
+        ((640, 480, 500.0, float("nan"), 320.0, 240.0), "expected finite"),
+        ((640, 480, 500.0, 500.0, float("inf"), 240.0), "expected finite"),
+        ((640, 480, 500.0, 500.0, 320.0, 240.0, (0.1, float("nan"))), "expected finite"),
+    ],
+)
+def test_numbers_that_are_no_lens_are_refused(numbers, message):
+    with pytest.raises(CalibrationError, match=message):
+        Camera("brown_conrady", *numbers)
+
+
+def test_a_picture_of_half_the_size_shows_corners_and_centres_where_they_belong():
+    camera = Camera("pinhole", 640, 480, 500.0, 510.0, 319.5, 250.0)
+    half = camera.resized(320, 240)
+    points = np.random.default_rng(0).uniform((-1, -1, 1), (1, 1, 3), (50, 3))
+    edges, edges_half = project_unbounded(camera, points) + 0.5, project_unbounded(half, points) + 0.5
+    assert np.allclose(edges_half, edges / 2)  # measured from the picture's corner, everything halves
+
+
+def test_each_axis_is_scaled_by_its_own_factor():
+    camera = Camera("fisheye", 640, 480, 500.0, 500.0, 319.5, 239.5, (0.1, 0.2)).resized(1280, 120)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (1000.0, 125.0, 639.5, 59.5)
+    assert camera.coefficients == (0.1, 0.2)
+    assert camera.model == "fisheye"
+
+
+def test_equal_cameras_are_equal_keys():
+    first, second = (Camera("pinhole", 64, 48, 50.0, 50.0, 32.0, 24.0) for _ in range(2))
+    assert {first: 1}[second] == 1

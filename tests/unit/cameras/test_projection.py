@@ -1,0 +1,357 @@
+"""Every model against a slow oracle written from the formulas, at the picture's edges and beyond its domain."""
+
+import cmath
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras import (
+    MODELS,
+    Camera,
+    check_camera,
+    lens_vector,
+    project,
+    project_unbounded,
+    projection_kernel,
+    unproject,
+)
+from sceneloom.errors import ArrayError, CalibrationError
+
+SIZE = (640, 480, 500.0, 510.0, 318.7, 243.2)
+BARREL = (-0.3, 0.1, 0.001, -0.002, -0.01)
+EVERYTHING = (
+    0.2,
+    0.1,
+    0.001,
+    -0.002,
+    0.02,
+    0.4,
+    0.1,
+    0.02,
+    0.01,
+    -0.02,
+    1e-3,
+    2e-3,
+    -1e-3,
+    5e-4,
+    0.02,
+    -0.03,
+)
+
+CAMERAS = [
+    Camera("pinhole", *SIZE),
+    Camera("brown_conrady", *SIZE),
+    Camera("brown_conrady", *SIZE, BARREL),
+    Camera("brown_conrady", *SIZE, EVERYTHING[:8]),
+    Camera("brown_conrady", *SIZE, EVERYTHING[:10]),
+    Camera("brown_conrady", *SIZE, EVERYTHING),
+    Camera("fisheye", *SIZE),
+    Camera("fisheye", *SIZE, (0.05, -0.02, 0.01, -0.003)),
+    Camera("fisheye", 640, 480, 140.0, 140.0, 319.5, 239.5, (-0.01, 0.002)),
+]
+NAMES = [f"{camera.model}-{len(camera.coefficients)}-{camera.fx:g}" for camera in CAMERAS]
+EACH_CAMERA = pytest.mark.parametrize("camera", CAMERAS, ids=NAMES)
+ROUNDING_PX = 1e-9  # 1e-16 of some 1e3 px, through some tens of operations and lenses that magnify
+
+
+def slow_brown_conrady(coefficients, X, Y, Z):
+    """Word by word: r² of the plain point, then the shift, then radial and tangential, then prism, then tilt."""
+    named = dict(zip(MODELS["brown_conrady"].coefficient_names, (*coefficients, *[0.0] * 16), strict=False))
+    k1, k2, k3, k4, k5, k6, p1, p2 = (
+        named[name] for name in ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"]
+    )
+    x, y = X / Z, Y / Z
+    r2 = x**2 + y**2
+    x, y = x + named["lx"], y + named["ly"]
+    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2) + named["s1"] * r2 + named["s2"] * r2**2
+    yd = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y + named["s3"] * r2 + named["s4"] * r2**2
+    tx, ty = named["tx"], named["ty"]
+    about_x = np.array([[1, 0, 0], [0, math.cos(tx), math.sin(tx)], [0, -math.sin(tx), math.cos(tx)]])
+    about_y = np.array([[math.cos(ty), 0, -math.sin(ty)], [0, 1, 0], [math.sin(ty), 0, math.cos(ty)]])
+    turn = about_y @ about_x
+    onto_plane = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]])
+    tilted = onto_plane @ turn @ (xd, yd, 1.0)
+    return tilted[0] / tilted[2], tilted[1] / tilted[2]
+
+
+def slow_fisheye(coefficients, X, Y, Z):
+    """By polar coordinates as one complex number."""
+    angle = math.atan2(math.hypot(X, Y), Z)
+    radius = angle + sum(k * angle ** (2 * i + 3) for i, k in enumerate(coefficients))
+    place = cmath.rect(radius, math.atan2(Y, X))
+    return place.real, place.imag
+
+
+SLOW = {
+    "pinhole": lambda _, X, Y, Z: (X / Z, Y / Z),
+    "brown_conrady": slow_brown_conrady,
+    "fisheye": slow_fisheye,
+}
+
+
+def slow_pixel(camera: Camera, point) -> tuple[float, float]:
+    x, y = SLOW[camera.model](camera.coefficients, *map(float, point))
+    return camera.fx * x + camera.cx, camera.fy * y + camera.cy
+
+
+def points_before(camera: Camera, count: int, *, widest: float = 0.95) -> np.ndarray:
+    """Random points inside most of the model's domain, at 1 to 50 m."""
+    limit = lens_vector(camera)[-1] if camera.model == "fisheye" else math.atan(lens_vector(camera)[-1])
+    rng = np.random.default_rng(0)
+    angle, about = rng.uniform(0, widest * min(limit, 2.8), count), rng.uniform(0, 2 * math.pi, count)
+    rays = np.column_stack([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)])
+    return rays * rng.uniform(1, 50, (count, 1))
+
+
+@EACH_CAMERA
+def test_pixels_are_those_of_the_formulas(camera):
+    points = points_before(camera, 500, widest=0.8)
+    expected = np.array([slow_pixel(camera, point) for point in points])
+    assert np.allclose(project_unbounded(camera, points), expected, rtol=1e-11, atol=ROUNDING_PX)
+
+
+@pytest.mark.parametrize("camera", [c for c in CAMERAS if not c.coefficients[8:]])
+def test_a_point_on_the_axis_falls_on_the_principal_point_of_a_centred_lens(camera):
+    pixels, visible = project(camera, [[0.0, 0.0, 3.0]])
+    assert visible.all()
+    assert np.allclose(pixels, [[camera.cx, camera.cy]], atol=ROUNDING_PX)
+
+
+@EACH_CAMERA
+def test_every_pixel_of_the_picture_looks_along_a_ray_that_comes_back_to_it(camera):
+    columns, rows = np.meshgrid(np.linspace(-0.5, 639.5, 41), np.linspace(-0.5, 479.5, 31))
+    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+    rays = unproject(camera, pixels)
+    assert np.abs(project_unbounded(camera, rays) - pixels).max() < ROUNDING_PX
+    assert np.abs(np.linalg.norm(rays, axis=1) - 1).max() < 1e-14
+
+
+@EACH_CAMERA
+def test_rays_of_projected_points_point_at_them(camera):
+    points = points_before(camera, 300, widest=0.8)
+    rays = unproject(camera, project_unbounded(camera, points))
+    assert np.abs(rays - points / np.linalg.norm(points, axis=1, keepdims=True)).max() < 1e-9
+
+
+@EACH_CAMERA
+def test_points_that_are_not_finite_are_never_seen(camera):
+    points = np.tile([0.1, 0.1, 5.0], (9, 1))
+    for k, (axis, value) in enumerate((a, v) for a in range(3) for v in (np.nan, np.inf, -np.inf)):
+        points[k, axis] = value
+    pixels, visible = project(camera, points)
+    assert not visible.any()
+    assert np.isnan(pixels).all()
+    assert np.isnan(project_unbounded(camera, points)).all()
+
+
+@EACH_CAMERA
+def test_the_camera_does_not_see_its_own_centre_nor_the_point_right_behind_it(camera):
+    pixels, visible = project(camera, [[0.0, 0, 0], [0.0, 0, -1], [0.0, -0.0, -1e-300]])
+    assert not visible.any()
+    assert np.isnan(pixels).all()
+
+
+@EACH_CAMERA
+def test_no_points_and_no_pixels_are_fine(camera):
+    pixels, visible = project(camera, np.zeros((0, 3)))
+    assert pixels.shape == (0, 2)
+    assert visible.shape == (0,)
+    assert unproject(camera, np.zeros((0, 2))).shape == (0, 3)
+
+
+@pytest.mark.parametrize("model", ["pinhole", "brown_conrady"])
+def test_perspective_models_see_nothing_beside_or_behind_the_camera(model):
+    _, visible = project(Camera(model, *SIZE), [[0, 0, 1e-3], [0, 0, 1e-7], [1, 0, 0], [0.1, 0.1, -1]])
+    assert visible.tolist() == [True, False, False, False]
+
+
+def test_a_fisheye_sees_behind_its_own_plane():
+    camera = Camera("fisheye", 640, 640, 140.0, 140.0, 319.5, 319.5)
+    angle = math.radians(110)
+    pixels, visible = project(camera, [[math.sin(angle), 0.0, math.cos(angle)]])
+    assert visible.all()
+    assert np.allclose(pixels, [[319.5 + 140 * angle, 319.5]])
+    assert unproject(camera, pixels)[0, 2] < 0
+
+
+def test_the_edges_of_the_picture_are_half_a_pixel_around_the_centres_of_its_pixels():
+    camera = Camera("pinhole", 4, 2, 1.0, 1.0, 0.0, 0.0)
+    inside = [(-0.5, -0.5), (3.4999, 1.4999), (0.0, -0.5), (-0.5, 1.0)]
+    outside = [(-0.5001, 0.0), (3.5, 0.0), (0.0, -0.5001), (0.0, 1.5), (3.5, 1.5)]
+    pixels, visible = project(camera, [(u, v, 1.0) for u, v in inside + outside])
+    assert visible.tolist() == [True] * 4 + [False] * 5
+    assert np.allclose(pixels[:4], inside)
+    assert np.isnan(pixels[4:]).all()
+    assert np.allclose(project_unbounded(camera, [(*outside[1], 1.0)]), [outside[1]])
+
+
+def test_a_strong_barrel_does_not_fold_the_outside_back_into_the_picture():
+    camera = Camera("brown_conrady", *SIZE, (-0.3,))
+    fold = math.sqrt(1 / 0.9)  # r - 0.3 r³ grows up to here
+    assert lens_vector(camera)[-1] == pytest.approx(fold)
+    far_out = np.array([[1.7, 0.0, 1.0]])  # r - 0.3 r³ = 0.226: 113 px from the centre if it were believed
+    assert 0 < slow_pixel(camera, far_out[0])[0] < 640
+    _, visible = project(camera, [*far_out, [0.6, 0.0, 1.0]])
+    assert visible.tolist() == [False, True]
+
+
+def test_the_largest_radius_of_a_barrel_has_no_ray_beyond_it():
+    camera = Camera("brown_conrady", 2000, 2000, 500.0, 500.0, 999.5, 999.5, (-0.3,))
+    fold = math.sqrt(1 / 0.9)
+    largest = 500 * (fold - 0.3 * fold**3)
+    rays = unproject(camera, [[999.5 + 0.999 * largest, 999.5], [999.5 + 1.001 * largest, 999.5]])
+    assert np.isfinite(rays[0]).all()
+    assert np.isnan(rays[1]).all()
+
+
+def test_a_pole_of_the_rational_part_ends_the_domain():
+    camera = Camera("brown_conrady", *SIZE, (0, 0, 0, 0, 0, -0.25))  # 1 - r²/4 vanishes at 2
+    assert lens_vector(camera)[-1] == pytest.approx(2.0)
+    assert not project(camera, [[2.5, 0.0, 1.0]])[1].any()
+
+
+def test_tangential_terms_end_the_domain_where_they_fold():
+    camera = Camera("brown_conrady", *SIZE, (0, 0, 0.1, 0.0))
+    # y' = y + 0.1 (x² + 3 y²) and x' = x + 0.2 x y: the area factor vanishes first at y = -1 / 0.6 on the axis
+    assert lens_vector(camera)[-1] == pytest.approx(1 / 0.6, rel=1e-3)
+
+
+def test_a_fisheye_ends_where_its_angle_polynomial_turns():
+    camera = Camera("fisheye", *SIZE, (-0.2,))
+    assert lens_vector(camera)[-1] == pytest.approx(math.sqrt(1 / 0.6))
+    beyond = math.sqrt(1 / 0.6) + 0.3
+    assert not project(camera, [[math.sin(beyond), 0.0, math.cos(beyond)]])[1].any()
+
+
+@pytest.mark.parametrize("model", ["pinhole", "brown_conrady", "fisheye"])
+def test_lenses_that_never_fold_have_no_limit_but_the_sphere(model):
+    assert lens_vector(Camera(model, *SIZE))[-1] == (math.pi if model == "fisheye" else math.inf)
+
+
+@EACH_CAMERA
+def test_the_area_factor_is_positive_all_over_the_domain(camera):
+    points = points_before(camera, 2000, widest=0.98)
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    right = np.cross(points, [0.3, 1.0, 0.2])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    down = np.cross(points, right)
+    step = 1e-6
+    along = (
+        project_unbounded(camera, points + step * right) - project_unbounded(camera, points - step * right)
+    ).T
+    across = (
+        project_unbounded(camera, points + step * down) - project_unbounded(camera, points - step * down)
+    ).T
+    assert (along[0] * across[1] - along[1] * across[0] > 0).all()
+
+
+@pytest.mark.parametrize("tiny", [5e-324, 1e-200, -1e-200, 1e-31])
+def test_coefficients_that_nearly_vanish_change_nothing(tiny):
+    for model in ("brown_conrady", "fisheye"):
+        plain = Camera(model, *SIZE, (0.1, 0.01, 0.001, 0.0))
+        nearly = Camera(model, *SIZE, (0.1, 0.01, 0.001, tiny))
+        points = points_before(plain, 20, widest=0.5)
+        assert np.allclose(
+            project_unbounded(plain, points), project_unbounded(nearly, points), atol=ROUNDING_PX
+        )
+    rational = Camera("brown_conrady", *SIZE, (0.1, 0, 0, 0, tiny, 0, 0, tiny))
+    assert math.isinf(lens_vector(rational)[-1])
+
+
+def run_kernel(camera: Camera, points_world, camera_from_world):
+    count = len(points_world)
+    ids, pixels = np.full(count, -1, np.int64), np.full((count, 2), np.nan, np.float32)
+    depths = np.full(count, np.nan, np.float32)
+    kept = projection_kernel(camera.model)(
+        points_world, camera_from_world, lens_vector(camera), camera.width, camera.height, ids, pixels, depths
+    )
+    assert (ids[kept:] == -1).all()  # nothing is written beyond what is kept
+    assert np.isnan(depths[kept:]).all()
+    return ids[:kept], pixels[:kept], depths[:kept]
+
+
+POSE = np.array([[0.0, -1.0, 0.0, 0.4], [0.0, 0.0, -1.0, 1.5], [1.0, 0.0, 0.0, -0.7]])
+
+
+@EACH_CAMERA
+def test_the_hot_path_keeps_what_the_plain_way_sees_in_ascending_order(camera):
+    points_world = np.random.default_rng(1).uniform((-20, -20, -3), (40, 20, 6), (5000, 3))
+    points_world[::97] = np.nan
+    points_camera = np.array([POSE[:, :3] @ point + POSE[:, 3] for point in points_world])
+    pixels, visible = project(camera, points_camera)
+    ids, found, depths = run_kernel(camera, points_world, POSE)
+    assert np.array_equal(ids, np.flatnonzero(visible))
+    assert 100 < len(ids) < 4900
+    assert np.abs(found - pixels[ids]).max() < 4e-5  # float32 of up to 640 px
+    assert np.allclose(depths, points_camera[ids, 2], rtol=1e-7, atol=1e-6)
+
+
+def test_the_hot_path_stores_nothing_that_rounds_to_the_edge():
+    camera = Camera("pinhole", 2048, 4, 1.0, 1.0, 0.0, 0.0)
+    just_inside = np.nextafter(2047.5, 0.0)  # below the edge in float64, on it once rounded to float32
+    ids, pixels, _ = run_kernel(
+        camera, np.array([[just_inside, 0.0, 1.0], [2047.0, 0.0, 1.0]]), np.eye(4)[:3]
+    )
+    assert ids.tolist() == [1]
+    assert np.floor(pixels[0] + 0.5).tolist() == [2047, 0]
+
+
+def test_the_hot_path_takes_arrays_that_nobody_may_write():
+    points = np.array([[0.0, 0.0, 1.0]])
+    points.flags.writeable = False
+    assert len(run_kernel(CAMERAS[2], points, np.eye(4)[:3])[0]) == 1
+
+
+@EACH_CAMERA
+def test_lens_vectors_hold_all_coefficients_with_zeros_for_those_not_given(camera):
+    vector = lens_vector(camera)
+    names = MODELS[camera.model].coefficient_names
+    missing = len(names) - len(camera.coefficients)
+    assert len(vector) == 5 + len(names)
+    assert vector[:4].tolist() == [camera.fx, camera.fy, camera.cx, camera.cy]
+    assert vector[4:-1].tolist() == [*camera.coefficients, *[0.0] * missing]
+    assert not vector.flags.writeable
+
+
+@pytest.mark.parametrize("use", [check_camera, lens_vector, lambda c: project(c, np.zeros((1, 3)))])
+def test_an_unknown_model_is_refused_with_those_known(use):
+    with pytest.raises(CalibrationError, match="'opencv'; expected one of pinhole, brown_conrady, fisheye"):
+        use(Camera("opencv", *SIZE))
+    with pytest.raises(CalibrationError, match="expected one of pinhole"):
+        projection_kernel("opencv")
+
+
+@pytest.mark.parametrize(
+    ("model", "count", "message"),
+    [
+        ("pinhole", 1, "1 distortion coefficients; pinhole has 0$"),
+        ("fisheye", 5, "5 distortion coefficients; fisheye has 4: k1 k2 k3 k4"),
+        ("brown_conrady", 17, "brown_conrady has 16: k1 k2 p1 p2"),
+    ],
+)
+def test_more_coefficients_than_the_model_has_are_refused(model, count, message):
+    with pytest.raises(CalibrationError, match=message):
+        check_camera(Camera(model, *SIZE, (0.0,) * count))
+
+
+def test_coefficients_of_absurd_size_are_refused():
+    with pytest.raises(CalibrationError, match="expected no more than"):
+        lens_vector(Camera("brown_conrady", *SIZE, (1e300, 1e300)))
+
+
+@pytest.mark.parametrize(("function", "wrong"), [(project, np.zeros((3, 2))), (unproject, np.zeros(2))])
+def test_arrays_of_the_wrong_shape_are_refused(function, wrong):
+    with pytest.raises(ArrayError, match="expected \\(N, "):
+        function(CAMERAS[0], wrong)
+
+
+def test_naming_the_models_does_not_load_the_compiler():
+    program = "import sys, sceneloom.cameras; print('numba' in sys.modules)"
+    printed = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout
+    assert printed.strip() == "False"

@@ -137,9 +137,5 @@ def sample_polyline(corners: FloatArray, step: float) -> Float64Array:
 def cloud_caption(lines: Sequence[str], cloud: DrawnCloud) -> list[str]:
     """Give the caption's title and what the cloud holds."""
     count = len(cloud.points_world)
-    share = (
-        f"{100.0 * cloud.seen / count:.0f} % coloured; grey: seen by no camera"
-        if cloud.seen
-        else "none coloured"
-    )
+    share = f"{100.0 * cloud.seen / count:.0f} % coloured, the others grey" if cloud.seen else "none coloured"
     return [*lines, f"{count_text(count, 'point')}, {share}" if count else "no points"][:2]

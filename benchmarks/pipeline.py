@@ -28,9 +28,10 @@ def make_drive(folder: Path, frames: int) -> None:
     if folder.exists():
         return
     import sceneloom
-    from sceneloom.simulate import benchmark_drive
+    from sceneloom.simulate import LidarSpec, simulate_street
 
-    sceneloom.write(benchmark_drive(frames=frames).scene, folder)
+    drive = simulate_street(frames=frames, lidar=LidarSpec(steps=1875))  # 64 beams: 120,000 rays a sweep
+    sceneloom.write(drive.scene, folder)
 
 
 class Meter:

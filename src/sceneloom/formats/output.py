@@ -19,7 +19,11 @@ def check_output(target: Path, *, overwrite: bool) -> None:
     Raises:
         OutputError: naming what to do instead.
     """
-    if target.exists() and not overwrite:
+    try:
+        there = target.exists()
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
+    if there and not overwrite:
         raise OutputError(f"{target}: exists already; choose another name or say `--overwrite`")
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder {target.parent} does not exist")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from sceneloom.colouring.views import VisibilitySettings
+from sceneloom.colouring import VisibilitySettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

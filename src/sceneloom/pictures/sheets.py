@@ -3,13 +3,12 @@
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from urllib.parse import quote
-from zlib import crc32
 
 import numpy as np
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import OptionError, OutputError
+from sceneloom.formats.file_names import file_stem
 from sceneloom.formats.output import replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pictures.canvas import Canvas, PilImage, seconds_text
@@ -21,8 +20,6 @@ from sceneloom.scene import Identifier, PosePath
 
 _COMPRESSION = 2
 """Higher levels of PNG make these pictures 3 % smaller and take three times as long."""
-_LONGEST_STEM = 120
-"""Longer ids are cut: most file systems allow 255 bytes for a name."""
 
 
 def iter_pictures(
@@ -137,9 +134,6 @@ def _save(image: PilImage, path: Path, *, overwrite: bool) -> Path:
 
 def _stem(identifier: Identifier, taken: dict[str, int]) -> str:
     """Turn an id into a part of a file name; a second one that comes out the same gets a number."""
-    stem = quote(str(identifier), safe=" ()+,=@").replace("~", "%7E")
-    stem = f"%2E{stem[1:]}" if stem.startswith(".") else stem
-    if len(stem) > _LONGEST_STEM:
-        stem = f"{stem[:_LONGEST_STEM]}~{crc32(stem.encode()):08x}"
+    stem = file_stem(identifier)
     taken[stem] = taken.get(stem, 0) + 1
     return stem if taken[stem] == 1 else f"{stem}~{taken[stem]}"

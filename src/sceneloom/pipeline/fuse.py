@@ -183,14 +183,14 @@ class _Sinks:
 
 def _open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack) -> _Sinks:
     """Open every wanted output; what goes wrong later takes all of them away again."""
-    sinks = _Sinks()
+    sinks, by_lidar = _Sinks(), len(woven.scene.lidars) > 1
     if wanted.depth is not None:
         folder = stack.enter_context(filling(wanted.depth, overwrite=wanted.overwrite))
-        sinks.depth = DepthSink(folder, wanted.depth_form)
+        sinks.depth = DepthSink(folder, wanted.depth_form, by_lidar)
     if wanted.pictures is not None:
         folder = stack.enter_context(filling(wanted.pictures, overwrite=wanted.overwrite))
         chosen = _frames_to_draw(woven.scene, wanted.pictures_every)
-        sinks.pictures = PictureSink(folder, chosen, None if woven.ego is None else woven.ego.path)
+        sinks.pictures = PictureSink(folder, chosen, by_lidar, None if woven.ego is None else woven.ego.path)
     if wanted.scene is not None:
         sinks.scene = _open_scene_sink(woven, wanted, wanted.scene, stack)
     return sinks

@@ -9,6 +9,7 @@ import numpy as np
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
+from sceneloom.formats.file_names import file_stem
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.sensor_paths import sensor_path
@@ -71,25 +72,27 @@ def _start_ns(frame: FusedFrame, tick_ns: int) -> int:
 
 @dataclass(slots=True)
 class DepthSink:
-    """Writes one depth image per view: `<camera>/<frame number>.png`, or `.npz`.
+    """Writes one depth image per view: `<camera>/<frame number>.png`, or `.npz`; of several lidars below `<lidar>/`.
 
     Attributes:
         folder: where to.
         form: "png" (16 bit, metres times 256) or "npz" (float32 metres).
+        by_lidar: whether the scene has several lidars.
         written: files so far.
         beyond_range: pixels that the form cannot hold.
     """
 
     folder: Path
     form: str
+    by_lidar: bool = False
     written: int = 0
     beyond_range: int = 0
 
     def add(self, frame: FusedFrame) -> None:
         """Write the views of one sweep."""
         for view in frame.views:
-            folder = self.folder / str(view.camera_id)
-            folder.mkdir(exist_ok=True)
+            folder = _lidar_folder(self.folder, frame, by_lidar=self.by_lidar) / file_stem(view.camera_id)
+            folder.mkdir(parents=True, exist_ok=True)
             target = folder / f"{frame.index:06d}.{self.form}"
             if self.form == "npz":
                 write_depth_npz(view.depth_image, target)
@@ -105,16 +108,23 @@ class PictureSink:
     Attributes:
         folder: where to.
         chosen: numbers of the sweeps to draw.
+        by_lidar: whether the scene has several lidars; each then has a folder of its own.
         ego_poses: the way of the ego, drawn into the clouds; None where it is not known.
         written: files so far.
     """
 
     folder: Path
     chosen: frozenset[int]
+    by_lidar: bool = False
     ego_poses: PosePath | None = None
     written: int = 0
 
     def add(self, frame: FusedFrame) -> None:
         """Draw the sweep if it is chosen."""
         if frame.index in self.chosen and frame.unfused is None:
-            self.written += len(save_pictures(frame, self.folder, frame.index, ego_poses=self.ego_poses))
+            folder = _lidar_folder(self.folder, frame, by_lidar=self.by_lidar)
+            self.written += len(save_pictures(frame, folder, frame.index, ego_poses=self.ego_poses))
+
+
+def _lidar_folder(folder: Path, frame: FusedFrame, *, by_lidar: bool) -> Path:
+    return folder / file_stem(frame.lidar_id) if by_lidar else folder

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault, json_problem
 from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lenses import CameraParameters
 from sceneloom.formats.recording.line_shapes import SensorIndex
@@ -163,7 +163,7 @@ def _convert(path: Path, place: str, item: object, shape: type[Entry]) -> Entry:
     try:
         return msgspec.convert(item, shape)
     except DECODER_FAULTS as error:
-        raise DataError(path, place, json_problem(error, msgspec.json.encode(item))) from error
+        raise DataError(path, *json_fault(error, msgspec.json.encode(item), prefix=place)) from error
 
 
 def _note_shift(place: str, shift: float, ledger: Ledger) -> None:

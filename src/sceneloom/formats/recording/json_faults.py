@@ -14,7 +14,12 @@ _LONGEST_QUOTE = 60
 
 
 def json_problem(error: Exception, text: bytes, *, prefix: str = "") -> str:
-    """Describe why a text is not the JSON that was expected.
+    """Describe why a text is not the JSON that was expected, path first; `json_fault` describes the arguments."""
+    return ": ".join(part for part in json_fault(error, text, prefix=prefix) if part)
+
+
+def json_fault(error: Exception, text: bytes, *, prefix: str = "") -> tuple[str, str]:
+    """Say where a text is not the JSON that was expected, and why.
 
     Args:
         error: what the decoder raised.
@@ -22,17 +27,16 @@ def json_problem(error: Exception, text: bytes, *, prefix: str = "") -> str:
         prefix: path of the text inside the data.
 
     Returns:
-        `path: value: what was expected` where the text is JSON of another shape, else the beginning of the text.
+        The path of the value that is wrong, and the value with what was expected; where the text is no JSON at all,
+        the prefix and the beginning of the text.
     """
     if isinstance(error, RecursionError):
-        return f"{quote(text)}: nested too deeply"
+        return prefix, f"{quote(text)}: nested too deeply"
     if not isinstance(error, msgspec.ValidationError):
-        return f"{quote(text)}: not a JSON object: {error}; NaN and Infinity are no JSON numbers"
+        return prefix, f"{quote(text)}: not a JSON object: {error}; NaN and Infinity are no JSON numbers"
     match = _PATH.fullmatch(str(error))
     what, path = (match["what"], match["path"]) if match else (str(error), "")
-    value = _value_at(path, text)
-    full_path = f"{prefix}{path}".lstrip(".")
-    return f"{full_path}: {value}: {what}" if full_path else f"{value}: {what}"
+    return f"{prefix}{path}".lstrip("."), f"{_value_at(path, text)}: {what}"
 
 
 def _value_at(path: str, text: bytes) -> str:

@@ -1,0 +1,221 @@
+"""Reading `calibration.json`: lenses against OpenCV, mountings against NumPy, and what is refused."""
+
+import json
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from sceneloom.cameras import project
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.recording import FORMAT
+from sceneloom.scene import NoticeKind, Scene
+
+CAMERA_MATRIX = np.array([[420.0, 0.0, 310.0], [0.0, 415.0, 245.0], [0.0, 0.0, 1.0]])
+POINTS_CAMERA = np.random.default_rng(3).uniform([-1.5, -1.0, 4.0], [1.5, 1.0, 12.0], (50, 3))
+TURNED = np.array(
+    [
+        [0.000998747205656553, -0.9999903820710413, 0.004259378487635177, -0.25422760500525077],
+        [0.00841690182755742, -0.004250821136069464, -0.9999555696753273, 0.7190941084821951],
+        [0.9999640486966582, 0.001034553284226362, 0.008412575208732587, -1.0863370561924168],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+
+
+def entry(model: str, coefficients: list[float], **further: Any) -> dict[str, Any]:
+    return {
+        "model": model,
+        "distortionCoefficients": coefficients,
+        "focalLengthX": CAMERA_MATRIX[0, 0],
+        "focalLengthY": CAMERA_MATRIX[1, 1],
+        "principalPointX": CAMERA_MATRIX[0, 2],
+        "principalPointY": CAMERA_MATRIX[1, 2],
+        "imageWidth": 640,
+        "imageHeight": 480,
+        "imuToCamera": TURNED.tolist(),
+        **further,
+    }
+
+
+def open_with(recording, *cameras: dict[str, Any], lenient: bool = False, **further: Any) -> Scene:
+    recording.lines(['{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'])
+    return FORMAT.open(recording.calibration(cameras, **further).path, lenient=lenient)
+
+
+OPENCV = {
+    ("pinhole", ()): lambda: np.zeros(5),
+    ("pinhole", (-0.2, 0.05, -0.01)): lambda: np.array([-0.2, 0.05, 0.0, 0.0, -0.01]),
+    ("brown-conrady", (-0.2, 0.05, 1e-3, -2e-3, 0.01)): lambda: None,
+    ("brown-conrady", (-0.2, 0.05, 1e-3, -2e-3, 0.01, 0.1, 0.02, -0.01)): lambda: None,
+    (
+        "BROWN_CONRADY",
+        (-0.2, 0.05, 1e-3, -2e-3, 0.01, 0.1, 0.02, -0.01, 1e-3, 2e-3, -1e-3, 3e-3, 0.01, -0.02),
+    ): lambda: None,
+}
+
+
+@pytest.mark.parametrize(("model", "coefficients"), OPENCV)
+def test_perspective_lenses_project_as_opencv_does(recording, model, coefficients):
+    camera = open_with(recording, entry(model, list(coefficients))).cameras[0].camera
+    theirs = OPENCV[model, coefficients]()
+    theirs = np.array(coefficients) if theirs is None else theirs
+    expected, _ = cv2.projectPoints(POINTS_CAMERA, np.zeros(3), np.zeros(3), CAMERA_MATRIX, theirs)
+    pixels, visible = project(camera, POINTS_CAMERA)
+    assert visible.sum() > 40
+    # both compute in float64, so only rounding is between them
+    np.testing.assert_allclose(pixels[visible], expected[visible, 0], atol=1e-8)
+
+
+@pytest.mark.parametrize("coefficients", [(), (-0.028, 0.0021, -0.0052, 0.0004)])
+@pytest.mark.parametrize("model", ["kannala-brandt4", "KANNALA_BRANDT4", "KannalaBrandt4"])
+def test_fisheye_lenses_project_as_opencv_does(recording, model, coefficients):
+    camera = open_with(recording, entry(model, list(coefficients))).cameras[0].camera
+    theirs = np.array(coefficients or (0.0,) * 4)
+    expected, _ = cv2.fisheye.projectPoints(
+        POINTS_CAMERA[:, None], np.zeros(3), np.zeros(3), CAMERA_MATRIX, theirs
+    )
+    pixels, visible = project(camera, POINTS_CAMERA)
+    assert visible.sum() > 40
+    # both compute in float64, so only rounding is between them
+    np.testing.assert_allclose(pixels[visible], expected[visible, 0], atol=1e-8)
+
+
+@pytest.mark.parametrize("key", ["imuToCamera", "imuToCameraMatrix"])
+def test_the_mounting_is_the_inverse_of_the_matrix(recording, key):
+    camera = entry("pinhole", [])
+    matrix = camera.pop("imuToCamera")
+    scene = open_with(recording, {**camera, key: matrix})
+    mount = scene.cameras[0].mount
+    assert mount is not None
+    # the file's numbers are orthonormal to about 1e-7 only, and are normalised
+    np.testing.assert_allclose(mount.matrix, np.linalg.inv(TURNED), atol=1e-6)
+    assert scene.notices == ()
+
+
+def test_sixteen_numbers_are_columns(recording):
+    camera = entry("pinhole", [], imuToCamera=TURNED.T.ravel().tolist())
+    mount = open_with(recording, camera).cameras[0].mount
+    assert mount is not None
+    np.testing.assert_allclose(mount.matrix, np.linalg.inv(TURNED), atol=1e-6)
+
+
+@pytest.mark.parametrize(("scale", "noticed"), [(1.0004, False), (1.002, True)])
+def test_rotations_that_are_slightly_off_are_normalised(recording, scale, noticed):
+    matrix = TURNED.copy()
+    matrix[:3, :3] *= scale
+    scene = open_with(recording, entry("pinhole", [], imuToCamera=matrix.tolist()))
+    mount = scene.cameras[0].mount
+    assert mount is not None
+    np.testing.assert_allclose(mount.rotation, TURNED[:3, :3].T, atol=1e-6)
+    assert [notice.code for notice in scene.notices] == (["rotation-normalised"] if noticed else [])
+    assert all(notice.place.endswith("calibration.json: cameras[0].imuToCamera") for notice in scene.notices)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (np.diag([1.01, 1.0, 1.0, 1.0]).tolist(), "rotation off by 0.02"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]).tolist(), "mirrored or singular"),
+        (np.zeros((4, 4)).tolist(), "last row"),
+        (TURNED.T.tolist(), "transposed"),
+        (TURNED.ravel().tolist(), "last row"),
+        (TURNED[:3].tolist(), "3 rows; expected 4 rows of 4 numbers"),
+        (TURNED[:, :3].tolist(), "4 rows; expected 4 rows of 4 numbers"),
+        ([1.0, 2.0], "2 numbers; expected"),
+        ([], "0 numbers; expected"),
+    ],
+)
+def test_matrices_that_are_not_rigid_are_refused(recording, matrix, words):
+    with pytest.raises(CalibrationError, match=r"calibration\.json: cameras\[0\]\.imuToCamera: ") as caught:
+        open_with(recording, entry("pinhole", [], imuToCamera=matrix))
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"model": "omnidir9"}, ["cameras[0].model: 'omnidir9'", "pinhole, brown-conrady, kannala-brandt4"]),
+        ({"model": None}, ["cameras[0].model: missing"]),
+        ({"distortionCoefficients": [0.1]}, ["1 numbers; expected 0 or 3 for 'pinhole'"]),
+        ({"focalLengthX": None}, ["cameras[0].focalLengthX: missing"]),
+        ({"focalLengthX": "wide"}, ["cameras[0].focalLengthX", '"wide"', "float"]),
+        ({"focalLengthX": 0.0}, ["cameras[0]: focal lengths 0.0"]),
+        ({"imageWidth": -640}, ["cameras[0]: imageWidth, imageHeight (-640, 480)"]),
+        ({"imageWidth": 640.5}, ["(640.5, 480)", "whole numbers"]),
+        ({"imuToCamera": "left"}, ["cameras[0].imuToCamera", '"left"']),
+    ],
+)
+def test_unusable_cameras_are_named_with_file_and_path(recording, change, words):
+    camera = entry("pinhole", []) | change
+    with pytest.raises((CalibrationError, DataError)) as caught:
+        open_with(recording, camera)
+    for word in ["calibration.json", *words]:
+        assert word in str(caught.value)
+
+
+def test_a_lenient_reading_leaves_unusable_cameras_out(recording):
+    scene = open_with(recording, entry("omnidir9", []), entry("pinhole", []), lenient=True)
+    assert [camera.id for camera in scene.cameras] == ["camera1"]
+    assert [(notice.code, notice.kind) for notice in scene.notices] == [("unusable-cameras", NoticeKind.SKIPPED)]
+
+
+def test_a_calibration_for_another_picture_size_is_scaled_with_a_notice(recording, pinhole):
+    recording.video("data.mkv", 1, width=32, height=16)
+    recording.lines(['{"frames":[{"cameraInd":0}],"number":0,"time":0}'])
+    doubled = pinhole | {"imageWidth": 64, "imageHeight": 64, "principalPointX": 31.5, "principalPointY": 20.0}
+    scene = FORMAT.open(recording.calibration([doubled]).path)
+    camera = scene.cameras[0].camera
+    assert (camera.width, camera.height) == (32, 16)
+    assert (camera.fx, camera.fy) == (10.0, 5.25)
+    # the edge of a picture is half a pixel before the centre of its first one
+    assert (camera.cx, camera.cy) == (15.5, 20.5 / 4 - 0.5)
+    assert [(notice.code, notice.kind) for notice in scene.notices] == [("lens-scaled", NoticeKind.REPAIRED)]
+    assert "64x64" in scene.notices[0].message
+
+
+def test_a_missing_picture_size_is_that_of_the_pictures(recording, pinhole):
+    recording.video("data.mkv", 1, width=48, height=32)
+    recording.lines(['{"frames":[{"cameraInd":0}],"number":0,"time":0}'])
+    del pinhole["imageWidth"], pinhole["imageHeight"]
+    scene = FORMAT.open(recording.calibration([pinhole]).path)
+    assert (scene.cameras[0].camera.width, scene.cameras[0].camera.height) == (48, 32)
+    assert scene.notices == ()
+
+
+def test_a_camera_whose_picture_size_nothing_tells_is_left_out_with_a_notice(recording):
+    camera = entry("pinhole", [])
+    del camera["imageWidth"]
+    scene = open_with(recording, camera)
+    assert scene.cameras == ()
+    assert [notice.code for notice in scene.notices] == ["cameras-without-size"]
+
+
+def test_a_camera_without_mounting_has_none_and_a_notice(recording):
+    camera = entry("pinhole", [])
+    del camera["imuToCamera"]
+    scene = open_with(recording, camera)
+    assert scene.cameras[0].mount is None
+    assert [notice.code for notice in scene.notices] == ["mounts-missing"]
+
+
+def test_entries_are_kept_word_by_word(recording):
+    camera = entry("pinhole", [], shutterRollTimeSeconds=0.03, rollingShutterLeftToRight=True, maker="ours")
+    scene = open_with(recording, camera, imuForward=[1, 0, 0])
+    assert scene.cameras[0].extras["calibration"] == json.loads(json.dumps(camera))
+    assert scene.metadata["recording"]["calibration"]["imuForward"] == [1, 0, 0]
+
+
+def test_a_clock_shift_of_the_camera_is_kept_but_not_applied(recording):
+    scene = open_with(recording, entry("pinhole", [], imuToCameraShiftSeconds=0.01))
+    (notice,) = scene.notices
+    assert (notice.code, notice.kind) == ("camera-shift-not-applied", NoticeKind.ASSUMED)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"cameras": {}}', '{"cameras": [3]}', '{"lidars": "none"}'])
+def test_a_calibration_that_is_no_calibration_is_a_fault_of_its_file(recording, text):
+    recording.lines(['{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'])
+    (recording.path / "calibration.json").write_text(text)
+    with pytest.raises(DataError, match=r"calibration\.json"):
+        FORMAT.open(recording.path)

@@ -1,0 +1,187 @@
+"""Reading lidar binaries: every field, lazily, and files that are not what a line says."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.recording import FORMAT
+from sceneloom.scene import NoticeKind
+
+POINTS = [
+    (1.5, -2.25, 0.125, 200, 17, 0.100000001),
+    (-30.0, 4.0, 5.5, 0, 65535, 0.15),
+    (1e-3, 2e6, -3.75, 255, 0, -0.25),
+]
+SHIFTED = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
+
+
+def sweep(file: str, time: float, **further: Any) -> dict[str, Any]:
+    return {"lidar": {"model": "RoboSense M1 XYZIRT", "dataFile": file, **further}, "time": time}
+
+
+def test_points_hold_what_the_records_hold(recording):
+    recording.points("lidar/0.bin", POINTS).lines([sweep("lidar/0.bin", 0.1)])
+    lidar = FORMAT.open(recording.path).lidars[0]
+    assert (lidar.id, lidar.model, len(lidar.frames)) == ("lidar", "RoboSense M1 XYZIRT", 1)
+    frame = lidar.frames[0]
+    assert frame.timestamp_ns == 100_000_000
+    assert frame.extras == {"file_seconds": 0.1, "dataFile": "lidar/0.bin"}
+    content = (recording.path / "lidar/0.bin").read_bytes()
+    assert len(content) == 23 * 3
+    x, y, z, intensity, ring, time = zip(*struct.iter_unpack("<fffBHd", content), strict=True)
+    np.testing.assert_array_equal(frame.points.positions, np.array([x, y, z], np.float32).T)
+    assert frame.points.intensities is not None
+    assert frame.points.intensities.tolist() == list(intensity)
+    assert frame.points.rings is not None
+    assert frame.points.rings.tolist() == list(ring)
+    assert frame.points.timestamps_ns is not None
+    assert frame.points.timestamps_ns.tolist() == [round(t * 1e9) for t in time]
+    assert frame.points.extras["file_seconds"].tolist() == list(time)
+    for array in (frame.points.positions, frame.points.intensities, frame.points.rings, frame.points.timestamps_ns):
+        assert not array.flags.writeable
+        assert array.flags.aligned
+
+
+def test_a_sweep_of_one_point_is_aligned_too(recording):
+    recording.points("0.bin", POINTS[:1]).lines([sweep("0.bin", 0.0)])
+    points = FORMAT.open(recording.path).lidars[0].frames[0].points
+    assert points.rings is not None
+    assert points.rings.flags.aligned
+    assert points.rings.tolist() == [17]
+
+
+def test_a_file_without_points_is_an_empty_sweep(recording):
+    recording.points("0.bin", []).lines([sweep("0.bin", 0.5)])
+    frame = FORMAT.open(recording.path).lidars[0].frames[0]
+    assert len(frame.points) == 0
+    assert frame.reference_ns == 500_000_000
+
+
+def test_points_that_are_not_numbers_stay_in_the_sweep(recording):
+    recording.points("0.bin", [(float("nan"), 1.0, 2.0, 3, 4, 0.5), POINTS[0]]).lines([sweep("0.bin", 0.5)])
+    positions = FORMAT.open(recording.path).lidars[0].frames[0].points.positions
+    np.testing.assert_array_equal(positions[0], np.array([np.nan, 1.0, 2.0], np.float32))
+
+
+@pytest.mark.parametrize("time", [float("nan"), float("inf"), 1e300])
+def test_a_point_time_that_is_no_time_is_a_fault_of_its_record(recording, time):
+    recording.points("0.bin", [POINTS[0], (*POINTS[1][:5], time)]).lines([sweep("0.bin", 0.5)])
+    frames = FORMAT.open(recording.path).lidars[0].frames
+    with pytest.raises(DataError, match=r"0\.bin: record 1 \(byte 23\): timestamp .*expected seconds") as caught:
+        _ = frames[0]
+    assert f"{time}" in caught.value.problem
+
+
+@pytest.mark.parametrize("remainder", [1, 22])
+def test_a_size_that_is_no_whole_number_of_records_is_a_fault_naming_the_remainder(recording, remainder):
+    recording.points("0.bin", POINTS, extra=b"\0" * remainder).lines([sweep("0.bin", 0.5)])
+    frames = FORMAT.open(recording.path).lidars[0].frames
+    with pytest.raises(DataError, match=rf"0\.bin: byte 69: .* 3 records .* remainder of {remainder};"):
+        _ = frames[0]
+
+
+@pytest.mark.parametrize("file", ["missing.bin", "folder"])
+def test_a_missing_file_is_a_fault_of_its_line_when_it_is_read(recording, file):
+    (recording.path / "folder").mkdir()
+    recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.0), sweep(file, 0.1)])
+    frames = FORMAT.open(recording.path).lidars[0].frames
+    assert len(frames[0].points) == 3
+    with pytest.raises(DataError, match=rf"data\.jsonl: line 2: lidar\.dataFile: '{file}': no such file"):
+        _ = frames[1]
+
+
+@pytest.mark.parametrize(
+    "file", ["/etc/passwd", "../outside.bin", "lidar/../../outside.bin", "C:\\points.bin", "..\\points.bin", "", "a\0b"]
+)
+def test_names_that_lead_out_of_the_folder_are_refused(recording, file):
+    recording.points("../outside.bin", POINTS).lines([sweep(file, 0.0)])
+    with pytest.raises(DataError, match="line 1: lidar.dataFile: .*expected a path inside the recording's folder"):
+        FORMAT.open(recording.path)
+
+
+def test_links_that_lead_out_of_the_folder_are_refused(recording, tmp_path: Path):
+    recording.points("../outside.bin", POINTS).lines([sweep("0.bin", 0.0), sweep("lidar/outside.bin", 0.1)])
+    (recording.path / "0.bin").symlink_to(tmp_path / "outside.bin")
+    (recording.path / "lidar").symlink_to(tmp_path)
+    frames = FORMAT.open(recording.path).lidars[0].frames
+    for k in range(2):
+        with pytest.raises(DataError, match=f"line {k + 1}: .* by a link"):
+            _ = frames[k]
+
+
+def test_links_that_stay_in_the_folder_are_followed(recording):
+    recording.points("0.bin", POINTS).lines([sweep("1.bin", 0.0)])
+    (recording.path / "1.bin").symlink_to("0.bin")
+    assert len(FORMAT.open(recording.path).lidars[0].frames[0].points) == 3
+
+
+def test_a_lenient_reading_leaves_unusable_files_out_and_counts_them(recording):
+    recording.points("0.bin", POINTS).points("1.bin", POINTS, extra=b"\0")
+    recording.lines([sweep("missing.bin", 0.0), sweep("1.bin", 0.1), sweep("0.bin", 0.2)])
+    scene = FORMAT.open(recording.path, lenient=True)
+    assert [frame.timestamp_ns for frame in scene.lidars[0].frames] == [200_000_000]
+    skipped = next(notice for notice in scene.notices if notice.code == "unusable-lidar-files")
+    assert (skipped.kind, skipped.count) == (NoticeKind.SKIPPED, 2)
+
+
+def test_the_mounting_is_the_inverse_of_imu_to_lidar(recording):
+    recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.0)])
+    recording.calibration(lidars=[{"model": "RoboSense M1 XYZIRT", "imuToLidar": SHIFTED}])
+    scene = FORMAT.open(recording.path)
+    mount = scene.lidars[0].mount
+    assert mount is not None
+    assert mount.translation.tolist() == [-1.0, -2.0, -3.0]
+    assert scene.lidars[0].extras["calibration"]["imuToLidar"] == SHIFTED
+    assert scene.notices == ()
+
+
+@pytest.mark.parametrize("entries", [None, [], [{"model": "RoboSense M1 XYZIRT"}]])
+def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_notice(recording, entries):
+    recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.0)])
+    if entries is not None:
+        recording.calibration(lidars=entries)
+    scene = FORMAT.open(recording.path)
+    mount = scene.lidars[0].mount
+    assert mount is not None
+    np.testing.assert_array_equal(mount.matrix, np.eye(4))
+    assert [(notice.code, notice.kind) for notice in scene.notices] == [("lidar-mount-identity", NoticeKind.ASSUMED)]
+
+
+def test_several_lidars_are_told_apart_by_their_index(recording):
+    recording.points("a.bin", POINTS).points("b.bin", POINTS[:2])
+    recording.lines([sweep("a.bin", 0.0), sweep("b.bin", 0.05, lidarInd=1), sweep("a.bin", 0.1, lidarInd=0)])
+    recording.calibration(lidars=[{"lidarInd": 1, "imuToLidar": SHIFTED}, {"lidarInd": 0, "imuToLidar": np.eye(4).tolist()}])
+    lidars = FORMAT.open(recording.path).lidars
+    assert [(lidar.id, [len(frame.points) for frame in lidar.frames]) for lidar in lidars] == [
+        ("lidar0", [3, 3]),
+        ("lidar1", [2]),
+    ]
+    assert lidars[0].mount is not None
+    assert lidars[1].mount is not None
+    assert lidars[0].mount.translation.tolist() == [0.0, 0.0, 0.0]
+    assert lidars[1].mount.translation.tolist() == [-1.0, -2.0, -3.0]
+
+
+def test_an_index_that_two_lidars_have_is_a_fault(recording):
+    recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)])
+    recording.calibration(lidars=[{"lidarInd": 1}, {"lidarInd": 1}])
+    with pytest.raises(DataError, match=r"lidars\[1\]: lidarInd 1 is used twice"):
+        FORMAT.open(recording.path)
+
+
+def test_a_lidar_mounting_that_is_not_rigid_is_refused(recording):
+    recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)])
+    recording.calibration(lidars=[{"imuToLidar": np.diag([2.0, 1.0, 1.0, 1.0]).tolist()}])
+    with pytest.raises(CalibrationError, match=r"calibration\.json: lidars\[0\]\.imuToLidar: rotation off by 3"):
+        FORMAT.open(recording.path)
+
+
+def test_unsorted_sweeps_come_in_the_order_of_time_with_their_own_files(recording):
+    recording.points("late.bin", POINTS).points("early.bin", POINTS[:1])
+    recording.lines([sweep("late.bin", 0.2), sweep("early.bin", 0.1)])
+    frames = FORMAT.open(recording.path).lidars[0].frames
+    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [(100_000_000, 1), (200_000_000, 3)]

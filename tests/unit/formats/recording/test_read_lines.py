@@ -1,0 +1,310 @@
+"""Reading `data.jsonl`: streams, order, further keys, and lines that are wrong."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError
+from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.recording.lines import read_lines
+from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Scene
+
+TURN = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
+
+
+def imu_line(time: float, value: float = 0.0, sensor: str = "gyroscope") -> dict[str, Any]:
+    return {"sensor": {"type": sensor, "values": [value, 0.5, -0.25]}, "time": time}
+
+
+def pose_line(key: str, time: float, x: float = 0.0, *, turn: dict[str, float] | None = TURN) -> dict[str, Any]:
+    pose: dict[str, Any] = {"position": {"x": x, "y": 2.0, "z": 3.0}}
+    return {key: pose | ({"orientation": turn} if turn else {}), "time": time}
+
+
+def imu_of(scene: Scene) -> ImuSensor:
+    return next(sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor))
+
+
+def gnss_of(scene: Scene) -> GnssSensor:
+    return next(sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor))
+
+
+def test_every_kind_of_sample_lands_in_its_stream(recording):
+    recording.lines(
+        [
+            imu_line(0.0, 1.0),
+            imu_line(0.1, 2.0, "accelerometer"),
+            {"sensor": {"type": "imuTemperature", "values": [292.8961]}, "time": 0.1},
+            {"sensor": {"type": "pressure", "values": [1, 2, 3, 4]}, "time": 0.2},
+            imu_line(0.3, 3.0),
+        ]
+    )
+    streams = imu_of(FORMAT.open(recording.path)).streams
+    assert set(streams) == {"gyroscope", "accelerometer", "imuTemperature", "pressure"}
+    assert streams["gyroscope"].values.tolist() == [[1.0, 0.5, -0.25], [3.0, 0.5, -0.25]]
+    assert streams["imuTemperature"].values.tolist() == [[292.8961]]
+    assert streams["pressure"].values.shape == (1, 4)
+    assert streams["gyroscope"].file_seconds is not None
+    assert streams["gyroscope"].file_seconds.tolist() == [0.0, 0.3]
+
+
+def test_times_become_nanoseconds_rounded_half_to_even(recording):
+    times = [-3.5, -1e-9, 0.0, 0.5e-9, 1.5e-9, 1.436207275390625, 1.44976953125, 1_700_000_000.123456789]
+    recording.lines([imu_line(time) for time in times])
+    stamps = imu_of(FORMAT.open(recording.path)).streams["gyroscope"].timestamps_ns
+    assert stamps.tolist() == [round(time * 1e9) for time in times]
+
+
+def test_arrays_are_read_only(recording):
+    recording.lines([imu_line(0.0)])
+    samples = imu_of(FORMAT.open(recording.path)).streams["gyroscope"]
+    with pytest.raises(ValueError, match="read-only"):
+        samples.values[0, 0] = 1.0
+
+
+def test_fixes_keep_nan_for_accuracies_that_are_not_given(recording):
+    fix = {"latitude": 60.1, "longitude": 24.9, "altitude": 14.2}
+    recording.lines(
+        [
+            {"gps": {**fix, "accuracy": 4.0}, "time": 1.0},
+            {"gps": {**fix, "verticalAccuracy": 7.5}, "time": 2.0},
+        ]
+    )
+    gnss = gnss_of(FORMAT.open(recording.path))
+    assert gnss.positions_lla.tolist() == [[60.1, 24.9, 14.2]] * 2
+    np.testing.assert_array_equal(gnss.accuracies, [4.0, np.nan])
+    np.testing.assert_array_equal(gnss.vertical_accuracies, [np.nan, 7.5])
+
+
+def test_the_default_trajectory_stands_first(recording):
+    recording.lines(
+        [
+            pose_line("arcore", 0.0),
+            pose_line("externalPose", 0.0),
+            pose_line("pose", 0.0),
+            pose_line("groundTruth", 0.0),
+            {"pose": {**pose_line("pose", 0.0)["pose"], "name": "ARKit"}, "time": 0.1},
+            {"time": 0.2, **pose_line("pose", 0.0)["pose"]},
+        ]
+    )
+    scene = FORMAT.open(recording.path)
+    assert list(scene.trajectories) == ["groundTruth", "externalPose", "pose", "ARKit", "arcore", "output"]
+    origins = scene.metadata["recording"]["trajectory_origins"]
+    assert origins == {"ARKit": ["pose", "ARKit"], "output": ["", "output"]}
+
+
+def test_poses_keep_position_and_orientation(recording):
+    turn = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
+    recording.lines([pose_line("groundTruth", 1.5, 7.0, turn=turn), pose_line("groundTruth", 2.5, 8.0, turn=turn)])
+    trajectory = FORMAT.open(recording.path).trajectories["groundTruth"]
+    assert trajectory.positions.tolist() == [[7.0, 2.0, 3.0], [8.0, 2.0, 3.0]]
+    assert trajectory.quaternions_xyzw is not None
+    assert trajectory.quaternions_xyzw[0].tolist() == [-0.15299, -0.826976, -0.082863, 0.53464]
+    assert trajectory.timestamps_ns.tolist() == [1_500_000_000, 2_500_000_000]
+
+
+def test_positions_alone_make_a_trajectory_without_orientations_and_sensors_without_poses(recording):
+    recording.lines([pose_line("groundTruth", 0.0, turn=None), pose_line("groundTruth", 1.0, turn=None)])
+    scene = FORMAT.open(recording.path)
+    assert scene.trajectories["groundTruth"].quaternions_xyzw is None
+    assert [notice.code for notice in scene.notices] == ["orientations-missing"]
+
+
+def test_names_that_are_taken_get_their_root_key_in_front(recording):
+    named = {"pose": {**pose_line("pose", 0.0)["pose"], "name": "groundTruth"}, "time": 0.1}
+    recording.lines([pose_line("groundTruth", 0.0), named, pose_line("gnss", 0.0)])
+    assert list(FORMAT.open(recording.path).trajectories) == ["groundTruth", "pose:groundTruth", "gnss:gnss"]
+
+
+def test_of_two_poses_at_one_time_the_first_is_kept_with_a_notice(recording):
+    recording.lines([pose_line("pose", 1.0, 1.0), pose_line("pose", 1.0, 2.0), pose_line("pose", 2.0, 3.0)])
+    scene = FORMAT.open(recording.path)
+    assert scene.trajectories["pose"].positions[:, 0].tolist() == [1.0, 3.0]
+    (notice,) = scene.notices
+    assert (notice.code, notice.kind, notice.count) == ("repeated-poses", NoticeKind.SKIPPED, 1)
+    assert notice.place.endswith("data.jsonl: line 2")
+
+
+def test_unsorted_lines_are_sorted_stably_with_a_notice(recording):
+    recording.lines([imu_line(2.0, 0.0), imu_line(1.0, 1.0), imu_line(2.0, 2.0), imu_line(0.5, 3.0)])
+    scene = FORMAT.open(recording.path)
+    stream = imu_of(scene).streams["gyroscope"]
+    assert stream.values[:, 0].tolist() == [3.0, 1.0, 0.0, 2.0]
+    assert stream.timestamps_ns.tolist() == [500_000_000, 1_000_000_000, 2_000_000_000, 2_000_000_000]
+    (notice,) = scene.notices
+    assert (notice.code, notice.kind, notice.count) == ("lines-sorted", NoticeKind.REPAIRED, 2)
+    assert notice.place.endswith("line 2")
+
+
+def test_the_example_of_the_formats_description_is_read(recording):
+    recording.lines(
+        [
+            '{"groundTruth":{"position":{"x":-0.0075,"y":0.0227,"z":0.0081},"orientation":{"w":0.53464,"x":-0.15299,'
+            '"y":-0.826976,"z":-0.082863}},"time":1.444770263671875}',
+            '{"sensor":{"type":"accelerometer","values":[-0.0382,9.1216,-2.9831]},"time":1.43846240234375}',
+            '{"sensor":{"type":"imuTemperature","values":[292.8961]},"time":1.44976953125}',
+            '{"gps": {"accuracy": 4.0, "altitude": 14.18831106834269, "latitude": 60.173783793064594, '
+            '"longitude": 24.906486344581662}, "time": 1.474782958984375}',
+        ]
+    )
+    scene = FORMAT.open(recording.path)
+    assert gnss_of(scene).positions_lla.tolist() == [[60.173783793064594, 24.906486344581662, 14.18831106834269]]
+    assert [notice.code for notice in scene.notices] == ["lines-sorted"]
+
+
+def test_lines_of_other_kinds_are_counted_and_kept_word_by_word(recording):
+    lines = ['{"barometer": {"pressure":  1013.25}, "time": 0.1}', '{"sdkVersion":"1.54"}', '{"status": null}']
+    recording.lines([imu_line(0.0), *lines])
+    scene = FORMAT.open(recording.path)
+    assert scene.metadata["recording"]["other_lines"] == lines
+    (notice,) = scene.notices
+    assert (notice.code, notice.count) == ("lines-kept-as-text", 3)
+    for key in ("barometer", "sdkVersion", "status"):
+        assert key in notice.message
+
+
+def test_keys_beyond_what_is_understood_are_kept_with_their_line(recording):
+    sdk = {"time": 0.5, **pose_line("pose", 0.0)["pose"], "status": "TRACKING"}
+    hot = {"sensor": {"type": "gyroscope", "values": [1, 2, 3], "temperature": 40}, "time": 0.25}
+    recording.lines([imu_line(0.0), hot, sdk])
+    scene = FORMAT.open(recording.path)
+    further = scene.metadata["recording"]["further_keys"]
+    assert json.loads(further["imu.gyroscope"]["250000000"]) == hot
+    assert json.loads(further["trajectories.output"]["500000000"]) == sdk
+    assert imu_of(scene).streams["gyroscope"].values[1].tolist() == [1.0, 2.0, 3.0]
+    assert [(notice.code, notice.count) for notice in scene.notices] == [("further-keys-kept", 2)]
+
+
+def test_other_trajectories_without_further_keys_are_not_kept_twice(recording):
+    recording.lines([pose_line("arcore", 0.0), {"time": 0.5, **pose_line("pose", 0.0)["pose"]}])
+    scene = FORMAT.open(recording.path)
+    assert scene.notices == ()
+    assert "further_keys" not in scene.metadata["recording"]
+
+
+def test_a_line_may_say_two_things(recording):
+    recording.lines([{**imu_line(0.0), **pose_line("groundTruth", 0.0)}])
+    scene = FORMAT.open(recording.path)
+    assert len(imu_of(scene).streams["gyroscope"]) == 1
+    assert list(scene.trajectories) == ["groundTruth"]
+
+
+def test_a_file_of_many_blocks_reads_as_plain_json_does(recording):
+    rng = np.random.default_rng(7)
+    lines = [imu_line(0.005 * k, float(value)) for k, value in enumerate(rng.normal(size=30_000))]
+    recording.lines(lines)
+    text = (recording.path / "data.jsonl").read_text()
+    assert len(text) > 2 * (1 << 20)
+    expected = [json.loads(line)["sensor"]["values"] for line in text.splitlines()]
+    stream = imu_of(FORMAT.open(recording.path)).streams["gyroscope"]
+    np.testing.assert_array_equal(stream.values, expected)
+
+
+@pytest.mark.parametrize("ending", ["", "\n", "\r\n"])
+def test_the_last_line_may_end_as_it_likes(recording, ending):
+    (recording.path / "data.jsonl").write_bytes((json.dumps(imu_line(0.5)) + ending).encode())
+    assert len(imu_of(FORMAT.open(recording.path)).streams["gyroscope"]) == 1
+
+
+FAULTS = {
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"ti': ["not a JSON object", "truncated"],
+    "": ["blank", "expected a JSON object"],
+    "[1, 2]": ["[1, 2]", "expected a JSON object"],
+    '{"sensor":{"type":"gyroscope","values":[1,NaN,3]},"time":1}': ["NaN", "no JSON numbers"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,-Infinity]},"time":1}': ["Infinity"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,1e999]},"time":1}': ["out of range"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]}}': ["time: missing", "expected seconds"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":null}': ["time: missing"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":"1.5"}': ["time", '"1.5"', "float"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":1e10}': ["time", "10000000000.0", "9200000000"],
+    '{"sensor":{"type":"gyroscope","values":[1,2]},"time":1}': ["sensor.values", "[1.0, 2.0]", "expected 3"],
+    '{"sensor":{"type":"odd","values":[]},"time":1}': ["sensor.values", "at least one"],
+    '{"sensor":{"type":"gyroscope","values":[1,"two",3]},"time":1}': ["sensor.values[1]", '"two"', "float"],
+    '{"sensor":{"type":"gyroscope"},"time":1}': ["sensor", "values", "missing"],
+    '{"gps":{"latitude":60,"longitude":25},"time":1}': ["gps", "altitude", "missing"],
+    '{"groundTruth":{"position":{"x":1,"y":2}},"time":1}': ["groundTruth.position", "`z`"],
+    '{"arcore":{"position":{"x":1,"y":2,"z":"up"}},"time":1}': ["arcore.position.z", '"up"', "float"],
+    '{"arcore":{"position":{"x":1,"y":2,"z":3}}}': ["time: missing"],
+    '{"frames":[{"cameraInd":0}],"time":1}': ["number: missing"],
+    '{"frames":[{}],"number":0,"time":1}': ["frames[0]", "cameraInd"],
+    '{"frames":[{"cameraInd":0},{"cameraInd":0}],"number":0,"time":1}': ["cameraInd", "[0, 0]", "once"],
+    '{"frames":[{"cameraInd":-1}],"number":0,"time":1}': ["frames[0].cameraInd", "-1"],
+    '{"lidar":{"model":"other","dataFile":"a.bin"},"time":1}': ["lidar.model", "'other'", "RoboSense M1 XYZIRT"],
+    '{"lidar":{"model":"RoboSense M1 XYZIRT","dataFile":"../a.bin"},"time":1}': ["lidar.dataFile", "'../a.bin'"],
+    '{"lidar":{"model":"RoboSense M1 XYZIRT"},"time":1}': ["lidar", "dataFile", "missing"],
+}
+
+
+@pytest.mark.parametrize("line", FAULTS)
+def test_a_wrong_line_is_named_with_its_number_its_value_and_what_was_expected(recording, line):
+    recording.lines([imu_line(0.0), line, imu_line(2.0)])
+    with pytest.raises(DataError) as caught:
+        FORMAT.open(recording.path)
+    assert caught.value.file.endswith("data.jsonl")
+    assert caught.value.place == "line 2"
+    for part in FAULTS[line]:
+        assert part in caught.value.problem
+
+
+@pytest.mark.parametrize("line", FAULTS)
+def test_a_lenient_reading_leaves_a_wrong_line_out_and_counts_it(recording, line):
+    recording.lines([imu_line(0.0), line, line, imu_line(2.0)])
+    scene = FORMAT.open(recording.path, lenient=True)
+    assert imu_of(scene).streams["gyroscope"].timestamps_ns.tolist() == [0, 2_000_000_000]
+    (notice,) = scene.notices
+    assert (notice.kind, notice.count) == (NoticeKind.SKIPPED, 2)
+    assert notice.place.endswith("line 2")
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ([pose_line("pose", 0.0), pose_line("pose", 1.0, turn=None)], ["orientation: missing", "'pose'"]),
+        ([pose_line("pose", 0.0), pose_line("pose", 1.0, turn={**TURN, "z": 0.9})], ["0.9", "length 1"]),
+    ],
+)
+def test_orientations_that_are_none_are_faults_of_their_line(recording, lines, words):
+    recording.lines(lines)
+    with pytest.raises(DataError) as caught:
+        FORMAT.open(recording.path)
+    assert caught.value.place == "line 2"
+    for word in words:
+        assert word in caught.value.problem
+    lenient = FORMAT.open(recording.path, lenient=True)
+    assert lenient.trajectories["pose"].timestamps_ns.tolist() == [0]
+
+
+def test_sensors_that_change_their_number_of_values_are_faults(recording):
+    recording.lines(
+        [
+            {"sensor": {"type": "pressure", "values": [1, 2]}, "time": 0},
+            {"sensor": {"type": "pressure", "values": [1]}, "time": 1},
+        ]
+    )
+    with pytest.raises(DataError, match=r"line 2: sensor.values: \[1.0\]; expected 2 of 'pressure'"):
+        FORMAT.open(recording.path)
+
+
+def test_a_line_longer_than_any_is_a_fault(tmp_path: Path):
+    path = tmp_path / "data.jsonl"
+    with path.open("wb") as file:
+        file.truncate((1 << 26) + (1 << 21))
+    with pytest.raises(DataError, match="longer than 67108864 bytes"):
+        read_lines(path, Ledger(lenient=True))
+
+
+def test_lines_of_bytes_that_are_no_text_are_faults(recording):
+    (recording.path / "data.jsonl").write_bytes(b'{"time":0,"word":"\xff\xfe"}\n')
+    with pytest.raises(DataError, match="line 1"):
+        FORMAT.open(recording.path)
+    assert FORMAT.open(recording.path, lenient=True).sensors == ()
+
+
+def test_lines_nested_beyond_reason_are_faults(recording):
+    recording.lines(['{"a":' * 100_000])
+    with pytest.raises(DataError, match="line 1"):
+        FORMAT.open(recording.path)

@@ -78,13 +78,19 @@ def remux_to_mp4(
 
 
 def copy_to_matroska(
-    source: VideoSource, target: VideoTarget, *, name: str | None = None
+    source: VideoSource, target: VideoTarget, *, pictures: int | None = None, name: str | None = None
 ) -> RemuxResult | None:
     """Put a video into Matroska packet by packet, whatever its codec, at its own times from 0 on.
 
+    Args:
+        source: read twice or more: the packets' times have to be known before the first is written.
+        target: a path or a seekable binary file.
+        pictures: how many pictures there must be; None for any number.
+        name: what messages call the source.
+
     Returns:
-        What was written; None, and nothing written, where the packets cannot be copied: their times are unknown
-        or some are not to be shown.
+        What was written; None, and nothing written, where the packets cannot be copied: their times are unknown,
+        some are not to be shown, or they are not as many as they must be.
 
     Raises:
         DataError: the source is damaged.
@@ -92,7 +98,8 @@ def copy_to_matroska(
     """
     called = source_name(source, name)
     with VideoReader(source, name=called) as reader:
-        if _obstacle(reader, range(reader.count), frozenset({reader.codec})) is not None:
+        wanted = range(reader.count if pictures is None else pictures)
+        if _obstacle(reader, wanted, frozenset({reader.codec})) is not None:
             return None
         codec, index = reader.codec, reader.index
     copy_packets(source, target, "matroska", PacketTimes.of(index, None), called)

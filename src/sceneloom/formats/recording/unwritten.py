@@ -1,0 +1,106 @@
+"""What a recording has no place for, found in a scene before it is written."""
+
+from collections.abc import Iterator, Sequence
+
+from sceneloom.formats.loss import Loss
+from sceneloom.scene import (
+    CameraSensor,
+    GnssSensor,
+    ImuSensor,
+    OdometrySensor,
+    PlainSensor,
+    PointsSensor,
+    RadarSensor,
+    Scene,
+    Sensor,
+    Trajectory,
+)
+
+_NO_PLACE = "left out: the format has none"
+_RECORDING_EXTRAS = {"calibration", "lidarInd"}
+
+
+def unwritten(
+    scene: Scene, cameras: Sequence[CameraSensor], trajectories: Sequence[Trajectory]
+) -> list[Loss]:
+    """Name everything of a scene that its recording will not hold.
+
+    Args:
+        scene: what is written.
+        cameras: those of its cameras that are written.
+        trajectories: what is written as trajectories.
+    """
+    return [
+        *_of_root(scene),
+        *(loss for sensor in scene.sensors for loss in _of_sensor(sensor)),
+        *_of_cameras(scene, cameras),
+        *_of_repeated(scene),
+        *_of_ids(scene, cameras),
+        *_of_default(scene, trajectories),
+    ]
+
+
+def _of_root(scene: Scene) -> Iterator[Loss]:
+    counts = {
+        "annotations": len(scene.annotations),
+        "attributes": len(scene.attributes),
+        **{f"metadata.{name}": 1 for name in scene.metadata if name != "recording"},
+        **dict.fromkeys(scene.extras, 1),
+    }
+    yield from (Loss(field=name, what=_NO_PLACE, count=count) for name, count in counts.items() if count)
+
+
+def _of_sensor(sensor: Sensor) -> Iterator[Loss]:
+    if isinstance(sensor, RadarSensor | PointsSensor | PlainSensor):
+        yield Loss(field=f"sensors[{sensor.id}]", what=_NO_PLACE)
+        return
+    for name in sensor.extras:
+        if name not in _RECORDING_EXTRAS:
+            yield Loss(field=f"sensors[{sensor.id}].{name}", what=_NO_PLACE)
+    if sensor.parent_id is not None:
+        yield Loss(field=f"sensors[{sensor.id}].parent_id", what=_NO_PLACE)
+    if isinstance(sensor, OdometrySensor) and sensor.poses.endless:
+        yield Loss(field=f"sensors[{sensor.id}]", what="left out: the format has no path without end")
+
+
+def _of_cameras(scene: Scene, cameras: Sequence[CameraSensor]) -> Iterator[Loss]:
+    for camera in scene.cameras:
+        if camera not in cameras:
+            yield Loss(
+                field=f"sensors[{camera.id}]", what="left out: it has no pictures, while other cameras have"
+            )
+
+
+def _of_repeated(scene: Scene) -> Iterator[Loss]:
+    for kind in (ImuSensor, GnssSensor):
+        for sensor in [sensor for sensor in scene.sensors if isinstance(sensor, kind)][1:]:
+            yield Loss(field=f"sensors[{sensor.id}]", what=f"left out: the format has one {sensor.type} only")
+
+
+def _of_ids(scene: Scene, cameras: Sequence[CameraSensor]) -> Iterator[Loss]:
+    """The ids that reading gives differ from the scene's: the format knows sensors by number only."""
+    lidars = scene.lidars
+    names: dict[str, Sequence[Sensor]] = {
+        "camera": cameras,
+        "lidar": lidars,
+        "imu": [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)][:1],
+        "gnss": [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)][:1],
+    }
+    for name, sensors in names.items():
+        for index, sensor in enumerate(sensors):
+            numbered = name == "camera" or (name == "lidar" and len(lidars) > 1)
+            found = f"{name}{index}" if numbered else name
+            if sensor.id != found:
+                yield Loss(field=f"sensors[{sensor.id}].id", what=f"read back as {found!r}")
+
+
+def _of_default(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Loss]:
+    default = next(iter(scene.trajectories), None)
+    names = [trajectory.name for trajectory in trajectories]
+    if default != "groundTruth" and "groundTruth" in names:
+        yield Loss(field="trajectories", what=f"read back with 'groundTruth' first, not {default!r}")
+    posed = [sensor for sensor in scene.sensors if getattr(sensor, "poses", None) is not None]
+    if not trajectories and posed:
+        yield Loss(
+            field="sensors[].poses", what="left out: there is no trajectory of the ego", count=len(posed)
+        )

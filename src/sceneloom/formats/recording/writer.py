@@ -1,0 +1,184 @@
+"""A scene as a recording's folder: sorted lines, calibration, videos or PNG pictures, lidar binaries."""
+
+import heapq
+import re
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import OptionError, OutputError
+from sceneloom.formats.loss import Loss, LossReport
+from sceneloom.formats.output import replacing
+from sceneloom.formats.recording.calibration import CALIBRATION_FILE
+from sceneloom.formats.recording.scene_from_recording import DATA_FILE
+from sceneloom.formats.recording.writing_plan import WritingPlan
+from sceneloom.formats.recording.written_calibration import camera_entry, cropped, lidar_entry
+from sceneloom.formats.recording.written_frames import FrameLines, group_pictures, grouping_losses
+from sceneloom.formats.recording.written_lines import NumberLines, WrittenLine, other_lines
+from sceneloom.formats.recording.written_pictures import PictureSink, open_sink
+from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter
+from sceneloom.formats.recording.written_times import TimeWriter
+from sceneloom.scene import GnssSensor, ImuSensor, Scene
+
+PICTURES = ("copy", "h264", "png")
+_RECORDING_FILES = re.compile(
+    r"data\d*\.(jsonl|mkv|mp4|mov|avi|ts)|calibration\.json|vio_config\.yaml|frames\d+|lidar\d*|README(\.\w+)?"
+)
+"""Names of what a recording's folder holds; a folder with anything else in it is somebody's own."""
+
+
+def write_recording(
+    scene: Scene, path: Path, *, overwrite: bool = False, pictures: str = "copy"
+) -> LossReport:
+    """Write a scene as a recording; frames are read, written and let go one by one.
+
+    Args:
+        scene: what to write.
+        path: the folder that is made.
+        overwrite: replace the folder if it is a recording, or empty; nobody else's folder is ever replaced.
+        pictures: "copy" copies a camera's own video packet by packet where that can be done and encodes H.264 else;
+            "h264" copies only what is H.264 already; "png" writes PNG pictures, which lose nothing.
+
+    Returns:
+        What the format could not hold.
+
+    Raises:
+        OptionError: `pictures` is none of these, or the scene has nothing that a recording can hold.
+        OutputError: the path exists, or cannot be written.
+        CalibrationError: a lens is of a model that the format does not have, or a camera's mounting is unknown.
+        PoseError: points are in the world, and it is not known where their lidar was.
+        DataError: what the scene is read from is damaged.
+    """
+    if pictures not in PICTURES:
+        raise OptionError(f"pictures {pictures!r}; expected one of: {', '.join(PICTURES)}")
+    _check_replaceable(path)
+    plan = WritingPlan.of(scene)
+    with replacing(path, overwrite=overwrite, folder=True) as draft:
+        losses = _RecordingWriter(plan, draft, pictures).write()
+    return LossReport.of(losses)
+
+
+def _check_replaceable(path: Path) -> None:
+    if path.is_file():
+        raise OutputError(f"{path}: is a file; expected a folder or a new name")
+    if not path.is_dir():
+        return
+    names = sorted(entry.name for entry in path.iterdir())
+    strange = [name for name in names if not _RECORDING_FILES.fullmatch(name)]
+    if names and (DATA_FILE not in names or strange):
+        reason = f"holds {strange[0]!r}" if strange else f"holds no {DATA_FILE}"
+        raise OutputError(
+            f"{path}: {reason}, so it is no recording that could be replaced; choose another name"
+        )
+
+
+class _LosingPart(Protocol):
+    """A part of the writing that notes what it loses."""
+
+    losses: list[Loss]
+
+
+class _RecordingWriter:
+    """Writes one recording into an empty folder."""
+
+    def __init__(self, plan: WritingPlan, folder: Path, pictures: str) -> None:
+        self._plan, self._folder, self._pictures = plan, folder, pictures
+        self._times = TimeWriter()
+        self._numbers = NumberLines(self._times, plan.notes.further_keys)
+        self._losses = list(plan.losses)
+
+    def write(self) -> list[Loss]:
+        """Write all files; give what was lost."""
+        plan = self._plan
+        rows = _picture_rows(plan)
+        with ExitStack() as stack:
+            sinks = self._open_sinks(rows, stack)
+            frames = FrameLines(
+                plan.cameras, sinks, rows, self._times, keep_extras=plan.scene.format == "recording"
+            )
+            sweeps = self._sweep_writers()
+            # of one time, the small lines come first: a filter then knows all up to a picture when it gets it
+            self._write_lines([*self._number_streams(), *(sweep.lines() for sweep in sweeps), frames.lines()])
+            for sink in sinks:
+                sink.close()
+        self._write_calibration(sinks)
+        if plan.notes.vio_config is not None:
+            (self._folder / "vio_config.yaml").write_text(plan.notes.vio_config, encoding="utf-8")
+        parts: list[_LosingPart] = [frames, self._numbers, *sweeps, *sinks]
+        self._losses.extend(loss for part in parts for loss in part.losses)
+        return [*self._losses, *grouping_losses(plan.cameras, rows), *_time_losses(self._times)]
+
+    def _open_sinks(self, rows: Int64Array, stack: ExitStack) -> list[PictureSink]:
+        sinks: list[PictureSink] = []
+        for index, camera in enumerate(self._plan.cameras if len(rows) else ()):
+            sinks.append(open_sink(camera, self._folder, index, rows[:, index], pictures=self._pictures))
+            stack.callback(sinks[-1].abandon)
+        return sinks
+
+    def _sweep_writers(self) -> list[SweepWriter]:
+        plan = self._plan
+        writers = []
+        for index, lidar in enumerate(plan.lidars):
+            mount = plan.mounts[len(plan.cameras) + index]
+            further = plan.notes.further_keys.get(f"lidars.{lidar.extras.get('lidarInd', index)}", {})
+            writers.append(
+                SweepWriter(lidar, index, mount, plan.ego_path, self._folder, self._times, further)
+            )
+        return writers
+
+    def _number_streams(self) -> list[Iterator[WrittenLine]]:
+        plan, lines = self._plan, self._numbers
+        imus = [sensor for sensor in plan.scene.sensors if isinstance(sensor, ImuSensor)]
+        receivers = [sensor for sensor in plan.scene.sensors if isinstance(sensor, GnssSensor)]
+        streams = [lines.trajectory(trajectory, origin) for trajectory, origin in plan.trajectories]
+        streams += [stream for sensor in imus[:1] for stream in lines.imu(sensor)]
+        streams += [lines.gnss(sensor) for sensor in receivers[:1]]
+        return [*streams, iter(other_lines(plan.notes.other_lines))]
+
+    def _write_lines(self, streams: list[Iterator[WrittenLine]]) -> None:
+        count = 0
+        with (self._folder / DATA_FILE).open("wb") as file:
+            for line in heapq.merge(*streams, key=_place):
+                file.write(line.text + b"\n")
+                count += 1
+        if count == 0:
+            raise OptionError(f"{self._plan.scene.source}: holds nothing that a recording could hold")
+
+    def _write_calibration(self, sinks: list[PictureSink]) -> None:
+        plan = self._plan
+        cameras: list[dict[str, Any]] = []
+        for index, camera in enumerate(plan.cameras):
+            lens = cropped(camera.camera, sinks[index].width, sinks[index].height) if sinks else camera.camera
+            entry, lost = camera_entry(camera, lens, plan.mounts[index])
+            cameras.append(entry)
+            self._losses.extend(lost)
+        lidars = [
+            lidar_entry(lidar, index, plan.mounts[len(cameras) + index], LIDAR_MODEL)
+            for index, lidar in enumerate(plan.lidars)
+        ]
+        content = {**plan.notes.calibration, "cameras": cameras, **({"lidars": lidars} if lidars else {})}
+        if cameras or lidars or plan.notes.calibration:
+            text = msgspec.json.format(msgspec.json.encode(content), indent=2)
+            (self._folder / CALIBRATION_FILE).write_bytes(text + b"\n")
+
+
+def _picture_rows(plan: WritingPlan) -> Int64Array:
+    if not plan.cameras:
+        return np.zeros((0, 0), np.int64)
+    return group_pictures([camera.pictures.timestamps_ns for camera in plan.cameras])
+
+
+def _place(line: WrittenLine) -> tuple[int, float]:
+    return line.timestamp_ns, line.seconds
+
+
+def _time_losses(times: TimeWriter) -> list[Loss]:
+    if not times.inexact:
+        return []
+    what = f"times written exactly, but a 64-bit number of seconds holds them within {times.worst_ns} ns only"
+    return [Loss(field="timestamps", what=what, count=times.inexact)]

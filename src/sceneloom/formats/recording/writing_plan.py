@@ -1,0 +1,125 @@
+"""What of a scene goes into a recording, found out before anything is written."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import msgspec
+import numpy as np
+
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.unwritten import unwritten
+from sceneloom.formats.recording.written_calibration import mounting
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraSensor, LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
+
+
+class RecordingNotes(msgspec.Struct):
+    """What a scene that was read from a recording keeps of it under `metadata["recording"]`.
+
+    Attributes:
+        calibration: all of `calibration.json`.
+        vio_config: the text of `vio_config.yaml`.
+        other_lines: lines that a scene has no place for.
+        further_keys: by stream and time [ns], the text of a line that says more than its sample.
+        trajectory_origins: root key and name of trajectories that were renamed.
+    """
+
+    calibration: dict[str, Any] = {}
+    vio_config: str | None = None
+    other_lines: list[str] = []
+    further_keys: dict[str, dict[str, str]] = {}
+    trajectory_origins: dict[str, tuple[str, str]] = {}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WritingPlan:
+    """What of a scene is written, and what is known beforehand to be lost.
+
+    Attributes:
+        cameras: in the order of `cameraInd`.
+        lidars: in the order of `lidarInd`.
+        mounts: `ego_from_sensor` of the cameras, then of the lidars.
+        trajectories: each with the root key and name that it was read under, or None.
+        ego_path: `world_from_ego`, or None.
+    """
+
+    scene: Scene
+    notes: RecordingNotes
+    cameras: Sequence[CameraSensor]
+    lidars: Sequence[LidarSensor]
+    mounts: Sequence[RigidTransform]
+    trajectories: Sequence[tuple[Trajectory, tuple[str, str] | None]]
+    ego_path: PosePath | None
+    losses: list[Loss] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """Look through a scene.
+
+        Raises:
+            CalibrationError: nothing says how a camera is mounted.
+        """
+        notes = _notes(scene)
+        cameras = [camera for camera in scene.cameras if len(camera.pictures)] or list(scene.cameras)
+        trajectories = _trajectories(scene, notes)
+        ego_path = _ego_path(scene)
+        losses = unwritten(scene, cameras, [trajectory for trajectory, _ in trajectories])
+        mounted: list[CameraSensor | LidarSensor] = [*cameras, *scene.lidars]
+        mounts = [_mount(sensor, ego_path, losses) for sensor in mounted]
+        return cls(scene, notes, cameras, scene.lidars, mounts, trajectories, ego_path, losses)
+
+
+def _notes(scene: Scene) -> RecordingNotes:
+    try:
+        return msgspec.convert(scene.metadata.get("recording", {}), RecordingNotes)
+    except msgspec.ValidationError:
+        return RecordingNotes()
+
+
+def _trajectories(scene: Scene, notes: RecordingNotes) -> list[tuple[Trajectory, tuple[str, str] | None]]:
+    """The scene's trajectories, and paths of odometry sensors that are none of them."""
+    found = list(scene.trajectories.values())
+    for sensor in scene.sensors:
+        if (
+            isinstance(sensor, OdometrySensor)
+            and not sensor.poses.endless
+            and not _is_among(sensor.poses, found)
+        ):
+            path = sensor.poses
+            found.append(
+                Trajectory(str(sensor.id), path.timestamps_ns, path.positions, path.quaternions_xyzw)
+            )
+    return [(trajectory, notes.trajectory_origins.get(trajectory.name)) for trajectory in found]
+
+
+def _is_among(path: PosePath, trajectories: Sequence[Trajectory]) -> bool:
+    return any(
+        np.array_equal(path.timestamps_ns, known.timestamps_ns)
+        and np.allclose(path.positions, known.positions)
+        for known in trajectories
+    )
+
+
+def _ego_path(scene: Scene) -> PosePath | None:
+    oriented = (known.poses for known in scene.trajectories.values() if known.quaternions_xyzw is not None)
+    odometry = (sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor))
+    return next(oriented, None) or next(odometry, None)
+
+
+def _mount(
+    sensor: CameraSensor | LidarSensor, ego_path: PosePath | None, losses: list[Loss]
+) -> RigidTransform:
+    mount, lost = mounting(sensor, ego_path)
+    losses.extend(lost)
+    if mount is not None:
+        return mount
+    if isinstance(sensor, CameraSensor):
+        raise CalibrationError(
+            f"camera {sensor.id!r}: nothing says how it is mounted on the vehicle (neither a mounting, nor poses of "
+            "both it and the ego), and a recording cannot be without imuToCamera"
+        )
+    what = "taken to be where the IMU is, with the same axes: nothing says how it is mounted"
+    losses.append(Loss(field=f"sensors[{sensor.id}].mount", what=what))
+    return RigidTransform.identity()

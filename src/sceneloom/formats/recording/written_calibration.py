@@ -1,0 +1,167 @@
+"""Lenses and mountings as the entries of `calibration.json`, in the spelling that the vendor's software reads."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.loss import Loss
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraSensor, Coordinates, LidarSensor, PosePath
+
+RIGID_WITHIN = 0.01
+"""Metres that a sensor may move on the vehicle before it is said that one mounting does not describe it."""
+
+
+class _Writing(NamedTuple):
+    model: str
+    places: tuple[int, ...]
+
+
+_LENSES: Mapping[str, tuple[_Writing, ...]] = {
+    "pinhole": (_Writing("pinhole", ()),),
+    "fisheye": (_Writing("kannala-brandt4", (0, 1, 2, 3)),),
+    "brown_conrady": (
+        _Writing("brown-conrady", tuple(range(8))),
+        _Writing("brown-conrady", (*range(8), *range(10, 16))),
+    ),
+}
+"""By our model: the format's name, and which of our coefficients it has, in order; the shortest list that holds all
+coefficients that are not 0 is written.
+
+Source: "Calibration format" of the recording format's description, and the models that the vendor's software knows.
+"""
+
+
+def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, Any], tuple[int, ...]]:
+    """Write a lens.
+
+    Args:
+        camera: the lens.
+        model_key: "model" in `calibration.json`, "distortionModel" in a line.
+
+    Returns:
+        The fields, and the places of those coefficients that the format has no place for.
+
+    Raises:
+        CalibrationError: the format has no such model.
+    """
+    if camera.model not in _LENSES:
+        raise CalibrationError(f"camera model {camera.model!r}; a recording can hold {', '.join(_LENSES)}")
+    used = {place for place, value in enumerate(camera.coefficients) if value != 0}
+    writings = _LENSES[camera.model]
+    writing = next((row for row in writings if used <= set(row.places)), writings[-1])
+    values = dict(enumerate(camera.coefficients))
+    fields = {
+        model_key: writing.model,
+        "distortionCoefficients": [float(values.get(place, 0.0)) for place in writing.places],
+        "focalLengthX": float(camera.fx),
+        "focalLengthY": float(camera.fy),
+        "principalPointX": float(camera.cx),
+        "principalPointY": float(camera.cy),
+        "imageWidth": camera.width,
+        "imageHeight": camera.height,
+    }
+    return fields, tuple(sorted(used - set(writing.places)))
+
+
+def decentring_losses(field: str, lost: tuple[int, ...]) -> list[Loss]:
+    """Say that a lens had coefficients that were left out; they can only be the decentring of SFS."""
+    return (
+        [Loss(field=field, what="decentring lx, ly left out: the format has none", count=len(lost))]
+        if lost
+        else []
+    )
+
+
+def matrix_entry(transform: RigidTransform) -> list[list[float]]:
+    """A transform as four rows of four numbers."""
+    rows: list[list[float]] = transform.matrix.tolist()
+    return rows
+
+
+def camera_entry(
+    sensor: CameraSensor, camera: Camera, mount: RigidTransform
+) -> tuple[dict[str, Any], list[Loss]]:
+    """Write a camera.
+
+    Args:
+        sensor: whose further fields, if it came from a recording, are written back.
+        camera: its lens, for the pictures as they are written.
+        mount: `ego_from_camera`.
+
+    Raises:
+        CalibrationError: the format has no such model.
+    """
+    lens, lost = lens_entry(camera)
+    field = f"sensors[{sensor.id}].camera.coefficients"
+    losses = (
+        [Loss(field=field, what="decentring lx, ly left out: the format has none", count=len(lost))]
+        if lost
+        else []
+    )
+    further = {
+        k: v for k, v in _entry_before(sensor).items() if k not in {"imuToCameraMatrix", "distortionModel"}
+    }
+    return {**further, **lens, "imuToCamera": matrix_entry(mount.inverse())}, losses
+
+
+def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: str) -> dict[str, Any]:
+    """Write a lidar; `mount` is `ego_from_lidar`."""
+    further = {k: v for k, v in _entry_before(sensor).items() if k not in {"imuToLidarMatrix", "lidarInd"}}
+    number = {"lidarInd": index} if index else {}
+    return {**further, "model": model, **number, "imuToLidar": matrix_entry(mount.inverse())}
+
+
+def _entry_before(sensor: CameraSensor | LidarSensor) -> dict[str, Any]:
+    entry = sensor.extras.get("calibration")
+    return dict(entry) if isinstance(entry, Mapping) else {}
+
+
+def mounting(
+    sensor: CameraSensor | LidarSensor, ego_path: PosePath | None
+) -> tuple[RigidTransform | None, list[Loss]]:
+    """Find `ego_from_sensor`: what the sensor says, else where its poses put it against the ego.
+
+    Returns:
+        The mounting, None where neither tells it; and what one mounting cannot say.
+    """
+    if sensor.mount is not None:
+        return sensor.mount, []
+    relative = _ego_from_sensor(sensor, ego_path)
+    if relative is None:
+        return None, []
+    mount = RigidTransform.from_quaternion(relative.positions[0], relative.quaternions_xyzw[0])
+    moved = float(np.linalg.norm(relative.positions - relative.positions[0], axis=1).max())
+    if moved <= RIGID_WITHIN:
+        return mount, []
+    what = f"taken to be mounted as at its first pose, from which it moves up to {moved:.2g} m on the vehicle"
+    return mount, [Loss(field=f"sensors[{sensor.id}].poses", what=what)]
+
+
+def _ego_from_sensor(sensor: CameraSensor | LidarSensor, ego_path: PosePath | None) -> PosePath | None:
+    poses = sensor.poses
+    if poses is None or sensor.coordinates is Coordinates.EGO:
+        return poses
+    if ego_path is None:
+        return None
+    ego = ego_path.interpolate(poses.timestamps_ns)
+    inside = np.flatnonzero(ego.coverage == 0)
+    if len(inside) == 0:
+        return None
+    pairs = [
+        RigidTransform.from_quaternion(ego.positions[k], ego.quaternions_xyzw[k]).inverse()
+        @ RigidTransform.from_quaternion(poses.positions[k], poses.quaternions_xyzw[k])
+        for k in inside
+    ]
+    positions = np.array([pair.translation for pair in pairs])
+    quaternions = np.array([pair.quaternion_xyzw for pair in pairs])
+    return PosePath(poses.timestamps_ns[inside], positions, quaternions)
+
+
+def cropped(camera: Camera, width: int, height: int) -> Camera:
+    """The lens for pictures whose last rows and columns are cut off: nothing else changes."""
+    return replace(camera, width=width, height=height)

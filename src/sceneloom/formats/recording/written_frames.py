@@ -1,0 +1,135 @@
+"""The `frames` lines: pictures of several cameras that belong together, one line for each such set."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.written_calibration import decentring_losses, lens_entry, matrix_entry
+from sceneloom.formats.recording.written_lines import WrittenLine, make_line
+from sceneloom.formats.recording.written_pictures import PictureSink
+from sceneloom.formats.recording.written_times import TimeWriter
+from sceneloom.scene import CameraSensor, Picture
+
+_DEFAULT_PERIOD_NS = 100_000_000
+_OWN_EXTRAS = {"file_seconds", "number", "line_seconds", "line"}
+"""Extras of a picture that its line is made from anew."""
+
+
+def group_pictures(stamps: Sequence[Int64Array]) -> Int64Array:
+    """Find which pictures share a line: those within half a period of the earliest, at most one per camera.
+
+    Args:
+        stamps: per camera, (N,) int64 [ns], ascending.
+
+    Returns:
+        (L, C) int64: for each line and camera the index of the picture, -1 for none; lines in time order.
+    """
+    periods = [np.median(np.diff(times)) for times in stamps if len(times) > 1]
+    half_ns = min(periods, default=_DEFAULT_PERIOD_NS) / 2
+    cameras = np.concatenate([np.full(len(times), c, np.int64) for c, times in enumerate(stamps)])
+    indices = np.concatenate([np.arange(len(times), dtype=np.int64) for times in stamps])
+    times = np.concatenate(list(stamps))
+    lines: list[list[int]] = []
+    start_ns = 0
+    for k in np.argsort(times, kind="stable").tolist():
+        camera, stamp = int(cameras[k]), int(times[k])
+        if not lines or lines[-1][camera] >= 0 or stamp - start_ns >= half_ns:
+            lines.append([-1] * len(stamps))
+            start_ns = stamp
+        lines[-1][camera] = int(indices[k])
+    return np.array(lines, np.int64).reshape(len(lines), len(stamps))
+
+
+def grouping_losses(sensors: Sequence[CameraSensor], rows: Int64Array) -> list[Loss]:
+    """Say where cameras are not in step, so that lines lack some of their pictures."""
+    missing = (rows < 0).sum(axis=0).tolist()
+    what = (
+        "is not in step with the other cameras: its video repeats a picture where a line has none of its own"
+    )
+    return [
+        Loss(field=f"sensors[{sensor.id}].pictures", what=what, count=count)
+        for sensor, count in zip(sensors, missing, strict=True)
+        if count
+    ]
+
+
+class FrameLines:
+    """Makes the `frames` lines, and hands each picture to the sink of its camera on the way.
+
+    Attributes:
+        losses: what could not be written.
+    """
+
+    def __init__(
+        self,
+        sensors: Sequence[CameraSensor],
+        sinks: Sequence[PictureSink],
+        rows: Int64Array,
+        times: TimeWriter,
+        *,
+        keep_extras: bool,
+    ) -> None:
+        """Begin.
+
+        Args:
+            sensors: the cameras, in the order of `cameraInd`.
+            sinks: where the pictures of each go.
+            rows: (L, C) int64, which picture of each camera each line has, -1 for none.
+            times: writes the times.
+            keep_extras: whether further fields of pictures are a recording's own, to be written back.
+        """
+        self.losses: list[Loss] = []
+        self._sensors, self._sinks, self._rows, self._times = sensors, sinks, rows, times
+        self._keep_extras = keep_extras
+
+    def lines(self) -> Iterator[WrittenLine]:
+        """Give one line after the other, each after its pictures were handed on."""
+        for number, row in enumerate(self._rows.tolist()):
+            pictures = [s.pictures[k] if k >= 0 else None for s, k in zip(self._sensors, row, strict=True)]
+            first = min((p for p in pictures if p is not None), key=_time)
+            entries = [self._entry(c, picture, first) for c, picture in enumerate(pictures)]
+            beside = first.extras.get("line", {}) if self._keep_extras else {}
+            fields = {**beside, "frames": entries, "number": number}
+            yield make_line(fields, first.timestamp_ns, self._times, first.extras.get("file_seconds"))
+
+    def _entry(self, index: int, picture: Picture | None, first: Picture) -> dict[str, Any]:
+        shown = first if picture is None else picture
+        self._sinks[index].add(picture, shown.timestamp_ns)
+        entry = {
+            "cameraInd": index,
+            "time": self._times.raw(shown.timestamp_ns, shown.extras.get("file_seconds")),
+        }
+        if picture is None:
+            return {**entry, "missingBitmap": True}
+        return {**self._extras(index, picture), **entry, **self._own_parameters(index, picture)}
+
+    def _own_parameters(self, index: int, picture: Picture) -> dict[str, Any]:
+        sensor, fields = self._sensors[index], dict[str, Any]()
+        if picture.camera != sensor.camera:
+            lens, lost = lens_entry(picture.camera, model_key="distortionModel")
+            fields["cameraParameters"] = {k: v for k, v in lens.items() if not k.startswith("image")}
+            self.losses += decentring_losses(f"sensors[{sensor.id}].pictures[].camera.coefficients", lost)
+        if picture.mount is not None and picture.mount is not sensor.mount:
+            fields["imuToCamera"] = matrix_entry(picture.mount.inverse())
+        return fields
+
+    def _extras(self, index: int, picture: Picture) -> dict[str, Any]:
+        further = {key: value for key, value in picture.extras.items() if key not in _OWN_EXTRAS}
+        if self._keep_extras:
+            return further
+        for name in further:
+            self._lose(
+                f"sensors[{self._sensors[index].id}].pictures[].{name}", "left out: the format has none", 1
+            )
+        return {}
+
+    def _lose(self, field: str, what: str, count: int) -> None:
+        self.losses.append(Loss(field=field, what=what, count=count))
+
+
+def _time(picture: Picture) -> tuple[int, float]:
+    seconds = picture.extras.get("file_seconds")
+    return picture.timestamp_ns, picture.timestamp_ns / 1e9 if seconds is None else seconds

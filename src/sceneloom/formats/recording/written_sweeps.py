@@ -1,0 +1,163 @@
+"""The lidars: one binary of packed records per sweep, and the line that names it."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.errors import PoseError
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.columns import nanoseconds
+from sceneloom.formats.recording.lidar_files import LIDAR_MODELS, XYZIRT
+from sceneloom.formats.recording.written_lines import WrittenLine, make_line, with_further_keys
+from sceneloom.formats.recording.written_times import TimeWriter
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
+from sceneloom.motion.pose_source import PoseSource
+from sceneloom.scene import Coordinates, LidarFrame, LidarPoints, LidarSensor, PointsFrame, PosePath
+
+LIDAR_MODEL = next(iter(LIDAR_MODELS))
+"""The one model that the format describes."""
+
+_ABSENT = (
+    ("intensities", "0 written: the source has none"),
+    ("rings", "0 written: the source has none"),
+    ("timestamps_ns", "the sweep's own time written: the source has none per point"),
+)
+_NO_PLACE = ("colors", "camera_index")
+
+
+class SweepWriter:
+    """Writes the sweeps of one lidar.
+
+    Attributes:
+        losses: what could not be written.
+    """
+
+    def __init__(
+        self,
+        sensor: LidarSensor,
+        index: int,
+        mount: RigidTransform,
+        ego_path: PosePath | None,
+        folder: Path,
+        times: TimeWriter,
+        further_keys: Mapping[str, str],
+    ) -> None:
+        """Begin.
+
+        Args:
+            sensor: the lidar.
+            index: `lidarInd`.
+            mount: `ego_from_lidar`.
+            ego_path: `world_from_ego`, or None.
+            folder: the recording that is being written.
+            times: writes the times.
+            further_keys: by time [ns], the text of a line that once said more than its sweep.
+
+        Raises:
+            PoseError: the points are in the world, and it is not known where the lidar was.
+        """
+        self.losses: list[Loss] = []
+        self._sensor, self._index, self._mount = sensor, index, mount
+        self._folder, self._times, self._further_keys = folder, times, further_keys
+        self._subfolder = f"lidar{index + 1 if index else ''}"
+        self._world = (
+            _world_poses(sensor, mount, ego_path) if sensor.points_frame is PointsFrame.WORLD else None
+        )
+
+    def lines(self) -> Iterator[WrittenLine]:
+        """Give one line after the other, each after its file was written."""
+        (self._folder / self._subfolder).mkdir(exist_ok=True)
+        for k, frame in enumerate(self._sensor.frames):
+            name = f"{self._subfolder}/{k:06d}.bin"
+            self._records(frame).tofile(self._folder / name)
+            sweep: dict[str, Any] = {"model": LIDAR_MODEL, "dataFile": name}
+            if self._index:
+                sweep["lidarInd"] = self._index
+            fields: dict[str, Any] = {"lidar": sweep}
+            if str(frame.timestamp_ns) in self._further_keys:
+                fields = with_further_keys(fields, self._further_keys[str(frame.timestamp_ns)])
+            yield make_line(fields, frame.timestamp_ns, self._times, frame.extras.get("file_seconds"))
+
+    def _records(self, frame: LidarFrame) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+        points = frame.points
+        self._note_losses(frame)
+        records = np.zeros(len(points), XYZIRT)
+        positions = self._in_sensor_frame(frame)
+        for axis, name in enumerate("xyz"):
+            records[name] = positions[:, axis]
+        if points.intensities is not None:
+            records["intensity"] = points.intensities
+        if points.rings is not None:
+            records["ring"] = points.rings
+        records["timestamp"] = self._seconds(frame)
+        return records
+
+    def _seconds(self, frame: LidarFrame) -> Float64Array:
+        """Times as numbers: those that the file had, where they still mean the same time."""
+        stamps = _point_times(frame)
+        seconds: Float64Array = stamps / 1e9
+        before = frame.points.extras.get("file_seconds")
+        if isinstance(before, np.ndarray) and before.shape == stamps.shape:
+            seconds = np.where(nanoseconds(before) == stamps, before, seconds)
+        inexact = int((nanoseconds(seconds) != stamps).sum())
+        self._lose("timestamps_ns", "rounded to what a 64-bit number of seconds holds", inexact)
+        return seconds
+
+    def _in_sensor_frame(self, frame: LidarFrame) -> Float32Array:
+        positions = frame.points.positions
+        if self._sensor.points_frame is PointsFrame.EGO:
+            positions = self._mount.inverse().apply(positions).astype(np.float32)
+        elif self._world is not None:
+            positions = self._from_world(frame).astype(np.float32)
+        return positions
+
+    def _from_world(self, frame: LidarFrame) -> Float64Array:
+        """Undo what brought each point into the world at its own time."""
+        if self._world is None or not len(frame.points):
+            return np.zeros((0, 3))
+        samples = self._world.at(_point_times(frame))
+        unknown = int(np.isnan(samples.positions[:, 0]).sum())
+        if unknown:
+            raise PoseError(
+                f"lidar {self._sensor.id!r}: sweep at {frame.timestamp_ns} ns: no pose for {unknown} of its points, "
+                "which are in the world and have to be brought back into the lidar's frame"
+            )
+        offsets = frame.points.positions.astype(np.float64) - samples.positions
+        return rotate_vectors(conjugate_quaternion(samples.quaternions_xyzw), offsets)
+
+    def _note_losses(self, frame: LidarFrame) -> None:
+        points: LidarPoints = frame.points
+        for name, what in _ABSENT:
+            self._lose(name, what, len(points) if getattr(points, name) is None else 0)
+        further = [name for name in _NO_PLACE if getattr(points, name) is not None]
+        further += [name for name in points.extras if name != "file_seconds"]
+        for name in further:
+            self._lose(name, "left out: the format has none", len(points))
+
+    def _lose(self, name: str, what: str, count: int) -> None:
+        if count:
+            field = f"sensors[{self._sensor.id}].frames[].points.{name}"
+            self.losses.append(Loss(field=field, what=what, count=count))
+
+
+def _point_times(frame: LidarFrame) -> Int64Array:
+    stamps = frame.points.timestamps_ns
+    return np.full(len(frame.points), frame.timestamp_ns, np.int64) if stamps is None else stamps
+
+
+def _world_poses(sensor: LidarSensor, mount: RigidTransform, ego_path: PosePath | None) -> PoseSource:
+    """Where the lidar was: by its own poses in the world, else by the ego's and the mounting."""
+    stamps = sensor.frames.timestamps_ns
+    reach_ns = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
+    if sensor.poses is not None and sensor.coordinates is Coordinates.WORLD:
+        return PoseSource(sensor.poses, RigidTransform.identity(), reach_ns)
+    if ego_path is None:
+        raise PoseError(
+            f"lidar {sensor.id!r}: its points are in the world and have to be brought back into its own frame, "
+            "but the scene says neither where it was nor where the ego was"
+        )
+    return PoseSource(ego_path, mount, reach_ns)

@@ -1,0 +1,7 @@
+"""The Sensor Fusion Scene format: `.sfs` files, read lazily and written as a stream."""
+
+from sceneloom.formats.sfs.form import FORMAT, SfsFormat
+from sceneloom.formats.sfs.writer import SceneWriter
+from sceneloom.formats.sfs.writing import write_scene
+
+__all__ = ["FORMAT", "SceneWriter", "SfsFormat", "write_scene"]

@@ -1,0 +1,150 @@
+"""Sensors on their way into a file: what of them stands in the header, in nanoseconds, arrays already spooled."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.sfs.poses import mount_rows
+from sceneloom.formats.sfs.spool import Blob
+from sceneloom.formats.sfs.times import FileClock
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Identifier, PosePath
+
+_LATEST_STANDING_NS = 100_000_000_000
+
+
+class Losses:
+    """Counts what a file cannot hold, by field."""
+
+    def __init__(self) -> None:
+        """Start without losses."""
+        self._counts: dict[tuple[str, str, str | None], int] = {}
+
+    def add(self, field: str, what: str, *, count: int = 1, kept: str | None = None) -> None:
+        """Note a loss."""
+        if count:
+            key = (field, what, kept)
+            self._counts[key] = self._counts.get(key, 0) + count
+
+    def all(self) -> list[Loss]:
+        """All losses, those of one field and kind added up."""
+        return [Loss(field=f, what=w, count=n, kept=k) for (f, w, k), n in self._counts.items()]
+
+
+@dataclass(slots=True)
+class SensorDraft:
+    """One sensor.
+
+    Attributes:
+        id, type: as in the file.
+        fields: what stands in its record besides poses and frames.
+        note: what stands about it in our metadata.
+        points_frame: the frame of its points, where it has any.
+        poses: where it was; None: not known.
+        mount: `ego_from_sensor`, where it is known.
+        coordinates: the frame that `poses` lead into; None for sensors without.
+        frames: records of its frames so far; None where it has none.
+        point_times: the spooled times of points.
+        lengths: of radar points, one entry per frame, where the profile has no place for them.
+        streamed: whether frames may still come.
+    """
+
+    id: Identifier
+    type: str
+    fields: dict[str, Any]
+    note: dict[str, Any] = field(default_factory=dict)
+    points_frame: str | None = None
+    poses: PosePath | None = None
+    mount: RigidTransform | None = None
+    coordinates: str | None = None
+    frames: list[dict[str, Any]] | None = None
+    point_times: list[Blob] = field(default_factory=list)
+    lengths: list[Any] = field(default_factory=list)
+    streamed: bool = True
+
+    @property
+    def place(self) -> str:
+        """Path of the sensor, for losses and messages."""
+        return f"sensors[{self.id}]"
+
+    def first_ns(self) -> int | None:
+        """The earliest time stamp that stands in the sensor's record so far [ns]."""
+        stamps = [frame["timestamp"] for frame in self.frames or []]
+        stamps += [image["timestamp"] for image in self.fields.get("images") or []]
+        video = self.fields.get("video")
+        if video is not None and len(video["timestamps"]):
+            stamps.append(int(min(video["timestamps"])))
+        if self.poses is not None and not self.poses.endless:
+            stamps.append(self.poses.start_ns)
+        return min(stamps, default=None)
+
+    def record(self, clock: FileClock, losses: Losses) -> dict[str, Any]:
+        """Make the sensor's record; poses get the file's resolution here."""
+        record: dict[str, Any] = {"id": self.id, "type": self.type}
+        if self.coordinates is not None:
+            record |= self._place_in_world(clock, losses)
+        elif self.poses is not None:
+            record["poses"] = _poses_record(self.poses, self._standing_ns(clock), clock, self.place, losses)
+        if self.poses is not None and self.poses.endless:
+            self.note["poses_endless"] = True
+        if self.frames is not None:
+            record["frames"] = self.frames
+        if any(length is not None for length in self.lengths):
+            self.note["lengths"] = self.lengths
+        return {**record, **{name: value for name, value in self.fields.items() if name not in record}}
+
+    def _place_in_world(self, clock: FileClock, losses: Losses) -> dict[str, Any]:
+        """Write `coordinates` and `poses`; a sensor of which only the mounting is known is placed on the ego."""
+        standing_ns = self._standing_ns(clock)
+        if self.mount is not None:
+            self.note["mount"] = mount_rows(self.mount)
+        if self.poses is not None:
+            poses = _poses_record(self.poses, standing_ns, clock, self.place, losses)
+            return {"coordinates": self.coordinates, "poses": poses}
+        if self.mount is None:
+            losses.add(f"{self.place}.poses", "not known, left out; the format wants them")
+            return {"coordinates": self.coordinates}
+        losses.add(f"{self.place}.poses", "not known; the mounting is written, in ego coordinates")
+        self.note |= {"poses_from_mount": True, "coordinates": self.coordinates}
+        values = [[*self.mount.translation.tolist(), *self.mount.quaternion_xyzw.tolist()]]
+        return {"coordinates": "ego", "poses": {"timestamps": [standing_ns], "values": values}}
+
+    def _standing_ns(self, clock: FileClock) -> int:
+        """The time to be written for a pose that holds at all times."""
+        if self.poses is not None and 0 <= self.poses.start_ns - clock.offset_ns <= _LATEST_STANDING_NS:
+            return self.poses.start_ns
+        stamps = [frame["timestamp"] for frame in self.frames or []]
+        stamps += [image["timestamp"] for image in self.fields.get("images") or []]
+        return min(stamps, default=max(clock.offset_ns, 0))
+
+
+def _poses_record(
+    path: PosePath, standing_ns: int, clock: FileClock, place: str, losses: Losses
+) -> dict[str, Any]:
+    """Write a path; of poses that fall on one stamp the first stays."""
+    rows = np.hstack([path.positions, path.quaternions_xyzw])
+    if path.endless:
+        return {"timestamps": [standing_ns], "values": rows}
+    stamps, _ = clock.stamp_array(path.timestamps_ns)
+    kept = np.concatenate([[True], np.diff(stamps) > 0])
+    losses.add(f"{place}.poses", "left out: within one tick of the pose before", count=int((~kept).sum()))
+    return {"timestamps": path.timestamps_ns[kept], "values": rows[kept]}
+
+
+def with_further(record: dict[str, Any], further: Mapping[str, Any]) -> dict[str, Any]:
+    """Add fields that the model carries along to a record, whose own fields win."""
+    return {**record, **{name: value for name, value in further.items() if record.get(name) is None}}
+
+
+def check_new(drafts: Mapping[tuple[type, Identifier], SensorDraft], identifier: Identifier) -> None:
+    """Refuse an id that stands for a sensor already.
+
+    Raises:
+        OptionError: it does.
+    """
+    if (type(identifier), identifier) in drafts:
+        raise OptionError(f"sensor {identifier!r} is in the file already; expected an id of its own")

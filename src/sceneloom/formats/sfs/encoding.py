@@ -1,0 +1,256 @@
+"""Writing records by the table of fields: nanoseconds become the file's times, arrays become items of the container."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import AnyArray
+from sceneloom.errors import OptionError
+from sceneloom.formats.sfs.container import DTYPES, ITEMS, format_keys
+from sceneloom.formats.sfs.fields import RECORDS, Field, Kind
+from sceneloom.formats.sfs.records import Place
+from sceneloom.formats.sfs.spool import Blob
+from sceneloom.formats.sfs.times import FileClock
+
+Items = list[tuple[Place, Blob]]
+"""The arrays below a record, each with its place."""
+
+
+class ArraySink(Protocol):
+    """Takes the arrays of records."""
+
+    def add(self, array: AnyArray) -> Blob:
+        """Take one, and say where it stands."""
+        ...
+
+
+@dataclass(slots=True)
+class RecordWriter:
+    """Writes records of a file whose clock is known.
+
+    Attributes:
+        clock: turns nanoseconds into stamps.
+        spool: takes the arrays.
+        lowest: the lowest stamp so far, 0 at most.
+        rounded: how many times were not a whole number of the file's unit.
+        not_numbers: how many numbers of the header were infinite or no number, which JSON cannot say.
+    """
+
+    clock: FileClock
+    spool: ArraySink
+    lowest: int = 0
+    rounded: int = 0
+    not_numbers: int = 0
+    _place: list[str | int] = field(default_factory=list)
+
+    def write(self, values: Mapping[str, Any], record: str, items: Items) -> dict[str, Any]:
+        """Write one record; fields that are None where the table knows them are left out."""
+        fields = RECORDS[record]
+        written: dict[str, Any] = {}
+        for name, value in values.items():
+            field = fields.get(name)
+            if value is None:
+                if field is None:
+                    written[name] = None
+                continue
+            inner: Items = []
+            self._place.append(name)
+            kind = Kind.ANYTHING if field is None else field.kind
+            written[name] = _WRITERS[kind](self, value, field or _UNKNOWN, inner)
+            self._place.pop()
+            if inner:
+                items.extend(((name, *place), blob) for place, blob in inner)
+        return written
+
+    def write_list(self, values: Any, record: str, items: Items) -> list[Any]:
+        """Write a list of records, or, as in the projections of keypoints, a list of lists of them."""
+        written = []
+        for index, value in enumerate(values):
+            inner: Items = []
+            self._place.append(index)
+            is_record = isinstance(value, Mapping)
+            written.append((self.write if is_record else self.write_list)(value, record, inner))
+            self._place.pop()
+            if inner:
+                items.extend(((index, *place), blob) for place, blob in inner)
+        return written
+
+    def plain(self, value: Any, items: Items) -> Any:
+        """Write any value that JSON and the container can hold.
+
+        Raises:
+            OptionError: it is something else.
+        """
+        if value is None or type(value) in _JSON_TYPES:
+            return value
+        if isinstance(value, Blob | np.ndarray):
+            return self._array(value, items)
+        if isinstance(value, np.generic):
+            return self.plain(value.item(), items)
+        for kind, write in _PLAIN_WRITERS.items():
+            if isinstance(value, kind):
+                return write(self, value, items)
+        raise OptionError(f"{self.place}: a {type(value).__name__}; JSON and arrays cannot hold it")
+
+    def _array(self, value: Blob | AnyArray, items: Items) -> str:
+        """Leave the place of an array empty, as the container has it, and note its item."""
+        if isinstance(value, np.ndarray) and value.dtype.name not in DTYPES:
+            raise OptionError(f"{self.place}: an array of {value.dtype}; expected numbers")
+        items.append(((), value if isinstance(value, Blob) else self.spool.add(value)))
+        return ""
+
+    @property
+    def place(self) -> str:
+        """Where the writer is, for messages."""
+        return format_keys(self._place)
+
+    def plain_object(self, value: Mapping[Any, Any], items: Items) -> dict[Any, Any]:
+        """Write an object of anything."""
+        return self._plain_parts({str(key): part for key, part in value.items()}, items)
+
+    def plain_list(self, values: list[Any] | tuple[Any, ...], items: Items) -> list[Any]:
+        """Write a list of anything; plain numbers and text need no look at each."""
+        types = set(map(type, values))
+        if types <= _JSON_TYPES or (types <= {int, float} and math.isfinite(math.fsum(map(abs, values)))):
+            return list(values)
+        return list(self._plain_parts(dict(enumerate(values)), items).values())
+
+    def _plain_parts(self, parts: dict[Any, Any], items: Items) -> dict[Any, Any]:
+        written = {}
+        for key, part in parts.items():
+            inner: Items = []
+            self._place.append(key)
+            written[key] = self.plain(part, inner)
+            self._place.pop()
+            if inner:
+                items.extend(((key, *place), blob) for place, blob in inner)
+        return written
+
+    def plain_number(self, value: float) -> float | None:
+        """Write a number that JSON can say; others become null and are counted."""
+        if abs(value) < float("inf"):
+            return value
+        self.not_numbers += 1
+        return None
+
+
+_UNKNOWN = Field("", Kind.ANYTHING)
+_JSON_TYPES = frozenset({bool, int, str})
+_PLAIN_WRITERS: Mapping[Any, Callable[[RecordWriter, Any, Items], Any]] = {
+    Mapping: RecordWriter.plain_object,
+    list | tuple: RecordWriter.plain_list,
+    float: lambda writer, value, _: writer.plain_number(float(value)),
+    str: lambda _, value, __: str(value),
+    int: lambda _, value, __: int(value),
+}
+
+
+def encode_header(header: dict[str, Any], items: Items) -> bytes:
+    """Make the header's bytes; `$items` comes last.
+
+    Raises:
+        OptionError: the header nests too deeply, or text in it is no Unicode.
+    """
+    header[ITEMS] = [
+        {"keys": list(keys), "length": b.length, "offset": b.offset, "dtype": b.dtype, "shape": list(b.shape)}
+        for keys, b in items
+    ]
+    try:
+        return msgspec.json.encode(header)
+    except RecursionError:
+        raise OptionError("the scene's fields nest too deeply for JSON") from None
+    except UnicodeEncodeError as error:
+        raise OptionError(f"the scene holds text that is no Unicode: {error}") from None
+
+
+def _write_plain(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any:
+    return writer.plain(value, items)
+
+
+def _write_time(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any:
+    if type(value) is not int:
+        return writer.plain(value, items)
+    clock = writer.clock
+    writer.rounded += (value - clock.offset_ns) % clock.tick_ns != 0
+    stamp = clock.stamp(value)
+    writer.lowest = min(writer.lowest, stamp)
+    return stamp
+
+
+def _write_times(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iu" and value.ndim == 1:
+        stamps, inexact = writer.clock.stamp_array(value.astype(np.int64))
+        writer.rounded += inexact
+        written: list[int] = stamps.tolist()
+        writer.lowest = min(writer.lowest, *written) if written else writer.lowest
+        return written
+    if isinstance(value, list | tuple) and set(map(type, value)) <= {int}:
+        tick_ns, offset_ns = writer.clock.tick_ns, writer.clock.offset_ns
+        if not any((time - offset_ns) % tick_ns for time in value):
+            writer.lowest = min(writer.lowest, (min(value, default=offset_ns) - offset_ns) // tick_ns)
+            return [(time - offset_ns) // tick_ns for time in value]
+        return [_write_time(writer, time, field, items) for time in value]
+    return writer.plain(value, items)
+
+
+def _write_duration(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any:
+    return writer.clock.duration(value) if type(value) is int else writer.plain(value, items)
+
+
+def _write_durations(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
+    if isinstance(value, list | tuple):
+        return [_write_duration(writer, duration, field, items) for duration in value]
+    return writer.plain(value, items)
+
+
+def _write_list(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any:
+    """Write rows of numbers as JSON: the description calls none of them binary."""
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        values = value.tolist()
+        return values if np.isfinite(value).all() else writer.plain(values, items)
+    return writer.plain(value, items)
+
+
+def _write_array(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
+    if isinstance(value, list | tuple) and field.dtype:
+        return writer.plain(np.asarray(value, field.dtype), items)
+    return writer.plain(value, items)
+
+
+def _write_record(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
+    return (
+        writer.write(value, field.record, items) if isinstance(value, Mapping) else writer.plain(value, items)
+    )
+
+
+def _write_records(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
+    if isinstance(value, list | tuple) and all(isinstance(item, Mapping | list | tuple) for item in value):
+        return writer.write_list(value, field.record, items)
+    return _write_record(writer, value, field, items)
+
+
+def _write_record_map(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
+    written = {}
+    for name, record in value.items():
+        inner: Items = []
+        written[name] = writer.write(record, field.record, inner)
+        items.extend(((name, *place), blob) for place, blob in inner)
+    return written
+
+
+_WRITERS: Mapping[Kind, Callable[[RecordWriter, Any, Field, Items], Any]] = {
+    **dict.fromkeys(Kind, _write_plain),
+    Kind.TIME: _write_time,
+    Kind.TIMES: _write_times,
+    Kind.DURATION: _write_duration,
+    Kind.DURATIONS: _write_durations,
+    Kind.LIST: _write_list,
+    Kind.ARRAY: _write_array,
+    Kind.RECORD: _write_record,
+    Kind.RECORDS: _write_records,
+    Kind.RECORD_MAP: _write_record_map,
+}

@@ -1,0 +1,57 @@
+"""The row that this format has in the table of formats."""
+
+from pathlib import Path
+from typing import Any
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.loss import LossReport
+from sceneloom.formats.sfs.container import has_scene_header
+from sceneloom.formats.sfs.reading import read_scene
+from sceneloom.formats.sfs.source import ReadingOptions
+from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.scene import Scene
+
+
+class SfsFormat:
+    """Sensor Fusion Scene files."""
+
+    name = "sfs"
+    suffixes: tuple[str, ...] = (".sfs",)
+
+    def recognises(self, path: Path) -> bool:
+        """Say whether a file begins with the header of a scene."""
+        return has_scene_header(path)
+
+    def open(self, path: Path, **options: Any) -> Scene:
+        """Open a file lazily; the options are those of `ReadingOptions`, None for what is not said.
+
+        Raises:
+            DataError: the file is at fault.
+            OptionError: an option or its value is not known.
+        """
+        given = {name: value for name, value in options.items() if value is not None}
+        _check_options(given, tuple(ReadingOptions.__dataclass_fields__))
+        return read_scene(Path(path), ReadingOptions(**given))
+
+    def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
+        """Write a scene; the options are those of `write_scene`, None for what is not said.
+
+        Raises:
+            OptionError: an option or its value is not known, or something cannot be held by the format.
+            DataError: a frame or picture cannot be read.
+            OutputError: the file exists, or cannot be written.
+        """
+        given = {name: value for name, value in options.items() if value is not None}
+        _check_options(given, ("profile", "time_unit", "time_offset_ns"))
+        return write_scene(scene, path, overwrite=overwrite, **given)
+
+
+def _check_options(given: dict[str, Any], known: tuple[str, ...]) -> None:
+    for name in given:
+        if name not in known:
+            raise OptionError(
+                f"option {name!r} is not known to the format sfs; expected one of {', '.join(known)}"
+            )
+
+
+FORMAT = SfsFormat()

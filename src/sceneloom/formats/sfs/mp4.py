@@ -1,0 +1,63 @@
+"""What an mp4 file says about its video before any decoder is loaded."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+_CODECS: Mapping[bytes, str] = MappingProxyType(
+    {
+        b"avc1": "h264",
+        b"avc3": "h264",
+        b"hvc1": "hevc",
+        b"hev1": "hevc",
+        b"av01": "av1",
+        b"vp09": "vp9",
+        b"vp08": "vp8",
+        b"mp4v": "mpeg4",
+        b"jpeg": "mjpeg",
+        b"mjpa": "mjpeg",
+        b"FFV1": "ffv1",
+        b"png ": "png",
+    }
+)
+"""Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
+
+UNKNOWN_CODEC = "unknown"
+_LONG_SIZE, _TO_THE_END = 1, 0
+_MOST_BOXES = 10_000
+
+
+def is_mp4(content: memoryview) -> bool:
+    """Whether the bytes begin as an mp4 file does; QuickTime's own brand is another format."""
+    return bytes(content[4:8]) == b"ftyp" and bytes(content[8:12]) != b"qt  "
+
+
+def video_codec(content: memoryview) -> str:
+    """Name the codec of the first known track, as FFmpeg calls it; "unknown" where none is found.
+
+    Source: ISO/IEC 14496-12, 4.2 (boxes) and 8.5.2 (sample description).
+    """
+    movie = _box(content, b"moov")
+    place = 0
+    while (place := movie.find(b"stsd", place)) >= 0:
+        entry = movie[place + 16 : place + 20]
+        if entry in _CODECS:
+            return _CODECS[entry]
+        place += 4
+    return UNKNOWN_CODEC
+
+
+def _box(content: memoryview, wanted: bytes) -> bytes:
+    """Find a box of the outermost level and give what is in it; nothing where there is none."""
+    place = 0
+    for _ in range(_MOST_BOXES):
+        size, name = int.from_bytes(content[place : place + 4], "big"), bytes(content[place + 4 : place + 8])
+        header = 8
+        if size == _LONG_SIZE:
+            size, header = int.from_bytes(content[place + 8 : place + 16], "big"), 16
+        stop = len(content) if size == _TO_THE_END else place + size
+        if name == wanted:
+            return bytes(content[place + header : stop])
+        if stop < place + header or stop >= len(content):
+            break
+        place = stop
+    return b""

@@ -1,0 +1,200 @@
+"""The profiles of writing: what a reader of the file takes, and what has to stand under our metadata for its sake."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.sfs.fields import SENSOR_RECORDS
+from sceneloom.formats.sfs.times import TICKS_NS, FileClock
+
+Record = Mapping[str, Any]
+
+_LATEST_START_NS = 100_000_000_000
+_HIGHEST_RATE = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """One profile.
+
+    Attributes:
+        name: as the caller says it.
+        time_units: the units that its readers know.
+        sensor_obstacle: why a sensor, as a record in nanoseconds, has to stand under our metadata; None: it need not.
+        annotation_obstacle: the same for an annotation.
+        exact_attributes: whether attributes may have fractions, and static ones several time stamps.
+        radar_lengths: whether radar points may have lengths.
+        empty_point_times: whether a frame without points may have an array of point times.
+        any_distortion: whether distortion models may have names that the format does not list.
+    """
+
+    name: str
+    time_units: tuple[str, ...]
+    sensor_obstacle: Callable[[Record, FileClock], str | None]
+    annotation_obstacle: Callable[[Record], str | None]
+    exact_attributes: bool
+    radar_lengths: bool
+    empty_point_times: bool
+    any_distortion: bool
+
+
+def profile_named(name: str) -> Profile:
+    """Find a profile.
+
+    Raises:
+        OptionError: there is none of that name.
+    """
+    if name not in PROFILES:
+        raise OptionError(f"profile {name!r}; expected one of {', '.join(PROFILES)}")
+    return PROFILES[name]
+
+
+_OUR_TYPES = frozenset({"imu", "gnss"})
+NO_PLACE = "the format has no such sensor"
+
+
+def _sfs_sensor(record: Record, _: FileClock) -> str | None:
+    return NO_PLACE if record["type"] in _OUR_TYPES else None
+
+
+def _sfs_annotation(_: Record) -> None:
+    return None
+
+
+def _scale_sensor(record: Record, clock: FileClock) -> str | None:
+    """Say what Scale's validator would refuse about a sensor.
+
+    Source: scale-sensor-fusion-io 0.5.4, validation/parser/sfs.py and validation/validate.py.
+    """
+    type_name = record["type"]
+    if type_name in _OUR_TYPES or type_name not in SENSOR_RECORDS:
+        return NO_PLACE
+    if type_name not in {"lidar", "radar", "camera"}:
+        return "Scale's validator knows no such sensor"
+    if record.get("poses") is None:
+        return "Scale's library needs poses"
+    for name, times in _times_of(record).items():
+        obstacle = _time_obstacle(name, times, clock)
+        if obstacle is not None:
+            return obstacle
+    return None
+
+
+def _times_of(record: Record) -> dict[str, list[int]]:
+    """All series of times of a sensor [ns], by name."""
+    if record["type"] == "camera":
+        video = record.get("video")
+        content = [image["timestamp"] for image in record.get("images") or []]
+        times = {"pictures": content if video is None else list(video["timestamps"])}
+    else:
+        times = {"frames": [frame["timestamp"] for frame in record["frames"]]}
+    return {**times, "poses": list(record["poses"]["timestamps"])}
+
+
+def _time_obstacle(name: str, times_ns: list[int], clock: FileClock) -> str | None:
+    if not times_ns:
+        return f"Scale's validator wants at least one entry in {name}"
+    stamps = [clock.stamp(int(time)) for time in times_ns]
+    steps = np.diff(np.array(stamps, np.int64))
+    if (steps <= 0).any():
+        return f"Scale's validator wants increasing times in {name}"
+    if stamps[0] * clock.tick_ns > _LATEST_START_NS:
+        return f"Scale's validator wants {name} to begin within 100 s of the scene's start"
+    if name != "poses" and len(steps) and 1e9 / (float(steps.mean()) * clock.tick_ns) > _HIGHEST_RATE:
+        return f"Scale's validator wants at most {_HIGHEST_RATE:.0f} {name} a second"
+    return None
+
+
+_SCALE_ANNOTATIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "cuboid": ("path",),
+        "attributes": (),
+        "box_2d": ("sensor_id", "path"),
+        "polygon_2d": ("sensor_id", "path"),
+        "polygon_topdown": ("path",),
+        "polyline": ("path",),
+        "labeled_points": ("label", "labeled_points"),
+        "point_segmentation": ("label", "labeled_points"),
+        "localization_adjustment": ("poses",),
+        "object": (),
+        "event": ("start",),
+    }
+)
+"""The annotations that Scale's loader takes, and the fields that it then needs."""
+
+_SCALE_PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "activations": ("sensor_id", "timestamps", "durations"),
+        "projections": ("sensor_id", "timestamps", "boxes"),
+        "attributes": ("name", "timestamps", "values"),
+    }
+)
+
+
+def _scale_annotation(record: Record) -> str | None:
+    """Say what Scale's loader would refuse about an annotation.
+
+    Source: scale-sensor-fusion-io 0.5.4, spec/sfs/types.py and model_converters/sfs.py.
+    """
+    needed = _SCALE_ANNOTATIONS.get(record["type"])
+    if needed is None:
+        return f"Scale's loader knows no {record['type']} annotation"
+    missing = [name for name in needed if record.get(name) is None]
+    for part, names in _SCALE_PARTS.items():
+        for item in record.get(part) or []:
+            missing += [f"{part}[].{name}" for name in names if item.get(name) is None]
+    if missing:
+        return f"Scale's loader needs {missing[0]}"
+    return (
+        None
+        if attributes_fit(record.get("attributes") or [])
+        else "Scale's loader takes text and integers only"
+    )
+
+
+def attributes_fit(attributes: Any) -> bool:
+    """Whether Scale's loader takes the values of attributes."""
+    return all(attribute_fits(attribute) for attribute in attributes)
+
+
+def attribute_fits(attribute: Record) -> bool:
+    """Whether Scale's loader takes one attribute."""
+    named = isinstance(attribute.get("name"), str)
+    return named and all(_value_fits(value) for value in attribute.get("values") or [])
+
+
+def _value_fits(value: Any) -> bool:
+    return isinstance(value, str | int) or (
+        isinstance(value, list) and all(isinstance(v, str) for v in value)
+    )
+
+
+PROFILES: Mapping[str, Profile] = MappingProxyType(
+    {
+        "sfs": Profile(
+            name="sfs",
+            time_units=tuple(TICKS_NS),
+            sensor_obstacle=_sfs_sensor,
+            annotation_obstacle=_sfs_annotation,
+            exact_attributes=True,
+            radar_lengths=True,
+            empty_point_times=True,
+            any_distortion=True,
+        ),
+        "scale": Profile(
+            name="scale",
+            time_units=("microseconds",),
+            sensor_obstacle=_scale_sensor,
+            annotation_obstacle=_scale_annotation,
+            exact_attributes=False,
+            radar_lengths=False,
+            empty_point_times=False,
+            any_distortion=False,
+        ),
+    }
+)
+"""The profiles by name: the format's text, and what Scale's own library loads and validates."""

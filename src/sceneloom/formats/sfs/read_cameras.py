@@ -1,0 +1,134 @@
+"""Cameras of a file: the sensor, and its lens."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
+from sceneloom.formats.sfs.picture_notes import PictureNotes, camera_of, exposure_ns, lens_of, numbers_of
+from sceneloom.formats.sfs.poses import times_of
+from sceneloom.formats.sfs.read_clouds import Record, read_moving, rest_of
+from sceneloom.formats.sfs.read_pictures import PictureContent, image_content, no_content, video_content
+from sceneloom.formats.sfs.records import Faults, FieldError, Place
+from sceneloom.formats.sfs.source import Source
+from sceneloom.scene import CameraSensor, LazyFrames, NoticeKind, Picture
+
+
+def read_camera(source: Source, values: Record, place: Place, faults: Faults) -> CameraSensor | None:
+    """Make a camera of its record."""
+    note = source.note(values["id"])
+    intrinsics = values.pop("intrinsics")
+    inner = Faults()
+    try:
+        lens = read_lens(source, intrinsics, note.get("camera"), (*place, "intrinsics"))
+    except (FieldError, CalibrationError) as error:
+        faults.add(("intrinsics",), str(error))
+        return None
+    content = _content(source, values, lens, place, inner)
+    moving = read_moving(source, values, place, inner, frame_count=len(content.starts_ns))
+    try:
+        own = PictureNotes.of(note.get("pictures") or {}, lens, len(content.starts_ns))
+    except (FieldError, CalibrationError) as error:
+        inner.add(("pictures",), f"our note: {error}")
+    faults.extend(inner)
+    if inner:
+        return None
+    extras = {**rest_of(values), **_further(intrinsics), **content.further}
+    return _sensor(values["id"], lens, content, own, {**moving, "extras": extras})
+
+
+def _sensor(
+    identifier: str | int, lens: Camera, content: PictureContent, own: PictureNotes, fields: Record
+) -> CameraSensor:
+    """Join pictures, their own lenses and mountings, and the times of their middles."""
+    usual = exposure_ns(fields["extras"], 0)
+    middles = [
+        start + exposure_ns(own.extras(k), usual) // 2 for k, start in enumerate(content.starts_ns.tolist())
+    ]
+    middles_ns = np.array(middles, np.int64)
+
+    def read(index: int) -> Picture:
+        picture = content.read(index, own.camera(index))
+        extras = {**picture.extras, **own.extras(index)}
+        return replace(picture, timestamp_ns=int(middles_ns[index]), mount=own.mount(index), extras=extras)
+
+    return CameraSensor(
+        identifier, lens, LazyFrames(middles_ns, read), video=content.video, fps=content.fps, **fields
+    )
+
+
+def _content(source: Source, values: Record, lens: Camera, place: Place, faults: Faults) -> PictureContent:
+    """Choose between `video` and `images`; what is not chosen stays among the further fields."""
+    video, images = values.get("video"), values.get("images")
+    if video is not None:
+        values.pop("video")
+        if images is None:
+            values.pop("images", None)
+        else:
+            message = "both video and images; the video is taken, the images are carried along"
+            source.notice(NoticeKind.ASSUMED, "video-and-images", place, message)
+        stamps_ns = times_of(video["timestamps"])
+        return video_content(source, video, stamps_ns, (*place, "video"))
+    values.pop("video", None)
+    if isinstance(images, list):
+        values.pop("images")
+        return image_content(source, images, (*place, "images"))
+    if isinstance(images, dict):
+        faults.add(("images",), "an object; expected a list of pictures")
+    values.pop("images", None)
+    source.notice(
+        NoticeKind.SKIPPED, "no-pictures", place, f"neither video nor images; {lens.model} lens only"
+    )
+    return no_content()
+
+
+def read_lens(source: Source, intrinsics: Record, noted: Mapping[str, Any] | None, place: Place) -> Camera:
+    """Make a lens of an `intrinsics` record, or of our note where the record is a reduced form of it.
+
+    Raises:
+        FieldError: the distortion is not what its model has.
+        CalibrationError: the numbers are those of no lens.
+    """
+    distortion = intrinsics.get("distortion") or {}
+    model = distortion.get("model") or "pinhole"
+    written = lens_of(intrinsics, model, _coefficients(source, model, distortion.get("params"), place))
+    if noted is None:
+        return written
+    exact = camera_of(noted)
+    same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
+    return exact if same else written
+
+
+def _coefficients(source: Source, model: str, params: Any, place: Place) -> tuple[float, ...]:
+    coefficients = numbers_of([] if params is None else params)
+    if model == "pinhole":
+        if any(coefficients):
+            raise FieldError(f"distortion.params: {list(coefficients)} without a model")
+        return ()
+    expected = COEFFICIENT_COUNTS.get(model)
+    if expected is None:
+        message = (
+            f"distortion model {model!r} is none of the format's; it is kept, but cannot be computed with"
+        )
+        source.notice(NoticeKind.SKIPPED, "unknown-distortion", (*place, "distortion"), message)
+    elif len(coefficients) > expected:
+        raise FieldError(f"distortion.params: {len(coefficients)} numbers; {model} has {expected}")
+    elif len(coefficients) < expected:
+        message = f"{len(coefficients)} of the {expected} numbers of {model}; the others are taken as 0"
+        source.notice(NoticeKind.REPAIRED, "short-distortion", (*place, "distortion"), message)
+    return coefficients
+
+
+def _further(intrinsics: Record) -> Record:
+    """Unknown fields of `intrinsics` and `distortion`, which the model has no object for."""
+    known = {"fx", "fy", "cx", "cy", "width", "height", "distortion"}
+    unknown = {name: value for name, value in intrinsics.items() if name not in known}
+    distortion = intrinsics.get("distortion") or {}
+    of_distortion = {name: value for name, value in distortion.items() if name not in {"model", "params"}}
+    if of_distortion:
+        unknown["distortion"] = of_distortion
+    return {"intrinsics": unknown} if unknown else {}

@@ -1,0 +1,167 @@
+"""The pictures of a camera: out of a video, or out of JPEG files."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from threading import Lock
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError
+from sceneloom.formats.sfs.container import Container, format_keys
+from sceneloom.formats.sfs.mp4 import video_codec
+from sceneloom.formats.sfs.records import Place
+from sceneloom.formats.sfs.source import Source
+from sceneloom.scene import Picture, VideoContent
+from sceneloom.scene.types import NO_FIELDS
+
+if TYPE_CHECKING:
+    from sceneloom.formats.video import VideoReader
+
+_LARGEST_PICTURE = 1 << 28
+"""Pictures of more pixels are refused: a damaged head can claim any size."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureContent:
+    """Where a camera's pictures come from.
+
+    Attributes:
+        starts_ns: (N,) int64 [ns], start of each picture.
+        read: makes picture `k`, taken by the given lens, its time still that of its start.
+        video: the encoded video, where there is one.
+        fps: nominal pictures a second.
+        further: fields that have no other place in the model.
+    """
+
+    starts_ns: Int64Array
+    read: Callable[[int, Camera], Picture]
+    video: VideoContent | None = None
+    fps: float | None = None
+    further: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+
+def _no_picture(index: int, _: Camera) -> Picture:
+    raise IndexError(index)
+
+
+def no_content() -> PictureContent:
+    """A camera without pictures."""
+    return PictureContent(np.zeros(0, np.int64), _no_picture)
+
+
+def video_content(
+    source: Source, video: Mapping[str, Any], starts_ns: Int64Array, place: Place
+) -> PictureContent:
+    """Give the pictures of a `video` record; the video is opened when its first picture is asked for."""
+    content: AnyArray = video["content"]
+    player = _Player(source.container, content.data, format_keys((*place, "content")))
+    starts = starts_ns.tolist()
+
+    def read(index: int, camera: Camera) -> Picture:
+        size = player.size()
+        lens = camera if size == (camera.width, camera.height) else camera.resized(*size)
+        return Picture(starts[index], lens, partial(player.rgb, index))
+
+    further = {name: value for name, value in video.items() if name not in {"timestamps", "content", "fps"}}
+    return PictureContent(
+        starts_ns,
+        read,
+        VideoContent(player.open, video_codec(content.data)),
+        None if video.get("fps") is None else float(video["fps"]),
+        {"video": further} if further else NO_FIELDS,
+    )
+
+
+def image_content(source: Source, images: list[Mapping[str, Any]], place: Place) -> PictureContent:
+    """Give the pictures of an `images` list."""
+    container = source.container
+
+    def read(index: int, camera: Camera) -> Picture:
+        where = format_keys((*place, index, "content"))
+        container.check_open(where)
+        content: AnyArray = images[index]["content"]
+        width, height = _jpeg_size(container.file, content, where)
+        lens = camera if (width, height) == (camera.width, camera.height) else camera.resized(width, height)
+        return Picture(
+            images[index]["timestamp"],
+            lens,
+            partial(_decode_jpeg, container, content, where),
+            extras={name: v for name, v in images[index].items() if name not in {"timestamp", "content"}},
+            encoded=content.tobytes,
+        )
+
+    return PictureContent(np.array([image["timestamp"] for image in images], np.int64), read)
+
+
+def _jpeg_size(file: str, content: AnyArray, place: str) -> tuple[int, int]:
+    from simplejpeg import decode_jpeg_header
+
+    try:
+        height, width = decode_jpeg_header(content.data)[:2]
+    except (ValueError, RuntimeError) as error:
+        raise DataError(file, place, f"no JPEG: {error}") from None
+    if not 0 < width * height <= _LARGEST_PICTURE:
+        raise DataError(
+            file, place, f"a picture of {width}x{height}; expected at most {_LARGEST_PICTURE} pixels"
+        )
+    return width, height
+
+
+def _decode_jpeg(container: Container, content: AnyArray, place: str) -> UInt8Array:
+    from simplejpeg import decode_jpeg
+
+    container.check_open(place)
+    try:
+        return cast("UInt8Array", decode_jpeg(content.data, "RGB"))
+    except (ValueError, RuntimeError, MemoryError) as error:
+        raise DataError(container.file, place, f"cannot be decoded: {error}") from None
+
+
+class _Player:
+    """Opens a video at its first use and keeps it open."""
+
+    def __init__(self, container: Container, content: memoryview, place: str) -> None:
+        self._container, self._content, self._place = container, content, place
+        self._reader: VideoReader | None = None
+        self._lock = Lock()
+        container.on_close(self._close)
+
+    def open(self) -> Any:
+        """Open the video's bytes as a file."""
+        from sceneloom.formats.video.source import open_bytes
+
+        self._container.check_open(self._place)
+        return open_bytes(self._content)
+
+    def size(self) -> tuple[int, int]:
+        """Width and height of its pictures [px]."""
+        reader = self._opened()
+        if reader.width * reader.height > _LARGEST_PICTURE:
+            problem = (
+                f"pictures of {reader.width}x{reader.height}; expected at most {_LARGEST_PICTURE} pixels"
+            )
+            raise DataError(self._container.file, self._place, problem)
+        return reader.width, reader.height
+
+    def rgb(self, index: int) -> UInt8Array:
+        """Decode one picture."""
+        return self._opened().rgb(index)
+
+    def _opened(self) -> "VideoReader":
+        from sceneloom.formats.video import open_video
+
+        self._container.check_open(self._place)
+        with self._lock:
+            if self._reader is None:
+                self._reader = open_video(self._content, name=f"{self._container.file}: {self._place}")
+            return self._reader
+
+    def _close(self) -> None:
+        with self._lock:
+            if self._reader is not None:
+                self._reader.close()
+            self._reader = None

@@ -1,0 +1,336 @@
+"""Reading records by the table of fields: kinds are checked, times become nanoseconds, unknown fields stay."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, read_only
+from sceneloom.formats.sfs.container import RawBytes
+from sceneloom.formats.sfs.fields import RECORDS, Field, Kind
+from sceneloom.formats.sfs.times import INT64_MAX, INT64_MIN, FileClock, TimeRangeError
+
+Place = tuple[str | int, ...]
+"""Where something stands inside the header, as keys."""
+
+
+class FieldError(ValueError):
+    """A value is not what its field holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong in a header: where, and what."""
+
+    place: Place
+    problem: str
+
+
+class Faults(list[Fault]):
+    """All faults found so far."""
+
+    def add(self, place: Place, problem: str) -> None:
+        """Note one more."""
+        self.append(Fault(place, problem))
+
+    def take(self, other: "Faults", place: Place) -> None:
+        """Note the faults of a part that stands at `place`."""
+        self.extend(Fault((*place, *fault.place), fault.problem) for fault in other)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordReader:
+    """Reads records of a file whose clock is known.
+
+    Attributes:
+        clock: turns stamps into nanoseconds.
+        forgiving: keep what does not fit its field as it is found, without a fault.
+    """
+
+    clock: FileClock
+    forgiving: bool = False
+
+    def read(self, raw: Any, record: str, faults: Faults) -> dict[str, Any]:
+        """Read one record; fields that are at fault are left out of what is returned."""
+        if not isinstance(raw, dict):
+            faults.add((), f"{_found(raw)}; expected an object")
+            return {}
+        fields = RECORDS[record]
+        values: dict[str, Any] = {}
+        for name, value in raw.items():
+            field = fields.get(name)
+            if field is None or value is None:
+                values[name] = value
+                continue
+            inner = Faults()
+            try:
+                values[name] = _READERS[field.kind](self, value, field, inner)
+            except (FieldError, TimeRangeError) as error:
+                if field.ours or self.forgiving:
+                    values[name] = value
+                else:
+                    faults.add((name,), str(error))
+            if inner and self.forgiving:
+                values[name] = value
+            elif inner:
+                faults.take(inner, (name,))
+        for field in _required(record):
+            if raw.get(field.name) is None:
+                faults.add((field.name,), f"missing; expected {field.kind.value}")
+        return values
+
+    def read_list(self, raw: Any, record: str, faults: Faults) -> list[dict[str, Any]]:
+        """Read a list of records."""
+        if not isinstance(raw, list):
+            raise FieldError(f"{_found(raw)}; expected a list of objects")
+        records = []
+        for index, item in enumerate(raw):
+            inner = Faults()
+            records.append(self._read_item(item, record, inner))
+            if inner:
+                faults.take(inner, (index,))
+        return records
+
+    def _read_item(self, item: Any, record: str, faults: Faults) -> Any:
+        """Read one record, or, as in the projections of keypoints, a list of them."""
+        if isinstance(item, list):
+            return self.read_list(item, record, faults)
+        return self.read(item, record, faults)
+
+
+_REQUIRED = {name: tuple(f for f in record.values() if f.required) for name, record in RECORDS.items()}
+
+
+def _required(record: str) -> tuple[Field, ...]:
+    return _REQUIRED[record]
+
+
+def _found(value: Any) -> str:
+    """Describe a value in a message."""
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype.name} {value.shape}"
+    if isinstance(value, list | dict):
+        return f"a {'list' if isinstance(value, list) else 'JSON object'} of {len(value)}"
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _wrong(value: Any, field: Field) -> FieldError:
+    return FieldError(f"{_found(value)}; expected {field.kind.value}")
+
+
+def is_integer(value: Any) -> bool:
+    """Whether a value is an integer, and not a truth value."""
+    return type(value) is int
+
+
+def as_integer(value: Any, field: Field) -> int:
+    """Take an integer, or a float that stands for one."""
+    if type(value) is int and INT64_MIN <= value <= INT64_MAX:
+        return value
+    if type(value) is float and value.is_integer() and abs(value) < INT64_MAX:
+        return int(value)
+    raise _wrong(value, field)
+
+
+def _read_anything(_: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
+    del field, faults
+    return value
+
+
+def _read_identifier(_: RecordReader, value: Any, field: Field, faults: Faults) -> str | int:
+    del faults
+    if type(value) is str or type(value) is int:
+        return value
+    raise _wrong(value, field)
+
+
+def _read_text(_: RecordReader, value: Any, field: Field, faults: Faults) -> str:
+    del faults
+    if isinstance(value, str):
+        return value
+    raise _wrong(value, field)
+
+
+def _read_flag(_: RecordReader, value: Any, field: Field, faults: Faults) -> bool:
+    del faults
+    if isinstance(value, bool):
+        return value
+    raise _wrong(value, field)
+
+
+def _read_integer(_: RecordReader, value: Any, field: Field, faults: Faults) -> int:
+    del faults
+    return as_integer(value, field)
+
+
+def _read_number(_: RecordReader, value: Any, field: Field, faults: Faults) -> int | float:
+    del faults
+    if type(value) is float or type(value) is int:
+        return value
+    raise _wrong(value, field)
+
+
+def _read_time(reader: RecordReader, value: Any, field: Field, faults: Faults) -> int:
+    del faults
+    if type(value) is int:
+        return reader.clock.absolute_ns(value)
+    if type(value) is float:
+        return reader.clock.duration_ns(value) + reader.clock.offset_ns
+    raise _wrong(value, field)
+
+
+def _read_times(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
+    if isinstance(value, np.ndarray):
+        if value.ndim != 1 or value.dtype.kind not in "iu":
+            raise _wrong(value, field)
+        return read_only(reader.clock.absolute_array(value))
+    if not isinstance(value, list):
+        raise _wrong(value, field)
+    if set(map(type, value)) <= {int}:
+        tick_ns, offset_ns = reader.clock.tick_ns, reader.clock.offset_ns
+        times = [stamp * tick_ns + offset_ns for stamp in value]
+        if times:
+            reader.clock.absolute_ns(max(value))
+            reader.clock.absolute_ns(min(value))
+        return times
+    return _each(value, lambda item: _read_time(reader, item, _TIME, faults))
+
+
+def _read_duration(reader: RecordReader, value: Any, field: Field, faults: Faults) -> int:
+    del faults
+    if type(value) is int or type(value) is float:
+        return reader.clock.duration_ns(value)
+    raise _wrong(value, field)
+
+
+def _read_durations(reader: RecordReader, value: Any, field: Field, faults: Faults) -> list[int]:
+    values = value.tolist() if isinstance(value, np.ndarray) else value
+    if not isinstance(values, list):
+        raise _wrong(value, field)
+    return _each(values, lambda item: _read_duration(reader, item, _DURATION, faults))
+
+
+def _each(values: list[Any], read: Callable[[Any], int]) -> list[int]:
+    times = []
+    for index, item in enumerate(values):
+        try:
+            times.append(read(item))
+        except (FieldError, TimeRangeError) as error:
+            raise FieldError(f"[{index}]: {error}") from None
+    return times
+
+
+_TIME, _DURATION = Field("", Kind.TIME), Field("", Kind.DURATION)
+
+
+def _read_list(_: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
+    del faults
+    if isinstance(value, list | np.ndarray):
+        return value
+    raise _wrong(value, field)
+
+
+def _read_array(_: RecordReader, value: Any, field: Field, faults: Faults) -> AnyArray:
+    del faults
+    dtype = np.dtype(field.dtype)
+    if isinstance(value, RawBytes):
+        array = _of_raw_bytes(value, dtype)
+    elif isinstance(value, np.ndarray):
+        array = value
+    elif isinstance(value, list):
+        array = _of_list(value, dtype)
+    else:
+        raise FieldError(f"{_found(value)}; expected an array of {dtype.name} that an item fills")
+    if array.dtype.newbyteorder("=") != dtype:
+        raise FieldError(f"an array of {array.dtype.name}; expected {dtype.name}")
+    return _in_columns(array.astype(dtype, copy=False), field.columns)
+
+
+def _of_raw_bytes(value: AnyArray, dtype: np.dtype[Any]) -> AnyArray:
+    raw = value.view(np.ndarray)
+    if raw.size % dtype.itemsize:
+        raise FieldError(f"{raw.size} bytes are no whole number of {dtype.name}")
+    return raw.view(dtype)
+
+
+def _of_list(value: list[Any], dtype: np.dtype[Any]) -> AnyArray:
+    try:
+        found = np.array(value)
+        if found.size and (found.dtype.kind not in "iuf" or (dtype.kind != "f" and found.dtype.kind == "f")):
+            raise FieldError(f"a list that is no array of {dtype.name}")
+        array = found.astype(dtype)
+    except (ValueError, TypeError, OverflowError):
+        raise FieldError(f"a list that is no array of {dtype.name}") from None
+    if dtype.kind != "f" and found.size and not np.array_equal(array, found):
+        raise FieldError(f"a list with numbers beyond {dtype.name}")
+    return read_only(array)
+
+
+def _in_columns(array: AnyArray, columns: int) -> AnyArray:
+    """Bring an array into rows: flat lists of numbers are cut into rows, single columns are made flat."""
+    if columns == 0 and array.ndim == 2 and array.shape[1] == 1:
+        return array.reshape(-1)
+    if columns > 0 and array.ndim == 1 and array.size % columns == 0:
+        return array.reshape(-1, columns)
+    if array.ndim != (1 if columns == 0 else 2) or (columns > 0 and array.shape[1] != columns):
+        expected = "(N,)" if columns == 0 else f"(N, {'K' if columns < 0 else columns})"
+        raise FieldError(f"an array of shape {array.shape}; expected {expected}")
+    return array
+
+
+def _read_point_times(_: RecordReader, value: Any, field: Field, faults: Faults) -> AnyArray:
+    """Check the times of points, which become nanoseconds only when their frame is asked for."""
+    del faults
+    if isinstance(value, RawBytes):
+        return _of_raw_bytes(value, np.dtype(np.uint32))
+    array = _of_list(value, np.dtype(np.int64)) if isinstance(value, list) else value
+    if not isinstance(array, np.ndarray):
+        raise FieldError(f"{_found(value)}; expected an array of uint32 or uint64 that an item fills")
+    if array.dtype.kind not in "iu" or array.dtype.itemsize < 4:
+        raise FieldError(f"an array of {array.dtype.name}; expected uint32 or uint64")
+    del field
+    return _in_columns(array, 0)
+
+
+def _read_record(reader: RecordReader, value: Any, field: Field, faults: Faults) -> dict[str, Any]:
+    return reader.read(value, field.record, faults)
+
+
+def _read_records(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
+    if isinstance(value, dict):
+        return reader.read(value, field.record, faults)
+    return reader.read_list(value, field.record, faults)
+
+
+def _read_record_map(reader: RecordReader, value: Any, field: Field, faults: Faults) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise _wrong(value, field)
+    records = {}
+    for name, item in value.items():
+        inner = Faults()
+        records[name] = reader.read(item, field.record, inner)
+        if inner:
+            faults.take(inner, (name,))
+    return records
+
+
+_READERS: Mapping[Kind, Callable[[RecordReader, Any, Field, Faults], Any]] = {
+    Kind.ANYTHING: _read_anything,
+    Kind.IDENTIFIER: _read_identifier,
+    Kind.TEXT: _read_text,
+    Kind.FLAG: _read_flag,
+    Kind.INTEGER: _read_integer,
+    Kind.NUMBER: _read_number,
+    Kind.TIME: _read_time,
+    Kind.TIMES: _read_times,
+    Kind.DURATION: _read_duration,
+    Kind.DURATIONS: _read_durations,
+    Kind.LIST: _read_list,
+    Kind.ARRAY: _read_array,
+    Kind.POINT_TIMES: _read_point_times,
+    Kind.RECORD: _read_record,
+    Kind.RECORDS: _read_records,
+    Kind.RECORD_MAP: _read_record_map,
+}

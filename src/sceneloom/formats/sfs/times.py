@@ -1,0 +1,143 @@
+"""The clock of a file: its unit, its offset, and exact integer conversion to and from nanoseconds."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Int64Array
+
+TICKS_NS: Mapping[str, int] = MappingProxyType({"microseconds": 1_000, "nanoseconds": 1})
+"""Length of one tick of each unit that we write [ns]."""
+
+READABLE_TICKS_NS: Mapping[str, int] = MappingProxyType({**TICKS_NS, "microsecond": 1_000, "nanosecond": 1})
+"""The same for the spellings that we read."""
+
+INT64_MIN, INT64_MAX = -(2**63), 2**63 - 1
+UINT32_MAX, UINT64_MAX = 2**32 - 1, 2**64 - 1
+
+SMALL_START_NS = 10_000_000_000
+"""A scene that starts within so many nanoseconds of its clock's zero needs no offset."""
+
+_SECOND_NS = 1_000_000_000
+
+
+class TimeRangeError(ValueError):
+    """A time does not fit the integers that must hold it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileClock:
+    """`nanoseconds = stamp · tick_ns + offset_ns`.
+
+    Attributes:
+        tick_ns: length of the file's unit of time [ns].
+        offset_ns: the absolute time of stamp 0 [ns]; negative only for scenes that begin before time zero.
+    """
+
+    tick_ns: int
+    offset_ns: int
+
+    def absolute_ns(self, stamp: int) -> int:
+        """Give the absolute time of a stamp.
+
+        Raises:
+            TimeRangeError: it does not fit 64 bits.
+        """
+        return checked_ns(stamp * self.tick_ns + self.offset_ns)
+
+    def absolute_array(self, stamps: AnyArray) -> Int64Array:
+        """Give the absolute times of an integer array of stamps, (N,) int64 [ns].
+
+        Raises:
+            TimeRangeError: one of them does not fit 64 bits.
+        """
+        if stamps.size:
+            self.absolute_ns(int(stamps.min()))
+            self.absolute_ns(int(stamps.max()))
+        if self.offset_ns == 0 or not INT64_MIN <= self.offset_ns <= INT64_MAX:
+            return self._absolute_exactly(stamps)
+        highest = 0 if stamps.size == 0 else max(abs(int(stamps.min())), abs(int(stamps.max())))
+        if highest * self.tick_ns > INT64_MAX:
+            return self._absolute_exactly(stamps)
+        return stamps.astype(np.int64) * self.tick_ns + self.offset_ns
+
+    def _absolute_exactly(self, stamps: AnyArray) -> Int64Array:
+        if self.offset_ns == 0:
+            return stamps.astype(np.int64) * self.tick_ns
+        return np.array([self.absolute_ns(stamp) for stamp in stamps.tolist()], np.int64)
+
+    def stamp(self, timestamp_ns: int) -> int:
+        """Give the nearest stamp of an absolute time; halves go to the even one."""
+        quotient, rest = divmod(timestamp_ns - self.offset_ns, self.tick_ns)
+        return quotient + (2 * rest > self.tick_ns or (2 * rest == self.tick_ns and quotient % 2 == 1))
+
+    def stamp_before(self, timestamp_ns: int) -> int:
+        """Give the last stamp that is not later than an absolute time."""
+        return (timestamp_ns - self.offset_ns) // self.tick_ns
+
+    def stamp_array(self, timestamps_ns: Int64Array) -> tuple[Int64Array, int]:
+        """Give the nearest stamps, (N,) int64, halves to even, and how many were not exact.
+
+        Raises:
+            TimeRangeError: the span from the offset to a time does not fit 64 bits.
+        """
+        if timestamps_ns.size == 0:
+            return np.zeros(0, np.int64), 0
+        checked_ns(int(timestamps_ns.min()) - self.offset_ns)
+        checked_ns(int(timestamps_ns.max()) - self.offset_ns)
+        since_offset = timestamps_ns - self.offset_ns
+        if self.tick_ns == 1:
+            return since_offset, 0
+        quotient = since_offset // self.tick_ns
+        twice = 2 * (since_offset - quotient * self.tick_ns)
+        inexact = int(np.count_nonzero(twice))
+        if inexact:
+            quotient += (twice > self.tick_ns) | ((twice == self.tick_ns) & (quotient % 2 == 1))
+        return quotient, inexact
+
+    def duration_ns(self, duration: float) -> int:
+        """Give a duration of the file in nanoseconds."""
+        return checked_ns(scaled(duration, self.tick_ns))
+
+    def duration(self, duration_ns: int) -> int | float:
+        """Give a duration in the file's unit: an integer where it is one."""
+        whole, rest = divmod(duration_ns, self.tick_ns)
+        return whole if rest == 0 else duration_ns / self.tick_ns
+
+
+def checked_ns(timestamp_ns: int) -> int:
+    """Pass a time on if it fits 64 bits.
+
+    Raises:
+        TimeRangeError: it does not.
+    """
+    if not INT64_MIN <= timestamp_ns <= INT64_MAX:
+        raise TimeRangeError(f"{timestamp_ns} ns does not fit 64 bits")
+    return timestamp_ns
+
+
+def scaled(value: float, tick_ns: int) -> int:
+    """Multiply a number of ticks by their length without losing digits of its whole part.
+
+    Raises:
+        TimeRangeError: the number is not finite.
+    """
+    if isinstance(value, int):
+        return value * tick_ns
+    if not abs(value) < float("inf"):
+        raise TimeRangeError(f"{value} is not a time")
+    whole = int(value)
+    return whole * tick_ns + round((value - whole) * tick_ns)
+
+
+def chosen_offset_ns(first_ns: int) -> int:
+    """Choose the offset of a scene's clock from its earliest time.
+
+    Whole seconds, so that rounding to a unit does not depend on it; 0 for scenes that start near zero; negative,
+    on whole seconds too, for scenes that start before it.
+    """
+    if 0 <= first_ns < SMALL_START_NS:
+        return 0
+    return first_ns // _SECOND_NS * _SECOND_NS

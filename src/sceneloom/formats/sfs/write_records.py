@@ -1,0 +1,103 @@
+"""The model's sensors, annotations and trajectories as records: the words of the file, times in nanoseconds."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.sfs.drafts import with_further
+from sceneloom.scene import (
+    Annotation,
+    CuboidAnnotation,
+    GnssSensor,
+    ImuSensor,
+    Notice,
+    OdometrySensor,
+    PointsSensor,
+    Trajectory,
+)
+
+_GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
+
+
+def annotation_record(annotation: Annotation) -> dict[str, Any]:
+    """Make the record of an annotation.
+
+    Raises:
+        OptionError: a cuboid has a number that is not finite.
+    """
+    if not isinstance(annotation, CuboidAnnotation):
+        return {"id": annotation.id, "type": annotation.type, **annotation.fields}
+    values = annotation.path.values
+    if not np.isfinite(values).all():
+        row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+        raise OptionError(
+            f"annotations[{annotation.id}].path.values[{row}]: {values[row].tolist()}; expected finite numbers"
+        )
+    path = {"timestamps": annotation.path.timestamps_ns, "values": values}
+    further = annotation.extras.get("path")
+    return with_further(
+        {
+            "id": annotation.id,
+            "type": annotation.type,
+            "parent_id": annotation.parent_id,
+            "label": annotation.label,
+            "stationary": annotation.stationary,
+            "path": with_further(path, further if isinstance(further, Mapping) else {}),
+        },
+        annotation.extras,
+    )
+
+
+def points_fields(sensor: PointsSensor) -> dict[str, Any]:
+    """Make the fields of a points sensor."""
+    further = sensor.extras.get("points")
+    points = {"positions": sensor.positions, "colors": sensor.colors}
+    return {"points": with_further(points, further if isinstance(further, Mapping) else {})}
+
+
+def imu_fields(sensor: ImuSensor) -> dict[str, Any]:
+    """Make the fields of an IMU; they stand under our metadata."""
+    names = ("timestamps_ns", "values", "file_seconds")
+    return {
+        "streams": {
+            name: {part: getattr(samples, part) for part in names} for name, samples in sensor.streams.items()
+        }
+    }
+
+
+def gnss_fields(sensor: GnssSensor) -> dict[str, Any]:
+    """Make the fields of a satellite receiver; they stand under our metadata."""
+    return {name: getattr(sensor, name) for name in _GNSS_ARRAYS}
+
+
+def trajectory_record(name: str, way: Trajectory, sensor: OdometrySensor | None) -> dict[str, Any]:
+    """Make the record of a trajectory; one that is an odometry sensor's own names only the sensor."""
+    if sensor is not None and _tells(sensor, way):
+        return {"name": name, "sensor_id": sensor.id}
+    arrays = ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds")
+    return {"name": name, **{part: getattr(way, part) for part in arrays}}
+
+
+def _tells(sensor: OdometrySensor, way: Trajectory) -> bool:
+    """Whether an odometry sensor holds a trajectory whole."""
+    poses = sensor.poses
+    return (
+        way.file_seconds is None
+        and way.quaternions_xyzw is not None
+        and np.array_equal(poses.timestamps_ns, way.timestamps_ns)
+        and np.array_equal(poses.positions, way.positions)
+        and np.array_equal(poses.quaternions_xyzw, way.quaternions_xyzw)
+    )
+
+
+def notice_record(notice: Notice) -> dict[str, Any]:
+    """Make the record of a notice."""
+    return {
+        "kind": notice.kind.value,
+        "code": notice.code,
+        "place": notice.place,
+        "message": notice.message,
+        "count": notice.count,
+    }

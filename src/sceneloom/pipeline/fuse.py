@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from sceneloom.arrays import Float64Array
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.errors import OptionError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import filling
 from sceneloom.formats.sfs import SceneWriter
@@ -205,11 +206,12 @@ def _open_scene_sink(woven: Woven, wanted: FusionOutputs, target: Path, stack: E
             profile=wanted.profile,
             time_unit=wanted.time_unit,
             first_ns=earliest_ns(woven.scene),
+            frame_count=sum(len(lidar.frames) for lidar in woven.scene.lidars),
         )
     )
     writer.add_scene(scene)
     writer.set_metadata(_provenance(woven))
-    return SceneSink(writer, sources)
+    return SceneSink(writer, sources, wanted.time_unit)
 
 
 def earliest_ns(scene: Scene) -> int:
@@ -224,18 +226,30 @@ def earliest_ns(scene: Scene) -> int:
 
 
 def _provenance(woven: Woven) -> Mapping[str, Any]:
-    """How the fused scene came about, for its metadata."""
-    world_from_file = np.eye(4)
-    world_from_file[:3, 3] = woven.origin_world
-    return {
-        "world_from_file": world_from_file.tolist(),
-        "fusion": {
-            "trajectory": None if woven.ego is None else woven.ego.name,
-            "heading": None if woven.ego is None else woven.ego.heading,
-            "source": Path(woven.scene.source).name,
-            "source_format": woven.scene.format,
-        },
+    """How the fused scene came about, for its metadata; a transform that a fusion took off earlier is kept."""
+    world_from_file = _earlier_world(woven.scene)
+    world_from_file[:3, 3] += world_from_file[:3, :3] @ woven.origin_world
+    fusion = {
+        "trajectory": None if woven.ego is None else woven.ego.name,
+        "heading": None if woven.ego is None else woven.ego.heading,
+        "source": Path(woven.scene.source).name,
+        "source_format": woven.scene.format,
     }
+    return {"sceneloom": {"world_from_file": world_from_file.tolist(), "fusion": fusion}}
+
+
+def _earlier_world(scene: Scene) -> Float64Array:
+    """The (4, 4) transform that an earlier fusion took off, else the identity."""
+    ours = scene.metadata.get("sceneloom")
+    earlier = ours.get("world_from_file") if isinstance(ours, Mapping) else None
+    try:
+        matrix = np.eye(4) if earlier is None else np.array(earlier, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        place = "metadata.sceneloom.world_from_file"
+        raise DataError(scene.source, place, f"{earlier!r}; expected a 4x4 matrix of finite numbers")
+    return matrix
 
 
 def _frames_to_draw(scene: Scene, every: int | None) -> frozenset[int]:

@@ -83,7 +83,8 @@ Reader = Callable[[], LidarFrame | Picture]
 
 def _in_time_order(scene: Scene) -> Iterator[tuple[Identifier, Reader]]:
     """All sweeps and pictures by time stamp; pictures before sweeps of the same time, sensors in the scene's order."""
-    streams = [_stamped(order, sensor) for order, sensor in enumerate((*scene.cameras, *scene.lidars))]
+    sensors: list[LidarSensor | CameraSensor] = [*scene.cameras, *scene.lidars]
+    streams = [_stamped(order, sensor) for order, sensor in enumerate(sensors)]
     for _, _, sensor_id, read in heapq.merge(*streams, key=lambda entry: entry[:2]):
         yield sensor_id, read
 

@@ -8,13 +8,15 @@ from typing import Protocol
 import numpy as np
 
 from sceneloom.colouring.results import FusedFrame
+from sceneloom.formats import LossReport
 from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
 from sceneloom.formats.file_names import file_stem
 from sceneloom.formats.sfs import SceneWriter
+from sceneloom.formats.sfs.times import TICKS_NS
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.pictures import save_pictures
-from sceneloom.scene import Identifier, LidarFrame, PosePath, Scene
+from sceneloom.scene import Identifier, LidarFrame, PosePath
 
 
 class Sink(Protocol):
@@ -32,35 +34,31 @@ class SceneSink:
     Attributes:
         writer: the open file.
         sources: `world_from_sensor` of each lidar and camera; absent for sensors that keep their own poses.
-        tick_ns: the file's unit of time [ns].
+        time_unit: the file's unit of time.
     """
 
     writer: SceneWriter
     sources: Mapping[Identifier, PoseSource]
-    tick_ns: int
+    time_unit: str
     _starts_ns: dict[Identifier, list[int]] = field(default_factory=dict)
-
-    def add_sensors(self, scene: Scene) -> None:
-        """Write every sensor but the lidars' frames, and the annotations."""
-        for sensor in scene.sensors:
-            self.writer.add_sensor(sensor)
 
     def add(self, frame: FusedFrame) -> None:
         """Write one sweep; an unfused one goes, in its sensor's frame, under the file's metadata."""
-        start_ns = _start_ns(frame, self.tick_ns)
+        start_ns = _start_ns(frame, TICKS_NS[self.time_unit])
         if frame.unfused is not None:
             self.writer.add_unfused(frame.lidar_id, LidarFrame(start_ns, frame.points), frame.unfused)
             return
         self.writer.add_frame(frame.lidar_id, LidarFrame(start_ns, frame.points))
         self._starts_ns.setdefault(frame.lidar_id, []).append(start_ns)
 
-    def finish(self) -> None:
-        """Give each lidar its poses at the times of its frames."""
+    def finish(self) -> LossReport:
+        """Give each lidar its poses at the times of its frames, and complete the file."""
         for lidar_id, starts_ns in self._starts_ns.items():
             if lidar_id in self.sources:
                 path = sensor_path(self.sources[lidar_id], np.array(starts_ns, np.int64))
                 if path is not None:
                     self.writer.set_poses(lidar_id, path)
+        return self.writer.finish()
 
 
 def _start_ns(frame: FusedFrame, tick_ns: int) -> int:

@@ -53,11 +53,10 @@ def weave(scene: Scene, *, trajectory: str | None = None, heading: str | None = 
         PoseError: the sensors' motion is not known.
         OptionError: the trajectory is not known, or the sensors carry their own poses.
     """
-    mounted = [s for s in (*scene.lidars, *scene.cameras) if s.mount is not None or s.poses is None]
-    if not mounted:
+    if not _needs_ego(scene):
         if trajectory is not None:
             raise OptionError(
-                f"{scene.source}: the sensors carry their own poses; a trajectory cannot be chosen"
+                f"{scene.source}: its points and sensors are placed in the world already; a trajectory cannot be chosen"
             )
         return Woven(scene, None, np.zeros(3))
     ego = choose_trajectory(scene, name=trajectory, heading=heading)
@@ -79,12 +78,25 @@ def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identif
     """
     sources = {
         sensor.id: sensor_source(woven.scene, sensor, woven.ego, reach_ns=reach_ns)
-        for sensor in (*woven.scene.cameras, *woven.scene.lidars)
+        for sensor in _posed(woven.scene)
     }
     sensors = [_output_sensor(sensor, sources) for sensor in woven.scene.sensors]
     if woven.ego is not None and not any(sensor.id == EGO_ID for sensor in sensors):
         sensors.append(OdometrySensor(EGO_ID, woven.ego.path))
     return replace(woven.scene, sensors=tuple(sensors)), sources
+
+
+def _needs_ego(scene: Scene) -> bool:
+    """Whether something must still be placed: a sensor without poses, or points that ride on the ego."""
+    unposed = any(sensor.poses is None for sensor in _posed(scene))
+    riding = any(
+        lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
+    )
+    return unposed or riding
+
+
+def _posed(scene: Scene) -> list[LidarSensor | CameraSensor]:
+    return [*scene.cameras, *scene.lidars]
 
 
 def _output_sensor(sensor: Sensor, sources: Mapping[Identifier, PoseSource]) -> Sensor:

@@ -49,7 +49,7 @@ def check_array(
     return int(array.shape[0])
 
 
-def read_only(array: ArrayLike, dtype: DTypeLike = None) -> AnyArray:
+def read_only(array: ArrayLike, dtype: DTypeLike | None = None) -> AnyArray:
     """Return the array as a contiguous view that refuses writing."""
     view = np.ascontiguousarray(array, dtype=dtype).view()
     view.flags.writeable = False

@@ -20,7 +20,12 @@ FloatArray = NDArray[np.floating[Any]]
 
 
 def check_array(
-    name: str, array: AnyArray | None, shape: Sequence[int | None], dtype: DTypeLike, *, optional: bool = False
+    name: str,
+    array: AnyArray | None,
+    shape: Sequence[int | None],
+    dtype: DTypeLike,
+    *,
+    optional: bool = False,
 ) -> int:
     """Check that an array has the shape and dtype that its field promises.
 
@@ -40,13 +45,19 @@ def check_array(
         if optional:
             return 0
         raise ArrayError(f"{name}: missing; expected an array of {np.dtype(dtype).name}")
-    expected = f"expected ({', '.join('N' if n is None else str(n) for n in shape)}) {np.dtype(dtype).name}"
     if not isinstance(array, np.ndarray):
-        raise ArrayError(f"{name}: a {type(array).__name__}; {expected}")
-    fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
-    if not fits or array.dtype != np.dtype(dtype):
-        raise ArrayError(f"{name}: {array.shape} {array.dtype.name}; {expected}")
+        raise ArrayError(f"{name}: a {type(array).__name__}; {_expected(shape, dtype)}")
+    fits = array.ndim == len(shape) and all(
+        n is None or n == m for n, m in zip(shape, array.shape, strict=True)
+    )
+    if not fits or array.dtype != dtype:
+        raise ArrayError(f"{name}: {array.shape} {array.dtype.name}; {_expected(shape, dtype)}")
     return int(array.shape[0])
+
+
+def _expected(shape: Sequence[int | None], dtype: DTypeLike) -> str:
+    lengths = ", ".join("N" if n is None else str(n) for n in shape)
+    return f"expected ({lengths}) {np.dtype(dtype).name}"
 
 
 def read_only(array: ArrayLike, dtype: DTypeLike | None = None) -> AnyArray:

@@ -49,6 +49,16 @@ class _Waiting:
 
 
 @dataclass(slots=True)
+class _Pairs:
+    """The pictures found for one sweep, and the cameras without one."""
+
+    extrapolated: bool
+    requests: list[ViewRequest] = field(default_factory=list)
+    unpaired: list[Identifier] = field(default_factory=list)
+    unposed: list[Identifier] = field(default_factory=list)
+
+
+@dataclass(slots=True)
 class FusionSystem:
     """Pairs sweeps with pictures and fuses each pair; the same object works offline and behind a service.
 
@@ -168,59 +178,49 @@ class FusionSystem:
             )
         except PoseError as error:
             return replace(fused, unfused=f"beyond the trajectory: {error}")
-        requests, unpaired, unposed, camera_extrapolated = self._views_for(waiting)
+        points = replace(waiting.frame.points, positions=positions_world.astype(np.float32))
+        if not self._cameras:
+            return replace(fused, points=points, extrapolated=extrapolated)
+        pairs = _Pairs(extrapolated=extrapolated)
+        for camera_id, camera in self._cameras.items():
+            self._pair(waiting, camera_id, camera, pairs)
         algorithm = ALGORITHMS[self.configuration.fusion_algorithm]
-        coloured = algorithm(positions_world, requests, self.configuration.visibility)
-        points = replace(
-            waiting.frame.points,
-            positions=positions_world.astype(np.float32),
-            colors=coloured.colors,
-            camera_index=coloured.camera_index,
-        )
+        coloured = algorithm(positions_world, pairs.requests, self.configuration.visibility)
         return replace(
             fused,
-            points=points,
+            points=replace(points, colors=coloured.colors, camera_index=coloured.camera_index),
             views=coloured.views,
-            unpaired=tuple(unpaired),
-            unposed=tuple(unposed),
-            extrapolated=extrapolated or camera_extrapolated,
+            unpaired=tuple(pairs.unpaired),
+            unposed=tuple(pairs.unposed),
+            extrapolated=pairs.extrapolated,
         )
 
-    def _views_for(
-        self, waiting: _Waiting
-    ) -> tuple[list[ViewRequest], list[Identifier], list[Identifier], bool]:
-        requests: list[ViewRequest] = []
-        unpaired: list[Identifier] = []
-        unposed: list[Identifier] = []
-        extrapolated = False
-        for camera_id, camera in self._cameras.items():
-            picture = camera.queue.nearest(waiting.reference_ns, waiting.tolerance_ns)
-            if picture is None:
-                unpaired.append(camera_id)
-                continue
-            source = camera.source if picture.mount is None else camera.source.mounted(picture.mount)
-            pose = source.at(np.array([picture.timestamp_ns], np.int64))
-            if pose.coverage[0] == 2:
-                unposed.append(camera_id)
-                continue
-            rgb = self._decoded(camera, picture)
-            if rgb is None:
-                unpaired.append(camera_id)
-                continue
-            extrapolated |= bool(pose.coverage[0] == 1)
-            requests.append(
-                ViewRequest(
-                    camera_id=camera_id,
-                    camera_index=camera.index,
-                    camera=picture.camera,
-                    timestamp_ns=picture.timestamp_ns,
-                    world_from_camera=RigidTransform.from_quaternion(
-                        pose.positions[0], pose.quaternions_xyzw[0]
-                    ),
-                    rgb=rgb,
-                )
+    def _pair(self, waiting: _Waiting, camera_id: Identifier, camera: _Camera, pairs: _Pairs) -> None:
+        """Find the camera's picture for a sweep and where it was taken, or note why there is none."""
+        picture = camera.queue.nearest(waiting.reference_ns, waiting.tolerance_ns)
+        if picture is None:
+            pairs.unpaired.append(camera_id)
+            return
+        source = camera.source if picture.mount is None else camera.source.mounted(picture.mount)
+        pose = source.at(np.array([picture.timestamp_ns], np.int64))
+        if pose.coverage[0] == 2:
+            pairs.unposed.append(camera_id)
+            return
+        rgb = self._decoded(camera, picture)
+        if rgb is None:
+            pairs.unpaired.append(camera_id)
+            return
+        pairs.extrapolated |= bool(pose.coverage[0] == 1)
+        pairs.requests.append(
+            ViewRequest(
+                camera_id=camera_id,
+                camera_index=camera.index,
+                camera=picture.camera,
+                timestamp_ns=picture.timestamp_ns,
+                world_from_camera=RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
+                rgb=rgb,
             )
-        return requests, unpaired, unposed, extrapolated
+        )
 
     def _decoded(self, camera: _Camera, picture: Picture) -> UInt8Array | None:
         try:

@@ -1,0 +1,204 @@
+"""The fusion system: what it pairs, when it fuses, and what it says when it cannot."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.colouring import FusedFrame
+from sceneloom.errors import DataError, OptionError
+from sceneloom.fusion import FusionConfiguration, FusionSystem
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.pose_source import PoseSource
+from sceneloom.scene import LidarFrame, LidarPoints, Picture, PosePath
+
+CAMERA = Camera("pinhole", 8, 6, 4.0, 4.0, 3.5, 2.5)
+EGO_FROM_CAMERA = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
+PERIOD = 100
+STILL = PosePath.identity()
+
+
+def sweep(start_ns: int, points: LidarPoints | None = None) -> LidarFrame:
+    default = LidarPoints(np.array([[5.0, 0, 0], [-5.0, 0, 0]], np.float32))
+    return LidarFrame(start_ns, default if points is None else points)
+
+
+def picture(time_ns: int, level: int = 7) -> Picture:
+    return Picture.of(time_ns, CAMERA, np.full((6, 8, 3), level, np.uint8))
+
+
+def system_with(cameras: int = 1, path: PosePath = STILL, **settings: int) -> FusionSystem:
+    system = FusionSystem(FusionConfiguration(**settings))
+    system.add_lidar("lidar", PoseSource(path, RigidTransform.identity()), period_ns=PERIOD)
+    for index in range(cameras):
+        system.add_camera(f"camera{index}", PoseSource(path, EGO_FROM_CAMERA), index=index)
+    return system
+
+
+def results(system: FusionSystem) -> Iterator[FusedFrame]:
+    return iter(system.get, None)
+
+
+def test_a_sweep_is_fused_as_soon_as_a_picture_at_or_after_its_time_has_come() -> None:
+    system = system_with()
+    system.send("camera0", picture(0, level=1))
+    system.send("lidar", sweep(40))
+    assert system.get() is None
+    system.send("camera0", picture(60, level=2))
+    fused = system.get()
+    assert fused is not None
+    assert fused.views[0].timestamp_ns == 60
+    np.testing.assert_array_equal(fused.points.colors, [[2, 2, 2], [255, 255, 255]])
+    np.testing.assert_array_equal(fused.points.camera_index, [0, 255])
+
+
+def test_a_sweep_does_not_wait_for_pictures_that_can_no_longer_come() -> None:
+    system = system_with(cameras=2)
+    system.send("camera0", picture(5))
+    system.send("lidar", sweep(0))
+    system.send("lidar", sweep(100))
+    assert system.get() is None
+    system.send("camera0", picture(101))
+    fused = system.get()
+    assert fused is not None
+    assert (fused.timestamp_ns, fused.unpaired) == (0, ("camera1",))
+
+
+def test_a_late_picture_is_waited_for_as_long_as_said() -> None:
+    patient = system_with(lateness_ns=50)
+    patient.send("lidar", sweep(0))
+    patient.send("lidar", sweep(150))
+    assert patient.get() is None
+    patient.send("camera0", picture(3))
+    fused = patient.get()
+    assert fused is not None
+    assert fused.views[0].timestamp_ns == 3
+
+
+def test_results_come_in_the_order_of_the_sweeps_and_flush_leaves_none_behind() -> None:
+    system = system_with()
+    for start in (0, 100, 200):
+        system.send("lidar", sweep(start))
+        system.send("camera0", picture(start + 10))
+    system.flush()
+    fused = list(results(system))
+    assert [(frame.index, frame.timestamp_ns) for frame in fused] == [(0, 0), (1, 100), (2, 200)]
+    assert [frame.views[0].timestamp_ns for frame in fused] == [10, 110, 210]
+    assert list(results(system)) == []
+
+
+def test_a_picture_beyond_the_tolerance_is_no_pair() -> None:
+    system = system_with(pairing_tolerance_ns=20)
+    system.send("lidar", sweep(0))
+    system.send("camera0", picture(21))
+    fused = system.get()
+    assert fused is not None
+    assert fused.unpaired == ("camera0",)
+    np.testing.assert_array_equal(fused.points.camera_index, 255)
+
+
+def test_two_sweeps_share_a_picture_that_is_decoded_once() -> None:
+    decoded: list[int] = []
+
+    def decode() -> np.ndarray:
+        decoded.append(1)
+        return np.zeros((6, 8, 3), np.uint8)
+
+    system = system_with()
+    system.send("lidar", sweep(0))
+    system.send("lidar", sweep(60))
+    system.send("camera0", Picture(70, CAMERA, decode))
+    system.flush()
+    assert len(list(results(system))) == 2
+    assert decoded == [1]
+
+
+def test_points_beyond_the_trajectory_keep_their_frame_and_say_why() -> None:
+    path = PosePath(np.array([0, 50], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    system = system_with(path=path)
+    system.send("lidar", sweep(60))
+    system.flush()
+    fused = system.get()
+    assert fused is not None
+    assert fused.unfused is not None
+    assert fused.unfused.startswith("beyond the trajectory")
+    np.testing.assert_array_equal(fused.points.positions, sweep(60).points.positions)
+    assert fused.points.colors is None
+
+
+def test_a_picture_beyond_the_trajectory_is_named_and_colours_nothing() -> None:
+    path = PosePath(np.array([0, 50], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    system = system_with(path=path)
+    system.send("lidar", sweep(40))
+    system.send("camera0", picture(70))
+    fused = system.get()
+    assert fused is not None
+    assert (fused.unposed, fused.views) == (("camera0",), ())
+
+
+def test_a_mounting_of_the_picture_itself_wins() -> None:
+    backwards = RigidTransform(np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]]), np.zeros(3))
+    system = system_with()
+    system.send("lidar", sweep(0))
+    rgb = np.full((6, 8, 3), 9, np.uint8)
+    system.send("camera0", Picture(0, CAMERA, lambda: rgb, mount=backwards))
+    fused = system.get()
+    assert fused is not None
+    np.testing.assert_array_equal(fused.points.camera_index, [255, 0])
+
+
+def test_a_picture_that_cannot_be_decoded_raises_unless_someone_listens() -> None:
+    def broken() -> np.ndarray:
+        raise DataError("data.mkv", "picture 3", "truncated")
+
+    for listener in (None, []):
+        system = system_with()
+        if listener is not None:
+            system.on_unreadable = listener.append
+        system.send("lidar", sweep(0))
+        if listener is None:
+            with pytest.raises(DataError, match="picture 3"):
+                system.send("camera0", Picture(0, CAMERA, broken))
+        else:
+            system.send("camera0", Picture(0, CAMERA, broken))
+            fused = system.get()
+            assert fused is not None
+            assert fused.unpaired == ("camera0",)
+            assert len(listener) == 1
+
+
+def test_without_cameras_the_colours_of_the_source_stay() -> None:
+    colors = np.array([[1, 2, 3]], np.uint8)
+    system = system_with(cameras=0)
+    system.send("lidar", sweep(0, LidarPoints(np.ones((1, 3), np.float32), colors=colors)))
+    fused = system.get()
+    assert fused is not None
+    np.testing.assert_array_equal(fused.points.colors, colors)
+
+
+def test_unknown_sensors_and_wrong_measurements_are_refused_by_name() -> None:
+    system = system_with()
+    with pytest.raises(OptionError, match="from 'roof'; known are"):
+        system.send("roof", sweep(0))
+    with pytest.raises(OptionError, match="a Picture from 'lidar'"):
+        system.send("lidar", picture(0))
+    with pytest.raises(OptionError, match="known already"):
+        system.add_lidar("camera0", None, period_ns=1)
+    with pytest.raises(OptionError, match="index 255"):
+        system.add_camera("another", PoseSource(STILL, EGO_FROM_CAMERA), index=255)
+
+
+def test_an_unknown_algorithm_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(OptionError, match="'magic'; there are projection"):
+        FusionSystem(FusionConfiguration(fusion_algorithm="magic"))
+
+
+def test_memory_holds_what_waits_and_not_what_has_passed() -> None:
+    system = system_with()
+    for start in range(0, 100_000, 100):
+        system.send("camera0", picture(start))
+        system.send("lidar", sweep(start))
+        list(results(system))
+    assert len(system._waiting) <= 2
+    assert len(system._cameras["camera0"].queue.pictures) <= 3

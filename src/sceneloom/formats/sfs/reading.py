@@ -11,6 +11,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.sfs.container import Container
 from sceneloom.formats.sfs.exactness import restore_exact_attributes
 from sceneloom.formats.sfs.fields import SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
+from sceneloom.formats.sfs.garbage import collector_paused
 from sceneloom.formats.sfs.read_annotations import read_annotations
 from sceneloom.formats.sfs.read_cameras import read_camera
 from sceneloom.formats.sfs.read_clouds import read_lidar, read_points, read_radar
@@ -70,9 +71,9 @@ def read_scene(path: Path, options: ReadingOptions) -> Scene:
     Raises:
         DataError: the file is at fault.
     """
-    container = Container(path)
     try:
-        return _scene(container, options)
+        with collector_paused():
+            return _scene(Container(path), options)
     except RecursionError:
         raise DataError(path, "header", "nested too deeply") from None
     except OptionError as error:

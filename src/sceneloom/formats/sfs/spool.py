@@ -12,6 +12,7 @@ import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -76,7 +77,7 @@ class Spool:
         values = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
         self._make_room(values.nbytes)
         self._file.write(values.reshape(-1).view(np.uint8).data)
-        return self._added(values.nbytes, values.dtype.name, tuple(array.shape))
+        return self._added(values.nbytes, _name_of(values.dtype), tuple(array.shape))
 
     def add_file(self, path: Path) -> Blob:
         """Write the bytes of a file as an array of uint8."""
@@ -130,6 +131,12 @@ class Spool:
         self._file.write(_NULS[: end - self._end - length])
         self._end = end
         return blob
+
+
+@lru_cache(maxsize=64)
+def _name_of(dtype: np.dtype[Any]) -> str:
+    """NumPy's name of a dtype, which it takes long to put together."""
+    return dtype.name
 
 
 def _aligned(length: int) -> int:

@@ -91,10 +91,10 @@ class FileClock:
         if self.tick_ns == 1:
             return since_offset, 0
         quotient = since_offset // self.tick_ns
-        twice = 2 * (since_offset - quotient * self.tick_ns)
-        inexact = int(np.count_nonzero(twice))
+        inexact = int(np.count_nonzero(since_offset - quotient * self.tick_ns))
         if inexact:
-            quotient += (twice > self.tick_ns) | ((twice == self.tick_ns) & (quotient % 2 == 1))
+            # a half goes up only where that makes the stamp even; ticks are of even length
+            quotient = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
         return quotient, inexact
 
     def duration_ns(self, duration: float) -> int:

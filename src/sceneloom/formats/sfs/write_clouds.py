@@ -17,6 +17,9 @@ from sceneloom.scene import LidarFrame, LidarPoints, PointsFrame, RadarFrame
 FARTHEST = 10_000.0
 """float32 resolves about 1 mm there: positions in the world beyond it need a nearer origin [m]."""
 
+_FLOAT_TIMES = "file_seconds"
+"""Readers of float seconds keep the file's own number of each point beside its time."""
+
 
 @dataclass(slots=True)
 class CloudWriter:
@@ -90,6 +93,9 @@ class CloudWriter:
 
     def _add(self, draft: SensorDraft, frame: LidarFrame | RadarFrame, arrays: dict[str, Any]) -> None:
         further = {name: array for name, array in frame.points.extras.items() if arrays.get(name) is None}
+        if arrays["timestamps"] is not None and further.pop(_FLOAT_TIMES, None) is not None:
+            what = "left out: the same times in another form"
+            self.losses.add(f"{draft.place}.frames[].points.{_FLOAT_TIMES}", what)
         blobs = {
             name: self.spool.add(array) if isinstance(array, np.ndarray) else array
             for name, array in {**arrays, **further}.items()

@@ -13,6 +13,7 @@ from sceneloom.formats.output import replacing
 from sceneloom.formats.sfs.assembly import Contents, assemble, with_euler
 from sceneloom.formats.sfs.clock_keeper import ClockKeeper
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, check_new
+from sceneloom.formats.sfs.garbage import collector_paused
 from sceneloom.formats.sfs.picture_notes import PictureNotesWriter
 from sceneloom.formats.sfs.profiles import profile_named
 from sceneloom.formats.sfs.reading import OURS
@@ -54,7 +55,8 @@ _RESERVED = frozenset(
     }
 )
 _ROOT = frozenset({"version", "time_unit", "time_offset"})
-_PER_FRAME, _PER_POSE, _PER_ANNOTATION, _LEAST_HEADER = 1024, 180, 2048, 1 << 20
+_PER_FRAME, _PER_POSE, _PER_ANNOTATION = 2048, 180, 2048
+_LEAST_HEADER, _UNKNOWN_HEADER = 1 << 17, 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +176,9 @@ class SceneWriter:
                 if note is not None:
                     self._contents.drafts[key].note["pictures"] = note
             with_euler(self._contents)
-            opened.spool.finish(assemble(self._contents, self._profile, opened.keeper, self._losses))
+            with collector_paused():
+                header = assemble(self._contents, self._profile, opened.keeper, self._losses)
+            opened.spool.finish(header)
         self.losses = LossReport.of(self._losses.all())
         return self.losses
 
@@ -308,4 +312,4 @@ class SceneWriter:
         poses = sum(0 if d.poses is None else len(d.poses.timestamps_ns) for d in contents.drafts.values())
         frames = max(self._frame_count, sum(len(d.frames or ()) for d in contents.drafts.values()))
         expected = frames * _PER_FRAME + poses * _PER_POSE + len(contents.annotations) * _PER_ANNOTATION
-        return max(expected, _LEAST_HEADER)
+        return max(expected, _LEAST_HEADER if self._frame_count else _UNKNOWN_HEADER)

@@ -1,9 +1,13 @@
 """Fixtures that all tests share, and how hard Hypothesis tries."""
 
+import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -38,3 +42,55 @@ def scale_python() -> str:
     if found is None:
         pytest.fail(f"SCENELOOM_SCALE_PYTHON={interpreter} is not a program")
     return found
+
+
+def _encode_sfs(header: dict[str, Any], *, index_type: type = int, **item_fields: Any) -> bytes:
+    """Write a JSON-binary container the slow, obvious way; `item_fields` replace fields of every item."""
+    items, blobs = [], bytes(4)
+
+    def place(node: Any, keys: list[Any]) -> Any:
+        nonlocal blobs
+        if isinstance(node, dict):
+            return {key: place(value, [*keys, key]) for key, value in node.items()}
+        if isinstance(node, list):
+            return [place(value, [*keys, index_type(index)]) for index, value in enumerate(node)]
+        if isinstance(node, np.ndarray):
+            content = node.tobytes()
+            item = {"keys": keys, "length": len(content), "offset": len(blobs)}
+            items.append({**item, "dtype": node.dtype.name, "shape": list(node.shape), **item_fields})
+            blobs += content + bytes(4 - len(content) % 4)
+            return ""
+        return node
+
+    text = json.dumps({**place(header, []), "$items": items}).encode()
+    return text + b" " * (4 - len(text) % 4) + blobs
+
+
+def _decode_sfs(content: bytes) -> dict[str, Any]:
+    """Read a JSON-binary container the slow, obvious way, checking what every reader relies on."""
+    stop = content.index(b"\0")
+    header = json.loads(content[:stop].decode("utf-8"))
+    assert content[stop : stop + 4] == bytes(4)
+    for item in header.pop("$items"):
+        start = stop + item["offset"]
+        raw = content[start : start + item["length"]]
+        assert len(raw) == item["length"]
+        assert content[start + item["length"]] == 0
+        node = header
+        for key in item["keys"][:-1]:
+            node = node[key]
+        assert node[item["keys"][-1]] == ""
+        node[item["keys"][-1]] = np.frombuffer(raw, item["dtype"]).reshape(item["shape"])
+    return header
+
+
+@pytest.fixture(scope="session")
+def encode_sfs() -> Callable[..., bytes]:
+    """An independent writer of the container of `.sfs` files."""
+    return _encode_sfs
+
+
+@pytest.fixture(scope="session")
+def decode_sfs() -> Callable[[bytes], dict[str, Any]]:
+    """An independent reader of the container of `.sfs` files."""
+    return _decode_sfs

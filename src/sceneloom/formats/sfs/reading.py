@@ -215,11 +215,9 @@ def _sensor(source: Source, raw: Any, place: Place, faults: Faults) -> Sensor | 
 
 
 def _attributes(source: Source) -> tuple[Mapping[str, Any], ...]:
-    raw = source.container.header.get("attributes")
     faults = Faults()
-    attributes = (
-        source.reader().read({"version": "", "attributes": raw}, "scene", faults)["attributes"] if raw else []
-    )
+    part = {"version": "", "attributes": source.container.header.get("attributes")}
+    attributes = source.reader().read(part, "scene", faults).get("attributes") or []
     source.raise_faults(faults, ())
     return tuple(attributes) if isinstance(attributes, list) else (attributes,)
 

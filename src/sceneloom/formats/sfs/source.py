@@ -84,7 +84,8 @@ class Source:
             DataError: naming the place, and the item where an array is at fault.
         """
         if faults:
-            more = f"; and {len(faults) - 1} more faults" if len(faults) > 1 else ""
+            others = len(faults) - 1
+            more = f"; and {others} more fault{'s' * (others > 1)}" if others else ""
             raise DataError(self.file, self._where(place, faults[0]), faults[0].problem + more)
 
     def settle(self, faults: Faults, place: Place) -> bool:

@@ -97,6 +97,11 @@ def _facade(
     )
     x = u + 0.5 * count * pitch
     low, high = 0.26 * pitch, 0.74 * pitch
+    column = math.floor(x / pitch)
+    if face == ALONG_Y and v < storey and 2 * column == count - count % 2:
+        door = band(x - column * pitch, low, high, wu) * band(v, -1.0, 2.2, wv)
+        leaf = band(x - column * pitch, low + 0.1, high - 0.1, wu) * band(v, -1.0, 2.1, wv)
+        return 0.75 * leaf, door - leaf, light + leaf * (0.8 - light)
     outer = inside * bands(x, pitch, low, high, wu) * bands(v, storey, 0.32 * storey, 0.82 * storey, wv)
     if outer == 0.0:
         return 0.0, ledges, light
@@ -104,7 +109,7 @@ def _facade(
     panes = bands(x, pitch, low + 0.08, middle - 0.03, wu) + bands(x, pitch, middle + 0.03, high - 0.08, wu)
     glass = inside * panes * bands(v, storey, 0.32 * storey + 0.08, 0.82 * storey - 0.08, wv)
     glass = min(glass, outer)
-    tone = 0.75 + 0.7 * _hash(math.floor(x / pitch), math.floor(v / storey), salt)
+    tone = 0.75 + 0.7 * _hash(column, math.floor(v / storey), salt)
     return glass, min(1.0 - glass, outer - glass + ledges * (1.0 - outer)), light + glass * (tone - light)
 
 
@@ -125,17 +130,26 @@ def _tiles(u: float, v: float, wu: float, wv: float, salt: int) -> tuple[float, 
     return 0.8 * gaps, 0.0, 1.0 + 0.1 * noise(u / 1.1, v / 0.8, salt, max(wu, wv))
 
 
+@njit("float64(float64, float64, float64, int64, float64)", **INNER)
+def _noise_in_space(x: float, y: float, z: float, salt: int, width: float) -> float:
+    """Smooth noise of period 1 in [-1, 1] inside a body, from two layers of plane noise."""
+    layer = math.floor(z)
+    c = z - layer
+    c = c * c * (3.0 - 2.0 * c)
+    below = noise(x + 0.37 * layer, y + 0.61 * layer, salt + 31 * layer, width)
+    above = noise(x + 0.37 * (layer + 1), y + 0.61 * (layer + 1), salt + 31 * (layer + 1), width)
+    return float(below + c * (above - below))
+
+
 @njit(**INNER)
 def _foliage(x: float, y: float, z: float, width: float, salt: int) -> tuple[float, float, float]:
     """Clumps of leaves in the first and second colour, the third where light comes through, dark gaps between."""
-    a, b, c = 1.7 * x + 0.6 * y + 0.4 * z, 1.6 * y - 0.7 * x + 0.5 * z, 1.8 * z - 0.3 * x
-    coarse = noise(a + 0.9 * c, b - 1.1 * c, salt, 2.0 * width)
-    middle = noise(2.7 * a - 2.1 * c, 2.7 * b + 2.6 * c, salt + 7, 5.0 * width)
-    fine = noise(5.9 * a + 4.8 * c, 5.9 * b - 5.2 * c, salt + 13, 11.0 * width)
-    density = 0.5 * coarse + 0.55 * middle + 0.35 * fine
+    coarse = _noise_in_space(1.8 * x, 1.8 * y, 1.8 * z, salt, 1.8 * width)
+    fine = _noise_in_space(5.5 * y + 2.0 * x, 5.5 * z, 5.5 * x - 2.0 * y, salt + 7, 6.0 * width)
+    density = 0.55 * coarse + 0.75 * fine
     mix = min(1.0, max(0.0, 0.5 + 0.9 * density))
-    spark = min(1.0, max(0.0, 1.6 * (middle + fine - 0.7)))
-    shade = 1.0 - 0.45 * min(1.0, max(0.0, -1.3 * density - 0.15))
+    spark = min(1.0, max(0.0, 2.0 * (density - 0.55)))
+    shade = 1.0 - 0.5 * min(1.0, max(0.0, -1.4 * density - 0.15))
     return mix * (1.0 - spark), spark, shade
 
 

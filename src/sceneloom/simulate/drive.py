@@ -84,6 +84,8 @@ def simulate_street(
         OptionError: a number is out of bounds.
         CalibrationError: a lens cannot be used.
     """
+    if seed < 0:
+        raise OptionError(f"seed {seed}; expected a number that is not negative")
     if frames < 1 or not 10.0 <= trajectory_hz <= 10_000.0:
         raise OptionError(f"{frames} frames at {trajectory_hz} poses a second; expected >= 1, 10 to 10000")
     lidar, imu, gnss = lidar or LidarSpec(), imu or ImuSpec(), gnss or GnssSpec()

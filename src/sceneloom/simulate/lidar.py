@@ -63,8 +63,8 @@ class LidarSpec:
     def __post_init__(self) -> None:
         bounds = (
             ("beams", self.beams, 1, 65535),
-            ("steps", self.steps, 1, self.period_ns),
             ("period_ns", self.period_ns, 1, 10**12),
+            ("steps", self.steps, 1, self.period_ns),
             ("range_sigma", self.range_sigma, 0.0, 10.0),
             ("drop_rate", self.drop_rate, 0.0, 1.0),
             ("min_range", self.min_range, 0.0, self.max_range),

@@ -42,11 +42,31 @@ class Design:
         label: the object's class.
         shapes: in the object's frame.
         size_lwh: length, width and height of the box around it [m].
+        ahead: how far before the object's origin the middle of its box lies [m].
+        plan_lw: length and width of the ground that it takes, where that is not all under its box [m].
     """
 
     label: str
     shapes: tuple[Shape, ...]
     size_lwh: tuple[float, float, float]
+    ahead: float = 0.0
+    plan_lw: tuple[float, float] | None = None
+
+    def center(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+        """Middle of its box in the world where it stands at (x, y) [m], turned by `yaw` [rad]."""
+        return (
+            float(x + self.ahead * np.cos(yaw)),
+            float(y + self.ahead * np.sin(yaw)),
+            self.size_lwh[2] / 2,
+        )
+
+    def plan(self, x: float, y: float, yaw: float) -> Float64Array:
+        """Corners and middles of the sides of its ground plan in the world, (8, 2) [m]."""
+        around = np.array([[1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1], [1, 0]])
+        plan = around * (0.5 * np.array(self.plan_lw or self.size_lwh[:2]))
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        corners: Float64Array = plan @ turn.T + [x, y]
+        return corners
 
     def placed(self, x: float, y: float, yaw: float) -> tuple[Shape, ...]:
         """Its shapes in the world, standing at (x, y) [m] and turned by `yaw` [rad]."""
@@ -147,7 +167,7 @@ def design_tree(generator: np.random.Generator) -> Design:
             leaves,
         ),
     )
-    return Design("tree", shapes, (2 * crown, 2 * crown, foot + 2.3 * rise))
+    return Design("tree", shapes, (2 * crown, 2 * crown, foot + 2.3 * rise), plan_lw=(2.0, 2.0))
 
 
 def design_lamp(generator: np.random.Generator) -> Design:
@@ -160,7 +180,7 @@ def design_lamp(generator: np.random.Generator) -> Design:
         _standing(ShapeKind.BOX, (0.7, 0.04, 0.04), (0.62, 0, height - 0.1), steel),
         _standing(ShapeKind.BOX, (0.28, 0.11, 0.05), (1.35, 0, height - 0.2), lamp),
     )
-    return Design("pole", shapes, (0.16, 0.16, height))
+    return Design("pole", shapes, (1.71, 0.22, height), ahead=0.775, plan_lw=(0.16, 0.16))
 
 
 def design_sign(generator: np.random.Generator) -> Design:
@@ -172,7 +192,7 @@ def design_sign(generator: np.random.Generator) -> Design:
         _standing(ShapeKind.CYLINDER, (0.04, 0.04, 1.2), (0, 0, 0), steel),
         _standing(ShapeKind.BOX, (0.02, 0.33, 0.33), (0.06, 0, 1.85), face),
     )
-    return Design("pole", shapes, (0.1, 0.66, 2.51))
+    return Design("pole", shapes, (0.16, 0.66, 2.51))
 
 
 def design_bin(generator: np.random.Generator) -> Design:
@@ -196,11 +216,3 @@ def design_hedge(generator: np.random.Generator, *, length: float) -> Design:
     shape = _standing(ShapeKind.BOX, (length / 2, 0.25, height / 2), (0, 0, 0), material)
     return Design("barrier", (shape,), (length, 0.5, height))
 
-
-def footprint(size_lwh: tuple[float, float, float], x: float, y: float, yaw: float) -> Float64Array:
-    """Corners and middles of the sides of an object's ground plan, (8, 2) [m], world frame."""
-    around = np.array([[1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1], [1, 0]])
-    plan = around * (0.5 * np.array(size_lwh[:2]))
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    corners: Float64Array = plan @ turn.T + [x, y]
-    return corners

@@ -13,6 +13,8 @@ from sceneloom.scene import PosePath, PoseSamples
 _DEGREE = 5
 _LEAD = 16.0
 """Seconds by which the curve goes on before and after the drive: the street is built along all of it."""
+_AHEAD = 6.0
+"""Seconds after the drive for which the street still turns."""
 _KNOT_STEP = 1.0
 _WIDEST_HEADING = np.radians(55.0)
 _TURN_RATE = 0.21
@@ -90,7 +92,7 @@ class EgoPath:
 
     def at(self, timestamps_ns: Int64Array) -> EgoStates:
         """Give the exact motion at (M,) int64 times [ns], which lie within `reach`."""
-        seconds: Float64Array = (np.asarray(timestamps_ns) - self.start_ns) * 1e-9
+        seconds = np.asarray(timestamps_ns - self.start_ns, np.float64) * 1e-9
         return self.at_seconds(seconds)
 
     def at_seconds(self, seconds: Float64Array) -> EgoStates:
@@ -189,13 +191,13 @@ def _plan_headings(generator: np.random.Generator, knots: Float64Array, duration
     """Heading at each knot [rad]: straight before and after the drive, turns to either side in turn."""
     times, angles = [float(knots[0]), generator.uniform(0.3, 1.0)], [0.0, 0.0]
     side = 1.0 if generator.uniform() < 0.5 else -1.0
-    while times[-1] < duration:
+    while times[-1] < duration + _AHEAD:
         target = side * generator.uniform(0.4, 1.0) * _WIDEST_HEADING
         times.append(times[-1] + abs(target - angles[-1]) / _TURN_RATE)
         times.append(times[-1] + generator.uniform(1.0, 4.0))
         angles += [target, target]
         side = -side
-    held = np.minimum(knots, max(duration, times[1]))
+    held = np.minimum(knots, duration + _AHEAD)
     headings: Float64Array = np.interp(held, times, angles)
     return headings
 

@@ -16,7 +16,6 @@ from sceneloom.simulate.objects import (
     design_lamp,
     design_sign,
     design_tree,
-    footprint,
 )
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.shapes import PackedShapes, Shape
@@ -118,19 +117,29 @@ class _Plots:
     ) -> bool:
         """Set an object down unless it would come too near the way or stand in another."""
         x, y, heading = self.lane.place(along, left)
-        plan = footprint(design.size_lwh, x, y, heading + turn)
+        plan = design.plan(x, y, heading + turn)
         offsets = self.lane.offsets(plan)
-        if ((offsets > -keep[0]) & (offsets < keep[1])).any() or (np.ptp(np.sign(offsets)) != 0):
+        if ((offsets > -keep[0]) & (offsets < keep[1])).any() or np.ptp(np.sign(offsets)) != 0:
             return False
-        radius = float(np.hypot(*design.size_lwh[:2])) / 2
-        near = np.hypot(*(np.array(self.centers).reshape(-1, 2) - [x, y]).T) < np.array(self.radii) + radius
-        if any(_overlap(plan, self.plans[k]) for k in np.flatnonzero(near)):
+        apart = np.linalg.norm(np.array(self.centers).reshape(-1, 2) - [x, y], axis=1)
+        near = np.flatnonzero(apart < np.array(self.radii) + _radius(plan))
+        if any(_overlap(plan, self.plans[k]) for k in near):
             return False
-        self.centers.append((x, y))
-        self.radii.append(radius)
-        self.plans.append(plan)
-        self.placed.append((design, x, y, heading + turn))
+        self.put(design, x, y, heading + turn)
         return True
+
+    def put(self, design: Design, x: float, y: float, yaw: float) -> None:
+        """Set an object down at a place of the world [m], turned by `yaw` [rad]."""
+        plan = design.plan(x, y, yaw)
+        self.centers.append((x, y))
+        self.radii.append(_radius(plan))
+        self.plans.append(plan)
+        self.placed.append((design, x, y, yaw))
+
+
+def _radius(plan: Float64Array) -> float:
+    """Half the diagonal of a ground plan [m]."""
+    return float(np.linalg.norm(plan[0] - plan[4])) / 2
 
 
 def _overlap(a: Float64Array, b: Float64Array) -> bool:
@@ -190,17 +199,12 @@ def _build_back_row(generator: np.random.Generator, plots: _Plots, side: float) 
 def _close_ends(generator: np.random.Generator, plots: _Plots) -> None:
     """A house across each end of the street, where the ego never comes."""
     lane = plots.lane
-    for along, heading, ahead in (
-        (lane.along[-1], lane.headings[-1], 1.0),
-        (lane.along[0], lane.headings[0], -1.0),
-    ):
+    for end, ahead in ((-1, 1.0), (0, -1.0)):
         design = design_house(generator, length=44.0, depth=12.0, storeys=5)
-        x, y, _ = lane.place(float(along), 1.75)
-        x, y = x + ahead * 14.0 * np.cos(heading), y + ahead * 14.0 * np.sin(heading)
-        plots.centers.append((x, y))
-        plots.radii.append(24.0)
-        plots.plans.append(footprint(design.size_lwh, x, y, heading + np.pi / 2))
-        plots.placed.append((design, x, y, heading + np.pi / 2))
+        x, y, heading = lane.place(float(lane.along[end]), 1.75)
+        plots.put(
+            design, x + ahead * 14.0 * np.cos(heading), y + ahead * 14.0 * np.sin(heading), heading + np.pi / 2
+        )
 
 
 def _street_of(plots: _Plots, ground: GroundMap) -> Street:
@@ -211,6 +215,5 @@ def _street_of(plots: _Plots, ground: GroundMap) -> Street:
         parts = design.placed(x, y, yaw)
         shapes += parts
         instances += [number] * len(parts)
-        center = (x, y, design.size_lwh[2] / 2)
-        objects.append(StreetObject(number, design.label, center, design.size_lwh, yaw))
+        objects.append(StreetObject(number, design.label, design.center(x, y, yaw), design.size_lwh, yaw))
     return Street(tuple(objects), PackedShapes.of(shapes, instances), ground)

@@ -51,10 +51,18 @@ class _Encoder:
     halves: bool
 
 
+_CHROMA_IN_THE_MIDDLE = "chromaloc=1"
+"""Chroma is averaged over each square of four pixels; H.264 supposes it at the left edge where a stream is silent."""
+
 _ENCODERS = MappingProxyType(
     {
         # a fixed number of threads, so that the same pictures give the same bytes on every machine
-        "h264": _Encoder("libx264", "yuv420p", {"preset": "fast", "threads": "2"}, halves=True),
+        "h264": _Encoder(
+            "libx264",
+            "yuv420p",
+            {"preset": "fast", "threads": "2", "x264-params": _CHROMA_IN_THE_MIDDLE},
+            halves=True,
+        ),
         "ffv1": _Encoder(
             "ffv1",
             "bgr0",

@@ -1,0 +1,108 @@
+"""Videos made with FFmpeg's encoders directly, whose pictures bear their number in black and white bars."""
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from types import SimpleNamespace
+
+import av
+import numpy as np
+import pytest
+
+WIDTH, HEIGHT, BITS = 96, 64, 8
+
+
+def numbered_picture(number: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """A picture that moves from number to number; its upper half is the number in binary, white for 1."""
+    columns = np.arange(width)
+    rgb = np.empty((height, width, 3), np.uint8)
+    rgb[:] = ((columns * 2 + 5 * number) % 256)[None, :, None]
+    rgb[height // 2 :, :, 1] = np.linspace(30, 220, height - height // 2, dtype=np.uint8)[:, None]
+    bits = [(number >> bit) & 1 for bit in range(BITS)]
+    rgb[: height // 2] = np.repeat(np.array(bits, np.uint8) * 215 + 20, -(-width // BITS))[None, :width, None]
+    return rgb
+
+
+def read_number(rgb: np.ndarray) -> int:
+    """What number a picture bears, however badly it was coded."""
+    height, width = rgb.shape[:2]
+    band = -(-width // BITS)
+    centres = [int(band * (bit + 0.5)) for bit in range(BITS)]
+    return sum(int(rgb[height // 4, centre].mean() > 128) << bit for bit, centre in enumerate(centres))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a test video is made.
+
+    Attributes:
+        container, codec: FFmpeg's names.
+        options: of the encoder.
+        pixel_format: what the encoder is fed with.
+        count: how many pictures, numbered from 0.
+        ticks: presentation times in thirtieths of a second; None for 0, 1, 2 ….
+    """
+
+    container: str = "matroska"
+    codec: str = "libx264"
+    options: dict[str, str] = field(default_factory=lambda: {"g": "12", "bf": "3", "preset": "veryfast"})
+    pixel_format: str = "yuv420p"
+    count: int = 40
+    ticks: Sequence[int] | None = None
+    size: tuple[int, int] = (WIDTH, HEIGHT)
+
+
+def make_video(recipe: Recipe) -> bytes:
+    """Encode numbered pictures."""
+    file = io.BytesIO()
+    with av.open(file, "w", format=recipe.container) as output:
+        stream = output.add_stream(recipe.codec, rate=30, options=dict(recipe.options))
+        stream.width, stream.height = recipe.size
+        stream.pix_fmt = recipe.pixel_format
+        stream.codec_context.time_base = Fraction(1, 30)
+        for number in range(recipe.count):
+            frame = av.VideoFrame.from_ndarray(numbered_picture(number, *recipe.size), format="rgb24")
+            frame.pts = number if recipe.ticks is None else recipe.ticks[number]
+            frame.time_base = Fraction(1, 30)
+            output.mux(stream.encode(frame))
+        output.mux(stream.encode(None))
+    return file.getvalue()
+
+
+@pytest.fixture(scope="session")
+def videos() -> SimpleNamespace:
+    """The makers of this module, since tests cannot import one another."""
+    return SimpleNamespace(
+        Recipe=Recipe, make=make_video, picture=numbered_picture, number=read_number, decode=decode_all
+    )
+
+
+@pytest.fixture(scope="session")
+def mkv_bytes() -> bytes:
+    """40 pictures of H.264 in Matroska: B-frames, a key frame every 12 pictures, the first decoding times missing."""
+    return make_video(Recipe())
+
+
+def decode_all(content: bytes) -> list[np.ndarray]:
+    """The planes of all pictures of a video as FFmpeg decodes them, one after the other, without any seeking."""
+    with av.open(io.BytesIO(content)) as container:
+        frames = list(container.decode(video=0))
+    return [np.concatenate([np.frombuffer(plane, np.uint8) for plane in frame.planes]) for frame in frames]
+
+
+@pytest.fixture
+def decoded_packets(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Sizes of the packets that the reader has given to the decoder so far."""
+    from sceneloom.formats.video.cursor import Cursor
+
+    sizes: list[int] = []
+    decode: Callable = Cursor._decode
+
+    def noting(self: Cursor, packet: av.Packet, wanted: int) -> list:
+        if packet.size:
+            sizes.append(packet.size)
+        return decode(self, packet, wanted)
+
+    monkeypatch.setattr(Cursor, "_decode", noting)
+    return sizes

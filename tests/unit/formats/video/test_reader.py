@@ -1,0 +1,342 @@
+"""Pictures come out of videos by their number, exactly, whatever the order of asking."""
+
+import io
+import mmap
+import threading
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError
+from sceneloom.formats.video import open_video
+
+X264 = {"g": "12", "bf": "3", "preset": "veryfast"}
+KINDS = {
+    "h264 with B-frames in mkv": {},
+    "h264 with B-frames in mp4": {"container": "mp4"},
+    "h264 with B-frames in ts": {"container": "mpegts"},
+    "h264 with B-frames in avi, which has no presentation times": {"container": "avi"},
+    "h264 without B-frames in avi": {"container": "avi", "options": X264 | {"bf": "0"}},
+    "h264 as a bare stream": {"container": "h264"},
+    "h264 with open groups of pictures": {"options": X264 | {"x264-params": "open-gop=1"}},
+    "h264 that refreshes bit by bit": {"options": X264 | {"intra-refresh": "1"}, "container": "mpegts"},
+    "hevc": {
+        "codec": "libx265",
+        "options": {"x265-params": "log-level=none:keyint=12:pools=1", "preset": "ultrafast"},
+    },
+    "mpeg4 in avi": {"codec": "mpeg4", "container": "avi", "options": {"bf": "2", "b": "2M"}},
+    "mjpeg in avi": {"codec": "mjpeg", "container": "avi", "pixel_format": "yuvj420p", "options": {}},
+    "vp9": {"codec": "libvpx-vp9", "options": {"g": "12", "deadline": "realtime", "cpu-used": "8"}},
+    "ffv1": {"codec": "ffv1", "pixel_format": "bgr0", "options": {}},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_picture_bears_the_number_that_was_asked_for(videos, kind):
+    content = videos.make(videos.Recipe(**KINDS[kind]))
+    with open_video(content) as reader:
+        assert reader.count == 40
+        forwards = [videos.number(reader.rgb(index)) for index in range(40)]
+        backwards = [videos.number(reader.rgb(index)) for index in range(39, -1, -3)]
+        jumps = np.random.default_rng(3).permutation(40)[:15].tolist()
+        jumping = [videos.number(reader.rgb(index)) for index in jumps]
+    assert forwards == list(range(40))
+    assert backwards == list(range(39, -1, -3))
+    assert jumping == jumps
+
+
+@pytest.mark.parametrize("kind", ["h264 with B-frames in mkv", "h264 with open groups of pictures", "ffv1"])
+def test_a_jump_gives_the_same_pixels_as_reading_forwards(videos, kind):
+    content = videos.make(videos.Recipe(**KINDS[kind]))
+    with open_video(content) as forwards, open_video(content) as jumping:
+        pictures = [forwards.rgb(index) for index in range(forwards.count)]
+        for index in (25, 3, 37, 12, 11, 24, 0):
+            np.testing.assert_array_equal(jumping.rgb(index), pictures[index])
+
+
+def test_pictures_and_their_order_are_those_that_opencv_reads(data_dir, tmp_path):
+    for path in sorted((data_dir / "recordings").glob("*/data*.mkv")):
+        capture = cv2.VideoCapture(str(path))
+        with open_video(path) as reader:
+            for index in range(reader.count):
+                found, bgr = capture.read()
+                assert found
+                difference = reader.rgb(index).astype(int) - bgr[:, :, ::-1]
+                # OpenCV does not interpolate the halved chroma and truncates; other pictures differ by 10 and more
+                assert np.abs(difference).mean() < 2.5
+            assert not capture.read()[0]
+
+
+def test_counting_decodes_nothing_and_reading_forwards_decodes_each_packet_once(mkv_bytes, decoded_packets):
+    with open_video(mkv_bytes) as reader:
+        assert reader.count == 40
+        assert len(reader.timestamps) == 40
+        assert decoded_packets == []
+        for index in range(40):
+            reader.rgb(index)
+    assert len(decoded_packets) == 40
+
+
+def test_skipping_inside_a_group_of_pictures_decodes_on(mkv_bytes, decoded_packets):
+    with open_video(mkv_bytes) as reader:
+        for index in (0, 4, 8):
+            reader.rgb(index)
+    assert len(decoded_packets) <= 12
+
+
+def test_a_jump_decodes_from_the_key_frame_before_and_not_from_the_start(mkv_bytes, decoded_packets):
+    with open_video(mkv_bytes) as reader:
+        reader.rgb(2)
+        decoded_packets.clear()
+        reader.rgb(37)
+    # picture 37 is the second of its group; a decoder of 3 B-frames looks a few packets ahead
+    assert len(decoded_packets) <= 8
+
+
+def test_the_same_picture_twice_is_decoded_once(mkv_bytes, decoded_packets):
+    with open_video(mkv_bytes) as reader:
+        first = reader.rgb(30)
+        decoded = len(decoded_packets)
+        np.testing.assert_array_equal(reader.rgb(30), first)
+    assert len(decoded_packets) == decoded
+
+
+def test_times_are_those_of_the_container_in_the_order_of_showing(videos):
+    ticks = [30 + t for t in (0, 1, 2, 5, 6, 20, 21, 22, 60, 61)]
+    content = videos.make(videos.Recipe(container="mp4", count=10, ticks=ticks))
+    with open_video(content) as reader:
+        # mp4 counts time from its first picture where no edit list says otherwise; this one says so
+        assert reader.timestamps - reader.timestamps[0] == pytest.approx(
+            (np.array(ticks) - 30) / 30, abs=1e-4
+        )
+        assert [videos.number(reader.rgb(index)) for index in (9, 0, 5)] == [9, 0, 5]
+
+
+def test_a_video_that_starts_late_says_so_and_is_read_from_its_first_picture(videos):
+    content = videos.make(videos.Recipe(count=10, ticks=range(300, 310)))
+    with open_video(content) as reader:
+        assert reader.timestamps[0] == pytest.approx(10.0, abs=1e-3)
+        assert reader.fps == pytest.approx(30.0)
+        assert [videos.number(reader.rgb(index)) for index in (0, 9, 4)] == [0, 9, 4]
+
+
+def cut_by_edit_list(content: bytes, hidden: int) -> bytes:
+    """Copy a video into mp4 so that its first pictures come before time 0, which an edit list then cuts away."""
+    file = io.BytesIO()
+    with av.open(io.BytesIO(content)) as source, av.open(file, "w", format="mp4") as output:
+        original = source.streams.video[0]
+        stream = output.add_stream_from_template(original, opaque=True)
+        shift = round(hidden / 30 / original.time_base)
+        packets = [packet for packet in source.demux(original) if packet.size]
+        for packet in packets:
+            packet.pts, packet.dts = packet.pts - shift, packet.dts - shift
+            packet.stream = stream
+            output.mux(packet)
+    return file.getvalue()
+
+
+def test_pictures_that_an_edit_list_cuts_away_do_not_count(videos):
+    content = cut_by_edit_list(videos.make(videos.Recipe(container="mp4")), hidden=5)
+    with open_video(content) as reader:
+        assert reader.count == 35
+        assert reader.timestamps[0] == 0.0
+        assert [videos.number(reader.rgb(index)) for index in range(35)] == list(range(5, 40))
+        assert videos.number(reader.rgb(1)) == 6
+
+
+def test_a_video_is_read_from_a_file_its_bytes_a_map_of_it_or_whatever_opens_it(videos, mkv_bytes, tmp_path):
+    path = tmp_path / "drive: second try.mkv"
+    path.write_bytes(mkv_bytes)
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
+        view = memoryview(mapped)
+        for source in (path, str(path), mkv_bytes, bytearray(mkv_bytes), view, lambda: path.open("rb")):
+            with open_video(source) as reader:
+                assert (reader.count, reader.codec, reader.width, reader.height) == (40, "h264", 96, 64)
+                assert videos.number(reader.rgb(33)) == 33
+        view.release()
+
+
+def test_threads_that_share_a_reader_get_the_pictures_that_they_asked_for(videos, mkv_bytes):
+    wrong: list[tuple[int, int]] = []
+    with open_video(mkv_bytes) as reader:
+
+        def ask(indices: list[int]) -> None:
+            wrong.extend((k, n) for k in indices if (n := videos.number(reader.rgb(k))) != k)
+
+        orders = np.random.default_rng(0).integers(0, 40, (3, 15)).tolist()
+        threads = [threading.Thread(target=ask, args=(order,)) for order in orders]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert wrong == []
+
+
+@pytest.mark.parametrize("index", [-1, 40])
+def test_a_picture_beyond_the_last_is_refused_with_the_number_that_there_are(mkv_bytes, index):
+    with (
+        open_video(mkv_bytes, name="front.mkv") as reader,
+        pytest.raises(DataError, match=f"front.mkv: picture {index}: .*holds 40"),
+    ):
+        reader.rgb(index)
+
+
+def test_a_closed_reader_says_so(mkv_bytes):
+    reader = open_video(mkv_bytes)
+    assert reader.count == 40
+    reader.close()
+    reader.close()
+    with pytest.raises(DataError, match="is closed"):
+        reader.rgb(0)
+
+
+def test_a_missing_file_and_a_folder_are_named(tmp_path):
+    with pytest.raises(DataError, match=r"gone.mkv: no such file"):
+        open_video(tmp_path / "gone.mkv")
+    with pytest.raises(DataError, match="not a file"):
+        open_video(tmp_path)
+
+
+def sound_only() -> bytes:
+    file = io.BytesIO()
+    with av.open(file, "w", format="matroska") as output:
+        stream = output.add_stream("pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        frame.sample_rate = 8000
+        output.mux(stream.encode(frame))
+        output.mux(stream.encode(None))
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "cannot be read as video"),
+        (b"no video" * 99, "cannot be read as video"),
+        (sound_only(), "no video stream"),
+    ],
+)
+def test_what_is_no_video_is_refused(content, problem):
+    with pytest.raises(DataError, match=problem):
+        open_video(content)
+
+
+@pytest.mark.parametrize(
+    "playlist", ["ffconcat version 1.0\nfile 'data.mkv'\n", "#EXTM3U\n#EXTINF:1,\ndata.mkv\n#EXT-X-ENDLIST\n"]
+)
+def test_a_playlist_that_names_other_files_is_no_video(mkv_bytes, tmp_path, playlist):
+    (tmp_path / "data.mkv").write_bytes(mkv_bytes)
+    path = tmp_path / "data2.mkv"
+    path.write_text(playlist)
+    with pytest.raises(DataError):
+        open_video(path)
+
+
+def test_a_picture_of_another_size_than_the_first_is_refused_by_its_number(videos):
+    file = io.BytesIO()
+    with av.open(file, "w", format="matroska") as output:
+        stream = output.add_stream("mjpeg", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuvj420p"
+        for number, width in enumerate((96, 96, 48, 96)):
+            packet = av.Packet(cv2.imencode(".jpg", videos.picture(number, width, 64))[1].tobytes())
+            packet.stream, packet.time_base = stream, Fraction(1, 10)
+            packet.pts = packet.dts = number
+            packet.is_keyframe = True
+            output.mux(packet)
+    with open_video(file.getvalue()) as reader:
+        assert videos.number(reader.rgb(3)) == 3
+        with pytest.raises(DataError, match="picture 2: is 48x64; expected 96x64"):
+            reader.rgb(2)
+
+
+def test_a_file_that_ends_before_all_its_pictures_is_cut_off(videos, tmp_path):
+    content = videos.make(videos.Recipe(container="mp4"))
+    with (
+        av.open(io.BytesIO(content)) as source,
+        av.open(str(tmp_path / "front.mp4"), "w", container_options={"movflags": "faststart"}) as output,
+    ):
+        stream = output.add_stream_from_template(source.streams.video[0], opaque=True)
+        for packet in source.demux(source.streams.video[0]):
+            if packet.size:
+                packet.stream = stream
+                output.mux(packet)
+    whole = (tmp_path / "front.mp4").read_bytes()
+    with pytest.raises(DataError, match="cut off"):
+        _ = open_video(whole[: len(whole) * 3 // 4]).count
+
+
+MATRICES = {"bt601": (0.299, 0.114, 6), "bt709": (0.2126, 0.0722, 1), "unnamed": (0.299, 0.114, 2)}
+SITES = {"libx264": 0.0, "ffv1": 0.5}
+"""How far right of an even column its chroma sits [px], where the stream is silent: H.264 type 0; MPEG-1 else."""
+
+
+def rgb_by_formula(planes: list[np.ndarray], kr: float, kb: float, *, site: float, full: bool) -> np.ndarray:
+    """Decode BT.601 or BT.709; chroma linearly interpolated, midway between two rows.
+
+    Source: ITU-R BT.601-7 and BT.709-6, clause 3; ITU-T H.264, figure E-1.
+    """
+    luma = planes[0].astype(float)
+    height, width = luma.shape
+
+    def spread(plane: np.ndarray) -> np.ndarray:
+        rows = np.clip((np.arange(height) - 0.5) / 2, 0, plane.shape[0] - 1)
+        columns = np.clip((np.arange(width) - site) / 2, 0, plane.shape[1] - 1)
+        down = np.array([np.interp(rows, np.arange(plane.shape[0]), column) for column in plane.T])
+        return np.array([np.interp(columns, np.arange(plane.shape[1]), row) for row in down.T])
+
+    low, luma_span, chroma_span = (0, 255, 255) if full else (16, 219, 224)
+    y = (luma - low) * 255 / luma_span
+    cb, cr = ((spread(plane) - 128) * 255 / chroma_span for plane in planes[1:])
+    red, blue = y + 2 * (1 - kr) * cr, y + 2 * (1 - kb) * cb
+    green = (y - kr * red - kb * blue) / (1 - kr - kb)
+    return np.clip(np.stack([red, green, blue], axis=-1), 0, 255)
+
+
+def smooth_plane(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
+    noise = rng.integers(0, 256, (height, width), dtype=np.uint8)
+    return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2), None, 30, 225, cv2.NORM_MINMAX)
+
+
+@pytest.mark.parametrize("codec", SITES)
+@pytest.mark.parametrize("full", [False, True], ids=["limited", "full"])
+@pytest.mark.parametrize("matrix", MATRICES)
+def test_colours_follow_the_matrix_range_and_chroma_site_of_the_stream(matrix, full, codec):
+    kr, kb, number = MATRICES[matrix]
+    rng = np.random.default_rng(5)
+    planes = [smooth_plane(rng, *shape) for shape in [(64, 96), (32, 48), (32, 48)]]
+    file = io.BytesIO()
+    with av.open(file, "w", format="matroska") as output:
+        stream = output.add_stream(codec, rate=10, options={"qp": "0"} if codec == "libx264" else {})
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        stream.codec_context.colorspace, stream.codec_context.color_range = number, 2 if full else 1
+        together = np.concatenate([plane.ravel() for plane in planes]).reshape(96, 96)
+        output.mux(stream.encode(av.VideoFrame.from_ndarray(together, format="yuv420p")))
+        output.mux(stream.encode(None))
+    expected = rgb_by_formula(planes, kr, kb, site=SITES[codec], full=full)
+    with open_video(file.getvalue()) as reader:
+        # half a level of rounding, and the converter's fixed-point numbers
+        assert np.abs(reader.rgb(0) - expected).max() < 0.6
+
+
+def test_ten_bit_and_grey_videos_come_as_eight_bit_colours(videos):
+    for codec, pixel_format in (("libx264", "yuv422p10le"), ("ffv1", "gray"), ("ffv1", "gbrp10le")):
+        content = videos.make(videos.Recipe(codec=codec, pixel_format=pixel_format, options={}, count=3))
+        with open_video(content) as reader:
+            rgb = reader.rgb(2)
+        assert rgb.dtype == np.uint8
+        assert rgb.shape == (64, 96, 3)
+        assert videos.number(rgb) == 2
+
+
+def test_the_path_is_in_the_message_of_a_damaged_picture(mkv_bytes, tmp_path):
+    path = Path(tmp_path, "front.mkv")
+    content = bytearray(mkv_bytes)
+    content[len(content) // 3 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 3)
+    path.write_bytes(content)
+    with open_video(path) as reader, pytest.raises(DataError, match=r"front\.mkv: (picture|packet) \d+"):
+        for index in range(40):
+            reader.rgb(index)

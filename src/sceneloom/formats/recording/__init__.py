@@ -1,17 +1,19 @@
 """The recording format of Spectacular AI: a folder of JSON lines, videos, a calibration and lidar binaries."""
 
-from importlib import import_module
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.recording.scene_from_recording import DATA_FILE, open_recording
+from sceneloom.formats.recording.writer import write_recording
 from sceneloom.scene import Scene
 
 __all__ = ["FORMAT", "RecordingFormat"]
 
-_OPTIONS = ("lenient", "altitude")
+_READING_OPTIONS = ("lenient", "altitude")
+_WRITING_OPTIONS = ("pictures",)
 
 
 class RecordingFormat:
@@ -32,19 +34,24 @@ class RecordingFormat:
             DataError: files are missing or wrong.
             CalibrationError: a lens or a mounting is unusable.
         """
-        unknown = [name for name in options if name not in _OPTIONS]
-        if unknown:
-            raise OptionError(f"option {unknown[0]!r}; opening a recording takes {', '.join(_OPTIONS)}")
+        _check_options("opening", options, _READING_OPTIONS)
         return open_recording(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write a scene as a recording; `write_recording` describes the options.
 
         Raises:
+            OptionError: an option is unknown.
             OutputError: the folder exists, or cannot be written.
         """
-        writer = import_module("sceneloom.formats.recording.writer")
-        return cast("LossReport", writer.write_recording(scene, path, overwrite=overwrite, **options))
+        _check_options("writing", options, _WRITING_OPTIONS)
+        return write_recording(scene, path, overwrite=overwrite, **options)
+
+
+def _check_options(verb: str, options: Iterable[str], known: tuple[str, ...]) -> None:
+    for name in options:
+        if name not in known:
+            raise OptionError(f"option {name!r}; {verb} a recording takes {', '.join(known)}")
 
 
 FORMAT = RecordingFormat()

@@ -15,16 +15,19 @@ from msgspec import Meta, Raw, Struct
 from sceneloom.formats.recording.columns import FARTHEST_TIME
 
 Seconds = Annotated[float, Meta(ge=-FARTHEST_TIME, le=FARTHEST_TIME)]
+Metres = Annotated[float, Meta(ge=-1e12, le=1e12)]
+"""A position; the bounds keep the arithmetic with it from overflowing."""
+
 SensorIndex = Annotated[int, Meta(ge=0, le=254)]
 FrameNumber = Annotated[int, Meta(ge=-(2**60), le=2**60)]
 
 
 class Point(Struct, gc=False):
-    """`position` [m]."""
+    """`position`."""
 
-    x: float
-    y: float
-    z: float
+    x: Metres
+    y: Metres
+    z: Metres
 
 
 class ExactPoint(Point, forbid_unknown_fields=True, gc=False):

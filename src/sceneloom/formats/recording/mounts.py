@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sceneloom.arrays import Float64Array
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
@@ -17,6 +18,8 @@ GREATEST_ERROR = 1e-2
 2e-4 off), up to the second with a notice, beyond it refused."""
 
 _LAST_ROW_ERROR = 1e-6
+_LARGEST_ELEMENT = 2.0
+_FARTHEST = 1e6
 
 
 def rigid_transform(numbers: MatrixNumbers, place: str, ledger: Ledger) -> RigidTransform:
@@ -33,6 +36,7 @@ def rigid_transform(numbers: MatrixNumbers, place: str, ledger: Ledger) -> Rigid
     if not (np.abs(matrix[3] - [0, 0, 0, 1]) <= _LAST_ROW_ERROR).all():
         hint = "; is it transposed?" if (matrix[:3, 3] == 0).all() else ""
         raise CalibrationError(f"{place}: last row {matrix[3].tolist()}; expected 0, 0, 0, 1{hint}")
+    _check_sizes(matrix, place)
     rotation, error = nearest_rotation(matrix[:3, :3])
     if not error <= GREATEST_ERROR:
         problem = "mirrored or singular" if error == float("inf") else f"off by {error:.2g}"
@@ -45,7 +49,18 @@ def rigid_transform(numbers: MatrixNumbers, place: str, ledger: Ledger) -> Rigid
     return RigidTransform(rotation, matrix[:3, 3].copy())
 
 
-def _square(numbers: MatrixNumbers, place: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _check_sizes(matrix: Float64Array, place: str) -> None:
+    """Refuse numbers so large that the arithmetic of the checks to come would overflow."""
+    largest, farthest = np.abs(matrix[:3, :3]).max(), np.abs(matrix[:3, 3]).max()
+    if largest > _LARGEST_ELEMENT:
+        raise CalibrationError(f"{place}: rotation holds {largest:g}; expected numbers from -1 to 1")
+    if farthest > _FARTHEST:
+        raise CalibrationError(
+            f"{place}: translation holds {farthest:g}; expected metres within {_FARTHEST:g}"
+        )
+
+
+def _square(numbers: MatrixNumbers, place: str) -> Float64Array:
     rows = [row for row in numbers if isinstance(row, list)]
     if len(rows) == len(numbers) == 4 and all(len(row) == 4 for row in rows):
         matrix = np.array(rows, np.float64)

@@ -158,13 +158,20 @@ def test_unusable_cameras_are_named_with_file_and_path(recording, change, words)
 def test_a_lenient_reading_leaves_unusable_cameras_out(recording):
     scene = open_with(recording, entry("omnidir9", []), entry("pinhole", []), lenient=True)
     assert [camera.id for camera in scene.cameras] == ["camera1"]
-    assert [(notice.code, notice.kind) for notice in scene.notices] == [("unusable-cameras", NoticeKind.SKIPPED)]
+    assert [(notice.code, notice.kind) for notice in scene.notices] == [
+        ("unusable-cameras", NoticeKind.SKIPPED)
+    ]
 
 
 def test_a_calibration_for_another_picture_size_is_scaled_with_a_notice(recording, pinhole):
     recording.video("data.mkv", 1, width=32, height=16)
     recording.lines(['{"frames":[{"cameraInd":0}],"number":0,"time":0}'])
-    doubled = pinhole | {"imageWidth": 64, "imageHeight": 64, "principalPointX": 31.5, "principalPointY": 20.0}
+    doubled = pinhole | {
+        "imageWidth": 64,
+        "imageHeight": 64,
+        "principalPointX": 31.5,
+        "principalPointY": 20.0,
+    }
     scene = FORMAT.open(recording.calibration([doubled]).path)
     camera = scene.cameras[0].camera
     assert (camera.width, camera.height) == (32, 16)

@@ -41,7 +41,12 @@ def test_points_hold_what_the_records_hold(recording):
     assert frame.points.timestamps_ns is not None
     assert frame.points.timestamps_ns.tolist() == [round(t * 1e9) for t in time]
     assert frame.points.extras["file_seconds"].tolist() == list(time)
-    for array in (frame.points.positions, frame.points.intensities, frame.points.rings, frame.points.timestamps_ns):
+    for array in (
+        frame.points.positions,
+        frame.points.intensities,
+        frame.points.rings,
+        frame.points.timestamps_ns,
+    ):
         assert not array.flags.writeable
         assert array.flags.aligned
 
@@ -71,7 +76,9 @@ def test_points_that_are_not_numbers_stay_in_the_sweep(recording):
 def test_a_point_time_that_is_no_time_is_a_fault_of_its_record(recording, time):
     recording.points("0.bin", [POINTS[0], (*POINTS[1][:5], time)]).lines([sweep("0.bin", 0.5)])
     frames = FORMAT.open(recording.path).lidars[0].frames
-    with pytest.raises(DataError, match=r"0\.bin: record 1 \(byte 23\): timestamp .*expected seconds") as caught:
+    with pytest.raises(
+        DataError, match=r"0\.bin: record 1 \(byte 23\): timestamp .*expected seconds"
+    ) as caught:
         _ = frames[0]
     assert f"{time}" in caught.value.problem
 
@@ -95,11 +102,22 @@ def test_a_missing_file_is_a_fault_of_its_line_when_it_is_read(recording, file):
 
 
 @pytest.mark.parametrize(
-    "file", ["/etc/passwd", "../outside.bin", "lidar/../../outside.bin", "C:\\points.bin", "..\\points.bin", "", "a\0b"]
+    "file",
+    [
+        "/etc/passwd",
+        "../outside.bin",
+        "lidar/../../outside.bin",
+        "C:\\points.bin",
+        "..\\points.bin",
+        "",
+        "a\0b",
+    ],
 )
 def test_names_that_lead_out_of_the_folder_are_refused(recording, file):
     recording.points("../outside.bin", POINTS).lines([sweep(file, 0.0)])
-    with pytest.raises(DataError, match="line 1: lidar.dataFile: .*expected a path inside the recording's folder"):
+    with pytest.raises(
+        DataError, match=r"line 1: lidar\.dataFile: .*expected a path inside the recording's folder"
+    ):
         FORMAT.open(recording.path)
 
 
@@ -148,13 +166,17 @@ def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_notice(recordi
     mount = scene.lidars[0].mount
     assert mount is not None
     np.testing.assert_array_equal(mount.matrix, np.eye(4))
-    assert [(notice.code, notice.kind) for notice in scene.notices] == [("lidar-mount-identity", NoticeKind.ASSUMED)]
+    assert [(notice.code, notice.kind) for notice in scene.notices] == [
+        ("lidar-mount-identity", NoticeKind.ASSUMED)
+    ]
 
 
 def test_several_lidars_are_told_apart_by_their_index(recording):
     recording.points("a.bin", POINTS).points("b.bin", POINTS[:2])
     recording.lines([sweep("a.bin", 0.0), sweep("b.bin", 0.05, lidarInd=1), sweep("a.bin", 0.1, lidarInd=0)])
-    recording.calibration(lidars=[{"lidarInd": 1, "imuToLidar": SHIFTED}, {"lidarInd": 0, "imuToLidar": np.eye(4).tolist()}])
+    recording.calibration(
+        lidars=[{"lidarInd": 1, "imuToLidar": SHIFTED}, {"lidarInd": 0, "imuToLidar": np.eye(4).tolist()}]
+    )
     lidars = FORMAT.open(recording.path).lidars
     assert [(lidar.id, [len(frame.points) for frame in lidar.frames]) for lidar in lidars] == [
         ("lidar0", [3, 3]),
@@ -176,7 +198,9 @@ def test_an_index_that_two_lidars_have_is_a_fault(recording):
 def test_a_lidar_mounting_that_is_not_rigid_is_refused(recording):
     recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)])
     recording.calibration(lidars=[{"imuToLidar": np.diag([2.0, 1.0, 1.0, 1.0]).tolist()}])
-    with pytest.raises(CalibrationError, match=r"calibration\.json: lidars\[0\]\.imuToLidar: rotation off by 3"):
+    with pytest.raises(
+        CalibrationError, match=r"calibration\.json: lidars\[0\]\.imuToLidar: rotation off by 3"
+    ):
         FORMAT.open(recording.path)
 
 
@@ -184,4 +208,7 @@ def test_unsorted_sweeps_come_in_the_order_of_time_with_their_own_files(recordin
     recording.points("late.bin", POINTS).points("early.bin", POINTS[:1])
     recording.lines([sweep("late.bin", 0.2), sweep("early.bin", 0.1)])
     frames = FORMAT.open(recording.path).lidars[0].frames
-    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [(100_000_000, 1), (200_000_000, 3)]
+    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [
+        (100_000_000, 1),
+        (200_000_000, 3),
+    ]

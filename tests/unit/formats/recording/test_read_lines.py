@@ -1,7 +1,6 @@
 """Reading `data.jsonl`: streams, order, further keys, and lines that are wrong."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +8,6 @@ import pytest
 
 from sceneloom.errors import DataError
 from sceneloom.formats.recording import FORMAT
-from sceneloom.formats.recording.ledger import Ledger
-from sceneloom.formats.recording.lines import read_lines
 from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Scene
 
 TURN = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
@@ -20,7 +17,9 @@ def imu_line(time: float, value: float = 0.0, sensor: str = "gyroscope") -> dict
     return {"sensor": {"type": sensor, "values": [value, 0.5, -0.25]}, "time": time}
 
 
-def pose_line(key: str, time: float, x: float = 0.0, *, turn: dict[str, float] | None = TURN) -> dict[str, Any]:
+def pose_line(
+    key: str, time: float, x: float = 0.0, *, turn: dict[str, float] | None = TURN
+) -> dict[str, Any]:
     pose: dict[str, Any] = {"position": {"x": x, "y": 2.0, "z": 3.0}}
     return {key: pose | ({"orientation": turn} if turn else {}), "time": time}
 
@@ -99,7 +98,9 @@ def test_the_default_trajectory_stands_first(recording):
 
 def test_poses_keep_position_and_orientation(recording):
     turn = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
-    recording.lines([pose_line("groundTruth", 1.5, 7.0, turn=turn), pose_line("groundTruth", 2.5, 8.0, turn=turn)])
+    recording.lines(
+        [pose_line("groundTruth", 1.5, 7.0, turn=turn), pose_line("groundTruth", 2.5, 8.0, turn=turn)]
+    )
     trajectory = FORMAT.open(recording.path).trajectories["groundTruth"]
     assert trajectory.positions.tolist() == [[7.0, 2.0, 3.0], [8.0, 2.0, 3.0]]
     assert trajectory.quaternions_xyzw is not None
@@ -143,21 +144,31 @@ def test_unsorted_lines_are_sorted_stably_with_a_notice(recording):
 def test_the_example_of_the_formats_description_is_read(recording):
     recording.lines(
         [
-            '{"groundTruth":{"position":{"x":-0.0075,"y":0.0227,"z":0.0081},"orientation":{"w":0.53464,"x":-0.15299,'
-            '"y":-0.826976,"z":-0.082863}},"time":1.444770263671875}',
+            (
+                '{"groundTruth":{"position":{"x":-0.0075,"y":0.0227,"z":0.0081},"orientation":{"w":0.53464,"x":-0.15299,'
+                '"y":-0.826976,"z":-0.082863}},"time":1.444770263671875}'
+            ),
             '{"sensor":{"type":"accelerometer","values":[-0.0382,9.1216,-2.9831]},"time":1.43846240234375}',
             '{"sensor":{"type":"imuTemperature","values":[292.8961]},"time":1.44976953125}',
-            '{"gps": {"accuracy": 4.0, "altitude": 14.18831106834269, "latitude": 60.173783793064594, '
-            '"longitude": 24.906486344581662}, "time": 1.474782958984375}',
+            (
+                '{"gps": {"accuracy": 4.0, "altitude": 14.18831106834269, "latitude": 60.173783793064594, '
+                '"longitude": 24.906486344581662}, "time": 1.474782958984375}'
+            ),
         ]
     )
     scene = FORMAT.open(recording.path)
-    assert gnss_of(scene).positions_lla.tolist() == [[60.173783793064594, 24.906486344581662, 14.18831106834269]]
+    assert gnss_of(scene).positions_lla.tolist() == [
+        [60.173783793064594, 24.906486344581662, 14.18831106834269]
+    ]
     assert [notice.code for notice in scene.notices] == ["lines-sorted"]
 
 
 def test_lines_of_other_kinds_are_counted_and_kept_word_by_word(recording):
-    lines = ['{"barometer": {"pressure":  1013.25}, "time": 0.1}', '{"sdkVersion":"1.54"}', '{"status": null}']
+    lines = [
+        '{"barometer": {"pressure":  1013.25}, "time": 0.1}',
+        '{"sdkVersion":"1.54"}',
+        '{"status": null}',
+    ]
     recording.lines([imu_line(0.0), *lines])
     scene = FORMAT.open(recording.path)
     assert scene.metadata["recording"]["other_lines"] == lines
@@ -233,8 +244,15 @@ FAULTS = {
     '{"frames":[{}],"number":0,"time":1}': ["frames[0]", "cameraInd"],
     '{"frames":[{"cameraInd":0},{"cameraInd":0}],"number":0,"time":1}': ["cameraInd", "[0, 0]", "once"],
     '{"frames":[{"cameraInd":-1}],"number":0,"time":1}': ["frames[0].cameraInd", "-1"],
-    '{"lidar":{"model":"other","dataFile":"a.bin"},"time":1}': ["lidar.model", "'other'", "RoboSense M1 XYZIRT"],
-    '{"lidar":{"model":"RoboSense M1 XYZIRT","dataFile":"../a.bin"},"time":1}': ["lidar.dataFile", "'../a.bin'"],
+    '{"lidar":{"model":"other","dataFile":"a.bin"},"time":1}': [
+        "lidar.model",
+        "'other'",
+        "RoboSense M1 XYZIRT",
+    ],
+    '{"lidar":{"model":"RoboSense M1 XYZIRT","dataFile":"../a.bin"},"time":1}': [
+        "lidar.dataFile",
+        "'../a.bin'",
+    ],
     '{"lidar":{"model":"RoboSense M1 XYZIRT"},"time":1}': ["lidar", "dataFile", "missing"],
 }
 
@@ -289,12 +307,11 @@ def test_sensors_that_change_their_number_of_values_are_faults(recording):
         FORMAT.open(recording.path)
 
 
-def test_a_line_longer_than_any_is_a_fault(tmp_path: Path):
-    path = tmp_path / "data.jsonl"
-    with path.open("wb") as file:
-        file.truncate((1 << 26) + (1 << 21))
-    with pytest.raises(DataError, match="longer than 67108864 bytes"):
-        read_lines(path, Ledger(lenient=True))
+def test_a_line_longer_than_any_is_a_fault(recording, monkeypatch):
+    monkeypatch.setattr("sceneloom.formats.recording.lines._LONGEST_LINE", 1 << 21)
+    (recording.path / "data.jsonl").write_bytes(b" " * (1 << 22))
+    with pytest.raises(DataError, match="longer than 2097152 bytes"):
+        FORMAT.open(recording.path, lenient=True)
 
 
 def test_lines_of_bytes_that_are_no_text_are_faults(recording):

@@ -1,0 +1,327 @@
+"""Which picture belongs to which line, and what single lines say about their pictures."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.picture_files import choose_pictures
+from sceneloom.scene import CameraSensor, NoticeKind, Scene
+
+GREY_STEP = 10
+"""Picture k of the test videos is grey 10 k."""
+
+
+def frames(number: int, time: float, *entries: dict[str, Any], **further: Any) -> dict[str, Any]:
+    return {"frames": list(entries or ({"cameraInd": 0},)), "number": number, "time": time, **further}
+
+
+def shown(camera: CameraSensor) -> list[int]:
+    """Which pictures of the video the camera shows, by their grey."""
+    return [int(picture.rgb[0, 0, 0]) // GREY_STEP for picture in camera.pictures]
+
+
+def codes(scene: Scene) -> list[str]:
+    return [notice.code for notice in scene.notices]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "count", "indices"),
+    [
+        ([0, 1, 2, 3], 4, [0, 1, 2, 3]),
+        ([28, 29, 30], 3, [0, 1, 2]),
+        ([5, 7, 8], 4, [0, 2, 3]),
+        ([2, 0, 1], 3, [2, 0, 1]),
+        ([-4, -3, -1], 4, [0, 1, 3]),
+        ([7], 1, [0]),
+        ([], 0, []),
+    ],
+)
+def test_pictures_are_counted_by_number_from_the_first(numbers, count, indices):
+    choice = choose_pictures(np.array(numbers, np.int64), count)
+    assert choice.indices.tolist() == indices
+    assert choice.problem is None
+    assert not choice.by_line
+
+
+@pytest.mark.parametrize(
+    ("numbers", "count", "indices"),
+    [([5, 7, 8], 3, [0, 1, 2]), ([0, 1, 0, 1], 4, [0, 1, 2, 3]), ([9, 5, 7], 3, [2, 0, 1])],
+)
+def test_pictures_are_counted_by_line_where_numbers_have_gaps_and_the_counts_agree(numbers, count, indices):
+    choice = choose_pictures(np.array(numbers, np.int64), count)
+    assert choice.indices.tolist() == indices
+    assert choice.by_line
+    assert choice.problem is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "count", "indices"),
+    [
+        ([0, 1, 2, 3], 3, [0, 1, 2, -1]),
+        ([0, 1, 2, 3], 5, [0, 1, 2, 3]),
+        ([5, 7, 9], 4, [0, 2, -1]),
+        ([0, 0, 1], 2, [0, 1, -1]),
+        ([], 2, []),
+    ],
+)
+def test_other_counts_are_a_problem_that_names_both(numbers, count, indices):
+    choice = choose_pictures(np.array(numbers, np.int64), count)
+    assert choice.indices.tolist() == indices
+    assert choice.problem is not None
+    assert f"{count} pictures" in choice.problem
+    assert (f"{len(numbers)} frames lines" if numbers else "no frames line") in choice.problem
+
+
+@pytest.mark.parametrize("kind", ["video", "pngs"])
+def test_pictures_are_those_of_the_video_or_the_png_folder(recording, pinhole, kind):
+    if kind == "video":
+        recording.video("data.mkv", 4)
+    else:
+        recording.pngs("frames1", 4)
+    scene = FORMAT.open(recording.lines([frames(k, 0.1 * k) for k in range(4)]).calibration([pinhole]).path)
+    camera = scene.cameras[0]
+    assert camera.id == "camera0"
+    assert shown(camera) == [0, 1, 2, 3]
+    assert camera.pictures.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]
+    assert camera.pictures[2].extras == {"file_seconds": 0.2, "number": 2}
+    assert scene.notices == ()
+    scene.close()
+
+
+def test_a_camera_passes_its_video_on(recording, pinhole):
+    recording.video("data.mkv", 3).lines([frames(k, 0.1 * k) for k in range(3)])
+    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
+        video = scene.cameras[0].video
+        assert video is not None
+        assert (video.codec, video.frame_indices) == ("ffv1", None)
+        with video.open() as file:
+            assert file.read() == (recording.path / "data.mkv").read_bytes()
+
+
+def test_lines_without_a_camera_or_without_its_bitmap_still_use_up_a_picture(recording, pinhole):
+    recording.video("data.mkv", 4).video("data2.mkv", 4).lines(
+        [
+            frames(0, 0.0, {"cameraInd": 0}, {"cameraInd": 1}),
+            frames(1, 0.1, {"cameraInd": 1}),
+            frames(2, 0.2, {"cameraInd": 0}, {"cameraInd": 1, "missingBitmap": True}),
+            frames(3, 0.3, {"cameraInd": 0}, {"cameraInd": 1}),
+        ]
+    )
+    with FORMAT.open(recording.calibration([pinhole, pinhole]).path) as scene:
+        assert [shown(camera) for camera in scene.cameras] == [[0, 2, 3], [0, 1, 3]]
+        assert scene.cameras[1].pictures.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
+        assert scene.cameras[0].video is not None
+        assert scene.cameras[0].video.frame_indices == (0, 2, 3)
+        (notice,) = scene.notices
+        assert (notice.code, notice.kind, notice.count) == ("missing-bitmaps", NoticeKind.SKIPPED, 1)
+
+
+def test_a_gap_in_the_numbers_is_a_gap_in_the_video_where_the_counts_say_so(recording, pinhole):
+    recording.video("data.mkv", 4).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
+    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
+        assert shown(scene.cameras[0]) == [0, 2, 3]
+
+
+def test_numbers_with_gaps_are_not_used_where_pictures_and_lines_are_equally_many(recording, pinhole):
+    recording.video("data.mkv", 3).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
+    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
+        assert shown(scene.cameras[0]) == [0, 1, 2]
+        assert [(n.code, n.kind) for n in scene.notices] == [("frame-numbers-not-used", NoticeKind.REPAIRED)]
+
+
+@pytest.mark.parametrize(("pictures", "kept", "left_out"), [(3, [0, 1, 2], 2), (7, [0, 1, 2, 3, 4], 1)])
+def test_a_count_that_does_not_fit_is_a_fault_with_both_counts(recording, pinhole, pictures, kept, left_out):
+    recording.video("data.mkv", pictures).lines([frames(k, 0.1 * k) for k in range(5)])
+    recording.calibration([pinhole])
+    with pytest.raises(
+        DataError, match=rf"data\.mkv: {pictures} pictures, but data\.jsonl has 5 frames lines"
+    ):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert shown(scene.cameras[0]) == kept
+        assert [(n.code, n.count) for n in scene.notices] == [("unmatched-pictures", left_out)]
+
+
+def test_the_time_of_an_entry_goes_before_that_of_its_line(recording, pinhole):
+    entry = {"cameraInd": 0, "time": 0.125}
+    recording.video("data.mkv", 1).lines([frames(0, 0.25, entry)]).calibration([pinhole])
+    with FORMAT.open(recording.path) as scene:
+        picture = scene.cameras[0].pictures[0]
+        assert picture.timestamp_ns == 125_000_000
+        assert picture.extras == {"file_seconds": 0.125, "line_seconds": 0.25, "number": 0}
+
+
+def test_unsorted_lines_show_their_own_pictures_in_the_order_of_time(recording, pinhole):
+    recording.video("data.mkv", 3).lines([frames(2, 0.2), frames(0, 0.0), frames(1, 0.1)]).calibration(
+        [pinhole]
+    )
+    with FORMAT.open(recording.path) as scene:
+        assert shown(scene.cameras[0]) == [0, 1, 2]
+        assert scene.cameras[0].pictures.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000]
+
+
+def test_a_line_brings_along_a_lens_and_a_mounting(recording, pinhole):
+    shifted = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
+    own = {
+        "cameraInd": 0,
+        "cameraParameters": {"focalLengthX": 25.0, "focalLengthY": 26.0},
+        "imuToCamera": shifted,
+    }
+    other = {
+        "cameraInd": 0,
+        "cameraParameters": {
+            "distortionModel": "KANNALA_BRANDT4",
+            "distortionCoefficients": [1e-3, 2e-3, 3e-3, 4e-3],
+        },
+    }
+    lines = [frames(0, 0.0), frames(1, 0.1, own), frames(2, 0.2, other), frames(3, 0.3, own)]
+    recording.video("data.mkv", 4).lines(lines).calibration([pinhole])
+    with FORMAT.open(recording.path) as scene:
+        camera = scene.cameras[0]
+        plain, zoomed, fisheye, again = camera.pictures
+        assert plain.camera == camera.camera
+        assert plain.mount is None
+        assert (zoomed.camera.fx, zoomed.camera.fy, zoomed.camera.cx) == (25.0, 26.0, camera.camera.cx)
+        assert zoomed.mount is not None
+        assert zoomed.mount.translation.tolist() == [-0.5, 0.0, 0.0]
+        assert fisheye.camera.model == "fisheye"
+        assert fisheye.camera.coefficients == (1e-3, 2e-3, 3e-3, 4e-3)
+        assert fisheye.camera.fx == camera.camera.fx
+        assert again.camera == zoomed.camera
+
+
+def test_a_lens_of_a_line_is_scaled_like_that_of_the_calibration(recording, pinhole):
+    doubled = pinhole | {"imageWidth": 64, "imageHeight": 32}
+    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 50.0, "principalPointX": 31.5}}
+    recording.video("data.mkv", 1).lines([frames(0, 0.0, own)]).calibration([doubled])
+    with FORMAT.open(recording.path) as scene:
+        lens = scene.cameras[0].pictures[0].camera
+        assert (lens.width, lens.fx, lens.cx) == (32, 25.0, 15.5)
+
+
+def test_a_recording_may_have_all_its_parameters_in_the_lines(recording, pinhole):
+    mount = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
+    parameters = {key: value for key, value in pinhole.items() if key.startswith(("focal", "principal"))}
+    parameters["distortionModel"] = "PINHOLE"
+    entry = {"cameraInd": 0, "cameraParameters": parameters, "imuToCamera": mount}
+    recording.video("data.mkv", 2).lines([frames(k, 0.1 * k, entry) for k in range(2)])
+    with FORMAT.open(recording.path) as scene:
+        camera = scene.cameras[0]
+        assert (camera.camera.model, camera.camera.width, camera.camera.fx) == ("pinhole", 32, 20.0)
+        assert camera.mount is not None
+        assert camera.mount.translation.tolist() == [-0.5, 0.0, 0.0]
+        assert scene.notices == ()
+
+
+@pytest.mark.parametrize(
+    ("entry", "kind", "words"),
+    [
+        (
+            {"cameraParameters": {"focalLengthX": "x"}},
+            DataError,
+            ["line 2", "cameraParameters.focalLengthX", '"x"'],
+        ),
+        ({"cameraParameters": {"focalLengthX": -1}}, CalibrationError, ["line 2", "focal lengths -1"]),
+        ({"cameraParameters": 3}, DataError, ["line 2", "cameraParameters", "3"]),
+        ({"imuToCamera": "x"}, DataError, ["line 2", "imuToCamera", '"x"']),
+        (
+            {"imuToCamera": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+            CalibrationError,
+            ["line 2", "off"],
+        ),
+    ],
+)
+def test_unusable_parameters_of_a_line_are_named_with_it(recording, pinhole, entry, kind, words):
+    lines = [frames(0, 0.0), frames(1, 0.1, {"cameraInd": 0, **entry}), frames(2, 0.2)]
+    recording.video("data.mkv", 3).lines(lines).calibration([pinhole])
+    with pytest.raises(kind) as caught:
+        FORMAT.open(recording.path)
+    for word in ["data.jsonl", *words]:
+        assert word in str(caught.value)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert shown(scene.cameras[0]) == [0, 2]
+        assert [(n.code, n.count) for n in scene.notices] == [("unusable-frame-parameters", 1)]
+
+
+def test_what_a_line_says_further_is_read_with_the_picture(recording, pinhole):
+    entry = {"cameraInd": 0, "exposureTimeSeconds": 0.01, "features": [{"id": 1, "x": 2.5}]}
+    recording.video("data.mkv", 2).lines([frames(0, 0.0), frames(1, 0.1, entry, note="é")]).calibration(
+        [pinhole]
+    )
+    with FORMAT.open(recording.path) as scene:
+        first, second = scene.cameras[0].pictures
+        assert set(first.extras) == {"file_seconds", "number"}
+        assert second.extras["exposureTimeSeconds"] == 0.01
+        assert second.extras["features"] == [{"id": 1, "x": 2.5}]
+        assert second.extras["line"] == {"note": "é"}
+        (recording.path / "data.jsonl").write_text("")
+        with pytest.raises(DataError, match="changed after it was opened"):
+            _ = scene.cameras[0].pictures[1]
+
+
+@pytest.mark.parametrize("calibration", [None, []])
+def test_frames_without_a_calibration_are_an_error_that_says_what_to_do(recording, calibration):
+    recording.video("data.mkv", 1).lines([frames(0, 0.0)])
+    if calibration is not None:
+        recording.calibration(calibration)
+    with pytest.raises(
+        DataError, match=r"calibration\.json: .*missing, while data\.jsonl has frames .*write its entry"
+    ):
+        FORMAT.open(recording.path)
+
+
+def test_frames_without_pictures_are_an_error_that_names_the_files_to_be_there(recording, pinhole):
+    lines = [frames(0, 0.0, {"cameraInd": 0}, {"cameraInd": 1})]
+    recording.video("data.mkv", 1).lines(lines).calibration([pinhole, pinhole])
+    with pytest.raises(
+        DataError, match=r"no pictures of camera 1, .*data2\.\{mkv,mp4,mov,avi,ts\} or frames2/"
+    ):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert [(camera.id, len(camera.pictures)) for camera in scene.cameras] == [
+            ("camera0", 1),
+            ("camera1", 0),
+        ]
+        assert codes(scene) == ["missing-videos"]
+
+
+@pytest.mark.parametrize("content", [b"", b"no video at all", b"\x1aE\xdf\xa3 almost"])
+def test_a_video_that_is_none_is_a_fault_of_its_file(recording, pinhole, content):
+    recording.lines([frames(0, 0.0)]).calibration([pinhole])
+    (recording.path / "data.mkv").write_bytes(content)
+    with pytest.raises(DataError, match=r"data\.mkv"):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert len(scene.cameras[0].pictures) == 0
+        assert codes(scene) == ["unreadable-videos"]
+
+
+def test_two_videos_of_one_camera_are_a_fault(recording, pinhole):
+    recording.video("data.mkv", 1).video("data.avi", 1).lines([frames(0, 0.0)]).calibration([pinhole])
+    with pytest.raises(DataError, match=r"data\.mkv, data\.avi for camera 0; expected one"):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert shown(scene.cameras[0]) == [0]
+        assert codes(scene) == ["repeated-videos"]
+
+
+def test_videos_that_nothing_names_are_reported(recording):
+    recording.video("data.mkv", 1).pngs("frames3", 1).lines(
+        [json.dumps({"sensor": {"type": "a", "values": [1]}, "time": 0})]
+    )
+    (notice,) = FORMAT.open(recording.path).notices
+    assert (notice.code, notice.count) == ("videos-not-used", 2)
+    assert "data.mkv, frames3" in notice.message
+
+
+def test_a_closed_scene_gives_no_pictures(recording, pinhole):
+    recording.video("data.mkv", 1).lines([frames(0, 0.0)]).calibration([pinhole])
+    scene = FORMAT.open(recording.path)
+    picture = scene.cameras[0].pictures[0]
+    scene.close()
+    with pytest.raises(DataError, match="closed"):
+        _ = picture.rgb

@@ -1,0 +1,55 @@
+"""What the recording format offers to the table of formats."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.loss import LossReport
+from sceneloom.formats.recording.scene_from_recording import DATA_FILE, open_recording
+from sceneloom.formats.recording.writer import write_recording
+from sceneloom.scene import Scene
+
+_READING_OPTIONS = ("lenient", "altitude")
+_WRITING_OPTIONS = ("pictures",)
+
+
+class RecordingFormat:
+    """Recordings as one of the formats; a path without a suffix names one."""
+
+    name = "recording"
+    suffixes: tuple[str, ...] = ("",)
+
+    def recognises(self, path: Path) -> bool:
+        """Say whether the path is a folder with a `data.jsonl`, or that file."""
+        return (path / DATA_FILE).is_file() or (path.name == DATA_FILE and path.is_file())
+
+    def open(self, path: Path, **options: Any) -> Scene:
+        """Open a recording; `open_recording` describes the options.
+
+        Raises:
+            OptionError: an option is unknown.
+            DataError: files are missing or wrong.
+            CalibrationError: a lens or a mounting is unusable.
+        """
+        _check_options("opening", options, _READING_OPTIONS)
+        return open_recording(path, **options)
+
+    def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
+        """Write a scene as a recording; `write_recording` describes the options.
+
+        Raises:
+            OptionError: an option is unknown.
+            OutputError: the folder exists, or cannot be written.
+        """
+        _check_options("writing", options, _WRITING_OPTIONS)
+        return write_recording(scene, path, overwrite=overwrite, **options)
+
+
+def _check_options(verb: str, options: Iterable[str], known: tuple[str, ...]) -> None:
+    for name in options:
+        if name not in known:
+            raise OptionError(f"option {name!r}; {verb} a recording takes {', '.join(known)}")
+
+
+FORMAT = RecordingFormat()

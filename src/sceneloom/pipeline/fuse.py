@@ -199,30 +199,20 @@ def _open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack) -> _Sinks
 
 def _open_scene_sink(woven: Woven, wanted: FusionOutputs, target: Path, stack: ExitStack) -> SceneSink:
     scene, sources = output_scene(woven, reach_ns=scene_period_ns(woven.scene))
+    span_ns = time_span(woven.scene)
     writer = stack.enter_context(
         SceneWriter(
             target,
             overwrite=wanted.overwrite,
             profile=wanted.profile,
             time_unit=wanted.time_unit,
-            first_ns=earliest_ns(woven.scene),
+            first_ns=None if span_ns is None else span_ns[0],
             frame_count=sum(len(lidar.frames) for lidar in woven.scene.lidars),
         )
     )
     writer.add_scene(scene)
     writer.set_metadata(_provenance(woven))
     return SceneSink(writer, sources, wanted.time_unit)
-
-
-def earliest_ns(scene: Scene) -> int:
-    """The earliest time in a scene [ns], the points of each lidar's first sweep included."""
-    span = time_span(scene)
-    times = [] if span is None else [span[0]]
-    for lidar in scene.lidars:
-        if len(lidar.frames):
-            points = lidar.frames[0].points.timestamps_ns
-            times += [] if points is None or len(points) == 0 else [int(points.min())]
-    return min(times, default=0)
 
 
 def _provenance(woven: Woven) -> Mapping[str, Any]:

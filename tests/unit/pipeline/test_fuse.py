@@ -1,0 +1,187 @@
+"""The main job: what it writes, what it counts, and that it leaves nothing half done."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError, OutputError, PoseError
+from sceneloom.motion.pose_source import PoseSource
+from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
+from sceneloom.pipeline.woven import EGO_ID
+from sceneloom.scene import LazyFrames, LidarFrame, LidarSensor, PointsFrame, Scene, Trajectory
+from sceneloom.scene.span import time_span
+
+
+def with_lidar(scene: Scene, **changes: object) -> Scene:
+    sensors = tuple(replace(s, **changes) if isinstance(s, LidarSensor) else s for s in scene.sensors)
+    return replace(scene, sensors=sensors)
+
+
+def unexpected(index: int) -> LidarFrame:
+    pytest.fail(f"frame {index} was read")
+
+
+def test_the_written_scene_holds_what_was_fused(drive: Scene, tmp_path: Path) -> None:
+    report = fuse(drive, tmp_path / "drive.sfs")
+    fused = list(iter_fused(drive))
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        assert (report.fused, report.frames, report.trajectory) == (4, 4, "groundTruth")
+        lidar = scene.lidars[0]
+        assert lidar.points_frame is PointsFrame.WORLD
+        for frame, expected in zip(lidar.frames, fused, strict=True):
+            np.testing.assert_array_equal(frame.points.positions, expected.points.positions)
+            np.testing.assert_array_equal(frame.points.colors, expected.points.colors)
+            np.testing.assert_array_equal(frame.points.camera_index, expected.points.camera_index)
+            np.testing.assert_array_equal(frame.points.intensities, expected.points.intensities)
+            np.testing.assert_array_equal(frame.points.rings, expected.points.rings)
+            # a scene file in microseconds rounds to the nearest one
+            assert np.abs(frame.points.timestamps_ns - expected.points.timestamps_ns).max() <= 500
+            assert frame.timestamp_ns <= frame.points.timestamps_ns.min()
+        assert report.points == sum(len(frame.points) for frame in fused)
+
+
+def test_sensor_poses_are_the_trajectory_and_the_mounting_seen_from_the_first_ego_position(
+    drive: Scene, tmp_path: Path
+) -> None:
+    fuse(drive, tmp_path / "drive.sfs")
+    way = drive.trajectories["groundTruth"]
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        world_from_file = np.array(scene.metadata["sceneloom"]["world_from_file"])
+        np.testing.assert_array_equal(world_from_file[:3, 3], way.positions[0])
+        for sensor in (*scene.cameras, *scene.lidars):
+            poses = sensor.poses
+            expected = PoseSource(way.poses, drive.sensor(sensor.id).mount).at(poses.timestamps_ns)
+            np.testing.assert_allclose(poses.positions + way.positions[0], expected.positions, atol=1e-6)
+            same = np.abs((poses.quaternions_xyzw * expected.quaternions_xyzw).sum(axis=1))
+            np.testing.assert_allclose(same, 1.0, atol=1e-9)
+        for sensor, times in ((s, s.pictures.timestamps_ns) for s in scene.cameras):
+            assert np.isin(times // 1000, sensor.poses.timestamps_ns // 1000).all()
+        ego = scene.sensor(EGO_ID)
+        np.testing.assert_allclose(ego.poses.positions[0], 0, atol=1e-12)
+
+
+def test_boxes_move_with_the_origin(drive: Scene, tmp_path: Path) -> None:
+    fuse(drive, tmp_path / "drive.sfs")
+    origin = drive.trajectories["groundTruth"].positions[0]
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        assert len(scene.annotations) == len(drive.annotations) > 0
+        for ours, source in zip(scene.annotations, drive.annotations, strict=True):
+            np.testing.assert_allclose(
+                ours.path.values[:, 3:6] + origin, source.path.values[:, 3:6], atol=1e-9
+            )
+
+
+def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive: Scene) -> None:
+    whole = list(iter_fused(drive))
+    start = (drive.lidars[0].frames.timestamps_ns[1] - time_span(drive)[0]) / 1e9
+    seen: list[tuple[int, int]] = []
+    report = fuse(drive, start=float(start), progress=lambda done, total: seen.append((done, total)))
+    assert report.frames == 3
+    assert report.points == sum(len(frame.points) for frame in whole[1:])
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.parametrize("form", ["png", "npz"])
+def test_depth_images_hold_the_views_depths(drive: Scene, tmp_path: Path, form: str) -> None:
+    report = fuse(drive, outputs=FusionOutputs(depth=tmp_path / "depth", depth_form=form))
+    assert report.files == {"depth images": 8}
+    for frame in iter_fused(drive):
+        for view in frame.views:
+            path = tmp_path / "depth" / str(view.camera_id) / f"{frame.index:06d}.{form}"
+            stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if form == "png" else np.load(path)["depth"]
+            depth = stored / 256 if form == "png" else stored
+            # KITTI's PNG keeps steps of 1/256 m
+            np.testing.assert_allclose(depth, view.depth_image, atol=0 if form == "npz" else 0.5 / 256 + 1e-6)
+
+
+def test_pictures_are_drawn_of_chosen_sweeps(drive: Scene, tmp_path: Path) -> None:
+    outputs = FusionOutputs(pictures=tmp_path / "look", pictures_every=3)
+    assert fuse(drive, outputs=outputs).files == {"pictures": 12}
+    names = sorted(path.name for path in (tmp_path / "look").iterdir())
+    assert {name.split("_")[1] for name in names if name.startswith("camera")} == {"000000", "000003"}
+
+
+def test_a_failure_in_the_middle_leaves_no_output(drive: Scene, tmp_path: Path) -> None:
+    frames = drive.lidars[0].frames
+
+    def read(index: int) -> LidarFrame:
+        if index == 2:
+            raise DataError("lidar/000002.bin", "", "1000 bytes; expected a multiple of 23")
+        return frames[index]
+
+    broken = with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read))
+    outputs = FusionOutputs(
+        scene=tmp_path / "drive.sfs", depth=tmp_path / "depth", pictures=tmp_path / "look"
+    )
+    with pytest.raises(DataError, match="multiple of 23"):
+        fuse(broken, outputs=outputs)
+    assert list(tmp_path.iterdir()) == []
+    report = fuse(broken, outputs=outputs, lenient=True)
+    assert (report.frames, report.fused) == (3, 3)
+    assert report.skipped == ("lidar/000002.bin: 1000 bytes; expected a multiple of 23",)
+
+
+def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive: Scene, tmp_path: Path) -> None:
+    way = drive.trajectories["groundTruth"]
+    stop = drive.lidars[0].frames.timestamps_ns[1] + 60_000_000
+    part = way.timestamps_ns <= stop
+    short = Trajectory(
+        "groundTruth", way.timestamps_ns[part], way.positions[part], way.quaternions_xyzw[part]
+    )
+    report = fuse(replace(drive, trajectories={"groundTruth": short}), tmp_path / "drive.sfs")
+    # the second sweep ends 40 ms beyond the last pose, the third 140 ms: beyond the reach of one sweep period
+    assert (report.fused, report.extrapolated, report.unfused) == (2, 1, {"beyond the trajectory": 2})
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        assert len(scene.lidars[0].frames) == 2
+        kept = scene.metadata["sceneloom"]["unfused"]
+        assert [record["sensor_id"] for record in kept] == ["lidar", "lidar"]
+        expected = drive.lidars[0].frames[2].points.positions
+        np.testing.assert_array_equal(kept[0]["points"]["positions"], expected)
+
+
+def test_a_drive_without_trajectory_says_what_to_do_and_identity_does_it(drive: Scene) -> None:
+    lost = replace(drive, trajectories={})
+    with pytest.raises(PoseError, match="--trajectory identity"):
+        fuse(lost)
+    assert fuse(lost, trajectory="identity").fused == 4
+
+
+def test_a_fused_scene_can_be_fused_again_and_keeps_its_origin(drive: Scene, tmp_path: Path) -> None:
+    fuse(drive, tmp_path / "once.sfs")
+    with sceneloom.open(tmp_path / "once.sfs") as once:
+        fuse(once, tmp_path / "twice.sfs")
+        with pytest.raises(OptionError, match="placed in the world already"):
+            fuse(once, trajectory="identity")
+        with sceneloom.open(tmp_path / "twice.sfs") as twice:
+            for key in ("world_from_file",):
+                assert twice.metadata["sceneloom"][key] == once.metadata["sceneloom"][key]
+            for first, second in zip(once.lidars[0].frames, twice.lidars[0].frames, strict=True):
+                np.testing.assert_array_equal(first.points.positions, second.points.positions)
+                np.testing.assert_array_equal(first.points.camera_index, second.points.camera_index)
+
+
+def test_a_scene_without_lidar_is_refused(drive: Scene) -> None:
+    cameras_only = replace(drive, sensors=drive.cameras)
+    with pytest.raises(OptionError, match="no lidar in it"):
+        fuse(cameras_only)
+
+
+def test_outputs_that_exist_are_refused_before_anything_is_read(drive: Scene, tmp_path: Path) -> None:
+    target = tmp_path / "drive.sfs"
+    target.write_text("mine")
+    unread = with_lidar(drive, frames=LazyFrames(drive.lidars[0].frames.timestamps_ns, unexpected))
+    with pytest.raises(OutputError, match="--overwrite"):
+        fuse(unread, target)
+    assert target.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "outputs", [FusionOutputs(depth_form="tiff"), FusionOutputs(pictures_every=0)], ids=["form", "every"]
+)
+def test_settings_that_cannot_be_followed_are_refused(drive: Scene, outputs: FusionOutputs) -> None:
+    with pytest.raises(OptionError, match="expected"):
+        fuse(drive, outputs=outputs)

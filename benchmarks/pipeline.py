@@ -81,12 +81,18 @@ def fuse_peer(recording: Path, target: Path) -> dict[str, float]:
     camera_from_ego = np.array(lens["imuToCamera"])
     ego_from_lidar = np.linalg.inv(np.array(calibration["lidars"][0]["imuToLidar"]))
     matrix = np.array(
-        [[lens["focalLengthX"], 0, lens["principalPointX"]], [0, lens["focalLengthY"], lens["principalPointY"]], [0, 0, 1]]
+        [
+            [lens["focalLengthX"], 0, lens["principalPointX"]],
+            [0, lens["focalLengthY"], lens["principalPointY"]],
+            [0, 0, 1],
+        ]
     )
     poses = [line for line in lines if "groundTruth" in line]
     times = np.array([line["time"] for line in poses])
     places = np.array([[line["groundTruth"]["position"][k] for k in "xyz"] for line in poses])
-    turns = Slerp(times, Rotation.from_quat([[line["groundTruth"]["orientation"][k] for k in "xyzw"] for line in poses]))
+    turns = Slerp(
+        times, Rotation.from_quat([[line["groundTruth"]["orientation"][k] for k in "xyzw"] for line in poses])
+    )
     stamps = [line["time"] for line in lines if "frames" in line]
     video, shown, picture = cv2.VideoCapture(str(recording / "data.mkv")), -1, None
     meter = Meter()
@@ -95,7 +101,9 @@ def fuse_peer(recording: Path, target: Path) -> dict[str, float]:
             cloud = np.fromfile(recording / line["lidar"]["dataFile"], record)
             at = np.clip(cloud["t"], times[0], times[-1])
             ego = cloud["p"] @ ego_from_lidar[:3, :3].T + ego_from_lidar[:3, 3]
-            world = turns(at).apply(ego) + np.stack([np.interp(at, times, places[:, k]) for k in range(3)], axis=1)
+            world = turns(at).apply(ego) + np.stack(
+                [np.interp(at, times, places[:, k]) for k in range(3)], axis=1
+            )
             nearest = int(np.argmin(np.abs(np.array(stamps) - np.median(cloud["t"]))))
             while shown < nearest:
                 shown, picture = shown + 1, video.read()[1]
@@ -104,7 +112,9 @@ def fuse_peer(recording: Path, target: Path) -> dict[str, float]:
             on_ego = turns(when).inv().apply(world - place)
             points = on_ego @ camera_from_ego[:3, :3].T + camera_from_ego[:3, 3]
             front = np.flatnonzero(points[:, 2] > 0.1)
-            pixels = cv2.projectPoints(points[front], np.zeros(3), np.zeros(3), matrix, None)[0].reshape(-1, 2)
+            pixels = cv2.projectPoints(points[front], np.zeros(3), np.zeros(3), matrix, None)[0].reshape(
+                -1, 2
+            )
             height, width = picture.shape[:2]
             columns, rows = np.rint(pixels).astype(int).T
             inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
@@ -139,6 +149,8 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
+        if said.keep:
+            said.keep.mkdir(parents=True, exist_ok=True)
         recording = (said.keep or folder) / f"drive{said.frames}"
         make_drive(recording, said.frames)
         ours = in_own_process("ours", recording, folder / "ours.sfs")
@@ -149,7 +161,9 @@ def main() -> None:
             f"{name:28} {side['fps']:6.1f} sweeps a second, peak {side['peak_mb']:6.0f} MB, "
             f"growth since sweep {SETTLED} {side['growth_percent']:+.1f} %"
         )
-    print(f"ratio ours / peer            {ours['fps'] / peer['fps']:6.2f}   (limit: at least 15 sweeps a second, 600 MB, 5 %)")
+    print(
+        f"ratio ours / peer            {ours['fps'] / peer['fps']:6.2f}   (limit: at least 15 sweeps a second, 600 MB, 5 %)"
+    )
 
 
 if __name__ == "__main__":

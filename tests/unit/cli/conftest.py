@@ -1,0 +1,47 @@
+"""The command line, called in the process, and a small recording to call it on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.cli import main
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a call gave."""
+
+    code: int
+    out: str
+    err: str
+
+
+Call = Callable[..., Outcome]
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Call:
+    """Call `sceneloom` with arguments."""
+
+    def run(*arguments: object) -> Outcome:
+        with pytest.raises(SystemExit) as stop:
+            main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return Outcome(int(stop.value.code or 0), out, err)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three sweeps of a coarse lidar and one small camera, as PNG pictures."""
+    folder = tmp_path_factory.mktemp("recordings") / "drive"
+    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
+    drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
+    sceneloom.write(drive.scene, folder, pictures="png")
+    return folder

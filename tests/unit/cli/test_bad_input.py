@@ -1,0 +1,166 @@
+"""Bad input gives one clear error with its place, exit code 1, and leaves nothing behind."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+Call = Callable[..., Any]
+
+Spoil = Callable[[Path], object]
+
+
+def edit_lines(edit: Callable[[list[str]], list[str]]) -> Spoil:
+    def spoil(folder: Path) -> None:
+        path = folder / "data.jsonl"
+        path.write_text("\n".join(edit(path.read_text().splitlines())) + "\n")
+
+    return spoil
+
+
+def edit_calibration(edit: Callable[[dict], object]) -> Spoil:
+    def spoil(folder: Path) -> None:
+        path = folder / "calibration.json"
+        calibration = json.loads(path.read_text())
+        edit(calibration)
+        path.write_text(json.dumps(calibration))
+
+    return spoil
+
+
+def shear(calibration: dict) -> None:
+    calibration["cameras"][0]["imuToCamera"][0][1] += 0.5
+
+
+def with_nan_position(lines: list[str]) -> list[str]:
+    place = next(k for k, line in enumerate(lines) if "groundTruth" in line)
+    record = json.loads(lines[place])
+    record["groundTruth"]["position"]["x"] = float("nan")
+    return [*lines[:place], json.dumps(record), *lines[place + 1 :]]
+
+
+FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
+    "no such folder": (shutil.rmtree, ("no such file or folder",)),
+    "an empty folder": (lambda f: [shutil.rmtree(f), f.mkdir()], ("no reader knows this",)),
+    "no calibration": (lambda f: (f / "calibration.json").unlink(), ("calibration.json",)),
+    "no video": (lambda f: shutil.rmtree(f / "frames1"), ("frames1", "data.{mkv")),
+    "fewer pictures than lines": (lambda f: (f / "frames1" / "00000002.png").unlink(), ("2 pictures", "3")),
+    "a lidar file missing": (lambda f: (f / "lidar" / "000001.bin").unlink(), ("000001.bin",)),
+    "a torn lidar file": (
+        lambda f: (f / "lidar" / "000001.bin").write_bytes(b"x" * 50),
+        ("000001.bin", "records of 23 bytes", "remainder of 4"),
+    ),
+    "a broken line": (
+        edit_lines(lambda lines: [*lines[:3], lines[3][:-5], *lines[4:]]),
+        ("data.jsonl", "line 4"),
+    ),
+    "a number that is not one": (edit_lines(with_nan_position), ("data.jsonl", "line")),
+    "an unknown lens": (
+        edit_calibration(lambda c: c["cameras"][0].update(model="fisheye-of-mine")),
+        ("fisheye-of-mine", "kannala-brandt4"),
+    ),
+    "a mounting that is not rigid": (edit_calibration(shear), ("cameras[0].imuToCamera", "rotation")),
+    "calibration that is no JSON": (
+        lambda f: (f / "calibration.json").write_text("{"),
+        ("calibration.json",),
+    ),
+    "no lines": (lambda f: (f / "data.jsonl").write_text(""), ("data.jsonl",)),
+    "binary lines": (
+        lambda f: (f / "data.jsonl").write_bytes(bytes(range(256)) * 20),
+        ("data.jsonl", "line 1"),
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_one_clear_error_and_no_output(call: Call, recording: Path, tmp_path: Path, fault: str) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    spoil, words = FAULTS[fault]
+    spoil(folder)
+    outputs = ["-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth", "--pictures", tmp_path / "look"]
+    outcome = call("fuse", folder, *outputs)
+    assert outcome.code == 1
+    assert outcome.err.startswith("sceneloom: ")
+    assert len(outcome.err.strip().splitlines()) == 1
+    for word in words:
+        assert word in outcome.err
+    assert {path.name for path in tmp_path.iterdir()} <= {"drive"}
+
+
+def test_times_that_run_backwards_are_sorted_with_a_notice(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    edit_lines(lambda lines: lines[::-1])(folder)
+    straight, backwards = (json.loads(call("info", path, "--json").out) for path in (recording, folder))
+    counts = [
+        [(s["id"], s["count"], s["start"], s["stop"]) for s in x["sensors"]] for x in (straight, backwards)
+    ]
+    assert counts[0] == counts[1]
+    assert any(notice["kind"] == "repaired" for notice in backwards["notices"])
+
+
+def test_lenient_counts_what_it_skips(call: Call, recording: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    (folder / "lidar" / "000001.bin").write_bytes(b"x" * 50)
+    edit_lines(lambda lines: [*lines, '{"broken'])(folder)
+    report = json.loads(call("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient", "--json").out)
+    skipped = [notice["place"] for notice in report["notices"] if notice["kind"] == "skipped"]
+    places = " ".join([*skipped, *report["skipped"]])
+    assert (report["fused"], report["frames"]) == (2, 2)
+    assert "000001.bin" in places
+    assert "data.jsonl" in places
+
+
+def test_points_that_are_not_finite_are_kept_and_never_coloured(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    path = folder / "lidar" / "000000.bin"
+    record = np.dtype([("p", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
+    points = np.fromfile(path, record)
+    points["p"][::2] = np.nan
+    points.tofile(path)
+    outcome = call("fuse", folder, "-o", tmp_path / "d.sfs", "--pictures", tmp_path / "look", "--json")
+    assert outcome.code == 0
+    assert json.loads(outcome.out)["frames"] == 3
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [("missing/d.sfs", "does not exist"), ("taken.sfs", "--overwrite"), ("folder.sfs", "--overwrite")],
+)
+def test_outputs_that_cannot_be_written_are_named(
+    call: Call, recording: Path, tmp_path: Path, target: str, words: str
+) -> None:
+    (tmp_path / "taken.sfs").write_text("mine")
+    (tmp_path / "folder.sfs").mkdir()
+    outcome = call("fuse", recording, "-o", tmp_path / target)
+    assert outcome.code == 1
+    assert target.rsplit("/", maxsplit=1)[-1] in outcome.err
+    assert words in outcome.err
+    assert (tmp_path / "taken.sfs").read_text() == "mine"
+
+
+def test_a_trajectory_that_is_not_there_is_answered_with_those_that_are(call: Call, recording: Path) -> None:
+    outcome = call("fuse", recording, "-o", "nowhere.sfs", "--trajectory", "vio")
+    assert outcome.code == 2
+    assert "groundTruth, identity" in outcome.err
+
+
+def test_a_scene_file_cut_in_half_is_one_clear_error(call: Call, recording: Path, tmp_path: Path) -> None:
+    call("convert", recording, tmp_path / "a.sfs")
+    whole = (tmp_path / "a.sfs").read_bytes()
+    (tmp_path / "half.sfs").write_bytes(whole[: len(whole) // 2])
+    outcome = call("fuse", tmp_path / "half.sfs", "-o", tmp_path / "b.sfs")
+    assert outcome.code == 1
+    assert "half.sfs" in outcome.err
+    assert not (tmp_path / "b.sfs").exists()

@@ -1,0 +1,80 @@
+"""The verbs: their results for people and for machines."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Call = Callable[..., Any]
+
+
+def test_info_names_every_sensor(call: Call, recording: Path) -> None:
+    outcome = call("info", recording)
+    assert outcome.code == 0
+    for word in ("lidar", "camera0", "imu", "gnss", "groundTruth", "10 Hz", "pinhole 96x64"):
+        assert word in outcome.out
+
+
+def test_info_as_json_counts_what_is_there(call: Call, recording: Path) -> None:
+    summary = json.loads(call("info", recording, "--json").out)
+    counts = {sensor["id"]: sensor["count"] for sensor in summary["sensors"]}
+    assert (counts["lidar"], counts["camera0"]) == (3, 3)
+    assert summary["format"] == "recording"
+    assert summary["size_bytes"] == sum(p.stat().st_size for p in recording.rglob("*") if p.is_file())
+
+
+def test_fuse_writes_and_reports(call: Call, recording: Path, tmp_path: Path) -> None:
+    outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth", "--json")
+    assert outcome.code == 0
+    report = json.loads(outcome.out)
+    assert (report["fused"], report["trajectory"], report["files"]) == (3, "groundTruth", {"depth images": 3})
+    assert report["losses"]["losses"]
+    assert (tmp_path / "d.sfs").is_file()
+
+
+def test_fuse_for_people_says_frames_points_share_and_place(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    outcome = call("fuse", recording, "-o", tmp_path / "d.sfs")
+    assert "fused 3 of 3 sweeps by trajectory groundTruth" in outcome.out
+    assert f"scene: {tmp_path / 'd.sfs'}" in outcome.out
+    assert "lost: " in outcome.err
+    quiet = call("fuse", recording, "-o", tmp_path / "e.sfs", "--quiet")
+    assert quiet.err == ""
+
+
+def test_fuse_without_an_output_is_bad_usage(call: Call, recording: Path) -> None:
+    outcome = call("fuse", recording)
+    assert outcome.code == 2
+    assert "nothing to write" in outcome.err
+
+
+def test_convert_reads_and_writes_and_reads_again(call: Call, recording: Path, tmp_path: Path) -> None:
+    assert call("convert", recording, tmp_path / "a.sfs").code == 0
+    assert call("convert", tmp_path / "a.sfs", tmp_path / "b.sfs", "--time-unit", "nanoseconds").code == 0
+    first, second = (json.loads(call("info", tmp_path / name, "--json").out) for name in ("a.sfs", "b.sfs"))
+    ids = [(sensor["id"], sensor["count"]) for sensor in first["sensors"]]
+    assert ids == [(sensor["id"], sensor["count"]) for sensor in second["sensors"]]
+
+
+def test_formats_lists_what_can_be_read_and_written(call: Call) -> None:
+    assert json.loads(call("formats", "--json").out) == {"sfs": [".sfs"], "recording": [""]}
+
+
+def test_demo_keeps_a_recording_a_scene_and_pictures(call: Call, tmp_path: Path) -> None:
+    outcome = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
+    assert outcome.code == 0
+    kept = {path.name for path in (tmp_path / "kept").iterdir()}
+    assert kept == {"drive", "drive.sfs", "depth", "pictures"}
+    assert "sceneloom info" in outcome.out
+    again = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
+    assert (again.code, "--overwrite" in again.err) == (1, True)
+
+
+@pytest.mark.parametrize("verb", ["demo", "info", "fuse", "convert", "formats"])
+def test_every_verb_explains_itself(call: Call, verb: str) -> None:
+    outcome = call(verb, "--help")
+    assert outcome.code == 0
+    assert "--json" in outcome.out

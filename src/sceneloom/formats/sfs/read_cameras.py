@@ -46,10 +46,9 @@ def _sensor(
 ) -> CameraSensor:
     """Join pictures, their own lenses and mountings, and the times of their middles."""
     usual = exposure_ns(fields["extras"], 0)
-    middles = [
-        start + exposure_ns(own.extras(k), usual) // 2 for k, start in enumerate(content.starts_ns.tolist())
-    ]
-    middles_ns = np.array(middles, np.int64)
+    own_fields = content.own_fields or tuple(own.extras(k) for k in range(len(content.starts_ns)))
+    exposures = np.array([exposure_ns(extra, usual) for extra in own_fields], np.int64)
+    middles_ns = content.starts_ns + exposures // 2
 
     def read(index: int) -> Picture:
         picture = content.read(index, own.camera(index))

@@ -35,6 +35,7 @@ class PictureContent:
         video: the encoded video, where there is one.
         fps: nominal pictures a second.
         further: fields that have no other place in the model.
+        own_fields: further fields of each picture; empty where no picture has any.
     """
 
     starts_ns: Int64Array
@@ -42,6 +43,7 @@ class PictureContent:
     video: VideoContent | None = None
     fps: float | None = None
     further: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+    own_fields: tuple[Mapping[str, Any], ...] = ()
 
 
 def _no_picture(index: int, _: Camera) -> Picture:
@@ -79,6 +81,7 @@ def video_content(
 def image_content(source: Source, images: list[Mapping[str, Any]], place: Place) -> PictureContent:
     """Give the pictures of an `images` list."""
     container = source.container
+    own = tuple({k: v for k, v in image.items() if k not in {"timestamp", "content"}} for image in images)
 
     def read(index: int, camera: Camera) -> Picture:
         where = format_keys((*place, index, "content"))
@@ -90,11 +93,12 @@ def image_content(source: Source, images: list[Mapping[str, Any]], place: Place)
             images[index]["timestamp"],
             lens,
             partial(_decode_jpeg, container, content, where),
-            extras={name: v for name, v in images[index].items() if name not in {"timestamp", "content"}},
+            extras=own[index],
             encoded=content.tobytes,
         )
 
-    return PictureContent(np.array([image["timestamp"] for image in images], np.int64), read)
+    starts_ns = np.array([image["timestamp"] for image in images], np.int64)
+    return PictureContent(starts_ns, read, own_fields=own)
 
 
 def _jpeg_size(file: str, content: AnyArray, place: str) -> tuple[int, int]:

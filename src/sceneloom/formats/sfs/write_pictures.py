@@ -108,16 +108,15 @@ class PictureWriter:
                     frame_indices=video.frame_indices,
                     name=f"{draft.place}.video",
                 )
-        except (OptionError, ArrayError):
+        except OptionError:
             # an odd size cannot be encoded as H.264: the pictures become JPEGs
             draft_file.unlink()
             return None
+        except ArrayError as error:
+            raise DataError(f"{draft.place}.video", "", f"does not fit its time stamps: {error}") from error
         if result.pictures != len(times_ns):
-            raise DataError(
-                f"{draft.place}.video",
-                "",
-                f"{result.pictures} pictures; expected {len(times_ns)} as its time stamps",
-            )
+            problem = f"{result.pictures} pictures; expected {len(times_ns)} as its time stamps"
+            raise DataError(f"{draft.place}.video", "", problem)
         if not result.copied:
             self.losses.add(f"{draft.place}.video.content", f"encoded as {result.codec}: {result.reason}")
         return self._spooled(draft_file)

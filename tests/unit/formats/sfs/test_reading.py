@@ -70,7 +70,9 @@ def test_point_times_counted_from_the_frame_are_recognised(open_header, make):
 def test_point_times_beyond_64_bits_are_refused_when_read(open_header, make):
     points = {"positions": TWO, "timestamps": np.array([3, 2**63], np.uint64)}
     scene = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}])))
-    with pytest.raises(DataError, match=r"sensors\[0\].frames\[0\].points.timestamps: .* does not fit 64 bits"):
+    with pytest.raises(
+        DataError, match=r"sensors\[0\].frames\[0\].points.timestamps: .* does not fit 64 bits"
+    ):
         scene.sensors[0].frames[0]
 
 
@@ -88,7 +90,9 @@ def test_arrays_of_points_have_the_types_of_the_model(open_header, make):
         "camera_index": np.array([0, 255], np.uint8),
         "confidence": np.array([0.5, 1.0]),
     }
-    frame = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points, "weather": "rain"}])))
+    frame = open_header(
+        make.scene(make.lidar(frames=[{"timestamp": 0, "points": points, "weather": "rain"}]))
+    )
     frame = frame.sensors[0].frames[0]
     np.testing.assert_array_equal(frame.points.positions, TWO)
     np.testing.assert_array_equal(frame.points.colors, points["colors"])
@@ -102,14 +106,21 @@ def test_arrays_of_points_have_the_types_of_the_model(open_header, make):
 
 def test_a_strangers_ring_of_another_type_is_carried_along(open_header, make):
     points = {"positions": TWO, "ring": np.array([1, 2], np.uint8)}
-    points = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}]))).sensors[0].frames[0].points
+    points = (
+        open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}])))
+        .sensors[0]
+        .frames[0]
+        .points
+    )
     assert points.rings is None
     assert points.extras["ring"].tolist() == [1, 2]
 
 
 def test_flat_arrays_are_cut_into_rows_and_lists_become_arrays(open_header, make):
     points = {"positions": TWO.reshape(-1), "intensities": [7, 8], "colors": [[1, 2, 3], [4, 5, 6]]}
-    frame = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}]))).sensors[0].frames[0]
+    frame = (
+        open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}]))).sensors[0].frames[0]
+    )
     np.testing.assert_array_equal(frame.points.positions, TWO)
     assert frame.points.intensities.dtype == np.uint8
     assert frame.points.colors.tolist() == [[1, 2, 3], [4, 5, 6]]
@@ -160,7 +171,9 @@ def test_arrays_outlive_the_scene(open_header, make):
     ("coordinates", "option", "expected"),
     [(None, None, "world"), ("world", None, "world"), ("ego", None, "ego"), ("ego", "sensor", "sensor")],
 )
-def test_points_are_in_the_frame_that_coordinates_name_unless_told(open_header, make, coordinates, option, expected):
+def test_points_are_in_the_frame_that_coordinates_name_unless_told(
+    open_header, make, coordinates, option, expected
+):
     scene = open_header(make.scene(make.lidar(coordinates=coordinates)), points_frame=option)
     assert scene.sensors[0].points_frame == PointsFrame(expected)
     assert ("points-frame" in codes(scene)) is (option is None)
@@ -181,7 +194,9 @@ def test_a_single_pose_holds_for_ever_on_the_ego_and_for_sensors_with_several_fr
     assert open_header(make.scene(make.lidar(coordinates="ego"))).sensors[0].poses.endless
     assert not open_header(make.scene(make.lidar())).sensors[0].poses.endless
     frame = {"points": {"positions": TWO}}
-    standing = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, **frame}, {"timestamp": 9, **frame}])))
+    standing = open_header(
+        make.scene(make.lidar(frames=[{"timestamp": 0, **frame}, {"timestamp": 9, **frame}]))
+    )
     assert standing.sensors[0].poses.endless
     assert "single-pose" in codes(standing)
 
@@ -213,7 +228,13 @@ def test_radar_points_and_maps_are_read(open_header, make):
 
 
 def test_sensors_of_unknown_types_keep_all_their_fields(open_header, make):
-    sonar = {"id": "s", "type": "sonar", "depths": TWO, "frames": [{"timestamp": 7, "pings": [1, "a"]}], "poses": "?"}
+    sonar = {
+        "id": "s",
+        "type": "sonar",
+        "depths": TWO,
+        "frames": [{"timestamp": 7, "pings": [1, "a"]}],
+        "poses": "?",
+    }
     sensor = open_header(make.scene(sonar)).sensors[0]
     assert isinstance(sensor, PlainSensor)
     assert sensor.type == "sonar"
@@ -261,10 +282,20 @@ def test_other_annotations_stay_as_they_are_with_times_in_nanoseconds(open_heade
     annotations = [
         {"id": 1, "type": "point_2d", "sensor_id": "c", "path": path},
         {"id": 2, "type": "event", "start": 5, "duration": 1.5},
-        {"id": 3, "type": "points", "paths": [{"id": 0, **path}], "projections": [[{"sensor_id": 1, "timestamps": [2]}]]},
+        {
+            "id": 3,
+            "type": "points",
+            "paths": [{"id": 0, **path}],
+            "projections": [[{"sensor_id": 1, "timestamps": [2]}]],
+        },
         {"id": 4, "type": "camera_calibration", "sensor_id": "c", "time_offset": 4},
         {"id": 5, "type": "future", "path": path, "start": "soon", "depth": {"timestamps": [9]}},
-        {"id": 6, "type": "labeled_points", "label": "x", "labeled_points": [{"sensor_id": 1, "point_ids": [4, 5]}]},
+        {
+            "id": 6,
+            "type": "labeled_points",
+            "label": "x",
+            "labeled_points": [{"sensor_id": 1, "point_ids": [4, 5]}],
+        },
     ]
     scene = open_header(make.scene(annotations=annotations, time_offset=1))
     by_id = {annotation.id: annotation for annotation in scene.annotations}
@@ -287,7 +318,9 @@ def test_an_event_without_a_start_is_an_object(open_header, make):
 
 
 def test_unknown_root_fields_and_metadata_are_kept(open_header, make):
-    scene = open_header(make.scene(metadata={"town": "Ulm", "map": TWO}, licence="open", time_unit="microsecond"))
+    scene = open_header(
+        make.scene(metadata={"town": "Ulm", "map": TWO}, licence="open", time_unit="microsecond")
+    )
     assert scene.metadata["town"] == "Ulm"
     np.testing.assert_array_equal(scene.metadata["map"], TWO)
     assert scene.extras == {"version": "1.0", "licence": "open", "time_unit": "microsecond"}
@@ -340,7 +373,14 @@ def test_lenses_of_every_model_open(open_header, make, distortion, model, coeffi
     scene = open_header(make.scene(camera_header(intrinsics={**INTRINSICS, "distortion": distortion})))
     camera = scene.cameras[0].camera
     assert (camera.model, camera.coefficients) == (model, coefficients)
-    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == (100, 101.5, 3.5, 2, 8, 6)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == (
+        100,
+        101.5,
+        3.5,
+        2,
+        8,
+        6,
+    )
 
 
 def test_a_lens_without_a_projection_says_so_only_when_it_is_used(open_header, make):
@@ -356,7 +396,9 @@ def test_short_lists_of_coefficients_are_noticed_and_long_ones_refused(open_head
     short = {**INTRINSICS, "distortion": {"model": "brown_conrady", "params": [0.1]}}
     assert "short-distortion" in codes(open_header(make.scene(camera_header(intrinsics=short))))
     long = {**INTRINSICS, "distortion": {"model": "fisheye", "params": [0.1] * 5}}
-    assert "5 numbers; fisheye has 4" in refused(open_header, make.scene(camera_header(intrinsics=long))).problem
+    assert (
+        "5 numbers; fisheye has 4" in refused(open_header, make.scene(camera_header(intrinsics=long))).problem
+    )
 
 
 def faulty(**fields):
@@ -392,7 +434,11 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
         (faulty(frames=5), "sensors[0].frames", "5; expected a list of objects"),
         (faulty(frames=[5]), "sensors[0].frames[0]", "5; expected an object"),
         (faulty(frames=[{"points": {"positions": TWO}}]), "sensors[0].frames[0].timestamp", "missing"),
-        (faulty(frames=[{"timestamp": "0", "points": {"positions": TWO}}]), "sensors[0].frames[0].timestamp", "'0'"),
+        (
+            faulty(frames=[{"timestamp": "0", "points": {"positions": TWO}}]),
+            "sensors[0].frames[0].timestamp",
+            "'0'",
+        ),
         (faulty(frames=[{"timestamp": 0}]), "sensors[0].frames[0].points", "missing; expected an object"),
         (faulty(frames=[{"timestamp": 0, "points": {}}]), "sensors[0].frames[0].points.positions", "missing"),
         (
@@ -416,24 +462,52 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
             "an array of float64; expected uint32 or uint64",
         ),
         (faulty(coordinates="map"), "sensors[0].coordinates", "'map'; expected one of world, ego"),
-        (faulty(poses={"timestamps": [0], "values": [[1, 2]]}), "sensors[0].poses", "expected rows of 7 numbers"),
-        (faulty(poses={"timestamps": [0, 1], "values": [[0, 0, 0, 0, 0, 0, 1]]}), "sensors[0].poses", "2 timestamps"),
+        (
+            faulty(poses={"timestamps": [0], "values": [[1, 2]]}),
+            "sensors[0].poses",
+            "expected rows of 7 numbers",
+        ),
+        (
+            faulty(poses={"timestamps": [0, 1], "values": [[0, 0, 0, 0, 0, 0, 1]]}),
+            "sensors[0].poses",
+            "2 timestamps",
+        ),
         (
             faulty(poses={"timestamps": [1, 1], "values": [[0, 0, 0, 0, 0, 0, 1]] * 2}),
             "sensors[0].poses",
             "timestamps_ns[1]: 1000; expected strictly increasing",
         ),
-        (faulty(poses={"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}), "sensors[0].poses", "norm 2.0000"),
+        (
+            faulty(poses={"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}),
+            "sensors[0].poses",
+            "norm 2.0000",
+        ),
         (faulty(poses={"timestamps": [0], "values": [["0"] * 7]}), "sensors[0].poses", "something else"),
-        (faulty(poses={"timestamps": [2**62], "values": []}), "sensors[0].poses.timestamps", "does not fit 64 bits"),
+        (
+            faulty(poses={"timestamps": [2**62], "values": []}),
+            "sensors[0].poses.timestamps",
+            "does not fit 64 bits",
+        ),
         (annotated(type=5), "annotations[0].type", "5; expected one of cuboid"),
         (annotated(type="cuboid"), "annotations[0].path", "missing; expected an object"),
-        (annotated(type="cuboid", path={**PATH, "values": [[1.0]]}), "annotations[0].path.values", "rows of 9"),
-        (annotated(type="cuboid", path={**PATH, "timestamps": [1, "2"]}), "annotations[0].path.timestamps", "[1]: '2'"),
+        (
+            annotated(type="cuboid", path={**PATH, "values": [[1.0]]}),
+            "annotations[0].path.values",
+            "rows of 9",
+        ),
+        (
+            annotated(type="cuboid", path={**PATH, "timestamps": [1, "2"]}),
+            "annotations[0].path.timestamps",
+            "[1]: '2'",
+        ),
         (annotated(type="cuboid", path={**PATH, "timestamps": []}), "annotations[0].path", "expected (0, 9)"),
         (annotated(type="cuboid", path=PATH, label=5), "annotations[0].label", "5; expected text"),
         (annotated(type="link", from_id=1), "annotations[0].to_id", "missing; expected an id"),
-        (annotated(type="polygon", path=PATH, attributes=[{}]), "annotations[0].attributes[0].name", "missing"),
+        (
+            annotated(type="polygon", path=PATH, attributes=[{}]),
+            "annotations[0].attributes[0].name",
+            "missing",
+        ),
     ],
 )
 def test_a_fault_is_refused_with_its_place(open_header, make, header, place, problem):
@@ -448,7 +522,9 @@ def test_further_faults_of_a_part_are_counted(open_header, make):
 
 
 def test_lenient_reading_leaves_faulty_parts_out_with_a_notice(open_header, make):
-    header = make.scene(make.lidar(id=None), make.lidar(), annotations=[{"id": 1}, {"id": 2, "type": "group"}])
+    header = make.scene(
+        make.lidar(id=None), make.lidar(), annotations=[{"id": 1}, {"id": 2, "type": "group"}]
+    )
     scene = open_header(header, lenient=True)
     assert [sensor.id for sensor in scene.sensors] == ["top"]
     assert [annotation.id for annotation in scene.annotations] == [2]

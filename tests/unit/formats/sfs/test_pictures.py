@@ -1,0 +1,265 @@
+"""Cameras: JPEG files and videos both ways, lenses, the time of a picture."""
+
+import io
+
+import numpy as np
+import pytest
+import simplejpeg
+from PIL import Image
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError
+from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
+from sceneloom.formats.sfs.mp4 import video_codec
+from sceneloom.formats.video import encode_to_mp4, open_video
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraSensor, LazyFrames, Picture, PosePath, Scene, VideoContent
+
+LENS = Camera("pinhole", 32, 16, 40.0, 40.0, 15.5, 7.5)
+MS = 1_000_000
+
+
+def picture_array(k):
+    """A smooth picture, different for each k, that JPEG keeps within a few levels."""
+    v, u = np.mgrid[0:16, 0:32]
+    return np.stack([4 * u + k, 8 * v, np.full_like(u, 10 * k)], axis=-1).astype(np.uint8)
+
+
+def jpeg(k):
+    return simplejpeg.encode_jpeg(picture_array(k), 90, "RGB", "444")
+
+
+@pytest.fixture(scope="module")
+def mp4():
+    """A short H.264 video."""
+    target = io.BytesIO()
+    encode_to_mp4((picture_array(k) for k in range(5)), target, fps=10.0)
+    return target.getvalue()
+
+
+def camera(pictures, **fields):
+    lazy = LazyFrames.of(pictures, [picture.timestamp_ns for picture in pictures])
+    return CameraSensor(
+        **{"id": "front", "camera": LENS, "pictures": lazy, "poses": PosePath.identity(), **fields}
+    )
+
+
+def camera_header(**content):
+    intrinsics = {"fx": 40, "fy": 40, "cx": 15.5, "cy": 7.5, "width": 32, "height": 16}
+    poses = {"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 1]]}
+    return {
+        "version": "1.0",
+        "sensors": [{"id": "c", "type": "camera", "poses": poses, "intrinsics": intrinsics, **content}],
+    }
+
+
+def test_jpeg_pictures_are_decoded_as_pillow_does(open_header):
+    images = [{"timestamp": 5, "content": np.frombuffer(jpeg(3), np.uint8), "note": "dusk"}]
+    picture = open_header(camera_header(images=images)).cameras[0].pictures[0]
+    expected = np.asarray(Image.open(io.BytesIO(jpeg(3))).convert("RGB"))
+    # both decode with libjpeg-turbo; builds may differ by a level in the inverse transform
+    assert np.abs(picture.rgb.astype(int) - expected).max() <= 1
+    assert picture.timestamp_ns == 5000
+    assert picture.extras == {"note": "dusk"}
+    assert picture.encoded() == jpeg(3)
+
+
+def test_a_picture_of_another_size_has_a_lens_of_its_size(open_header):
+    big = simplejpeg.encode_jpeg(np.zeros((32, 64, 3), np.uint8), 90, "RGB", "444")
+    images = [{"timestamp": 5, "content": np.frombuffer(big, np.uint8)}]
+    lens = open_header(camera_header(images=images)).cameras[0].pictures[0].camera
+    assert (lens.width, lens.height, lens.fx, lens.cx) == (64, 32, 80.0, 31.5)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a jpeg", b"\xff\xd8\xff\xe0", jpeg(1)[:40]])
+def test_what_is_no_jpeg_is_refused_when_it_is_asked_for(open_header, content):
+    images = [{"timestamp": 5, "content": np.frombuffer(content, np.uint8)}]
+    pictures = open_header(camera_header(images=images)).cameras[0].pictures
+    with pytest.raises(DataError, match=r"sensors\[0\].images\[0\].content: no JPEG"):
+        pictures[0].rgb  # noqa: B018
+
+
+def test_video_pictures_are_decoded_when_asked_for(open_header, mp4):
+    video = {"timestamps": [0, 100, 200, 300, 400], "content": np.frombuffer(mp4, np.uint8), "fps": 10}
+    front = open_header(camera_header(video=video)).cameras[0]
+    assert (len(front.pictures), front.fps, front.video.codec) == (5, 10.0, "h264")
+    with open_video(mp4) as reader:
+        for k in (4, 0, 2):
+            np.testing.assert_array_equal(front.pictures[k].rgb, reader.rgb(k))
+    with front.video.open() as file:
+        assert file.read() == mp4
+
+
+def test_a_broken_video_opens_and_fails_with_its_place(open_header):
+    video = {"timestamps": [0], "content": np.zeros(100, np.uint8), "fps": 10}
+    front = open_header(camera_header(video=video)).cameras[0]
+    assert front.video.codec == "unknown"
+    with pytest.raises(DataError, match=r"sensors\[0\].video.content"):
+        front.pictures[0].rgb  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\0" * 8, b"\0\0\0\1moov", b"\xff" * 64, b"\0\0\0\x10moovxxxxstsd"]
+)
+def test_any_bytes_have_a_codec_or_none(content):
+    assert video_codec(memoryview(content)) == "unknown"
+
+
+def test_a_camera_without_pictures_opens(open_header):
+    scene = open_header(camera_header())
+    assert len(scene.cameras[0].pictures) == 0
+    assert "no-pictures" in [notice.code for notice in scene.notices]
+
+
+def test_video_and_images_together_lose_nothing(open_header, target, decode_sfs, mp4):
+    images = [{"timestamp": 5, "content": np.frombuffer(jpeg(3), np.uint8)}]
+    video = {"timestamps": [0, 1, 2, 3, 4], "content": np.frombuffer(mp4, np.uint8), "fps": 10}
+    scene = open_header(camera_header(images=images, video=video))
+    write_scene(scene, target)
+    record = decode_sfs(target.read_bytes())["sensors"][0]
+    assert record["images"][0]["timestamp"] == 5
+    assert record["images"][0]["content"].tobytes() == jpeg(3)
+    assert record["video"]["content"].tobytes() == mp4
+
+
+def test_pictures_are_written_as_jpeg_and_said_to_be(target):
+    pictures = [Picture.of(k * 100 * MS, LENS, picture_array(k)) for k in range(3)]
+    report = write_scene(Scene((camera(pictures),)), target)
+    front = FORMAT.open(target).cameras[0]
+    for k, picture in enumerate(front.pictures):
+        # quality 95 without subsampling: a few levels on a smooth picture
+        assert np.abs(picture.rgb.astype(int) - picture_array(k)).max() <= 6
+        assert picture.timestamp_ns == k * 100 * MS
+    assert {loss.field: loss.count for loss in report} == {"sensors[front].images[].content": 3}
+
+
+def test_jpeg_files_are_copied_byte_for_byte(target, decode_sfs):
+    encoded = [Picture(k * MS, LENS, lambda: picture_array(0), encoded=lambda k=k: jpeg(k)) for k in range(2)]
+    report = write_scene(Scene((camera(encoded),)), target)
+    images = decode_sfs(target.read_bytes())["sensors"][0]["images"]
+    assert [image["content"].tobytes() for image in images] == [jpeg(0), jpeg(1)]
+    assert len(report) == 0
+
+
+def test_pictures_can_be_streamed(target):
+    with SceneWriter(target) as writer:
+        writer.add_sensor(camera([]))
+        writer.add_frame("front", Picture.of(5 * MS, LENS, picture_array(1)))
+    assert FORMAT.open(target).cameras[0].pictures.timestamps_ns.tolist() == [5 * MS]
+
+
+def video_camera(mp4, count=5, indices=None, **fields):
+    pictures = [Picture(k * 100 * MS, LENS, lambda: picture_array(0)) for k in range(count)]
+    return camera(pictures, video=VideoContent(lambda: io.BytesIO(mp4), "h264", indices), **fields)
+
+
+def test_an_mp4_is_copied_byte_for_byte(target, decode_sfs, mp4):
+    report = write_scene(Scene((video_camera(mp4, extras={"video": {"maker": "x"}}),)), target)
+    video = decode_sfs(target.read_bytes())["sensors"][0]["video"]
+    assert video["content"].tobytes() == mp4
+    assert video["timestamps"] == [0, 100_000, 200_000, 300_000, 400_000]
+    assert video["fps"] == pytest.approx(10.0)
+    assert video["maker"] == "x"
+    assert len(report) == 0
+
+
+def test_another_container_is_remuxed_without_decoding(target, mp4):
+    from sceneloom.formats.video import copy_to_matroska
+
+    matroska = io.BytesIO()
+    copy_to_matroska(mp4, matroska)
+    report = write_scene(Scene((video_camera(matroska.getvalue()),)), target)
+    front = FORMAT.open(target).cameras[0]
+    with open_video(mp4) as reader:
+        np.testing.assert_array_equal(front.pictures[3].rgb, reader.rgb(3))
+    assert len(report) == 0
+
+
+def test_a_part_of_a_video_is_encoded_anew_and_said_to_be(target, mp4):
+    report = write_scene(Scene((video_camera(mp4, count=2, indices=(1, 3)),)), target)
+    front = FORMAT.open(target).cameras[0]
+    with open_video(mp4) as reader:
+        difference = front.pictures[1].rgb.astype(int) - reader.rgb(3)
+    # encoded twice: within a few levels on a smooth picture
+    assert np.abs(difference).mean() < 6
+    assert [loss.field for loss in report] == ["sensors[front].video.content"]
+
+
+def test_a_video_with_too_few_pictures_is_refused(target, mp4):
+    from sceneloom.formats.video import copy_to_matroska
+
+    matroska = io.BytesIO()
+    copy_to_matroska(mp4, matroska)
+    with pytest.raises(DataError, match="front"):
+        write_scene(Scene((video_camera(matroska.getvalue(), count=9, indices=None),)), target)
+
+
+def test_the_file_has_the_start_of_exposure_and_the_model_its_middle(target, decode_sfs):
+    pictures = [
+        Picture(10 * MS, LENS, lambda: picture_array(0), encoded=lambda: jpeg(0)),
+        Picture(
+            20 * MS,
+            LENS,
+            lambda: picture_array(0),
+            encoded=lambda: jpeg(0),
+            extras={"exposureTimeSeconds": 0.008},
+        ),
+    ]
+    write_scene(Scene((camera(pictures, extras={"exposureTimeSeconds": 0.002}),)), target)
+    images = decode_sfs(target.read_bytes())["sensors"][0]["images"]
+    assert [image["timestamp"] for image in images] == [9_000, 16_000]
+    assert FORMAT.open(target).cameras[0].pictures.timestamps_ns.tolist() == [10 * MS, 20 * MS]
+
+
+def test_lenses_mountings_and_fields_of_single_pictures_come_back(target, mp4):
+    own = Camera("brown_conrady", 32, 16, 41.0, 41.0, 15.0, 7.0, (0.1, 0.01))
+    mount = RigidTransform.from_quaternion(np.array([0.1, 0, 0]), np.array([0.1, 0.2, 0.3, 0.9]))
+    pictures = [
+        Picture(0, LENS, lambda: picture_array(0)),
+        Picture(100 * MS, own, lambda: picture_array(0), mount, {"number": 7}),
+    ]
+    front = camera(pictures, video=VideoContent(lambda: io.BytesIO(mp4), "h264"))
+    report = write_scene(Scene((front,)), target)
+    read = FORMAT.open(target).cameras[0]
+    assert (read.camera, read.pictures[0].camera, read.pictures[1].camera) == (LENS, LENS, own)
+    assert read.pictures[0].mount is None
+    np.testing.assert_array_equal(read.pictures[1].mount.matrix, mount.matrix)
+    assert read.pictures[1].extras == {"number": 7}
+    assert [(loss.field, loss.count) for loss in report] == [("sensors[front].pictures[].camera", 1)]
+
+
+@pytest.mark.parametrize(
+    ("lens", "model", "off"),
+    [
+        (LENS, None, None),
+        (Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1, 0.01)), "brown_conrady", None),
+        (Camera("fisheye", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,)), "fisheye", None),
+        (Camera("kannala-brandt18", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,) * 18), None, "unknown number"),
+        (
+            Camera(
+                "brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,) + (0.0,) * 9 + (0.01, 0, 0, 0, 0, 0)
+            ),
+            "brown_conrady",
+            "px",
+        ),
+    ],
+)
+def test_lenses_that_the_format_lacks_are_kept_and_their_error_is_said(target, decode_sfs, lens, model, off):
+    report = write_scene(Scene((camera([Picture.of(0, lens, picture_array(0))], camera=lens),)), target)
+    intrinsics = decode_sfs(target.read_bytes())["sensors"][0]["intrinsics"]
+    assert intrinsics.get("distortion", {}).get("model") == model
+    losses = [loss for loss in report if "distortion" in loss.field]
+    assert [off in loss.what for loss in losses] == ([] if off is None else [True])
+    read = FORMAT.open(target).cameras[0].camera
+    assert (read.model, read.fx) == (lens.model, lens.fx)
+    count = len(lens.coefficients)
+    assert read.coefficients[:count] == lens.coefficients
+    assert not any(read.coefficients[count:])
+
+
+def test_the_error_of_a_dropped_coefficient_is_that_of_the_formula(target):
+    lens = Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.0,) * 10 + (0.01, 0, 0, 0, 0, 0))
+    report = write_scene(Scene((camera([], camera=lens),)), target)
+    off_px = float(next(iter(report)).what.split("up to ")[1].split()[0])
+    # at the corner (16, 8) px from the centre x' = x + s1 r²: about 40 · 0.01 · (0.4² + 0.2²) = 0.08 px
+    assert off_px == pytest.approx(0.08, rel=0.02)

@@ -1,0 +1,442 @@
+"""Writing: what stands in the file, read back by an independent decoder."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import OptionError, OutputError
+from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
+from sceneloom.scene import (
+    Coordinates,
+    CuboidAnnotation,
+    CuboidPath,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    OdometrySensor,
+    PlainAnnotation,
+    PointsFrame,
+    PosePath,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+    Scene,
+    Trajectory,
+)
+
+TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
+SECOND = 1_000_000_000
+
+
+def lidar(**fields):
+    return LidarSensor(
+        **{"id": "top", "frames": LazyFrames.of([], []), "points_frame": PointsFrame.WORLD, **fields}
+    )
+
+
+def sweep(timestamp_ns, times_ns=None, **arrays):
+    times = None if times_ns is None else np.array(times_ns, np.int64)
+    return LidarFrame(timestamp_ns, LidarPoints(TWO, timestamps_ns=times, **arrays))
+
+
+def path_at(*timestamps_ns):
+    count = len(timestamps_ns)
+    return PosePath(
+        np.array(timestamps_ns, np.int64), np.zeros((count, 3)), np.tile([0.0, 0, 0, 1], (count, 1))
+    )
+
+
+@pytest.fixture
+def written(target, decode_sfs):
+    """Write sweeps of one lidar and decode the file."""
+
+    def write(*frames, sensor=None, poses=None, **options):
+        with SceneWriter(target, **options) as writer:
+            writer.add_sensor(sensor or lidar())
+            for frame in frames:
+                writer.add_frame("top", frame)
+            writer.set_poses("top", poses or path_at(*(frame.timestamp_ns for frame in frames)))
+        return decode_sfs(target.read_bytes())
+
+    return write
+
+
+def losses_of(report):
+    return {(loss.field, loss.count): loss for loss in report}
+
+
+def test_a_scene_of_plain_arrays_takes_few_lines(target):
+    with SceneWriter(target) as writer:
+        writer.add_sensor(LidarSensor("top", LazyFrames.of([], []), points_frame=PointsFrame.WORLD))
+        for k in range(3):
+            writer.add_frame("top", LidarFrame(k * SECOND, LidarPoints(TWO)))
+        writer.set_poses("top", path_at(0, SECOND, 2 * SECOND))
+    scene = FORMAT.open(target)
+    assert [frame.timestamp_ns for frame in scene.sensors[0].frames] == [0, SECOND, 2 * SECOND]
+
+
+def test_the_words_of_the_file_are_those_of_the_format(written):
+    arrays = {
+        "intensities": np.array([7, 8], np.uint8),
+        "colors": TWO.astype(np.uint8),
+        "rings": np.array([1, 2], np.uint16),
+        "camera_index": np.array([0, 255], np.uint8),
+    }
+    header = written(sweep(0, [0, 5000], **arrays))
+    assert (header["version"], header["time_unit"], header["time_offset"]) == ("1.0", "microseconds", 0)
+    sensor = header["sensors"][0]
+    assert (sensor["id"], sensor["type"], sensor["coordinates"]) == ("top", "lidar", "world")
+    assert sensor["poses"] == {"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 1]]}
+    points = sensor["frames"][0]["points"]
+    assert {name: array.dtype.name for name, array in points.items()} == {
+        "positions": "float32",
+        "colors": "uint8",
+        "intensities": "uint8",
+        "timestamps": "uint32",
+        "ring": "uint16",
+        "camera_index": "uint8",
+    }
+    assert points["timestamps"].tolist() == [0, 5]
+    np.testing.assert_array_equal(points["positions"], TWO)
+    assert [
+        type(value) for value in (sensor["frames"][0]["timestamp"], sensor["poses"]["timestamps"][0])
+    ] == [int, int]
+
+
+def test_every_array_starts_on_a_cache_line_and_is_followed_by_nuls(written, target):
+    written(*(sweep(k * SECOND, [k * SECOND] * 2, intensities=np.array([1, 2], np.uint8)) for k in range(5)))
+    content = target.read_bytes()
+    import json
+
+    stop = content.index(b"\0")
+    assert stop % 64 == 0
+    items = json.loads(content[:stop])["$items"]
+    assert len(items) == 15
+    for item in items:
+        assert (stop + item["offset"]) % 64 == 0
+        end = stop + item["offset"] + item["length"]
+        assert content[end : end + 4] == bytes(4)
+
+
+def test_point_times_are_rounded_half_to_even_and_frames_never_start_late(written):
+    times = [1_000_000_500, 1_000_001_500, 1_000_002_501, 1_000_003_499]
+    points = LidarPoints(np.zeros((4, 3), np.float32), timestamps_ns=np.array(times, np.int64))
+    header = written(LidarFrame(1_000_000_400, points))
+    frame = header["sensors"][0]["frames"][0]
+    assert frame["points"]["timestamps"].tolist() == [1_000_000, 1_000_002, 1_000_003, 1_000_003]
+    assert frame["timestamp"] == 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("start", "times", "expected"),
+    [(900, [1999, 3000], 1), (5000, [1999, 3000], 1), (2999, None, 2), (-1500, [-1500, 0], None)],
+)
+def test_a_frame_starts_with_its_earliest_point(written, start, times, expected):
+    header = written(sweep(start, times), poses=path_at(0))
+    if expected is not None:
+        assert header["sensors"][0]["frames"][0]["timestamp"] == expected
+    else:
+        assert header["metadata"]["sceneloom"]["time_shift_ns"] == SECOND
+        assert header["sensors"][0]["frames"][0]["timestamp"] == 999_998
+
+
+def test_rounding_is_in_the_loss_report(target):
+    with SceneWriter(target) as writer:
+        writer.add_sensor(lidar())
+        writer.add_frame("top", sweep(10, [1, 1000]))
+        writer.set_poses("top", path_at(7, 1000))
+    report = losses_of(writer.losses)
+    assert "halves to even" in report["sensors[top].frames[].points.timestamps", 1].what
+    assert "rounded down" in report["sensors[top].frames[].timestamp", 1].what
+    assert report["sensors[], annotations[], attributes[]", 1].what.startswith("times rounded")
+
+
+def test_nanoseconds_are_written_exactly_in_64_bits(written):
+    header = written(sweep(5, [5, 10_000_000_007]), time_unit="nanoseconds")
+    frame = header["sensors"][0]["frames"][0]
+    assert header["time_unit"] == "nanoseconds"
+    assert frame["points"]["timestamps"].dtype == np.uint64
+    assert frame["points"]["timestamps"].tolist() == [5, 10_000_000_007]
+
+
+@pytest.mark.parametrize(
+    ("first", "offset"),
+    [(0, 0), (9 * SECOND, 0), (12 * SECOND + 345, 12), (1_700_000_000 * SECOND + 999, 1_700_000_000)],
+)
+def test_the_offset_makes_the_first_stamp_small(written, first, offset):
+    header = written(sweep(first, [first, first + 1000]))
+    assert header["time_offset"] == offset * 1_000_000
+    assert 0 <= header["sensors"][0]["frames"][0]["timestamp"] < 10_000_000
+
+
+def test_something_earlier_moves_the_offset_and_the_times_written_before(written, target):
+    late, early = 1_700_000_005 * SECOND, 1_699_999_999 * SECOND
+    written(sweep(late, [late, late + 7000]), poses=path_at(early, late))
+    scene = FORMAT.open(target)
+    assert scene.time_offset_ns == early
+    assert scene.sensors[0].frames[0].points.timestamps_ns.tolist() == [late, late + 7000]
+    assert scene.sensors[0].poses.timestamps_ns.tolist() == [early, late]
+
+
+def test_an_annotation_before_everything_else_moves_the_offset_too(target):
+    late, early = 1_700_000_005 * SECOND, 1_699_999_990 * SECOND
+    with SceneWriter(target) as writer:
+        writer.add_sensor(lidar(poses=path_at(late)))
+        writer.add_frame("top", sweep(late, [late, late]))
+        ids = np.array([0, 1], np.uint32)
+        labels = {"label": "x", "labeled_points": [{"sensor_id": "top", "point_ids": ids}]}
+        writer.add_annotation(PlainAnnotation(1, "labeled_points", labels))
+        writer.add_annotation(PlainAnnotation(2, "event", {"start": early}))
+    scene = FORMAT.open(target)
+    assert scene.time_offset_ns == early
+    assert scene.annotations[1].fields["start"] == early
+    assert scene.annotations[0].fields["labeled_points"][0]["point_ids"].tolist() == [0, 1]
+    assert scene.sensors[0].frames[0].points.timestamps_ns.tolist() == [late, late]
+
+
+def test_times_before_zero_come_back(written, target):
+    header = written(sweep(-5 * SECOND, [-5 * SECOND, -4_999_999_000]))
+    assert header["time_offset"] == 0
+    assert header["sensors"][0]["frames"][0]["points"]["timestamps"].tolist() == [0, 1]
+    frame = FORMAT.open(target).sensors[0].frames[0]
+    assert frame.points.timestamps_ns.tolist() == [-5 * SECOND, -4_999_999_000]
+
+
+def test_an_offset_of_the_caller_stands(written, target):
+    header = written(sweep(3 * SECOND, [3 * SECOND] * 2), time_offset_ns=2 * SECOND)
+    assert header["time_offset"] == 2_000_000
+    with pytest.raises(OptionError, match="expected at most 1000000000"):
+        written(sweep(SECOND, [SECOND] * 2), time_offset_ns=2 * SECOND, overwrite=True)
+    with pytest.raises(OptionError, match="whole microseconds"):
+        written(sweep(SECOND), time_offset_ns=1, overwrite=True)
+
+
+def test_microseconds_in_32_bits_end_after_71_minutes(written):
+    last = 2**32 * 1000 - 1000
+    header = written(sweep(0), sweep(last, [last, last]))
+    assert header["sensors"][0]["frames"][1]["points"]["timestamps"].tolist() == [2**32 - 1] * 2
+    with pytest.raises(OptionError, match=r"4294.967 s after .* `--time-unit nanoseconds`"):
+        written(sweep(0, [0, 0]), sweep(last, [last, last + 1000]), overwrite=True)
+
+
+def test_positions_in_the_world_stay_within_ten_kilometres(written):
+    far = np.array([[10_001, 0, 0], [0, 0, 0]], np.float32)
+    frame = LidarFrame(0, LidarPoints(far))
+    with pytest.raises(OptionError, match=r"sensors\[top\].frames\[0\].points.positions: 10001 m"):
+        written(frame)
+    written(frame, sensor=lidar(points_frame=PointsFrame.SENSOR))
+
+
+def test_positions_that_are_no_numbers_pass(written):
+    header = written(LidarFrame(0, LidarPoints(np.full((2, 3), np.nan, np.float32))))
+    assert np.isnan(header["sensors"][0]["frames"][0]["points"]["positions"]).all()
+
+
+def test_a_failure_leaves_nothing_behind(target):
+    with (
+        pytest.raises(OptionError, match="no sensor 'front' in the file; it has 'top'"),
+        SceneWriter(target) as writer,
+    ):
+        writer.add_sensor(lidar())
+        writer.add_frame("front", sweep(0))
+    assert list(target.parent.iterdir()) == []
+
+
+def test_an_existing_file_is_kept_unless_told(target):
+    target.write_bytes(b"precious")
+    with pytest.raises(OutputError, match="exists already"), SceneWriter(target):
+        pass
+    assert target.read_bytes() == b"precious"
+    write_scene(Scene(()), target, overwrite=True)
+    assert FORMAT.open(target).sensors == ()
+
+
+def test_finishing_early_gives_the_losses_and_closes(target):
+    with SceneWriter(target) as writer:
+        assert len(writer.finish()) == 0
+        assert target.is_file()
+        with pytest.raises(OptionError, match="not open"):
+            writer.add_sensor(lidar())
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"profile": "kitti"}, "profile 'kitti'; expected one of sfs, scale"),
+        ({"time_unit": "seconds"}, "time_unit 'seconds'"),
+        ({"profile": "scale", "time_unit": "nanoseconds"}, "expected microseconds in profile 'scale'"),
+        ({"metadata": {"sceneloom": {"layout": 2}}}, "metadata.sceneloom.layout is filled by the writer"),
+    ],
+)
+def test_options_that_cannot_be_followed_are_refused(target, options, problem):
+    with pytest.raises(OptionError, match=problem):
+        SceneWriter(target, **options)
+
+
+def test_what_a_sensor_cannot_take_is_refused(target):
+    with SceneWriter(target) as writer:
+        writer.add_sensor(lidar())
+        writer.add_sensor(OdometrySensor("car", path_at(0)))
+        with pytest.raises(OptionError, match=r"sensors\[car\] is a odometry; it takes no LidarFrame"):
+            writer.add_frame("car", sweep(0))
+        with pytest.raises(OptionError, match="'top' is in the file already"):
+            writer.add_sensor(lidar())
+
+
+def test_numbers_of_cuboids_must_be_finite(target):
+    bad = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.full((1, 9), np.nan)))
+    with (
+        pytest.raises(OptionError, match=r"annotations\[a\].path.values\[0\]"),
+        SceneWriter(target) as writer,
+    ):
+        writer.add_annotation(bad)
+
+
+def test_fields_that_no_file_can_hold_are_refused_with_their_place(target):
+    with pytest.raises(OptionError, match=r"why\[0\].what: a object"), SceneWriter(target) as writer:
+        writer.set_metadata({"why": [{"what": object()}]})
+    with pytest.raises(OptionError, match=r"names: an array of <U1"), SceneWriter(target) as writer:
+        writer.set_metadata({"names": np.array(["a"])})
+
+
+def test_numbers_that_json_cannot_say_become_null_and_are_counted(target, decode_sfs):
+    with SceneWriter(
+        target, metadata={"a": float("nan"), "b": [1.0, float("inf")], "c": np.float32(0.5)}
+    ) as writer:
+        pass
+    assert decode_sfs(target.read_bytes())["metadata"] == {"a": None, "b": [1.0, None], "c": 0.5}
+    assert [(loss.count, loss.what[:7]) for loss in writer.losses] == [(2, "numbers")]
+
+
+def test_poses_within_one_tick_are_left_out_and_counted(written, target):
+    header = written(sweep(0), poses=path_at(0, 400, 1000))
+    assert header["sensors"][0]["poses"]["timestamps"] == [0, 1]
+
+
+def test_a_pose_for_all_time_comes_back_as_one(written, target):
+    first = 1_700_000_000 * SECOND
+    header = written(sweep(first, [first, first]), poses=PosePath.identity())
+    assert header["sensors"][0]["poses"]["timestamps"] == [0]
+    assert FORMAT.open(target).sensors[0].poses.endless
+
+
+def test_a_sensor_of_which_only_the_mounting_is_known_is_placed_on_the_ego(target, decode_sfs):
+    from sceneloom.geometry.rigid import RigidTransform
+
+    mount = RigidTransform.from_quaternion(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3, 0.9]))
+    sensor = lidar(mount=mount, points_frame=PointsFrame.SENSOR)
+    with SceneWriter(target) as writer:
+        writer.add_sensor(sensor)
+        writer.add_frame("top", sweep(5 * SECOND))
+    record = decode_sfs(target.read_bytes())["sensors"][0]
+    assert record["coordinates"] == "ego"
+    assert record["poses"]["timestamps"] == [5_000_000]
+    np.testing.assert_allclose(record["poses"]["values"][0][:3], [1, 2, 3])
+    read = FORMAT.open(target).sensors[0]
+    assert (read.poses, read.coordinates, read.points_frame) == (None, Coordinates.WORLD, PointsFrame.SENSOR)
+    np.testing.assert_array_equal(read.mount.matrix, mount.matrix)
+    assert (
+        "not known; the mounting is written"
+        in {loss.field: loss.what for loss in writer.losses}["sensors[top].poses"]
+    )
+
+
+def test_equal_scenes_give_equal_bytes(tmp_path):
+    def content(name):
+        with SceneWriter(tmp_path / name, metadata={"b": 1, "a": TWO}) as writer:
+            writer.add_sensor(lidar())
+            writer.add_frame("top", sweep(0, [0, 1000]))
+        return (tmp_path / name).read_bytes()
+
+    assert content("a.sfs") == content("b.sfs")
+
+
+@pytest.mark.parametrize("frame_count", [0, 1, 40])
+def test_many_arrays_are_spooled_to_disk_and_come_back(target, decode_sfs, frame_count):
+    rng = np.random.default_rng(1)
+    clouds = [rng.normal(size=(40_000, 3)).astype(np.float32) for _ in range(25)]
+    notes = {f"note {k}": "x" * 1000 for k in range(2000 if frame_count else 0)}
+    with SceneWriter(target, frame_count=frame_count, metadata=notes) as writer:
+        writer.add_sensor(lidar(poses=path_at(0)))
+        for k, cloud in enumerate(clouds):
+            points = LidarPoints(cloud, timestamps_ns=np.full(len(cloud), k * SECOND, np.int64))
+            writer.add_frame("top", LidarFrame(k * SECOND, points))
+        writer.set_poses("top", path_at(-SECOND, 0))
+    header = decode_sfs(target.read_bytes())
+    assert header["metadata"]["sceneloom"]["time_shift_ns"] == SECOND
+    for k, (cloud, frame) in enumerate(zip(clouds, header["sensors"][0]["frames"], strict=True)):
+        np.testing.assert_array_equal(frame["points"]["positions"], cloud)
+        assert set(frame["points"]["timestamps"].tolist()) == {(k + 1) * 1_000_000}
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_arrays_are_copied_where_the_kernel_cannot_do_it(target, monkeypatch):
+    def refuse(*_):
+        raise OSError(95, "not supported")
+
+    monkeypatch.setattr("os.copy_file_range", refuse)
+    cloud = np.random.default_rng(2).normal(size=(900_000, 3)).astype(np.float32)
+    notes = {str(k): "x" * 1000 for k in range(1500)}
+    with SceneWriter(target, metadata=notes) as writer:
+        writer.add_sensor(lidar(poses=path_at(0)))
+        writer.add_frame("top", LidarFrame(0, LidarPoints(cloud)))
+    np.testing.assert_array_equal(FORMAT.open(target).sensors[0].frames[0].points.positions, cloud)
+
+
+def test_sweeps_that_could_not_be_fused_stand_under_our_metadata(target, decode_sfs):
+    with SceneWriter(target) as writer:
+        writer.add_sensor(lidar(poses=path_at(0)))
+        writer.add_frame("top", sweep(0))
+        writer.add_unfused("top", sweep(1_700_000_000 * SECOND + 1, [1, 2]), "no pose")
+    scene = FORMAT.open(target)
+    assert len(scene.sensors[0].frames) == 1
+    kept = scene.metadata["sceneloom"]["unfused"][0]
+    assert (kept["sensor_id"], kept["timestamp_ns"], kept["reason"]) == (
+        "top",
+        1_700_000_000 * SECOND + 1,
+        "no pose",
+    )
+    assert kept["points"]["timestamps_ns"].tolist() == [1, 2]
+    np.testing.assert_array_equal(kept["points"]["positions"], TWO)
+    assert "no pose" in next(iter(writer.losses)).what
+    write_scene(scene, target, overwrite=True)
+    assert len(FORMAT.open(target).metadata["sceneloom"]["unfused"]) == 1
+
+
+def test_trajectories_stand_under_our_metadata_in_their_order(target):
+    ways = {
+        "truth": Trajectory("truth", np.array([1, 2**60]), np.ones((2, 3)), None, np.array([0.1, 0.2])),
+        "car": Trajectory("car", np.array([0]), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]])),
+    }
+    scene = Scene((OdometrySensor("car", path_at(0)),), trajectories=ways)
+    report = write_scene(scene, target)
+    read = FORMAT.open(target).trajectories
+    assert list(read) == ["truth", "car"]
+    assert read["truth"].timestamps_ns.tolist() == [1, 2**60]
+    assert read["truth"].quaternions_xyzw is None
+    assert read["truth"].file_seconds.tolist() == [0.1, 0.2]
+    assert [(loss.field, loss.count, loss.kept) for loss in report] == [
+        ("trajectories[]", 1, "metadata.sceneloom.trajectories")
+    ]
+
+
+def test_radar_frames_are_written(target):
+    points = RadarPoints(TWO, TWO, np.array([1, 2], np.float32), np.array([3000, 4000], np.int64))
+    radar = RadarSensor("r", LazyFrames.of([RadarFrame(3000, points)], [3000]), poses=path_at(0))
+    write_scene(Scene((radar,)), target)
+    frame = FORMAT.open(target).sensors[0].frames[0]
+    assert frame.points.lengths.tolist() == [1, 2]
+    assert frame.points.timestamps_ns.tolist() == [3000, 4000]
+
+
+def test_how_angles_are_meant_is_written(target, decode_sfs):
+    cuboid = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.ones((1, 9))))
+    write_scene(Scene((), (cuboid,)), target)
+    assert decode_sfs(target.read_bytes())["metadata"]["sceneloom"] == {
+        "layout": 1,
+        "euler_unit": "degrees",
+        "euler_order": "xyz",
+    }
+    radians = {"sceneloom": {"euler_unit": "radians"}}
+    write_scene(Scene((), (cuboid,), metadata=radians), target, overwrite=True)
+    assert FORMAT.open(target).metadata["sceneloom"]["euler_unit"] == "radians"

@@ -17,7 +17,7 @@ for every point, which takes ten times as long as the projection.
 import math
 from typing import Any
 
-from numba import float32, float64, int64, njit, types, void
+from numba import float32, float64, int64, njit, types, uint64, void
 
 _READ_ONLY_ROWS = types.Array(float64, 2, "C", readonly=True)
 _READ_ONLY_NUMBERS = types.Array(float64, 1, "C", readonly=True)
@@ -37,6 +37,11 @@ ROWS_SIGNATURE = void(_READ_ONLY_ROWS, _READ_ONLY_NUMBERS, float64[:, ::1])
 # Of the fast mathematics only fused multiply-add: the others would let a NaN slip through the tests.
 INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "inline": "always"}
 KERNEL: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "cache": True}
+
+PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+
+BLOCK = 512
+"""Points that are projected at once, by vector instructions, before those in the picture are picked out."""
 
 MINIMUM_DEPTH = 1e-6
 """Perspective models see only what lies at least so far in front of the camera [m]."""
@@ -73,3 +78,20 @@ def unit_ray(x, y):  # type: ignore[no-untyped-def]
     """Give the unit ray through (x, y) on the plane z = 1."""
     scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
     return x * scale, y * scale, scale
+
+
+@njit(**PART)
+def keep_in_picture(  # type: ignore[no-untyped-def]
+    first_id, columns, rows, block_depths, width, height, count, point_ids, flat_pixels, depths
+):
+    """Append those of a block's points that lie in the picture to the outputs; give the new count.
+
+    The test is made on the float32 pixels that are stored: rounding them to the nearest must stay in the picture.
+    `count` is unsigned, which spares the test for indices from the end.
+    """
+    for i in range(len(columns)):
+        if in_picture(columns[i], rows[i], width, height):
+            point_ids[count], depths[count] = first_id + i, block_depths[i]
+            flat_pixels[uint64(2) * count], flat_pixels[uint64(2) * count + uint64(1)] = columns[i], rows[i]
+            count += uint64(1)
+    return count

@@ -5,16 +5,19 @@ Source: Hartley and Zisserman 2004, "Multiple View Geometry", eq. 6.2 and 6.9.
 
 import math
 
-from numba import float32, njit
+import numpy as np
+from numba import float32, int64, njit, uint64
 
 from sceneloom.cameras.compiled import (
+    BLOCK,
     INLINE,
     KERNEL,
     MINIMUM_DEPTH,
+    PART,
     PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     camera_coordinates,
-    in_picture,
+    keep_in_picture,
     pose_numbers,
     unit_ray,
 )
@@ -32,23 +35,35 @@ def _project(x, y, z, fx, fy, cx, cy):  # type: ignore[no-untyped-def]
     return fx * (x / z) + cx, fy * (y / z) + cy
 
 
+@njit(**PART)
+def _project_block(flat_points, pose, lens, columns, rows, depths):  # type: ignore[no-untyped-def]
+    """Project as many points as the outputs have room for, without a branch between them."""
+    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
+    for i in range(len(columns)):
+        x, y, z = camera_coordinates(flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2], pose)
+        columns[i] = float32(fx * (x / z) + cx) if z > MINIMUM_DEPTH else float32(math.nan)
+        rows[i], depths[i] = float32(fy * (y / z) + cy), float32(z)
+
+
 @njit(PICTURE_SIGNATURE, **KERNEL)
 def project_into_picture(  # type: ignore[no-untyped-def]
     points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
 ):
     """Keep the points that fall into the picture; see `compiled`."""
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    pose, count = pose_numbers(camera_from_world), 0
-    for i in range(len(points_world)):
-        x, y, z = camera_coordinates(points_world[i, 0], points_world[i, 1], points_world[i, 2], pose)
-        u, v = _project(x, y, z, fx, fy, cx, cy)
-        column, row = float32(u), float32(v)
-        # The test is made on what is stored: rounding that to the nearest pixel must stay inside the picture.
-        if in_picture(column, row, width, height):
-            point_ids[count], depths[count] = i, z
-            pixels[count, 0], pixels[count, 1] = column, row
-            count += 1
-    return count
+    pose = pose_numbers(camera_from_world)
+    flat_points, flat_pixels = points_world.reshape(points_world.size), pixels.reshape(pixels.size)
+    columns, rows, block_depths = (
+        np.empty(BLOCK, np.float32),
+        np.empty(BLOCK, np.float32),
+        np.empty(BLOCK, np.float32),
+    )
+    count = uint64(0)
+    for start in range(0, len(points_world), BLOCK):
+        size = min(BLOCK, len(points_world) - start)
+        u, v, z = columns[:size], rows[:size], block_depths[:size]
+        _project_block(flat_points[3 * start : 3 * (start + size)], pose, lens, u, v, z)
+        count = keep_in_picture(start, u, v, z, width, height, count, point_ids, flat_pixels, depths)
+    return int64(count)
 
 
 @njit(ROWS_SIGNATURE, **KERNEL)

@@ -47,6 +47,7 @@ class SensorDraft:
         poses: where it was; None: not known.
         mount: `ego_from_sensor`, where it is known.
         coordinates: the frame that `poses` lead into; None for sensors without.
+        further_poses: unknown fields of `poses`.
         frames: records of its frames so far; None where it has none.
         point_times: the spooled times of points.
         lengths: of radar points, one entry per frame, where the profile has no place for them.
@@ -61,6 +62,7 @@ class SensorDraft:
     poses: PosePath | None = None
     mount: RigidTransform | None = None
     coordinates: str | None = None
+    further_poses: Mapping[str, Any] = field(default_factory=dict)
     frames: list[dict[str, Any]] | None = None
     point_times: list[Blob] = field(default_factory=list)
     lengths: list[Any] = field(default_factory=list)
@@ -88,7 +90,7 @@ class SensorDraft:
         if self.coordinates is not None:
             record |= self._place_in_world(clock, losses)
         elif self.poses is not None:
-            record["poses"] = _poses_record(self.poses, self._standing_ns(clock), clock, self.place, losses)
+            record["poses"] = self._poses(self.poses, clock, losses)
         if self.poses is not None and self.poses.endless:
             self.note["poses_endless"] = True
         if self.frames is not None:
@@ -99,19 +101,32 @@ class SensorDraft:
 
     def _place_in_world(self, clock: FileClock, losses: Losses) -> dict[str, Any]:
         """Write `coordinates` and `poses`; a sensor of which only the mounting is known is placed on the ego."""
-        standing_ns = self._standing_ns(clock)
         if self.mount is not None:
             self.note["mount"] = mount_rows(self.mount)
         if self.poses is not None:
-            poses = _poses_record(self.poses, standing_ns, clock, self.place, losses)
-            return {"coordinates": self.coordinates, "poses": poses}
+            return {"coordinates": self.coordinates, "poses": self._poses(self.poses, clock, losses)}
         if self.mount is None:
             losses.add(f"{self.place}.poses", "not known, left out; the format wants them")
             return {"coordinates": self.coordinates}
         losses.add(f"{self.place}.poses", "not known; the mounting is written, in ego coordinates")
         self.note |= {"poses_from_mount": True, "coordinates": self.coordinates}
         values = [[*self.mount.translation.tolist(), *self.mount.quaternion_xyzw.tolist()]]
-        return {"coordinates": "ego", "poses": {"timestamps": [standing_ns], "values": values}}
+        return {"coordinates": "ego", "poses": {"timestamps": [self._standing_ns(clock)], "values": values}}
+
+    def _poses(self, path: PosePath, clock: FileClock, losses: Losses) -> dict[str, Any]:
+        """Write a path; of poses that fall on one stamp the first stays."""
+        rows = np.hstack([path.positions, path.quaternions_xyzw])
+        if path.endless:
+            return with_further(
+                {"timestamps": [self._standing_ns(clock)], "values": rows}, self.further_poses
+            )
+        stamps, _ = clock.stamp_array(path.timestamps_ns)
+        kept = np.concatenate([[True], np.diff(stamps) > 0])
+        what = "left out: within one tick of the pose before"
+        losses.add(f"{self.place}.poses", what, count=int((~kept).sum()))
+        return with_further(
+            {"timestamps": path.timestamps_ns[kept], "values": rows[kept]}, self.further_poses
+        )
 
     def _standing_ns(self, clock: FileClock) -> int:
         """The time to be written for a pose that holds at all times."""
@@ -120,19 +135,6 @@ class SensorDraft:
         stamps = [frame["timestamp"] for frame in self.frames or []]
         stamps += [image["timestamp"] for image in self.fields.get("images") or []]
         return min(stamps, default=max(clock.offset_ns, 0))
-
-
-def _poses_record(
-    path: PosePath, standing_ns: int, clock: FileClock, place: str, losses: Losses
-) -> dict[str, Any]:
-    """Write a path; of poses that fall on one stamp the first stays."""
-    rows = np.hstack([path.positions, path.quaternions_xyzw])
-    if path.endless:
-        return {"timestamps": [standing_ns], "values": rows}
-    stamps, _ = clock.stamp_array(path.timestamps_ns)
-    kept = np.concatenate([[True], np.diff(stamps) > 0])
-    losses.add(f"{place}.poses", "left out: within one tick of the pose before", count=int((~kept).sum()))
-    return {"timestamps": path.timestamps_ns[kept], "values": rows[kept]}
 
 
 def with_further(record: dict[str, Any], further: Mapping[str, Any]) -> dict[str, Any]:

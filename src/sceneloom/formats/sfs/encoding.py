@@ -198,7 +198,7 @@ def _write_times(writer: RecordWriter, value: Any, field: Field, items: Items) -
 
 
 def _write_duration(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any:
-    return writer.clock.duration(value) if type(value) is int else writer.plain(value, items)
+    return writer.plain(writer.clock.duration(value) if type(value) in (int, float) else value, items)
 
 
 def _write_durations(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:

@@ -52,9 +52,11 @@ def path_of(record: Mapping[str, Any]) -> PosePath | None:
         raise FieldError(str(error).removeprefix("poses").lstrip(".: ")) from None
 
 
-def poses_record(path: PosePath) -> dict[str, Any]:
-    """Make the `poses` record of a PosePath."""
-    return {"timestamps": path.timestamps_ns, "values": np.hstack([path.positions, path.quaternions_xyzw])}
+def further_of_poses(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the unknown fields of a sensor's `poses`, as an entry of its further fields."""
+    record = values.get("poses") or {}
+    further = {name: value for name, value in record.items() if name not in {"timestamps", "values"}}
+    return {"poses": further} if further else {}
 
 
 def mount_of(rows: Any) -> RigidTransform:

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.container import format_keys
-from sceneloom.formats.sfs.poses import mount_of, path_of
+from sceneloom.formats.sfs.poses import further_of_poses, mount_of, path_of
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import Source
 from sceneloom.formats.sfs.times import TimeRangeError
@@ -104,7 +104,8 @@ def read_points(source: Source, values: Record, place: Place, faults: Faults) ->
 def rest_of(values: Record) -> Record:
     """The fields that no attribute of the model takes."""
     taken = {"id", "type", "parent_id", "poses", "coordinates", "points", "frames"}
-    return {name: value for name, value in values.items() if name not in taken}
+    further = {name: value for name, value in values.items() if name not in taken}
+    return {**further, **further_of_poses(values)}
 
 
 def read_moving(source: Source, values: Record, place: Place, faults: Faults, *, frame_count: int) -> Record:

@@ -87,11 +87,9 @@ def image_content(source: Source, images: list[Mapping[str, Any]], place: Place)
         where = format_keys((*place, index, "content"))
         container.check_open(where)
         content: AnyArray = images[index]["content"]
-        width, height = _jpeg_size(container.file, content, where)
-        lens = camera if (width, height) == (camera.width, camera.height) else camera.resized(width, height)
         return Picture(
             images[index]["timestamp"],
-            lens,
+            _lens_for(content, camera),
             partial(_decode_jpeg, container, content, where),
             extras=own[index],
             encoded=content.tobytes,
@@ -101,28 +99,29 @@ def image_content(source: Source, images: list[Mapping[str, Any]], place: Place)
     return PictureContent(starts_ns, read, own_fields=own)
 
 
-def _jpeg_size(file: str, content: AnyArray, place: str) -> tuple[int, int]:
+def _lens_for(content: AnyArray, camera: Camera) -> Camera:
+    """Fit the lens to the size that a picture's head tells; one without a head may still be copied."""
     from simplejpeg import decode_jpeg_header
 
     try:
         height, width = decode_jpeg_header(content.data)[:2]
-    except (ValueError, RuntimeError) as error:
-        raise DataError(file, place, f"no JPEG: {error}") from None
-    if not 0 < width * height <= _LARGEST_PICTURE:
-        raise DataError(
-            file, place, f"a picture of {width}x{height}; expected at most {_LARGEST_PICTURE} pixels"
-        )
-    return width, height
+    except (ValueError, RuntimeError):
+        return camera
+    return camera if (width, height) == (camera.width, camera.height) else camera.resized(width, height)
 
 
 def _decode_jpeg(container: Container, content: AnyArray, place: str) -> UInt8Array:
-    from simplejpeg import decode_jpeg
+    from simplejpeg import decode_jpeg, decode_jpeg_header
 
     container.check_open(place)
     try:
+        height, width = decode_jpeg_header(content.data)[:2]
+        if width * height > _LARGEST_PICTURE:
+            problem = f"a picture of {width}x{height}; expected at most {_LARGEST_PICTURE} pixels"
+            raise DataError(container.file, place, problem)
         return cast("UInt8Array", decode_jpeg(content.data, "RGB"))
     except (ValueError, RuntimeError, MemoryError) as error:
-        raise DataError(container.file, place, f"cannot be decoded: {error}") from None
+        raise DataError(container.file, place, f"cannot be decoded as JPEG: {error}") from None
 
 
 class _Player:

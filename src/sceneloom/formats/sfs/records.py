@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, read_only
 from sceneloom.formats.sfs.container import RawBytes
 from sceneloom.formats.sfs.fields import RECORDS, Field, Kind
-from sceneloom.formats.sfs.times import INT64_MAX, INT64_MIN, FileClock, TimeRangeError
+from sceneloom.formats.sfs.times import INT64_MAX, INT64_MIN, FileClock, TimeRangeError, checked_ns, scaled
 
 Place = tuple[str | int, ...]
 """Where something stands inside the header, as keys."""
@@ -177,7 +177,7 @@ def _read_time(reader: RecordReader, value: Any, field: Field, faults: Faults) -
     if type(value) is int:
         return reader.clock.absolute_ns(value)
     if type(value) is float:
-        return reader.clock.duration_ns(value) + reader.clock.offset_ns
+        return checked_ns(scaled(value, reader.clock.tick_ns) + reader.clock.offset_ns)
     raise _wrong(value, field)
 
 
@@ -198,22 +198,22 @@ def _read_times(reader: RecordReader, value: Any, field: Field, faults: Faults) 
     return _each(value, lambda item: _read_time(reader, item, _TIME, faults))
 
 
-def _read_duration(reader: RecordReader, value: Any, field: Field, faults: Faults) -> int:
+def _read_duration(reader: RecordReader, value: Any, field: Field, faults: Faults) -> int | float:
     del faults
     if type(value) is int or type(value) is float:
         return reader.clock.duration_ns(value)
     raise _wrong(value, field)
 
 
-def _read_durations(reader: RecordReader, value: Any, field: Field, faults: Faults) -> list[int]:
+def _read_durations(reader: RecordReader, value: Any, field: Field, faults: Faults) -> list[Any]:
     values = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(values, list):
         raise _wrong(value, field)
     return _each(values, lambda item: _read_duration(reader, item, _DURATION, faults))
 
 
-def _each(values: list[Any], read: Callable[[Any], int]) -> list[int]:
-    times = []
+def _each(values: list[Any], read: Callable[[Any], Any]) -> list[Any]:
+    times: list[Any] = []
     for index, item in enumerate(values):
         try:
             times.append(read(item))

@@ -20,7 +20,7 @@ from sceneloom.scene import (
     Sensor,
 )
 
-_MERGED = frozenset({"intrinsics", "video", "points"})
+_MERGED = frozenset({"intrinsics", "video", "points", "poses"})
 """Further fields that go into parts of the sensor's record."""
 
 
@@ -35,11 +35,17 @@ def draft_of(sensor: Sensor, losses: Losses, *, any_distortion: bool) -> SensorD
     if isinstance(sensor, PlainSensor):
         return SensorDraft(sensor.id, sensor.type, dict(sensor.fields), streamed=False)
     if isinstance(sensor, CameraSensor):
-        return _camera(sensor, losses, any_distortion=any_distortion)
+        return _with_poses(_camera(sensor, losses, any_distortion=any_distortion), sensor)
     for kind, make in _DRAFTS.items():
         if isinstance(sensor, kind):
-            return make(sensor, losses)
+            return _with_poses(make(sensor, losses), sensor)
     raise OptionError(f"a {type(sensor).__name__}; expected a sensor")
+
+
+def _with_poses(draft: SensorDraft, sensor: Any) -> SensorDraft:
+    further = sensor.extras.get("poses")
+    draft.further_poses = further if isinstance(further, Mapping) else {}
+    return draft
 
 
 def _fields(sensor: Any) -> dict[str, Any]:

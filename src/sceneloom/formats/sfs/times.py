@@ -97,14 +97,16 @@ class FileClock:
             quotient = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
         return quotient, inexact
 
-    def duration_ns(self, duration: float) -> int:
-        """Give a duration of the file in nanoseconds."""
-        return checked_ns(scaled(duration, self.tick_ns))
+    def duration_ns(self, duration: float) -> int | float:
+        """Give a duration of the file in nanoseconds: an integer, if that is the same number when it is written."""
+        whole_ns = checked_ns(scaled(duration, self.tick_ns))
+        return whole_ns if self.duration(whole_ns) == duration else duration * self.tick_ns
 
-    def duration(self, duration_ns: int) -> int | float:
+    def duration(self, duration_ns: float) -> int | float:
         """Give a duration in the file's unit: an integer where it is one."""
-        whole, rest = divmod(duration_ns, self.tick_ns)
-        return whole if rest == 0 else duration_ns / self.tick_ns
+        if isinstance(duration_ns, int) and duration_ns % self.tick_ns == 0:
+            return duration_ns // self.tick_ns
+        return duration_ns / self.tick_ns
 
 
 def checked_ns(timestamp_ns: int) -> int:

@@ -43,11 +43,13 @@ class PictureWriter:
         spool: takes them.
         folder: for files that are needed on the way.
         losses: collects what cannot be held.
+        verbatim: the pictures come from a file of this format and are copied, whatever they are.
     """
 
     spool: Spool
     folder: Path
     losses: Losses
+    verbatim: bool
 
     def add_sensor(self, camera: CameraDraft, sensor: CameraSensor) -> None:
         """Write all pictures that a camera has: its video, else each as a JPEG."""
@@ -71,7 +73,7 @@ class PictureWriter:
     def add_picture(self, camera: CameraDraft, picture: Picture) -> None:
         """Write one picture as a JPEG, copied where it is one already."""
         encoded = None if picture.encoded is None else picture.encoded()
-        if encoded is None or not encoded.startswith(_JPEG_START):
+        if encoded is None or not (self.verbatim or encoded.startswith(_JPEG_START)):
             what = f"encoded as JPEG of quality {JPEG_QUALITY}"
             self.losses.add(f"{camera.draft.place}.images[].content", what)
             encoded = encode_jpeg(picture.rgb)

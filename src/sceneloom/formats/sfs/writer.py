@@ -148,7 +148,7 @@ class SceneWriter:
             spool,
             keeper,
             CloudWriter(spool, self._profile, self._losses, self._verbatim, keeper.clock_for),
-            PictureWriter(spool, draft.parent, self._losses),
+            PictureWriter(spool, draft.parent, self._losses, self._verbatim),
         )
         return self
 

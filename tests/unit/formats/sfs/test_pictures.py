@@ -75,7 +75,7 @@ def test_a_picture_of_another_size_has_a_lens_of_its_size(open_header):
 def test_what_is_no_jpeg_is_refused_when_it_is_asked_for(open_header, content):
     images = [{"timestamp": 5, "content": np.frombuffer(content, np.uint8)}]
     pictures = open_header(camera_header(images=images)).cameras[0].pictures
-    with pytest.raises(DataError, match=r"sensors\[0\].images\[0\].content: no JPEG"):
+    with pytest.raises(DataError, match=r"sensors\[0\].images\[0\].content: cannot be decoded"):
         pictures[0].rgb  # noqa: B018
 
 

@@ -1,0 +1,245 @@
+"""File to file: an `.sfs` that is read and written again loses nothing; Scale's profile keeps aside what it must."""
+
+import numpy as np
+import pytest
+
+from sceneloom.formats.sfs import FORMAT, write_scene
+
+TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
+POSES = {
+    "timestamps": [5, 105],
+    "values": [[1.5, 2, 3, 0, 0, 0, 1], [1.5, 2, 3, 0, 0, 0.6, 0.8]],
+    "smoothed": True,
+}
+PATH = {"timestamps": [5, 6], "values": [[0.25, 1.5], [3, 4]], "closed": "no"}
+ATTRIBUTES = [
+    {"name": "speed", "sensor_id": "top", "static": False, "timestamps": [5, 7], "values": [1.5, -2]},
+    {"name": "colour", "static": True, "timestamps": [5, 6], "values": ["red", ["a", "b"]], "by": "hand"},
+]
+FLAT_SHAPES = ("box_2d", "polyline_2d", "polygon_2d", "point_2d")
+SHAPES = (*FLAT_SHAPES, "polygon", "polygon_topdown", "polyline", "point", "point_topdown")
+ROW = [4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]
+
+
+def frame(stamp, **points):
+    return {"timestamp": stamp, "points": {"positions": TWO + stamp, **points}, "quality": [1, None, "x"]}
+
+
+@pytest.fixture(scope="module")
+def header():
+    """One of everything, with unknown fields everywhere."""
+    points = {
+        "colors": np.array([[1, 2, 3], [4, 5, 6]], np.uint8),
+        "intensities": np.array([7, 8], np.uint8),
+        "timestamps": np.array([5, 9], np.uint32),
+        "ring": np.array([1, 300], np.uint16),
+        "camera_index": np.array([0, 255], np.uint8),
+        "confidence": np.array([0.1, 0.2]),
+    }
+    moving = {"coordinates": "world", "poses": POSES}
+    sensors = [
+        {
+            "id": "top",
+            "type": "lidar",
+            "parent_id": 7,
+            **moving,
+            "frames": [frame(5, **points), frame(100_005)],
+            "fw": "1.2",
+        },
+        {
+            "id": 7,
+            "type": "radar",
+            **moving,
+            "coordinates": "ego",
+            "frames": [
+                frame(5, directions=TWO, lengths=np.array([1.5, 2], np.float32), rcs=np.array([3.0, 4.0]))
+            ],
+        },
+        {
+            "id": "7",
+            "type": "points",
+            "points": {"positions": TWO * 20_000, "colors": points["colors"], "n": TWO},
+        },
+        {"id": "car", "type": "odometry", "poses": POSES, "maker": {"name": "x"}},
+        {"id": "odd", "type": "sonar", "poses": POSES, "frames": [{"timestamp": 9, "pings": TWO}]},
+        {
+            "id": "front",
+            "type": "camera",
+            **moving,
+            "intrinsics": {
+                "fx": 10.5,
+                "fy": 11.5,
+                "cx": 3.5,
+                "cy": 2.5,
+                "width": 8,
+                "height": 6,
+                "distortion": {"model": "from_the_future", "params": [0.5], "fit": 0.1},
+                "skew": 0.0,
+            },
+            "images": [
+                {
+                    "timestamp": 6,
+                    "content": np.frombuffer(b"\xff\xd8\xff\xe0 any bytes", np.uint8),
+                    "iso": 100,
+                }
+            ],
+        },
+    ]
+    flat = {"label": "x", "stationary": True, "attributes": ATTRIBUTES, "parent_id": "o"}
+    annotations = [
+        {
+            "id": "c",
+            "type": "cuboid",
+            **flat,
+            "path": {"timestamps": [5, 6], "values": [ROW, ROW], "smooth": 1},
+            "activations": [
+                {"sensor_id": "top", "timestamps": [5], "durations": [2.5], "cuboids": [ROW], "q": 1}
+            ],
+            "projections": [
+                {
+                    "sensor_id": "front",
+                    "timestamps": [5, 6],
+                    "boxes": [[1, 2, 3, 4], None],
+                    "confirmed": [True, False],
+                }
+            ],
+            "meta": {"deep": [{"array": TWO}]},
+        },
+        *(
+            {"id": f"shape {name}", "type": name, "sensor_id": "front", "path": PATH, **flat, "unknown": name}
+            for name in SHAPES
+        ),
+        {
+            "id": 1,
+            "type": "points",
+            "labels": ["a", "b"],
+            "paths": [{"id": 0, **PATH}, PATH],
+            "projections": [
+                [{"sensor_id": "front", "timestamps": [5], "points": [None], "positions": [[1, 2, 3]]}],
+                [],
+            ],
+            "attributes": [{**ATTRIBUTES[0], "point_index": 1}],
+        },
+        {"id": 2, "type": "event", "start": 7, "duration": 3.5, "sensor_id": "top"},
+        {
+            "id": 3,
+            "type": "labeled_points",
+            "label": "road",
+            "is_instance": False,
+            "labeled_points": [
+                {"sensor_id": "top", "sensor_frame": 0, "point_ids": np.array([0, 1], np.uint32)}
+            ],
+        },
+        {"id": 4, "type": "localization_adjustment", "poses": POSES},
+        {"id": 5, "type": "camera_calibration", "sensor_id": "front", "time_offset": -3, "poses": POSES},
+        {"id": "o", "type": "object", "label": "thing"},
+        {"id": 6, "type": "link", "label": "l", "from_id": "c", "to_id": 1, "is_bidirectional": True},
+        {"id": 7, "type": "group", "label": "g"},
+        {"id": 8, "type": "attributes", "attributes": ATTRIBUTES},
+        {"id": 9, "type": "future", "path": PATH, "start": "soon", "payload": TWO, "none": None},
+    ]
+    return {
+        "version": "1.0",
+        "time_unit": "microseconds",
+        "time_offset": 1_700_000_000_123_456,
+        "sensors": sensors,
+        "annotations": annotations,
+        "attributes": ATTRIBUTES,
+        "metadata": {"town": "Ulm", "grid": TWO, "big": 2**70, "unicode": "Straße 🚗", "none": None},
+        "licence": {"name": "open", "since": 2020},
+    }
+
+
+def plain(node):
+    """Arrays as lists with their dtype, so that `==` compares everything."""
+    if isinstance(node, dict):
+        return {key: plain(value) for key, value in node.items()}
+    if isinstance(node, list):
+        return [plain(value) for value in node]
+    return (node.dtype.name, node.tolist()) if isinstance(node, np.ndarray) else node
+
+
+def without_ours(header):
+    metadata = {name: value for name, value in header["metadata"].items() if name != "sceneloom"}
+    return {**header, "metadata": metadata}
+
+
+@pytest.fixture(params=["microseconds", "nanoseconds"])
+def in_unit(request, header):
+    if request.param == "nanoseconds":
+        sensors = [dict(sensor) for sensor in header["sensors"]]
+        points = sensors[0]["frames"][0]["points"]
+        wide = {**points, "timestamps": points["timestamps"].astype(np.uint64)}
+        sensors[0]["frames"] = [{**sensors[0]["frames"][0], "points": wide}, sensors[0]["frames"][1]]
+        return {**header, "time_unit": "nanoseconds", "sensors": sensors}
+    return header
+
+
+def test_a_file_that_is_read_and_written_is_the_same(open_header, target, decode_sfs, in_unit):
+    report = write_scene(open_header(in_unit), target)
+    expected = plain(in_unit)
+    found = plain(without_ours(decode_sfs(target.read_bytes())))
+    assert list(found) == [name for name in found if name in expected]
+    for part in ("version", "time_unit", "time_offset", "attributes", "metadata", "licence"):
+        assert found[part] == expected[part], part
+    for kind in ("sensors", "annotations"):
+        for read, original in zip(found[kind], expected[kind], strict=True):
+            assert read == original, original["type"]
+    assert {loss.field for loss in report} == set()
+
+
+def test_writing_twice_changes_nothing_more(open_header, tmp_path, header):
+    first, second = tmp_path / "first.sfs", tmp_path / "second.sfs"
+    write_scene(open_header(header), first)
+    write_scene(FORMAT.open(first), second)
+    assert first.read_bytes() == second.read_bytes()
+    assert FORMAT.open(first).notices == FORMAT.open(second).notices
+
+
+def test_times_are_equal_in_another_unit(open_header, tmp_path, header):
+    fine = tmp_path / "fine.sfs"
+    write_scene(open_header(header), fine, time_unit="nanoseconds")
+    before, after = open_header(header), FORMAT.open(fine)
+    assert after.extras["time_unit"] == "nanoseconds"
+    assert after.time_offset_ns == before.time_offset_ns
+    np.testing.assert_array_equal(
+        after.sensors[0].frames[0].points.timestamps_ns, before.sensors[0].frames[0].points.timestamps_ns
+    )
+    assert after.annotations[0].extras["activations"][0]["durations"] == [2500]
+
+
+def test_the_profile_of_scale_keeps_aside_what_it_drops(open_header, target, decode_sfs, header):
+    before = open_header(header)
+    report = write_scene(before, target, profile="scale")
+    written = decode_sfs(target.read_bytes())
+    assert [sensor["type"] for sensor in written["sensors"]] == ["lidar", "radar", "camera"]
+    assert "lengths" not in written["sensors"][1]["frames"][0]["points"]
+    assert written["annotations"][0]["attributes"][0]["values"] == [1500, -2000]
+    assert written["annotations"][0]["attributes"][1]["timestamps"] == [5]
+    assert "distortion" not in written["sensors"][2]["intrinsics"] or not written["sensors"][2]["intrinsics"][
+        "distortion"
+    ].get("model")
+    losses = {loss.field: loss.kept for loss in report}
+    for field in ("sensors[car]", "sensors[7]", "sensors[odd]", "annotations[group]", "annotations[link]"):
+        assert losses[field].startswith("metadata.sceneloom."), field
+    assert losses["sensors[7].frames[].points.lengths"] == "metadata.sceneloom.sensor_notes[].lengths"
+    assert losses["annotations[].attributes[]"] == "metadata.sceneloom.exact_attributes"
+
+
+def test_a_file_of_the_profile_of_scale_comes_back_whole(open_header, tmp_path, decode_sfs, header):
+    aside, back = tmp_path / "aside.sfs", tmp_path / "back.sfs"
+    write_scene(open_header(header), aside, profile="scale")
+    write_scene(FORMAT.open(aside), back)
+    found, expected = plain(without_ours(decode_sfs(back.read_bytes()))), plain(header)
+    for kind in ("sensors", "annotations"):
+        by_id = {(type(item["id"]), item["id"]): item for item in found[kind]}
+        assert len(by_id) == len(expected[kind])
+        for original in expected[kind]:
+            read = by_id[type(original["id"]), original["id"]]
+            if original["type"] == "camera":
+                read = {
+                    **read,
+                    "intrinsics": {**read["intrinsics"], "distortion": original["intrinsics"]["distortion"]},
+                }
+            assert read == original, original["type"]
+    assert found["attributes"] == expected["attributes"]

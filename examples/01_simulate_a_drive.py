@@ -28,7 +28,9 @@ def main(folder: Path) -> None:
     ego = drive.scene.trajectories["groundTruth"].poses
     points_world, _ = points_to_world(frame, PoseSource(ego, lidar.mount))
     error = np.linalg.norm(points_world - clean.positions_world, axis=1)
-    print(f"{len(frame.points)} points; the range noise leaves {error.std():.3f} m of spread in the world")
+    print(
+        f"{len(frame.points)} points, {np.sqrt((error**2).mean()):.3f} m from where they come from (root mean square)"
+    )
 
     at_start = ego.interpolate(np.array([frame.timestamp_ns, frame.timestamp_ns + 99_000_000]))
     print(f"the ego moved {np.linalg.norm(np.diff(at_start.positions, axis=0)):.2f} m during the sweep")

@@ -13,6 +13,9 @@ from sceneloom.simulate.street import Street
 SKY_INSTANCE, GROUND_INSTANCE = -1, 0
 """What instance pictures say where there is no object."""
 
+_BLOCK, _SHARES = 64, 8
+"""Bundles are dealt out in blocks (a row of tiles or so) to this many shares, so that threads finish together."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
@@ -43,9 +46,11 @@ class Rays:
             bundle_of_ray: (N,) int64, any numbers, equal for neighbours.
             pose_of_ray: (N,) int64, None where all rays share one pose.
         """
-        order = np.argsort(bundle_of_ray, kind="stable")
-        order = order[np.isfinite(directions[order]).all(axis=1)]
-        edges = np.flatnonzero(np.diff(bundle_of_ray[order])) + 1
+        used = np.flatnonzero(np.isfinite(directions).all(axis=1))
+        _, bundle = np.unique(bundle_of_ray[used], return_inverse=True)
+        bundle = bundle + (bundle // _BLOCK % _SHARES) * len(directions)
+        turn = np.argsort(bundle, kind="stable")
+        order, edges = used[turn], np.flatnonzero(np.diff(bundle[turn])) + 1
         starts = np.concatenate([[0], edges, [len(order)]]) if len(order) else np.zeros(1)
         poses = np.zeros(len(order)) if pose_of_ray is None else pose_of_ray[order]
         return cls(

@@ -215,4 +215,3 @@ def design_hedge(generator: np.random.Generator, *, length: float) -> Design:
     material = leaves if generator.uniform() < 0.65 else stones
     shape = _standing(ShapeKind.BOX, (length / 2, 0.25, height / 2), (0, 0, 0), material)
     return Design("barrier", (shape,), (length, 0.5, height))
-

@@ -203,7 +203,10 @@ def _close_ends(generator: np.random.Generator, plots: _Plots) -> None:
         design = design_house(generator, length=44.0, depth=12.0, storeys=5)
         x, y, heading = lane.place(float(lane.along[end]), 1.75)
         plots.put(
-            design, x + ahead * 14.0 * np.cos(heading), y + ahead * 14.0 * np.sin(heading), heading + np.pi / 2
+            design,
+            x + ahead * 14.0 * np.cos(heading),
+            y + ahead * 14.0 * np.sin(heading),
+            heading + np.pi / 2,
         )
 
 

@@ -92,6 +92,16 @@ def test_biases_differ_between_seeds_and_axes(path):
     assert len(np.unique(np.concatenate(biases))) == 9
 
 
+def test_the_bias_is_not_drawn_from_the_numbers_of_the_noise(path):
+    times, spec = (
+        stamps(0.1, 100),
+        ImuSpec(rate_hz=100, accelerometer_noise=0.1, accelerometer_bias_sigma=1.0),
+    )
+    truth = imu_truth(spec, path, times, seed=0)
+    noise = imu_sensor(spec, truth, seed=0).streams["accelerometer"].values[0] - truth.specific_forces[0]
+    assert not np.allclose(noise - truth.accelerometer_bias, truth.accelerometer_bias, rtol=0.01)
+
+
 def test_gnss_fixes_scatter_around_the_path_as_much_as_said(path):
     spec, times = GnssSpec(rate_hz=200, horizontal_sigma=0.5, vertical_sigma=2.0), stamps(10.0, 200)
     fixes = gnss_sensor(spec, path, times, seed=1)

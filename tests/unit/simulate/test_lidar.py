@@ -27,11 +27,11 @@ def wall(street_of, standing_path, box):
 
 @pytest.fixture(scope="module")
 def sweep_of(wall, standing_path):
-    """Sweep number 2 of a lidar before the wall."""
+    """A sweep of a lidar before the wall."""
 
-    def make(spec, *, seed=0):
+    def make(spec, *, seed=0, k=2):
         starts = np.arange(4, dtype=np.int64) * spec.period_ns
-        return SpinningLidar.of(spec, wall, standing_path, seed=seed, timestamps_ns=starts).sweep(2)
+        return SpinningLidar.of(spec, wall, standing_path, seed=seed, timestamps_ns=starts).sweep(k)
 
     return make
 
@@ -59,6 +59,16 @@ def test_range_noise_lies_along_the_rays_and_has_the_deviation_that_was_asked_fo
     assert error.std() == pytest.approx(0.05, rel=0.045)
     assert abs(error.mean()) < 0.06 * 0.05
     np.testing.assert_allclose(np.cross(measured, sweep.directions), 0.0, atol=2 * FLOAT32)
+
+
+def test_every_sweep_and_every_seed_has_noise_of_its_own(sweep_of):
+    spec = replace(EXACT, range_sigma=0.05)
+    errors = [
+        np.linalg.norm(sweep.frame.points.positions, axis=1) - sweep.ranges
+        for sweep in (sweep_of(spec, k=1), sweep_of(spec, k=2), sweep_of(spec, k=2, seed=1))
+    ]
+    # 3000 independent pairs correlate by 0.02 at random; five times that.
+    assert np.abs(np.corrcoef(errors) - np.eye(3)).max() < 0.1
 
 
 @pytest.mark.parametrize("clockwise", [True, False])

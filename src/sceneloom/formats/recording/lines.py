@@ -80,7 +80,12 @@ class _LineReader:
         number, offset, latest = 0, 0, -float("inf")
         backwards, first_backwards = 0, 0
         for number, text in enumerate(lines, start=1):
-            seconds = self._take(text, number, offset)
+            try:
+                line = _decode_exact(text)
+            except DECODER_FAULTS:
+                seconds = self._take_inexact(text, number, offset)
+            else:
+                seconds = self._take_exact(line, text, number)
             offset += len(text) + 1
             if seconds is not None:
                 if seconds < latest:
@@ -94,12 +99,8 @@ class _LineReader:
         if self.columns.other_lines:
             self._note_other_lines()
 
-    def _take(self, text: bytes, number: int, offset: int) -> float | None:
-        """Take one line; give its time where it has one."""
-        try:
-            line = _decode_exact(text)
-        except DECODER_FAULTS:
-            return self._take_inexact(text, number, offset)
+    def _take_exact(self, line: ExactLine, text: bytes, number: int) -> float | None:
+        """Take a line that says nothing but what the columns hold; give its time."""
         try:
             stream, seconds = take_line(self.columns, line, number)
         except UnfitLineError as error:

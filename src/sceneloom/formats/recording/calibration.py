@@ -30,7 +30,7 @@ class CameraEntry(CameraParameters, frozen=True):
 class LidarEntry(msgspec.Struct, frozen=True):
     """One of `lidars`, as far as it is used here."""
 
-    lidarInd: SensorIndex | None = None  # noqa: N815 - as `cameraInd`; our extension for several lidars
+    lidarInd: SensorIndex = 0  # noqa: N815 - as `cameraInd`; our extension for several lidars
     imuToLidar: MatrixNumbers | None = None  # noqa: N815 - the format's own word
     imuToLidarMatrix: MatrixNumbers | None = None  # noqa: N815 - as the cameras' word
 
@@ -96,7 +96,9 @@ def read_calibration(folder: Path, ledger: Ledger) -> Calibration:
     lidars: dict[int, LidarCalibration] = {}
     for index, lidar in _lidars(path, content, ledger):
         if index in lidars:
-            ledger.fault("repeated-lidars", DataError(path, lidar.place, f"lidarInd {index} is used twice"))
+            place = lidar.place.removeprefix(f"{path}: ")
+            problem = f"lidarInd {index} is used twice; expected each once (absent means 0)"
+            ledger.fault("repeated-lidars", DataError(path, place, problem))
             continue
         lidars[index] = lidar
     return Calibration(path, cameras, lidars, content)
@@ -146,8 +148,7 @@ def _lidars(path: Path, content: Mapping[str, Any], ledger: Ledger) -> Iterator[
         except (DataError, CalibrationError) as error:
             ledger.fault("unusable-calibrations", error)
             continue
-        number = index if entry.lidarInd is None else entry.lidarInd
-        yield number, LidarCalibration(place, lidar_from_imu, item)
+        yield entry.lidarInd, LidarCalibration(place, lidar_from_imu, item)
 
 
 def _entries(path: Path, content: Mapping[str, Any], name: str) -> list[Any]:

@@ -1,6 +1,7 @@
 """Camera parameters of a recording as lenses: names of the models, and what their coefficients mean here."""
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 from msgspec import Struct, structs
@@ -32,11 +33,21 @@ class CameraParameters(Struct, frozen=True):
         """Whether the picture size is said."""
         return self.imageWidth is not None and self.imageHeight is not None
 
+    @property
+    def lens_model(self) -> str | None:
+        """The model under either of its keys."""
+        return self.distortionModel if self.model is None else self.model
+
     def over(self, base: "CameraParameters") -> "CameraParameters":
-        """These parameters, and those of `base` where they say nothing."""
+        """These parameters, and those of `base` where they say nothing.
+
+        The coefficients of the base hold for a lens of its own model only.
+        """
         said = {name: value for name, value in structs.asdict(self).items() if value is not None}
-        if "model" in said or "distortionModel" in said:
-            base = structs.replace(base, model=None, distortionModel=None, distortionCoefficients=None)
+        if self.lens_model is not None:
+            same = base.lens_model is not None and _plain(base.lens_model) == _plain(self.lens_model)
+            kept = base.distortionCoefficients if same else None
+            base = structs.replace(base, model=None, distortionModel=None, distortionCoefficients=kept)
         return structs.replace(base, **said)
 
 
@@ -78,6 +89,14 @@ Source: the models that the vendor's software knows, as docs/CONVENTIONS.md list
 """
 
 
+@lru_cache(maxsize=64)
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
+_SPELLINGS = {_plain(name): name for name in LENS_READINGS}
+
+
 def lens(parameters: CameraParameters, picture_size: tuple[int, int] | None, place: str) -> Camera:
     """Build the lens, for the calibrated picture size.
 
@@ -101,13 +120,13 @@ def lens(parameters: CameraParameters, picture_size: tuple[int, int] | None, pla
 
 
 def _reading(parameters: CameraParameters, place: str) -> tuple[_Reading, Coefficients]:
-    name = parameters.model if parameters.model is not None else parameters.distortionModel
+    name = parameters.lens_model
     if name is None:
         raise CalibrationError(f"{place}.model: missing; expected one of: {', '.join(LENS_READINGS)}")
-    spelling = {_plain(known): known for known in LENS_READINGS}
-    if _plain(name) not in spelling:
+    known = _SPELLINGS.get(_plain(name))
+    if known is None:
         raise CalibrationError(f"{place}.model: {name!r}; expected one of: {', '.join(LENS_READINGS)}")
-    readings = LENS_READINGS[spelling[_plain(name)]]
+    readings = LENS_READINGS[known]
     coefficients = tuple(map(float, parameters.distortionCoefficients or ()))
     if len(coefficients) not in readings:
         counts = " or ".join(map(str, readings))
@@ -115,10 +134,6 @@ def _reading(parameters: CameraParameters, place: str) -> tuple[_Reading, Coeffi
             f"{place}.distortionCoefficients: {len(coefficients)} numbers; expected {counts} for {name!r}"
         )
     return readings[len(coefficients)], coefficients
-
-
-def _plain(name: str) -> str:
-    return "".join(letter for letter in name.lower() if letter.isalnum())
 
 
 def _calibrated_size(parameters: CameraParameters, place: str) -> tuple[int, int] | None:

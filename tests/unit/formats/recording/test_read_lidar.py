@@ -174,9 +174,7 @@ def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_notice(recordi
 def test_several_lidars_are_told_apart_by_their_index(recording):
     recording.points("a.bin", POINTS).points("b.bin", POINTS[:2])
     recording.lines([sweep("a.bin", 0.0), sweep("b.bin", 0.05, lidarInd=1), sweep("a.bin", 0.1, lidarInd=0)])
-    recording.calibration(
-        lidars=[{"lidarInd": 1, "imuToLidar": SHIFTED}, {"lidarInd": 0, "imuToLidar": np.eye(4).tolist()}]
-    )
+    recording.calibration(lidars=[{"lidarInd": 1, "imuToLidar": SHIFTED}, {"imuToLidar": np.eye(4).tolist()}])
     lidars = FORMAT.open(recording.path).lidars
     assert [(lidar.id, [len(frame.points) for frame in lidar.frames]) for lidar in lidars] == [
         ("lidar0", [3, 3]),
@@ -188,11 +186,14 @@ def test_several_lidars_are_told_apart_by_their_index(recording):
     assert lidars[1].mount.translation.tolist() == [-1.0, -2.0, -3.0]
 
 
-def test_an_index_that_two_lidars_have_is_a_fault(recording):
+@pytest.mark.parametrize("index", [0, 1])
+def test_an_index_that_two_lidars_have_is_a_fault(recording, index):
     recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)])
-    recording.calibration(lidars=[{"lidarInd": 1}, {"lidarInd": 1}])
-    with pytest.raises(DataError, match=r"lidars\[1\]: lidarInd 1 is used twice"):
+    recording.calibration(lidars=[{"lidarInd": index}, {"lidarInd": index}] if index else [{}, {}])
+    with pytest.raises(DataError, match=rf"lidars\[1\]: lidarInd {index} is used twice") as caught:
         FORMAT.open(recording.path)
+    assert caught.value.file == str(recording.path / "calibration.json")
+    assert len(FORMAT.open(recording.path, lenient=True).lidars) == 1
 
 
 def test_a_lidar_mounting_that_is_not_rigid_is_refused(recording):

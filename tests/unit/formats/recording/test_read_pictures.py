@@ -194,6 +194,21 @@ def test_a_line_brings_along_a_lens_and_a_mounting(recording, pinhole):
         assert again.camera == zoomed.camera
 
 
+@pytest.mark.parametrize(
+    ("model", "model_here", "coefficients"),
+    [("PINHOLE", "brown_conrady", (-0.2, 0.1, 0.0, 0.0, 0.05)), ("KannalaBrandt4", "fisheye", ())],
+)
+def test_coefficients_of_the_calibration_hold_for_a_line_of_the_same_model_only(
+    recording, pinhole, model, model_here, coefficients
+):
+    bent = pinhole | {"distortionCoefficients": [-0.2, 0.1, 0.05]}
+    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 25.0, "distortionModel": model}}
+    recording.video("data.mkv", 1).lines([frames(0, 0.0, own)]).calibration([bent])
+    with FORMAT.open(recording.path) as scene:
+        lens = scene.cameras[0].pictures[0].camera
+        assert (lens.model, lens.fx, lens.coefficients) == (model_here, 25.0, coefficients)
+
+
 def test_a_lens_of_a_line_is_scaled_like_that_of_the_calibration(recording, pinhole):
     doubled = pinhole | {"imageWidth": 64, "imageHeight": 32}
     own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 50.0, "principalPointX": 31.5}}

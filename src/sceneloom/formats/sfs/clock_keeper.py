@@ -2,15 +2,16 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray
+from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.drafts import SensorDraft
 from sceneloom.formats.sfs.spool import Spool
-from sceneloom.formats.sfs.times import FileClock, chosen_offset_ns
-from sceneloom.formats.sfs.write_clouds import check_stamps, stamp_dtype
+from sceneloom.formats.sfs.times import UINT32_MAX, UINT64_MAX, FileClock, chosen_offset_ns
 
 
 @dataclass(slots=True)
@@ -65,11 +66,33 @@ class ClockKeeper:
         self.offset_ns = new_ns
         clock = self.clock
 
-        def moved(stamps: AnyArray) -> AnyArray:
-            since = stamps.astype(np.int64) + later
-            check_stamps(since, clock, "frames[]")
-            return since.astype(stamp_dtype(clock))
-
         for draft in self.drafts:
-            for blob in draft.point_times:
-                self.spool.change(blob, moved)
+            for number, blob in enumerate(draft.point_times):
+                place = f"{draft.place}.frames[{number}]"
+                self.spool.change(blob, partial(_moved, later=later, clock=clock, place=place))
+
+
+def _moved(stamps: AnyArray, *, later: int, clock: FileClock, place: str) -> AnyArray:
+    since = stamps.astype(np.int64) + later
+    check_stamps(since, clock, place)
+    return since.astype(stamp_dtype(clock))
+
+
+def stamp_dtype(clock: FileClock) -> type[np.unsignedinteger[Any]]:
+    """The dtype of point times: uint64 where the unit is the nanosecond. Source: "Lidar Sensor" of the description."""
+    return np.uint64 if clock.tick_ns == 1 else np.uint32
+
+
+def check_stamps(stamps: Int64Array, clock: FileClock, place: str) -> None:
+    """Refuse point times that the file's integers cannot hold.
+
+    Raises:
+        OptionError: naming what would hold them.
+    """
+    limit = UINT64_MAX if clock.tick_ns == 1 else UINT32_MAX
+    if stamps.size and (int(stamps.min()) < 0 or int(stamps.max()) > limit):
+        seconds = (int(stamps.min()) if int(stamps.min()) < 0 else int(stamps.max())) * clock.tick_ns / 1e9
+        raise OptionError(
+            f"{place}.points.timestamps: {seconds:.3f} s after the clock's zero; microseconds in 32 bits hold 0 to "
+            "4294.967 s: choose another time offset, or `--time-unit nanoseconds`"
+        )

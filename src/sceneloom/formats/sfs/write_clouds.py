@@ -1,6 +1,5 @@
 """Frames of lidars and radars on their way into a file."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,10 +7,10 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array
 from sceneloom.errors import OptionError
+from sceneloom.formats.sfs.clock_keeper import ClockKeeper, check_stamps, stamp_dtype
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
 from sceneloom.formats.sfs.profiles import Profile
 from sceneloom.formats.sfs.spool import Blob, Spool
-from sceneloom.formats.sfs.times import UINT32_MAX, UINT64_MAX, FileClock
 from sceneloom.scene import LidarFrame, LidarPoints, PointsFrame, RadarFrame
 
 FARTHEST = 10_000.0
@@ -30,14 +29,14 @@ class CloudWriter:
         profile: says what may be written.
         losses: collects what cannot be held.
         verbatim: the frames come from a file of this format: stamps and far positions pass as they are.
-        clock_for: gives the clock that can hold times from the given one on.
+        keeper: gives the clock.
     """
 
     spool: Spool
     profile: Profile
     losses: Losses
     verbatim: bool
-    clock_for: Callable[[int], FileClock]
+    keeper: ClockKeeper
 
     def add_lidar_frame(self, draft: SensorDraft, frame: LidarFrame) -> None:
         """Spool one sweep.
@@ -116,7 +115,7 @@ class CloudWriter:
                     f"{draft.place}.frames[].timestamp", "moved to the earliest point of the frame"
                 )
             start_ns = min(start_ns, earliest_ns) if self.verbatim else earliest_ns
-        tick_ns = self.clock_for(start_ns).tick_ns
+        tick_ns = self.keeper.clock_for(start_ns).tick_ns
         if start_ns % tick_ns:
             self.losses.add(f"{draft.place}.frames[].timestamp", "rounded down to a whole microsecond")
         return start_ns // tick_ns * tick_ns
@@ -124,11 +123,7 @@ class CloudWriter:
     def _point_times(self, draft: SensorDraft, times_ns: Int64Array | None) -> Blob | None:
         if times_ns is None or (len(times_ns) == 0 and not self.profile.empty_point_times):
             return None
-        clock = (
-            self.clock_for(int(times_ns.min()) if len(times_ns) else 0)
-            if len(times_ns)
-            else self.clock_for_none()
-        )
+        clock = self.keeper.clock if len(times_ns) == 0 else self.keeper.clock_for(int(times_ns.min()))
         stamps, inexact = clock.stamp_array(times_ns)
         what = "rounded to whole microseconds, halves to even: at most 0.5 µs off"
         self.losses.add(f"{draft.place}.frames[].points.timestamps", what, count=inexact)
@@ -136,10 +131,6 @@ class CloudWriter:
         blob = self.spool.add(stamps.astype(stamp_dtype(clock)))
         draft.point_times.append(blob)
         return blob
-
-    def clock_for_none(self) -> FileClock:
-        """A clock for an array without times: only its unit counts."""
-        return FileClock(self.clock_for(0).tick_ns, 0)
 
     def _check_reach(self, draft: SensorDraft, positions: Float32Array) -> None:
         if self.verbatim or draft.points_frame != PointsFrame.WORLD or len(positions) == 0:
@@ -150,23 +141,3 @@ class CloudWriter:
                 f"{draft.place}.frames[{len(draft.frames or [])}].points.positions: {farthest:.0f} m from the origin; "
                 f"float32 holds millimetres up to {FARTHEST:.0f} m: move the origin, for instance to the first pose"
             )
-
-
-def stamp_dtype(clock: FileClock) -> type[np.unsignedinteger[Any]]:
-    """The dtype of point times: uint64 where the unit is the nanosecond. Source: "Lidar Sensor" of the description."""
-    return np.uint64 if clock.tick_ns == 1 else np.uint32
-
-
-def check_stamps(stamps: Int64Array, clock: FileClock, place: str) -> None:
-    """Refuse point times that the file's integers cannot hold.
-
-    Raises:
-        OptionError: naming what would hold them.
-    """
-    limit = UINT64_MAX if clock.tick_ns == 1 else UINT32_MAX
-    if stamps.size and (int(stamps.min()) < 0 or int(stamps.max()) > limit):
-        seconds = (int(stamps.min()) if int(stamps.min()) < 0 else int(stamps.max())) * clock.tick_ns / 1e9
-        raise OptionError(
-            f"{place}.points.timestamps: {seconds:.3f} s after the clock's zero; microseconds in 32 bits hold 0 to "
-            "4294.967 s: choose another time offset, or `--time-unit nanoseconds`"
-        )

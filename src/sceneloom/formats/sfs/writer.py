@@ -147,7 +147,7 @@ class SceneWriter:
         self._open = _OpenFile(
             spool,
             keeper,
-            CloudWriter(spool, self._profile, self._losses, self._verbatim, keeper.clock_for),
+            CloudWriter(spool, self._profile, self._losses, self._verbatim, keeper),
             PictureWriter(spool, draft.parent, self._losses, self._verbatim),
         )
         return self

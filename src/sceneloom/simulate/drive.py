@@ -115,7 +115,7 @@ def simulate_street(
 
 
 def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
-    """A small drive for a first look: two cameras with different lenses, smooth outlines, a 32-beam lidar."""
+    """A small drive for a first look: two cameras with different lenses and smooth outlines, a lidar that looks up."""
     ahead = Camera(
         "brown_conrady", 800, 400, 430.0, 430.0, 399.5, 190.0, (-0.12, 0.04, 0.0004, -0.0003, -0.006)
     )
@@ -129,7 +129,9 @@ def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
             supersampling=2,
         ),
     )
-    return simulate_street(seed, frames=frames, lidar=LidarSpec(steps=1200), cameras=cameras)
+    return simulate_street(
+        seed, frames=frames, lidar=LidarSpec(elevations_deg=(-25.0, 15.0), steps=1200), cameras=cameras
+    )
 
 
 def _span(starts_ns: Int64Array, lidar: LidarSpec, cameras: Sequence[CameraSpec]) -> tuple[int, int]:

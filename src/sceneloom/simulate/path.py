@@ -8,7 +8,7 @@ from numpy.polynomial import polynomial
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.rotations import quaternion_from_matrix
-from sceneloom.scene import PosePath, PoseSamples
+from sceneloom.scene import PosePath
 
 _DEGREE = 5
 _LEAD = 16.0
@@ -115,13 +115,6 @@ class EgoPath:
         """Sample `world_from_ego` at (M,) int64 times [ns]."""
         states = self.at(timestamps_ns)
         return PosePath(np.asarray(timestamps_ns, np.int64), states.positions, states.quaternions_xyzw)
-
-    def samples(self, timestamps_ns: Int64Array) -> PoseSamples:
-        """Give exact poses in the form of `PoseSource.at`."""
-        states = self.at(timestamps_ns)
-        return PoseSamples(
-            states.positions, states.quaternions_xyzw, np.zeros(len(states.positions), np.uint8)
-        )
 
     def _plane(self, seconds: Float64Array, order: int) -> Float64Array:
         """The horizontal position or one of its derivatives, (M, 2)."""

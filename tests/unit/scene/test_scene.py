@@ -96,3 +96,8 @@ def test_the_reference_time_of_a_sweep_is_the_median_of_its_points() -> None:
     points = LidarPoints(np.zeros((5, 3), np.float32), timestamps_ns=np.array([9, 1, 5, 7, 3], np.int64))
     assert LidarFrame(0, points).reference_ns == 5
     assert LidarFrame(3, LidarPoints(np.zeros((1, 3), np.float32))).reference_ns == 3
+
+
+def test_a_sweep_whose_points_share_one_time_is_known_by_its_start() -> None:
+    points = LidarPoints(np.zeros((3, 3), np.float32), timestamps_ns=np.full(3, 70, np.int64))
+    assert LidarFrame(20, points).reference_ns == 20

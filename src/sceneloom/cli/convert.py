@@ -1,6 +1,7 @@
 """`sceneloom convert`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -20,11 +21,10 @@ def convert(
     overwrite: bool,
     profile: str | None,
     time_unit: str | None,
-    lenient: bool,
-    points_frame: str | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
+    **reading: Any,
 ) -> None:
     """Write a recording or a scene in another format; what the target cannot hold is reported."""
     from sceneloom.pipeline.convert import convert as convert_scene
@@ -34,7 +34,7 @@ def convert(
         target,
         overwrite=overwrite,
         **options.said(profile=profile, time_unit=time_unit),
-        reading=options.said(lenient=lenient, points_frame=points_frame),
+        reading=options.said(**reading),
     )
     if as_json:
         print_json(report)

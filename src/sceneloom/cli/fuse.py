@@ -1,6 +1,7 @@
 """`sceneloom fuse`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -50,11 +51,10 @@ def fuse(
     overwrite: bool,
     profile: str | None,
     time_unit: str | None,
-    lenient: bool,
-    points_frame: str | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
+    **reading: Any,
 ) -> None:
     """Fuse lidar and cameras of a drive: coloured clouds in one world, depth images, one scene file."""
     if output is None and depth is None and pictures is None:
@@ -73,7 +73,7 @@ def fuse(
         overwrite=overwrite,
     )
     with (
-        open_scene(path, **options.said(lenient=lenient, points_frame=points_frame)) as scene,
+        open_scene(path, **options.said(**reading)) as scene,
         progress_bar("fusing", quiet=quiet) as progress,
     ):
         report = fuse_scene(
@@ -83,7 +83,7 @@ def fuse(
             start=start,
             stop=stop,
             outputs=outputs,
-            lenient=lenient,
+            lenient=reading["lenient"],
             progress=progress,
         )
     if as_json:

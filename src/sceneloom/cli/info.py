@@ -1,6 +1,7 @@
 """`sceneloom info`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -13,14 +14,12 @@ from sceneloom.scene.summary import SensorSummary
 @click.argument("path", type=click.Path(path_type=Path))
 @options.reading
 @options.printing
-def info(
-    path: Path, lenient: bool, points_frame: str | None, as_json: bool, quiet: bool, verbose: bool
-) -> None:
+def info(path: Path, as_json: bool, quiet: bool, verbose: bool, **reading: Any) -> None:
     """Say what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
     from sceneloom.formats import open_scene, size_on_disk
     from sceneloom.scene.summary import summarise
 
-    with open_scene(path, **options.said(lenient=lenient, points_frame=points_frame)) as scene:
+    with open_scene(path, **options.said(**reading)) as scene:
         summary = summarise(scene, size_bytes=size_on_disk(path))
     if as_json:
         print_json(summary)

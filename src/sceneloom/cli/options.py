@@ -20,6 +20,21 @@ reading = _stacked(
         type=click.Choice(["world", "ego", "sensor"]),
         help="The frame of lidar points in a scene file that does not say it. [default: that of its coordinates]",
     ),
+    click.option(
+        "--euler-unit",
+        type=click.Choice(["degrees", "radians"]),
+        help="Unit of the boxes' angles in a scene file that does not say it. [default: degrees]",
+    ),
+    click.option(
+        "--euler-order",
+        metavar="ORDER",
+        help="Order of the boxes' rotations in a scene file that does not say it. [default: xyz]",
+    ),
+    click.option(
+        "--altitude",
+        type=click.Choice(["wgs84", "msl"]),
+        help="What a recording's altitudes are above: the ellipsoid or mean sea level. [default: wgs84]",
+    ),
 )
 """On every verb that reads a drive."""
 

@@ -34,6 +34,12 @@ def make_drive(folder: Path, frames: int) -> None:
     sceneloom.write(drive.scene, folder)
 
 
+def peak_megabytes() -> float:
+    """The most memory that this process has held; `getrusage` would count what its parent held before the start."""
+    status = Path("/proc/self/status").read_text()
+    return float(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+
+
 class Meter:
     """Notes the time and the memory after each sweep."""
 
@@ -54,7 +60,7 @@ class Meter:
         late = float(np.mean(self.megabytes[-20:]))
         return {
             "fps": (len(self.seconds) - 1 - WARM_UP) / (self.seconds[-1] - self.seconds[WARM_UP]),
-            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
+            "peak_mb": peak_megabytes(),
             "growth_percent": 100 * (late / early - 1),
         }
 
@@ -161,9 +167,8 @@ def main() -> None:
             f"{name:28} {side['fps']:6.1f} sweeps a second, peak {side['peak_mb']:6.0f} MB, "
             f"growth since sweep {SETTLED} {side['growth_percent']:+.1f} %"
         )
-    print(
-        f"ratio ours / peer            {ours['fps'] / peer['fps']:6.2f}   (limit: at least 15 sweeps a second, 600 MB, 5 %)"
-    )
+    print(f"ratio ours / peer            {ours['fps'] / peer['fps']:6.2f}")
+    print("limits: at least 15 sweeps a second, at most 600 MB, at most 5 %")
 
 
 if __name__ == "__main__":

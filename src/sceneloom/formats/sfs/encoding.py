@@ -216,9 +216,12 @@ def _write_list(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any
 
 
 def _write_array(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
-    if isinstance(value, list | tuple) and field.dtype:
+    if not isinstance(value, list | tuple):
+        return writer.plain(value, items)
+    try:
         return writer.plain(np.asarray(value, field.dtype), items)
-    return writer.plain(value, items)
+    except (ValueError, TypeError, OverflowError):
+        return writer.plain(value, items)
 
 
 def _write_record(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
@@ -252,5 +255,7 @@ _WRITERS: Mapping[Kind, Callable[[RecordWriter, Any, Field, Items], Any]] = {
     Kind.ARRAY: _write_array,
     Kind.RECORD: _write_record,
     Kind.RECORDS: _write_records,
+    Kind.RECORD_OR_RECORDS: _write_records,
+    Kind.RECORD_LISTS: _write_records,
     Kind.RECORD_MAP: _write_record_map,
 }

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from sceneloom.scene import Annotation, CuboidAnnotation, Identifier
 
 Attribute = Mapping[str, Any]
@@ -48,7 +50,7 @@ def _restored_list(attributes: Sequence[Attribute], records: Sequence[Attribute]
     restored = list(attributes)
     for record in records:
         index = record["index"]
-        if 0 <= index < len(restored) and restored[index].get("values") == record["written"]:
+        if 0 <= index < len(restored) and _equal(restored[index].get("values"), record["written"]):
             restored[index] = {
                 **restored[index],
                 "timestamps": record["timestamps"],
@@ -68,9 +70,7 @@ def simplified_attributes(
     simplified: list[Attribute] = []
     records: list[Attribute] = []
     for index, attribute in enumerate(attributes):
-        times, values = attribute.get("timestamps"), attribute.get("values")
-        times = [] if times is None else list(times)
-        values = [] if values is None else list(values)
+        times, values = _listed(attribute.get("timestamps")), _listed(attribute.get("values"))
         written = _integers(values)
         kept = 1 if attribute.get("static") else len(values)
         written, written_times = written[:kept], times[:kept]
@@ -83,13 +83,28 @@ def simplified_attributes(
 
 def thousandths(attribute: Attribute) -> Attribute:
     """Give one attribute with integers for numbers."""
-    return {**attribute, "values": _integers(attribute.get("values") or [])}
+    return {**attribute, "values": _integers(_listed(attribute.get("values")))}
+
+
+def _listed(values: Any) -> list[Any]:
+    return [] if values is None else values.tolist() if isinstance(values, np.ndarray) else list(values)
+
+
+def _equal(a: Any, b: Any) -> bool:
+    try:
+        return bool(_listed(a) == _listed(b))
+    except ValueError:  # arrays among the values, which no attribute of ours has
+        return False
 
 
 def _integers(values: Sequence[Any]) -> list[Any]:
-    fractions = any(isinstance(value, float) and not value.is_integer() for value in values)
+    fractions = any(_is_number(value) and value != round(value) for value in values)
     scale = 1000 if fractions else 1
-    return [round(v * scale) if isinstance(v, float | int) and not isinstance(v, bool) else v for v in values]
+    return [round(value * scale) if _is_number(value) else value for value in values]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < float("inf")
 
 
 def _identical(written: Sequence[Any], values: Sequence[Any]) -> bool:

@@ -30,6 +30,8 @@ class Kind(StrEnum):
     POINT_TIMES = "an array of time stamps"
     RECORD = "an object"
     RECORDS = "a list of objects"
+    RECORD_OR_RECORDS = "an object or a list of objects"
+    RECORD_LISTS = "a list of lists of objects"
     RECORD_MAP = "an object of objects"
 
 
@@ -42,7 +44,7 @@ class Field:
         kind: what it holds.
         required: whether a file without it is at fault.
         unit: "m", "px", "file" for the scene's time unit, …; for people.
-        record: the record of a RECORD, RECORDS or RECORD_MAP.
+        record: the record of a RECORD, RECORDS and the like.
         dtype: the dtype of an ARRAY.
         columns: how many numbers a row of an ARRAY has; 0 for a plain list of numbers.
         ours: whether it is our extension; one of another dtype is then a stranger's and kept as unknown.
@@ -111,7 +113,7 @@ SENSOR_RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             Field("images", Kind.RECORDS, record="image"),
         ),
         "odometry": (*_SENSOR_FIELDS, replace(_POSES, required=True)),
-        "imu": (*_SENSOR_FIELDS, _ours(_needs("streams", Kind.RECORD_MAP, record="samples"))),
+        "imu": (*_SENSOR_FIELDS, _needs("streams", Kind.RECORD_MAP, record="samples")),
         "gnss": (
             *_SENSOR_FIELDS,
             _array("timestamps_ns", "int64", unit="ns", required=True),
@@ -145,8 +147,8 @@ ANNOTATION_RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             *_OBJECT_FIELDS,
             _SENSOR,
             Field("labels", Kind.LIST),
-            _needs("paths", Kind.RECORDS, record="point_path"),
-            Field("projections", Kind.RECORDS, record="projection"),
+            _needs("paths", Kind.RECORD_OR_RECORDS, record="point_path"),
+            Field("projections", Kind.RECORD_LISTS, record="projection"),
         ),
         "event": (
             *_LABELLED_FIELDS,

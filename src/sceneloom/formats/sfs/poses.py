@@ -47,7 +47,8 @@ def path_of(record: Mapping[str, Any]) -> PosePath | None:
     if len(rows) == 0:
         return None
     try:
-        return PosePath(timestamps_ns, rows[:, :3], rows[:, 3:])
+        with np.errstate(over="ignore"):
+            return PosePath(timestamps_ns, rows[:, :3], rows[:, 3:])
     except ArrayError as error:
         raise FieldError(str(error).removeprefix("poses").lstrip(".: ")) from None
 
@@ -69,7 +70,8 @@ def mount_of(rows: Any) -> RigidTransform:
     if len(matrix) != 3:
         raise FieldError(f"{len(matrix)} rows; expected three of R and t")
     try:
-        return RigidTransform(matrix[:, :3], matrix[:, 3])
+        with np.errstate(over="ignore", invalid="ignore"):
+            return RigidTransform(matrix[:, :3], matrix[:, 3])
     except (ArrayError, CalibrationError) as error:
         raise FieldError(str(error)) from None
 

@@ -28,7 +28,7 @@ def read_camera(source: Source, values: Record, place: Place, faults: Faults) ->
     except (FieldError, CalibrationError) as error:
         faults.add(("intrinsics",), str(error))
         return None
-    content = _content(source, values, lens, place, inner)
+    content = _content(source, values, lens, place)
     moving = read_moving(source, values, place, inner, frame_count=len(content.starts_ns))
     try:
         own = PictureNotes.of(note.get("pictures") or {}, lens, len(content.starts_ns))
@@ -60,7 +60,7 @@ def _sensor(
     )
 
 
-def _content(source: Source, values: Record, lens: Camera, place: Place, faults: Faults) -> PictureContent:
+def _content(source: Source, values: Record, lens: Camera, place: Place) -> PictureContent:
     """Choose between `video` and `images`; what is not chosen stays among the further fields."""
     video, images = values.get("video"), values.get("images")
     if video is not None:
@@ -73,12 +73,9 @@ def _content(source: Source, values: Record, lens: Camera, place: Place, faults:
         stamps_ns = times_of(video["timestamps"])
         return video_content(source, video, stamps_ns, (*place, "video"))
     values.pop("video", None)
-    if isinstance(images, list):
-        values.pop("images")
-        return image_content(source, images, (*place, "images"))
-    if isinstance(images, dict):
-        faults.add(("images",), "an object; expected a list of pictures")
     values.pop("images", None)
+    if images is not None:
+        return image_content(source, images, (*place, "images"))
     source.notice(
         NoticeKind.SKIPPED, "no-pictures", place, f"neither video nor images; {lens.model} lens only"
     )

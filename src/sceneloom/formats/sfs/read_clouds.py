@@ -243,11 +243,8 @@ def _aligned(array: AnyArray) -> AnyArray:
     return array if array.flags.aligned else read_only(array.copy())
 
 
-def _check_frames(source: Source, frames: Any, place: Place, faults: Faults) -> bool:
+def _check_frames(source: Source, frames: list[Record], place: Place, faults: Faults) -> bool:
     """Check that the arrays of each frame are of one length; say whether point times count from the frame's start."""
-    if not isinstance(frames, list):
-        faults.add(("frames",), "an object; expected a list of frames")
-        return False
     if faults:
         return False
     for index, frame in enumerate(frames):
@@ -283,10 +280,10 @@ def _times_are_relative(source: Source, frames: list[Record]) -> bool:
     return False
 
 
-def _restore_lengths(frames: Any, note: Mapping[str, Any], faults: Faults) -> None:
+def _restore_lengths(frames: list[Record], note: Mapping[str, Any], faults: Faults) -> None:
     """Put back the lengths that the profile `scale` keeps under our metadata."""
     lengths = note.get("lengths")
-    if lengths is None or not isinstance(frames, list):
+    if lengths is None:
         return
     if len(lengths) != len(frames):
         faults.add(("frames",), f"our note holds lengths of {len(lengths)} frames; expected {len(frames)}")

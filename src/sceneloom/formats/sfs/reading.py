@@ -135,12 +135,13 @@ def _metadata(container: Container) -> tuple[dict[str, Any], Any]:
         return {}, {}
     if not isinstance(metadata, dict):
         raise DataError(container.file, "metadata", f"a {type(metadata).__name__}; expected an object")
-    return {name: value for name, value in metadata.items() if name != OURS}, metadata.get(OURS) or {}
+    ours = metadata.get(OURS)
+    return {name: value for name, value in metadata.items() if name != OURS}, {} if ours is None else ours
 
 
 def _clock(container: Container, ours: Any) -> FileClock:
     unit = container.header.get("time_unit")
-    if unit is not None and unit not in READABLE_TICKS_NS:
+    if unit is not None and not (isinstance(unit, str) and unit in READABLE_TICKS_NS):
         raise DataError(
             container.file, "time_unit", f"{unit!r}; expected one of {', '.join(READABLE_TICKS_NS)}"
         )
@@ -219,7 +220,7 @@ def _attributes(source: Source) -> tuple[Mapping[str, Any], ...]:
     part = {"version": "", "attributes": source.container.header.get("attributes")}
     attributes = source.reader().read(part, "scene", faults).get("attributes") or []
     source.raise_faults(faults, ())
-    return tuple(attributes) if isinstance(attributes, list) else (attributes,)
+    return tuple(attributes)
 
 
 def _euler(source: Source, ours: Mapping[str, Any], annotations: tuple[Annotation, ...]) -> dict[str, str]:

@@ -87,16 +87,10 @@ class RecordReader:
         records = []
         for index, item in enumerate(raw):
             inner = Faults()
-            records.append(self._read_item(item, record, inner))
+            records.append(self.read(item, record, inner))
             if inner:
                 faults.take(inner, (index,))
         return records
-
-    def _read_item(self, item: Any, record: str, faults: Faults) -> Any:
-        """Read one record, or, as in the projections of keypoints, a list of them."""
-        if isinstance(item, list):
-            return self.read_list(item, record, faults)
-        return self.read(item, record, faults)
 
 
 _REQUIRED = {name: tuple(f for f in record.values() if f.required) for name, record in RECORDS.items()}
@@ -299,9 +293,24 @@ def _read_record(reader: RecordReader, value: Any, field: Field, faults: Faults)
 
 
 def _read_records(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
-    if isinstance(value, dict):
-        return reader.read(value, field.record, faults)
     return reader.read_list(value, field.record, faults)
+
+
+def _read_record_or_records(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
+    return (reader.read if isinstance(value, dict) else reader.read_list)(value, field.record, faults)
+
+
+def _read_record_lists(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
+    """Read a list of lists; a plain list of records is taken, too."""
+    if not isinstance(value, list):
+        raise _wrong(value, field)
+    lists = []
+    for index, item in enumerate(value):
+        inner = Faults()
+        lists.append((reader.read_list if isinstance(item, list) else reader.read)(item, field.record, inner))
+        if inner:
+            faults.take(inner, (index,))
+    return lists
 
 
 def _read_record_map(reader: RecordReader, value: Any, field: Field, faults: Faults) -> dict[str, Any]:
@@ -332,5 +341,7 @@ _READERS: Mapping[Kind, Callable[[RecordReader, Any, Field, Faults], Any]] = {
     Kind.POINT_TIMES: _read_point_times,
     Kind.RECORD: _read_record,
     Kind.RECORDS: _read_records,
+    Kind.RECORD_OR_RECORDS: _read_record_or_records,
+    Kind.RECORD_LISTS: _read_record_lists,
     Kind.RECORD_MAP: _read_record_map,
 }

@@ -91,8 +91,8 @@ class SensorDraft:
             record |= self._place_in_world(clock, losses)
         elif self.poses is not None:
             record["poses"] = self._poses(self.poses, clock, losses)
-        if self.poses is not None and self.poses.endless:
-            self.note["poses_endless"] = True
+        if self.poses is not None and len(self.poses.timestamps_ns) == 1:
+            self.note["poses_endless"] = self.poses.endless
         if self.frames is not None:
             record["frames"] = self.frames
         if any(length is not None for length in self.lengths):

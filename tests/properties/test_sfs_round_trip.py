@@ -1,0 +1,238 @@
+"""Whatever the model can hold is the same after writing and reading."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from sceneloom.formats.sfs import FORMAT, write_scene
+from sceneloom.formats.sfs.times import FileClock, chosen_offset_ns
+from sceneloom.scene import (
+    Coordinates,
+    CuboidAnnotation,
+    CuboidPath,
+    GnssSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    OdometrySensor,
+    PlainAnnotation,
+    PointsFrame,
+    PosePath,
+    Scene,
+    Trajectory,
+    VectorSamples,
+)
+
+EPOCH_NS = 1_700_000_000_000_000_000
+NUMBERS = st.floats(-1e6, 1e6, width=32)
+NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+IDS = st.integers(-(2**53), 2**53) | NAMES
+JSON = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**63 - 1)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | NAMES,
+    lambda children: st.lists(children, max_size=3) | st.dictionaries(NAMES, children, max_size=3),
+    max_leaves=8,
+)
+
+
+def extras_beside(*taken):
+    known = {
+        "id",
+        "type",
+        "parent_id",
+        "poses",
+        "coordinates",
+        "frames",
+        "timestamp",
+        "points",
+        "path",
+        "label",
+        *taken,
+    }
+    known |= {
+        "stationary",
+        "attributes",
+        "activations",
+        "projections",
+        "images",
+        "video",
+        "intrinsics",
+        "streams",
+    }
+    return st.dictionaries(NAMES.filter(lambda name: name not in known), JSON, max_size=2)
+
+
+@st.composite
+def pose_paths(draw, start_ns):
+    count = draw(st.integers(1, 4))
+    steps = draw(st.lists(st.integers(1, 10**9), min_size=count, max_size=count))
+    quaternions = draw(hnp.arrays(np.float64, (count, 4), elements=st.floats(0.1, 1.0)))
+    return PosePath(
+        start_ns + np.cumsum(steps),
+        draw(hnp.arrays(np.float64, (count, 3), elements=st.floats(-1e7, 1e7))),
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
+    )
+
+
+@st.composite
+def lidars(draw, start_ns):
+    frames = []
+    for number in range(draw(st.integers(0, 3))):
+        count = draw(st.integers(0, 4))
+        start = start_ns + number * 10**8
+
+        def optional(dtype, shape):
+            return draw(st.none() | hnp.arrays(dtype, shape))
+
+        points = LidarPoints(
+            draw(hnp.arrays(np.float32, (count, 3), elements=st.floats(-9999, 9999, width=32))),
+            optional(np.uint8, count),
+            optional(np.uint8, (count, 3)),
+            draw(st.none() | hnp.arrays(np.int64, count, elements=st.integers(start, start + 10**8))),
+            optional(np.uint16, count),
+            optional(np.uint8, count),
+        )
+        times = points.timestamps_ns
+        frames.append(LidarFrame(start if times is None or count == 0 else int(times.min()), points))
+    return LidarSensor(
+        draw(IDS),
+        LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]),
+        draw(st.none() | pose_paths(start_ns)),
+        coordinates=draw(st.sampled_from(Coordinates)),
+        points_frame=draw(st.sampled_from(PointsFrame)),
+        model=draw(st.none() | NAMES),
+        parent_id=draw(st.none() | IDS),
+        extras=draw(extras_beside()),
+    )
+
+
+@st.composite
+def motion_sensors(draw, start_ns):
+    count = draw(st.integers(0, 3))
+    times = start_ns + np.arange(count, dtype=np.int64)
+    anything = st.floats(width=64)
+    seconds = draw(st.none() | hnp.arrays(np.float64, count, elements=anything))
+    samples = VectorSamples(times, draw(hnp.arrays(np.float64, (count, 3), elements=anything)), seconds)
+    gnss = [draw(hnp.arrays(np.float64, shape, elements=anything)) for shape in ((count, 3), count, count)]
+    return (
+        ImuSensor("imu", {draw(NAMES): samples}),
+        GnssSensor("gnss", times, *gnss, seconds),
+        OdometrySensor("odometry", draw(pose_paths(start_ns))),
+    )
+
+
+@st.composite
+def scenes(draw):
+    start_ns = draw(st.sampled_from([0, 5_000_000_000, -3_000_000_000, EPOCH_NS]))
+    cloud = draw(lidars(start_ns).filter(lambda lidar: lidar.id not in {"imu", "gnss", "odometry"}))
+    moving = draw(motion_sensors(start_ns))
+    count = draw(st.integers(0, 3))
+    path = CuboidPath(
+        start_ns + np.arange(count, dtype=np.int64) * 7,
+        draw(hnp.arrays(np.float64, (count, 9), elements=st.floats(-1e9, 1e9))),
+    )
+    attributes = [{"name": draw(NAMES), "timestamps": [start_ns + 1], "values": [draw(NUMBERS)]}]
+    cuboid = CuboidAnnotation(
+        draw(IDS),
+        path,
+        draw(st.none() | NAMES),
+        draw(st.none() | st.booleans()),
+        None,
+        {"attributes": attributes},
+    )
+    other = PlainAnnotation("event", "event", {"start": start_ns + 9, **draw(extras_beside("start"))})
+    way = Trajectory("truth", np.array([start_ns]), np.ones((1, 3)), None, np.array([0.1]))
+    annotations = (cuboid,) if cuboid.id == "event" else (cuboid, other)
+    return Scene(
+        (cloud, *moving),
+        annotations,
+        trajectories={"truth": way},
+        metadata=draw(st.dictionaries(NAMES.filter(lambda name: name != "sceneloom"), JSON, max_size=2)),
+        attributes=tuple(attributes),
+    )
+
+
+def assert_same(read, expected):
+    """Compare parts of the model field by field, arrays with their dtype."""
+    if isinstance(expected, np.ndarray):
+        assert read.dtype == expected.dtype
+        np.testing.assert_array_equal(read, expected)
+    elif isinstance(expected, LazyFrames):
+        assert_same(list(read), list(expected))
+    elif hasattr(expected, "__dataclass_fields__"):
+        assert type(read) is type(expected)
+        for name in expected.__dataclass_fields__:
+            assert_same(getattr(read, name), getattr(expected, name))
+    elif isinstance(expected, list | tuple):
+        assert len(read) == len(expected)
+        for a, b in zip(read, expected, strict=True):
+            assert_same(a, b)
+    elif hasattr(expected, "items"):
+        assert set(read) == set(expected)
+        for name in expected:
+            assert_same(read[name], expected[name])
+    else:
+        assert (type(read), read) == (type(expected), expected)
+
+
+@pytest.fixture(scope="module")
+def target(tmp_path_factory):
+    return tmp_path_factory.mktemp("sfs") / "scene.sfs"
+
+
+@given(scenes())
+def test_nanosecond_files_hold_every_scene_exactly(target, scene):
+    target.unlink(missing_ok=True)
+    write_scene(scene, target, time_unit="nanoseconds")
+    read = FORMAT.open(target)
+    sensors = {(type(sensor.id), sensor.id): sensor for sensor in read.sensors}
+    for sensor in scene.sensors:
+        assert_same(sensors[type(sensor.id), sensor.id], sensor)
+    assert_same(read.annotations, scene.annotations)
+    assert_same(read.attributes, scene.attributes)
+    assert_same(read.trajectories["truth"], scene.trajectories["truth"])
+    ours = read.metadata.pop("sceneloom")
+    assert_same(read.metadata, scene.metadata)
+    assert (ours["euler_unit"], ours["euler_order"]) == ("degrees", "xyz")
+
+
+@given(scenes())
+def test_writing_what_was_read_gives_the_same_bytes(target, scene):
+    again = target.with_name("again.sfs")
+    for path in (target, again):
+        path.unlink(missing_ok=True)
+    write_scene(scene, target)
+    write_scene(FORMAT.open(target), again)
+    first, second = FORMAT.open(target), FORMAT.open(again)
+    assert_same(second.sensors, first.sensors)
+    third = target.with_name("third.sfs")
+    third.unlink(missing_ok=True)
+    write_scene(second, third)
+    assert third.read_bytes() == again.read_bytes()
+
+
+@given(st.integers(-(2**61), 2**61), st.sampled_from([1, 1000]), st.integers(-(10**9), 10**9))
+def test_stamps_are_the_nearest_and_of_two_nearest_the_even(timestamp_ns, tick_ns, offset):
+    from fractions import Fraction
+
+    clock = FileClock(tick_ns, offset * tick_ns)
+    exact = Fraction(timestamp_ns, tick_ns) - offset
+    assert clock.stamp(timestamp_ns) == round(exact)
+    stamps, inexact = clock.stamp_array(np.array([timestamp_ns]))
+    assert (stamps.tolist(), inexact) == ([round(exact)], int(exact.denominator != 1))
+    assert clock.absolute_ns(clock.stamp_before(timestamp_ns)) <= timestamp_ns
+    assert clock.absolute_array(stamps).tolist() == [clock.absolute_ns(round(exact))]
+
+
+@given(st.integers(-(2**62), 2**62))
+def test_the_chosen_offset_is_whole_seconds_and_leaves_a_small_start(first_ns):
+    offset_ns = chosen_offset_ns(first_ns)
+    assert offset_ns % 10**9 == 0
+    assert 0 <= first_ns - offset_ns < 10**10

@@ -10,6 +10,7 @@ from av.video.stream import VideoStream
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import DataError
+from sceneloom.formats.video.matroska import check_whole
 from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults
 
 _ASSUMED_RATE = Fraction(25)
@@ -94,6 +95,8 @@ def read_index(source: VideoSource, name: str) -> VideoIndex:
     opened = OpenVideo(source, name)
     try:
         with decoder_faults(name, ""):
+            if "matroska" in opened.container.format.name:
+                check_whole(source, name)
             packets = _walk(opened, name)
         stream = opened.stream
         return _index_of(packets, stream.time_base or Fraction(1, av.time_base), stream.average_rate)

@@ -51,17 +51,15 @@ class _Encoder:
     halves: bool
 
 
-_CHROMA_IN_THE_MIDDLE = "chromaloc=1"
-"""Chroma is averaged over each square of four pixels; H.264 supposes it at the left edge where a stream is silent."""
+_X264 = "chromaloc=1:mbtree=0"
+"""Chroma is averaged over each square of four pixels; H.264 supposes it at the left edge where a stream is silent.
+Without macroblock trees, since with them the same pictures now and then gave other bytes."""
 
 _ENCODERS = MappingProxyType(
     {
-        # a fixed number of threads, so that the same pictures give the same bytes on every machine
+        # fixed numbers of threads, so that every machine gives the same bytes
         "h264": _Encoder(
-            "libx264",
-            "yuv420p",
-            {"preset": "fast", "threads": "2", "x264-params": _CHROMA_IN_THE_MIDDLE},
-            halves=True,
+            "libx264", "yuv420p", {"preset": "fast", "threads": "2", "x264-params": _X264}, halves=True
         ),
         "ffv1": _Encoder(
             "ffv1",

@@ -85,11 +85,12 @@ def test_colours_come_back_unshifted(tmp_path):
 
 
 def test_opencv_which_ignores_what_a_stream_says_of_its_colours_gets_them_right(tmp_path):
-    picture = smooth_picture(4)
+    colours = np.array([(200, 40, 40), (40, 200, 40), (40, 40, 200), (220, 200, 30)], np.uint8)
+    picture = np.repeat(np.repeat(colours[None], 64, axis=1), 64, axis=0)
     write(tmp_path / "data.mkv", [picture] * 3)
-    errors = read_with_opencv(tmp_path / "data.mkv")[1].astype(int) - picture
-    # coding, and 1 to 1.5 levels that OpenCV truncates; BT.709 taken for BT.601 shifts these colours by 8 in the mean
-    assert np.abs(errors).mean() < 4.5
+    found = read_with_opencv(tmp_path / "data.mkv")[1][32, 32::64].astype(int)
+    # OpenCV truncates and the encoder rounds; BT.709 taken for BT.601 is up to 17 levels off in these colours
+    assert np.abs(found - colours).max() <= 5
 
 
 def test_the_stream_says_which_colours_it_has(videos):

@@ -1,0 +1,116 @@
+"""Whatever bytes a video or a PNG folder consists of, reading gives pictures or raises one of our errors."""
+
+import io
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
+from sceneloom.formats.video import PngFolder, VideoWriter, open_video, remux_to_mp4
+
+COUNT = 12
+
+
+def picture(number: int) -> np.ndarray:
+    """A bright bar that moves on with the number over a steady ramp."""
+    rgb = np.empty((48, 64, 3), np.uint8)
+    rgb[:] = np.linspace(20, 120, 64, dtype=np.uint8)[None, :, None]
+    rgb[:, 5 * number : 5 * number + 5] = 250
+    return rgb
+
+
+def bar(rgb: np.ndarray) -> int:
+    """Which number the bar stands for."""
+    return int(rgb[24, :60].astype(int).sum(axis=1).reshape(12, 5).sum(axis=1).argmax())
+
+
+def make(container: str, codec: str) -> bytes:
+    file = io.BytesIO()
+    with VideoWriter(file, 64, 48, 10.0, container=container, codec=codec) as writer:
+        for number in range(COUNT):
+            writer.add(picture(number))
+    return file.getvalue()
+
+
+VIDEOS = {name: make(*name.split()) for name in ("matroska h264", "mp4 h264", "matroska ffv1")}
+
+
+def read_all(content: bytes) -> dict[int, np.ndarray]:
+    """All pictures that can be had, by number; anything but a DataError passes through and fails the test."""
+    found: dict[int, np.ndarray] = {}
+    problems: list[str] = []
+    try:
+        with open_video(content, name="cut") as reader:
+            for index in (*range(reader.count), reader.count // 2, 0):
+                with suppress(DataError):
+                    found[index] = reader.rgb(index)
+    except DataError as error:
+        problems.append(str(error))
+    assert all(problem.startswith("cut: ") for problem in problems)
+    return found
+
+
+@pytest.mark.parametrize("kind", VIDEOS)
+def test_a_video_cut_anywhere_gives_its_first_pictures_or_an_error(kind):
+    content = VIDEOS[kind]
+    whole = read_all(content)
+    assert [bar(whole[index]) for index in range(COUNT)] == list(range(COUNT))
+    for cut in np.linspace(0, len(content) - 1, 60, dtype=int):
+        for index, rgb in read_all(content[:cut]).items():
+            assert bar(rgb) == index, f"cut at byte {cut}"
+
+
+@pytest.mark.parametrize("kind", VIDEOS)
+def test_a_video_with_any_bytes_changed_gives_pictures_or_an_error(kind):
+    rng = np.random.default_rng(11)
+    for _ in range(80):
+        content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
+        places = rng.integers(0, len(content), rng.integers(1, 6))
+        content[places] ^= rng.integers(1, 256, len(places)).astype(np.uint8)
+        for rgb in read_all(content.tobytes()).values():
+            assert rgb.dtype == np.uint8
+            assert rgb.ndim == 3
+
+
+@pytest.mark.parametrize("kind", VIDEOS)
+def test_bytes_changed_in_the_head_of_a_container_give_pictures_or_an_error(kind):
+    rng = np.random.default_rng(12)
+    for place in range(min(120, len(VIDEOS[kind]))):
+        content = bytearray(VIDEOS[kind])
+        content[place] ^= int(rng.integers(1, 256))
+        read_all(bytes(content))
+
+
+@pytest.mark.parametrize("kind", VIDEOS)
+def test_copying_a_damaged_video_gives_a_video_or_an_error(kind):
+    rng = np.random.default_rng(13)
+    for _ in range(30):
+        content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
+        places = rng.integers(0, len(content), 4)
+        content[places] ^= rng.integers(1, 256, len(places)).astype(np.uint8)
+        try:
+            remux_to_mp4(content.tobytes(), io.BytesIO())
+        except (DataError, OutputError, OptionError):
+            continue
+
+
+def test_a_png_folder_with_any_bytes_changed_gives_pictures_or_an_error(tmp_path: Path):
+    from PIL import Image
+
+    path = tmp_path / "00000000.png"
+    Image.fromarray(picture(3)).save(path)
+    content, rng = path.read_bytes(), np.random.default_rng(14)
+    damaged = [content[:cut] for cut in range(0, len(content), 7)]
+    for _ in range(60):
+        changed = bytearray(content)
+        changed[rng.integers(len(changed))] ^= int(rng.integers(1, 256))
+        damaged.append(bytes(changed))
+    for content_now in damaged:
+        path.write_bytes(content_now)
+        try:
+            found = str(PngFolder(tmp_path).rgb(0).shape[2])
+        except SceneloomError as error:
+            found = str(error)
+        assert found == "3" or "00000000.png" in found

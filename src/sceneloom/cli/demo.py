@@ -7,7 +7,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.fusion_summary import print_fusion
-from sceneloom.cli.printing import print_json, progress_bar
+from sceneloom.cli.printing import print_json, print_losses, progress_bar
 
 
 @click.command()
@@ -49,7 +49,8 @@ def demo(
     check_output(recording, overwrite=overwrite) if keep.exists() else keep.mkdir(parents=True)
     if not quiet:
         click.echo(f"making a drive of {frames / 10:.0f} s through a made-up street …", err=True)
-    write_scene(demo_drive(seed=seed, frames=frames).scene, recording, overwrite=overwrite, pictures=video)
+    drive = demo_drive(seed=seed, frames=frames).scene
+    written = write_scene(drive, recording, overwrite=overwrite, pictures=video)
     with open_scene(recording) as scene, progress_bar("fusing", quiet=quiet) as progress:
         report = fuse(scene, outputs=outputs, progress=progress)
     if as_json:
@@ -57,6 +58,8 @@ def demo(
         return
     print_fusion(report, outputs, quiet=quiet, verbose=verbose)
     click.echo(f"recording: {recording}")
+    if not quiet:
+        print_losses(written, verbose=verbose)
     click.echo(f"all in {time.perf_counter() - begun:.1f} s. Look at {keep / 'pictures'}; then try")
     click.echo(f"  sceneloom info {recording}")
     click.echo(f"  sceneloom info {keep / 'drive.sfs'}")

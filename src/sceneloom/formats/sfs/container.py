@@ -25,6 +25,9 @@ from sceneloom.errors import DataError
 HEADER_LIMIT = 1 << 30
 """Longest header that is read [bytes]: beyond it the text alone would fill the memory of a large machine."""
 
+_LOOKED_THROUGH = 64 << 20
+"""How far a file without the suffix is searched for the end of a header: logs begin with a brace, too [bytes]."""
+
 ITEMS = "$items"
 
 _DTYPE_NAMES = [
@@ -170,7 +173,7 @@ def has_scene_header(path: Path) -> bool:
             if path.suffix.lower() == ".sfs":
                 return True
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-                stop = mapped.find(b"\0", 0, HEADER_LIMIT)
+                stop = mapped.find(b"\0", 0, _LOOKED_THROUGH)
                 return stop > 0 and mapped.find(f'"{ITEMS}"'.encode(), 0, stop) > 0
     except (OSError, ValueError):
         return False

@@ -28,6 +28,7 @@ class Profile:
         annotation_obstacle: the same for an annotation.
         exact_attributes: whether attributes may have fractions, and static ones several time stamps.
         radar_lengths: whether radar points may have lengths.
+        late_frames: whether a frame that was read may start later than its points.
         empty_point_times: whether a frame without points may have an array of point times.
         any_distortion: whether distortion models may have names that the format does not list.
     """
@@ -38,6 +39,7 @@ class Profile:
     annotation_obstacle: Callable[[Record], str | None]
     exact_attributes: bool
     radar_lengths: bool
+    late_frames: bool
     empty_point_times: bool
     any_distortion: bool
 
@@ -182,6 +184,7 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
             annotation_obstacle=_sfs_annotation,
             exact_attributes=True,
             radar_lengths=True,
+            late_frames=True,
             empty_point_times=True,
             any_distortion=True,
         ),
@@ -192,6 +195,7 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
             annotation_obstacle=_scale_annotation,
             exact_attributes=False,
             radar_lengths=False,
+            late_frames=False,
             empty_point_times=False,
             any_distortion=False,
         ),

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from sceneloom.arrays import read_only
 from sceneloom.errors import ArrayError
 from sceneloom.formats.sfs.fields import ANNOTATION_RECORDS, annotation_record
 from sceneloom.formats.sfs.poses import rows_of, times_of
@@ -60,7 +61,7 @@ def _cuboid(values: dict[str, Any], faults: Faults) -> CuboidAnnotation | None:
     path = values["path"]
     try:
         timestamps_ns, rows = times_of(path["timestamps"]), rows_of(path["values"], 9)
-        cuboids = CuboidPath(timestamps_ns, rows)
+        cuboids = CuboidPath(read_only(timestamps_ns), read_only(rows))
     except FieldError as error:
         faults.add(("path", "values"), str(error))
         return None

@@ -106,18 +106,16 @@ class CloudWriter:
 
     def _frame_stamp(self, draft: SensorDraft, frame: LidarFrame | RadarFrame) -> int:
         """The start of a frame: its earliest point time, rounded down, so that it is later than no point."""
-        times_ns = frame.points.timestamps_ns
+        times_ns, tick_ns = frame.points.timestamps_ns, self.keeper.tick_ns
         start_ns = frame.timestamp_ns
-        if times_ns is not None and len(times_ns):
+        if times_ns is not None and len(times_ns) and not (self.verbatim and self.profile.late_frames):
             earliest_ns = int(times_ns.min())
-            if not self.verbatim and start_ns < earliest_ns:
-                self.losses.add(
-                    f"{draft.place}.frames[].timestamp", "moved to the earliest point of the frame"
-                )
             start_ns = min(start_ns, earliest_ns) if self.verbatim else earliest_ns
-        tick_ns = self.keeper.clock_for(start_ns).tick_ns
+        if start_ns // tick_ns != frame.timestamp_ns // tick_ns:
+            self.losses.add(f"{draft.place}.frames[].timestamp", "moved to the earliest point of the frame")
         if start_ns % tick_ns:
             self.losses.add(f"{draft.place}.frames[].timestamp", "rounded down to a whole microsecond")
+        self.keeper.clock_for(start_ns)
         return start_ns // tick_ns * tick_ns
 
     def _point_times(self, draft: SensorDraft, times_ns: Int64Array | None) -> Blob | None:

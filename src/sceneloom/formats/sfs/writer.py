@@ -94,6 +94,7 @@ class SceneWriter:
         profile: str = "sfs",
         time_unit: str = "microseconds",
         time_offset_ns: int | None = None,
+        usual_offset_ns: int | None = None,
         first_ns: int | None = None,
         frame_count: int = 0,
         metadata: Mapping[str, Any] | None = None,
@@ -107,6 +108,7 @@ class SceneWriter:
             profile: "sfs", or "scale" for a file that Scale's own library loads and validates.
             time_unit: "microseconds" or "nanoseconds".
             time_offset_ns: the absolute time of the file's zero [ns]; None to choose it by the earliest time.
+            usual_offset_ns: an offset to begin with; unlike `time_offset_ns` it moves if something earlier comes.
             first_ns: the earliest time that will come, where it is known [ns]; saves moving the offset later.
             frame_count: how many frames will come, where it is known; saves copying arrays behind the header.
             metadata: free fields of the scene.
@@ -122,27 +124,23 @@ class SceneWriter:
             known = ", ".join(self._profile.time_units)
             raise OptionError(f"time_unit {time_unit!r}; expected {known} in profile {profile!r}")
         self._tick_ns = TICKS_NS[time_unit]
-        self._offset_ns, self._first_ns, self._frame_count = time_offset_ns, first_ns, frame_count
+        self._fixed_offset_ns, self._frame_count = time_offset_ns, frame_count
+        self._usual_offset_ns = usual_offset_ns
+        if usual_offset_ns is None and first_ns is not None:
+            self._usual_offset_ns = chosen_offset_ns(first_ns)
         self._contents = Contents()
         self._cameras: dict[tuple[type, Identifier], CameraDraft] = {}
         self._losses = Losses()
-        self._preferred_ns: int | None = None
         self._stack = ExitStack()
         self._open: _OpenFile | None = None
         self.losses = LossReport()
         self.set_metadata(metadata or {})
 
-    def prefer_offset(self, time_offset_ns: int) -> None:
-        """Begin with an offset of the clock that may still move if something earlier comes [ns]."""
-        self._preferred_ns = time_offset_ns
-
     def __enter__(self) -> Self:
         draft = self._stack.enter_context(replacing(self._path, overwrite=self._overwrite))
         spool = self._stack.enter_context(Spool(draft, reserve=self._expected_header))
-        fixed = self._offset_ns is not None
-        offset_ns = self._offset_ns if fixed else self._preferred_ns
-        if offset_ns is None and self._first_ns is not None:
-            offset_ns = chosen_offset_ns(self._first_ns)
+        fixed = self._fixed_offset_ns is not None
+        offset_ns = self._fixed_offset_ns if fixed else self._usual_offset_ns
         keeper = ClockKeeper(self._tick_ns, offset_ns, fixed, spool, self._contents.drafts.values())
         self._open = _OpenFile(
             spool,

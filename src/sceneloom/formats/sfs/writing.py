@@ -48,19 +48,18 @@ def write_scene(
     times_ns = list(_known_times(scene))
     unit = time_unit or _own_unit(scene, profile)
     from_sfs = scene.format == "sfs"
-    writer = SceneWriter(
+    keeps_offset = from_sfs and time_offset_ns is None and _offset_serves(scene, times_ns, unit, profile)
+    with SceneWriter(
         path,
         overwrite=overwrite,
         profile=profile,
         time_unit=unit,
         time_offset_ns=time_offset_ns,
+        usual_offset_ns=scene.time_offset_ns if keeps_offset else None,
         first_ns=min(times_ns, default=None),
         frame_count=sum(len(s.frames) for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor)),
         verbatim=from_sfs,
-    )
-    if from_sfs and time_offset_ns is None and _offset_serves(scene, times_ns, unit, profile):
-        writer.prefer_offset(scene.time_offset_ns)
-    with writer:
+    ) as writer:
         writer.add_scene(scene)
     return writer.losses
 

@@ -48,7 +48,7 @@ _ABSORBED = frozenset(
         "notices",
     }
 )
-_ROOT = frozenset({"sensors", "annotations", "attributes", "time_offset", "metadata"})
+_ROOT = frozenset({"version", "sensors", "annotations", "attributes", "time_offset", "metadata"})
 
 _SENSOR_READERS: Mapping[str, Callable[[Source, dict[str, Any], Place, Faults], Sensor | None]] = (
     MappingProxyType(

@@ -323,7 +323,7 @@ def test_unknown_root_fields_and_metadata_are_kept(open_header, make):
     )
     assert scene.metadata["town"] == "Ulm"
     np.testing.assert_array_equal(scene.metadata["map"], TWO)
-    assert scene.extras == {"version": "1.0", "licence": "open", "time_unit": "microsecond"}
+    assert scene.extras == {"licence": "open", "time_unit": "microsecond"}
 
 
 def test_how_angles_are_meant_is_recorded_and_asked_about(open_header, make):

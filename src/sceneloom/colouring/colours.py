@@ -37,7 +37,7 @@ def colour_points(
     if len(views) != len(camera_indices):
         raise OptionError(f"{len(camera_indices)} camera indices for {len(views)} views; expected one each")
     colors, camera_index = np.full((count, 3), 255, np.uint8), np.full(count, NO_CAMERA, np.uint8)
-    eccentricities = np.full(count, np.inf)
+    eccentricities = np.full(count if len(views) > 1 else 0, np.inf)
     for view, index in zip(views, camera_indices, strict=True):
         if not 0 <= index < NO_CAMERA:
             raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")

@@ -41,13 +41,14 @@ def view_points(
     settings = VisibilitySettings() if visibility is None else visibility
     points, camera_from_world = np.ascontiguousarray(points_world), world_from_camera.inverse().matrix
     point_ids, pixels, depths = _project(points, camera, camera_from_world)
+    visible = (
+        find_visible(points, point_ids, camera_from_world, settings)
+        if settings.enabled
+        else np.ones(len(point_ids), np.bool_)
+    )
     depth_image = np.zeros((camera.height, camera.width), np.float32)
-    if settings.enabled:
-        visible = find_visible(points, point_ids, camera_from_world, settings)
-        draw_depths(pixels, depths, visible, depth_image)
-    else:
-        visible = np.ones(len(point_ids), np.bool_)
-        draw_depths(pixels, depths, visible, depth_image)
+    draw_depths(pixels, depths, visible, depth_image)
+    if not settings.enabled:
         mark_nearest(pixels, depths, depth_image, visible)
     return FusedView(
         camera_id,
@@ -80,5 +81,7 @@ def _project(
         pixels,
         depths,
     )
-    # Copies: the view may live long, and must not hold the room that all points would have needed.
+    if 2 * kept > count:
+        return point_ids[:kept], pixels[:kept], depths[:kept]
+    # The view may live long, and must not hold the room that all points would have needed.
     return point_ids[:kept].copy(), pixels[:kept].copy(), depths[:kept].copy()

@@ -97,7 +97,7 @@ def find_visible(
     Returns:
         (M,) bool.
     """
-    directions = np.empty((len(point_ids), 2), np.float32)
+    directions = np.empty((2, len(point_ids)), np.float32)
     inverse_ranges = np.empty(len(point_ids), np.float32)
     visible = np.empty(len(point_ids), np.bool_)
     map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges)

@@ -3,26 +3,34 @@
 import math
 
 import numba
-from numba import boolean, float32, int64, types, void
+import numpy as np
+from numba import boolean, float32, types, void
 
-from sceneloom.arrays import BoolArray, Float32Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array
+from sceneloom.kernels.pixel_numbers import BLOCK, PART, number_pixels
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 _IN_BOOL_1D = types.Array(boolean, 1, "C", readonly=True)
 
+_NOTHING, _ENDLESS = np.float32(0.0), np.float32(math.inf)
 
-@numba.njit(int64(float32, float32, int64, int64), cache=True, nogil=True, inline="always")
-def pixel_index(u: float, v: float, width: int, height: int) -> int:
-    """Give the number, row by row, of the pixel nearest to (u, v) [px]; -1 outside the picture and for NaN.
 
-    The picture reaches from -0.5 to size - 0.5; its far border, which rounding to float32 can produce, counts with
-    the last row or column.
-    """
-    if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
-        return -1
-    column, row = int(u + 0.5), int(v + 0.5)
-    return min(row, height - 1) * width + min(column, width - 1)
+@numba.njit(**PART)
+def _lower(numbers: AnyArray, depths: Float32Array, visible: BoolArray, image: Float32Array) -> None:
+    for i in range(numbers.shape[0]):
+        depth = depths[i]
+        if visible[i] and numbers[i] >= 0 and _NOTHING < depth < _ENDLESS:
+            p = np.uint32(numbers[i])
+            there = image[p]
+            image[p] = depth if (there == _NOTHING) | (depth < there) else there
+
+
+@numba.njit(**PART)
+def _compare(numbers: AnyArray, depths: Float32Array, image: Float32Array, visible: BoolArray) -> None:
+    for i in range(numbers.shape[0]):
+        nearest = image[np.uint32(numbers[i])] if numbers[i] >= 0 else -_ENDLESS
+        visible[i] = (numbers[i] >= 0) & (depths[i] <= max(nearest, _NOTHING))
 
 
 @numba.njit(
@@ -40,21 +48,17 @@ def draw_depths(
         depth_image: (H, W) [m], 0 for nothing; written.
     """
     height, width = depth_image.shape
-    image = depth_image.reshape(height * width)
-    for i in range(pixels.shape[0]):
-        z = depths[i]
-        if not (visible[i] and 0.0 < z < math.inf):
-            continue
-        p = pixel_index(pixels[i, 0], pixels[i, 1], width, height)
-        if p >= 0 and (image[p] == 0.0 or z < image[p]):
-            image[p] = z
+    flat_pixels, image = pixels.reshape(pixels.size), depth_image.reshape(depth_image.size)
+    numbers = np.empty(BLOCK, np.int32)
+    for start in range(0, depths.shape[0], BLOCK):
+        stop = min(start + BLOCK, depths.shape[0])
+        block = numbers[: stop - start]
+        number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
+        _lower(block, depths[start:stop], visible[start:stop], image)
 
 
 @numba.njit(
-    void(_IN_F32_2D, _IN_F32_1D, types.Array(float32, 2, "C", readonly=True), boolean[::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    void(_IN_F32_2D, _IN_F32_1D, _IN_F32_2D, boolean[::1]), cache=True, nogil=True, error_model="numpy"
 )
 def mark_nearest(
     pixels: Float32Array, depths: Float32Array, depth_image: Float32Array, visible: BoolArray
@@ -69,7 +73,10 @@ def mark_nearest(
             lies beside or behind the camera (depth <= 0), with which no depth can be compared.
     """
     height, width = depth_image.shape
-    image = depth_image.reshape(height * width)
-    for i in range(pixels.shape[0]):
-        p = pixel_index(pixels[i, 0], pixels[i, 1], width, height)
-        visible[i] = p >= 0 and depths[i] <= max(image[p], float32(0.0))
+    flat_pixels, image = pixels.reshape(pixels.size), depth_image.reshape(depth_image.size)
+    numbers = np.empty(BLOCK, np.int32)
+    for start in range(0, depths.shape[0], BLOCK):
+        stop = min(start + BLOCK, depths.shape[0])
+        block = numbers[: stop - start]
+        number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
+        _compare(block, depths[start:stop], image, visible[start:stop])

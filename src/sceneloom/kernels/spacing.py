@@ -1,18 +1,36 @@
 """How far apart the scan lines of a cloud appear to a camera."""
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
 from numba import float32, float64, int64, types
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from sceneloom.kernels.direction_grid import INNER, place_in_cells
+from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, number_cells
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 
 SECTORS = 8
+
+
+@numba.njit(**INNER)
+def _occupy(
+    directions: Float32Array, inverse_ranges: Float32Array, grid: tuple[Any, Any, Any, int, int]
+) -> BoolArray:
+    """Mark the cells that hold a point."""
+    occupied, numbers = np.zeros(grid[3] * grid[4], np.bool_), np.empty(BLOCK, np.int32)
+    rightward, downward = directions[0], directions[1]
+    for start in range(0, inverse_ranges.shape[0], BLOCK):
+        stop = min(start + BLOCK, inverse_ranges.shape[0])
+        block = numbers[: stop - start]
+        number_cells(rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], grid, block)
+        for k in range(block.shape[0]):
+            occupied[np.uint32(block[k])] = True
+    occupied[0] = False
+    return occupied
 
 
 @numba.njit(**INNER)
@@ -67,7 +85,7 @@ def measure_spacing(
     Opposite sectors belong together; the axis whose median is largest crosses the scan lines.
 
     Args:
-        directions: (M, 2) in the equal-area map [rad].
+        directions: (2, M) in the equal-area map [rad].
         inverse_ranges: (M,) [1/m]; 0 for a point that takes no part.
         cell: resolution of the measurement [rad].
         reach: farthest neighbour looked for [cells].
@@ -76,17 +94,18 @@ def measure_spacing(
     Returns:
         The spacing [rad]; NaN where the cloud has too few neighbours within reach to say.
     """
-    cells, columns, rows = place_in_cells(directions, inverse_ranges, cell, reach)
-    occupied = np.zeros(columns * rows, np.bool_)
-    for i in range(cells.shape[0]):
-        if cells[i] >= 0:
-            occupied[cells[i]] = True
-    offsets, sectors, distances = _list_disc(reach, columns)
+    grid = fit_grid(directions, inverse_ranges, cell, reach)
+    occupied = _occupy(directions, inverse_ranges, grid)
+    offsets, sectors, distances = _list_disc(reach, grid[3])
     found = np.full((samples, SECTORS), math.nan)
-    for s in range(min(samples, cells.shape[0])):
-        c = cells[s * cells.shape[0] // min(samples, cells.shape[0])]
-        if c >= 0:
-            _find_next(occupied, c, offsets, sectors, distances, found[s])
+    count, number = inverse_ranges.shape[0], np.empty(1, np.int32)
+    for s in range(min(samples, count)):
+        i = s * count // min(samples, count)
+        number_cells(
+            directions[0, i : i + 1], directions[1, i : i + 1], inverse_ranges[i : i + 1], grid, number
+        )
+        if number[0] > 0:
+            _find_next(occupied, number[0], offsets, sectors, distances, found[s])
     widest = math.nan
     for axis in range(SECTORS // 2):
         steps = np.concatenate((found[:, axis], found[:, axis + SECTORS // 2]))

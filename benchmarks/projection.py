@@ -1,0 +1,208 @@
+"""How fast a cloud is fused with one picture: projection, visibility, depth image and colours on one thread.
+
+Run with `python -m benchmarks.projection [--points 250000] [--repetitions 15]`. The cloud is a simulated street seen by
+a dense lidar 0.6 m above a 1920x1080 camera with five distortion coefficients; nearly all its points fall into the
+picture. Peers do the same work: the textbook in NumPy, `cv2.projectPoints` with NumPy for the rest, and for the
+visibility rule a NumPy version that takes the same decisions. All take turns; figures are medians.
+"""
+
+import os
+
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from benchmarks.visibility_in_numpy import find_visible_in_numpy
+from sceneloom.cameras.camera import Camera
+from sceneloom.colouring import ViewRequest, VisibilitySettings, fuse_by_projection
+from sceneloom.geometry.rigid import RigidTransform
+
+WIDTH, HEIGHT = 1920, 1080
+CAMERA = Camera("brown_conrady", WIDTH, HEIGHT, 1100.0, 1100.0, 959.5, 539.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))
+CAMERA_FROM_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+CAMERA_WORLD = np.array([0.0, 0.0, 1.65])
+
+Fusion = Callable[[], tuple[np.ndarray, np.ndarray]]
+
+
+def make_street(count: int) -> np.ndarray:
+    """Cast a dense lidar's rays on a road, two walls, and boxes along it; (count, 3) points [m].
+
+    The points come as a spinning lidar fires: all elevations of one azimuth, then those of the next.
+    """
+    random = np.random.default_rng(0)
+    side = round(np.sqrt(count * 1.6))
+    elevation, azimuth = np.meshgrid(
+        np.radians(np.linspace(-27, 16, side)), np.radians(np.linspace(-42, 42, side))
+    )
+    elevation, azimuth = elevation.ravel(), azimuth.ravel()
+    rays = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
+    )
+    origin = CAMERA_WORLD + np.array([-0.3, 0.0, 0.6])
+    centers = [
+        (40, 14, 5),
+        (40, -12, 5),
+        (90, 0, 8),
+        *((x, y, 0.8) for x in range(7, 70, 7) for y in (-4.5, 4.5)),
+    ]
+    halves = [(80, 0.5, 9), (80, 0.5, 7), (0.5, 15, 8), *([(2.1, 0.9, 0.8)] * 18)]
+    with np.errstate(divide="ignore"):
+        ranges = np.where(rays[:, 2] < 0, -origin[2] / rays[:, 2], np.inf)
+        for center, half in zip(centers, halves, strict=True):
+            enter, leave = (
+                (np.array(center) - half - origin) / rays,
+                (np.array(center) + half - origin) / rays,
+            )
+            near, far = np.minimum(enter, leave).max(axis=1), np.maximum(enter, leave).min(axis=1)
+            ranges = np.where((near < far) & (near > 0), np.minimum(ranges, near), ranges)
+    hit = np.flatnonzero(ranges < 120)
+    hit = np.sort(random.permutation(hit)[:count])
+    ranges = ranges[hit] + random.normal(scale=0.02, size=len(hit))
+    return origin + rays[hit] * ranges[:, None]
+
+
+def distort(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The five-coefficient lens, as textbooks write it."""
+    k1, k2, p1, p2, k3 = CAMERA.coefficients
+    s, xy = x * x + y * y, x * y
+    radial = 1 + s * (k1 + s * (k2 + s * k3))
+    u = CAMERA.fx * (x * radial + 2 * p1 * xy + p2 * (s + 2 * x * x)) + CAMERA.cx
+    v = CAMERA.fy * (y * radial + p1 * (s + 2 * y * y) + 2 * p2 * xy) + CAMERA.cy
+    return u, v
+
+
+def inside_picture(u: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Ids of the points in front of the camera whose pixel is in the picture."""
+    return np.flatnonzero((z > 0) & (u >= -0.5) & (u < WIDTH - 0.5) & (v >= -0.5) & (v < HEIGHT - 0.5))
+
+
+def project_with_numpy(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ids, pixel numbers and depths of the points in the picture."""
+    x, y, z = (points @ matrix[:3, :3].T + matrix[:3, 3]).T
+    u, v = distort(x / z, y / z)
+    ids = inside_picture(u, v, z)
+    return (
+        ids,
+        np.floor(v[ids] + 0.5).astype(np.int64) * WIDTH + np.floor(u[ids] + 0.5).astype(np.int64),
+        z[ids],
+    )
+
+
+def project_with_cv2(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same with OpenCV's projection."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    lens = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
+    rotation = cv2.Rodrigues(matrix[:3, :3])[0]
+    u, v = cv2.projectPoints(points, rotation, matrix[:3, 3], lens, np.array(CAMERA.coefficients))[0][:, 0].T
+    z = points @ matrix[2, :3] + matrix[2, 3]
+    ids = inside_picture(u, v, z)
+    return (
+        ids,
+        np.floor(v[ids] + 0.5).astype(np.int64) * WIDTH + np.floor(u[ids] + 0.5).astype(np.int64),
+        z[ids],
+    )
+
+
+def draw(
+    ids: np.ndarray,
+    cells: np.ndarray,
+    depths: np.ndarray,
+    rgb: np.ndarray,
+    count: int,
+    seen: np.ndarray | None,
+):
+    """Depth image and colours; without `seen`, the nearest points of each pixel are seen."""
+    depths = depths.astype(np.float32)
+    image = np.full(HEIGHT * WIDTH, np.inf, np.float32)
+    if seen is None:
+        np.minimum.at(image, cells, depths)
+        seen = depths <= image[cells]
+    else:
+        np.minimum.at(image, cells[seen], depths[seen])
+    image[np.isinf(image)] = 0
+    colors = np.full((count, 3), 255, np.uint8)
+    colors[ids[seen]] = rgb.reshape(-1, 3)[cells[seen]]
+    return image.reshape(HEIGHT, WIDTH), colors
+
+
+def take_turns(contenders: dict[str, Fusion], repetitions: int) -> dict[str, float]:
+    """Median milliseconds of each, run one after the other, again and again."""
+    times: dict[str, list[float]] = {name: [] for name in contenders}
+    for repetition in range(repetitions + 1):
+        for name, run in contenders.items():
+            start = time.perf_counter()
+            run()
+            if repetition:
+                times[name].append(1e3 * (time.perf_counter() - start))
+    return {name: float(np.median(values)) for name, values in times.items()}
+
+
+def agreement(ours: tuple[np.ndarray, np.ndarray], theirs: tuple[np.ndarray, np.ndarray]) -> str:
+    """In words: equal colours, pixels with depth on both sides, largest difference there."""
+    both = (ours[0] > 0) & (theirs[0] > 0)
+    only_one = ((ours[0] > 0) != (theirs[0] > 0)).sum()
+    equal = (ours[1] == theirs[1]).all(axis=1).mean()
+    difference = np.abs(ours[0] - theirs[0])[both].max()
+    return (
+        f"{100 * equal:.3f} % equal colours, depths differ by at most {difference:.1g} m, "
+        f"{only_one} pixels with depth in one only"
+    )
+
+
+def main() -> None:
+    """Run all and print our figure, the peer's and the ratio."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--points", type=int, default=250_000)
+    parser.add_argument("--repetitions", type=int, default=15)
+    said = parser.parse_args()
+    points = make_street(said.points)
+    rgb = np.random.default_rng(1).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+    pose = RigidTransform(CAMERA_FROM_BODY, -CAMERA_FROM_BODY @ CAMERA_WORLD).inverse()
+    matrix = pose.inverse().matrix
+    request = ViewRequest(
+        camera_id="front", camera_index=0, camera=CAMERA, timestamp_ns=0, world_from_camera=pose, rgb=rgb
+    )
+
+    def ours(*, enabled: bool) -> tuple[np.ndarray, np.ndarray]:
+        fused = fuse_by_projection(points, [request], VisibilitySettings(enabled=enabled))
+        return fused.views[0].depth_image, fused.colors
+
+    def windowed_in_numpy() -> tuple[np.ndarray, np.ndarray]:
+        ids, cells, depths = project_with_numpy(points, matrix)
+        seen = find_visible_in_numpy(points[ids], matrix, VisibilitySettings())
+        return draw(ids, cells, depths, rgb, len(points), seen)
+
+    contenders: dict[str, Fusion] = {
+        "plain": lambda: ours(enabled=False),
+        "windowed": lambda: ours(enabled=True),
+        "textbook NumPy": lambda: draw(*project_with_numpy(points, matrix), rgb, len(points), None),
+        "cv2 + NumPy": lambda: draw(*project_with_cv2(points, matrix), rgb, len(points), None),
+        "windowed in NumPy": windowed_in_numpy,
+    }
+    medians = take_turns(contenders, said.repetitions)
+    results = {name: run() for name, run in contenders.items()}
+    share = len(project_with_numpy(points, matrix)[0]) / len(points)
+    print(f"{len(points)} points, {100 * share:.0f} % of them in a {WIDTH}x{HEIGHT} picture, one thread")
+    for name, peer, aim in (
+        ("plain", "textbook NumPy", 0.25),
+        ("plain", "cv2 + NumPy", 0.12),
+        ("windowed", "windowed in NumPy", 0.15),
+        ("windowed", "plain", 2.0),
+    ):
+        ratio = medians[name] / medians[peer]
+        print(
+            f"{name:9} {medians[name]:6.1f} ms, {peer:18} {medians[peer]:6.1f} ms, ratio {ratio:.3f} (aim {aim})"
+        )
+        if peer != "plain":
+            print(f"{'':10}{agreement(results[name], results[peer])}")
+
+
+if __name__ == "__main__":
+    main()

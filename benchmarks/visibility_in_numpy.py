@@ -1,0 +1,115 @@
+"""The visibility rule of `sceneloom.colouring.visibility`, as one would write it in NumPy."""
+
+import numpy as np
+
+from sceneloom.colouring import VisibilitySettings
+
+SECTORS = 8
+
+
+def map_directions(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions in the equal-area map and inverse ranges, float32."""
+    x, y, z = (points @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32).T
+    ranges = np.sqrt(x * x + y * y + z * z)
+    scale = np.sqrt(2 / (ranges * (ranges + z)))
+    return np.stack([x * scale, y * scale], axis=1), 1 / ranges
+
+
+def place(directions: np.ndarray, cell: float, border: int) -> tuple[np.ndarray, int, int]:
+    """Number of each point's cell, columns and rows of the grid."""
+    per_cell = np.float32(1 / cell)
+    steps = (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64)
+    column, row = (steps - steps.min(axis=0)).T + border
+    columns, rows = int(column.max()) + 1 + border, int(row.max()) + 1 + border
+    return row * columns + column, columns, rows
+
+
+def measure_spacing(directions: np.ndarray, cell: float, reach: int, samples: int) -> float:
+    """Median step across the scan lines."""
+    cells, columns, rows = place(directions, cell, reach)
+    occupied = np.zeros(columns * rows, bool)
+    occupied[cells] = True
+    dy, dx = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    distances = np.hypot(dx, dy)
+    kept = np.flatnonzero((distances > 0) & (distances <= reach))
+    kept = kept[np.argsort(distances[kept], kind="stable")]
+    dx, dy, distances = dx[kept], dy[kept], distances[kept]
+    sectors = np.floor(SECTORS * np.arctan2(dy, dx) / (2 * np.pi) + 0.5).astype(int) % SECTORS
+    around = cells[np.arange(samples) * len(cells) // samples]
+    found = np.full((SECTORS, samples), np.nan)
+    for sector in range(SECTORS):
+        steps, lengths = (dy * columns + dx)[sectors == sector], distances[sectors == sector]
+        hits = occupied[around[:, None] + steps]
+        found[sector] = np.where(hits.any(axis=1), lengths[hits.argmax(axis=1)], np.nan)
+    axes = np.concatenate([found[: SECTORS // 2], found[SECTORS // 2 :]], axis=1)
+    enough = 2 * (~np.isnan(axes)).sum(axis=1) >= samples
+    return cell * float(np.nanmedian(axes[enough], axis=1).max())
+
+
+def window_cells(radius: float, cell: float) -> list[tuple[int, int, float]]:
+    """Steps (dx, dy) to the cells within a radius, and their least distance."""
+    border = int(np.ceil(radius / cell))
+    steps = range(-border, border + 1)
+    gaps = {
+        (dx, dy): cell * np.hypot(max(abs(dx) - 1, 0), max(abs(dy) - 1, 0)) for dx in steps for dy in steps
+    }
+    return [(dx, dy, 0.999 * gap) for (dx, dy), gap in gaps.items() if 0.999 * gap <= radius]
+
+
+def bound(nearest: np.ndarray, border: int, cells: list[tuple[int, int, float]], slope: float) -> np.ndarray:
+    """Largest inverse range around each cell, less the slope on the way."""
+    rows, columns = nearest.shape
+    inner = np.zeros((rows - 2 * border, columns - 2 * border), np.float32)
+    for dx, dy, gap in cells:
+        shifted = nearest[border + dy : rows - border + dy, border + dx : columns - border + dx]
+        np.maximum(inner, shifted - np.float32(slope * gap), out=inner)
+    return np.pad(inner, border).ravel()
+
+
+def find_visible_in_numpy(points: np.ndarray, matrix: np.ndarray, settings: VisibilitySettings) -> np.ndarray:
+    """Tell which of the points are not hidden by others; settings with a measured window only."""
+    directions, inverse = map_directions(points, matrix)
+    spacing = measure_spacing(directions, np.radians(0.1), 25, 256)
+    window = float(np.clip(1.15 * spacing, np.radians(0.3), np.radians(2.5)))
+    near, slope = np.radians(settings.near_deg), 1 / settings.surface_distance
+    cell = max(window / 4, near)
+    border = int(np.ceil(window / cell))
+    cells, columns, rows = place(directions, cell, border)
+    order = np.lexsort((-inverse, cells))
+    first = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
+    nearest, places = np.zeros(rows * columns, np.float32), np.zeros((rows * columns, 2), np.float32)
+    nearest[cells[first]], places[cells[first]] = inverse[first], directions[first]
+    image = nearest.reshape(rows, columns)
+    around, beside = window_cells(window, cell), window_cells(near, cell)
+    quadrants = [
+        bound(image, border, [c for c in around if a * c[0] >= 0 and b * c[1] >= 0], slope)
+        for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    ]
+    opposite = np.maximum(np.minimum(quadrants[0], quadrants[2]), np.minimum(quadrants[1], quadrants[3]))
+    margin, share = np.float32(settings.margin), np.float32(settings.margin_share)
+    threshold = inverse + margin * inverse * inverse + share * inverse
+
+    def hiding(
+        candidates: np.ndarray, steps: list[tuple[int, int, float]], radius: float
+    ) -> tuple[np.ndarray, ...]:
+        there = cells[candidates][:, None] + np.array([dy * columns + dx for dx, dy, _ in steps])
+        x, y = np.moveaxis(places[there] - directions[candidates][:, None], 2, 0)
+        excess = nearest[there] - threshold[candidates][:, None]
+        squared, own = x * x + y * y, (directions[candidates] ** 2).sum(axis=1)
+        steepest = np.float32(slope * slope) / np.maximum(1 - np.float32(0.25) * own, np.float32(1e-3))
+        hides = (
+            (excess > 0)
+            & (squared <= np.float32(radius**2))
+            & (excess * excess > steepest[:, None] * squared)
+        )
+        return hides, x, y
+
+    hidden = np.zeros(len(points), bool)
+    candidates = np.flatnonzero(bound(image, border, beside, 0.0)[cells] > threshold)
+    hidden[candidates] = hiding(candidates, beside, near)[0].any(axis=1)
+    candidates = np.flatnonzero(~hidden & (opposite[cells] > threshold))
+    hides, x, y = hiding(candidates, around, window)
+    first_, second = (hides & (x > 0) & (y >= 0)).any(axis=1), (hides & (x <= 0) & (y > 0)).any(axis=1)
+    third, fourth = (hides & (x < 0) & (y <= 0)).any(axis=1), (hides & (x >= 0) & (y < 0)).any(axis=1)
+    hidden[candidates] = (first_ & third) | (second & fourth)
+    return ~hidden

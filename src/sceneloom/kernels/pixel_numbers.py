@@ -1,0 +1,43 @@
+"""The pixel in which a point falls, as one number."""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float32Array
+
+PART: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+"""Options of functions that are compiled, and cached, as parts of others."""
+
+BLOCK = 512
+"""Points that are numbered at once, by vector instructions."""
+
+_LOW, _NOTHING = np.float32(-0.5), np.float32(0.0)
+
+
+@numba.njit(**PART)
+def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: AnyArray) -> None:
+    """Write the number of the nearest pixel, counted row by row; -1 outside the picture and for NaN.
+
+    The picture reaches from -0.5 to size - 0.5; its far border, which rounding to float32 can produce, counts with
+    the last row or column.
+
+    Args:
+        flat_pixels: (2 M,) [px], u and v by turns.
+        width: [px].
+        height: [px].
+        numbers: (M,) int32, written.
+    """
+    right, bottom = np.float32(width - 0.5), np.float32(height - 0.5)
+    last_column, last_row, columns = np.int32(width - 1), np.int32(height - 1), np.int32(width)
+    for i in range(numbers.shape[0]):
+        u, v = flat_pixels[2 * i], flat_pixels[2 * i + 1]
+        inside = (u >= _LOW) & (u <= right) & (v >= _LOW) & (v <= bottom)
+        u = u if inside else _NOTHING
+        v = v if inside else _NOTHING
+        # The sum is one of doubles: in float32, 0.49999997 + 0.5 is 1.
+        column, row = np.int32(u + 0.5), np.int32(v + 0.5)
+        column = min(last_column, column)
+        row = min(last_row, row)
+        numbers[i] = row * columns + column if inside else np.int32(-1)

@@ -218,7 +218,16 @@ def test_writing_what_was_read_gives_the_same_bytes(target, scene):
     assert third.read_bytes() == again.read_bytes()
 
 
-@given(st.integers(-(2**61), 2**61), st.sampled_from([1, 1000]), st.integers(-(10**9), 10**9))
+NEAR_HALVES = st.builds(
+    lambda stamp, off: stamp * 1000 + 500 + off, st.integers(-(2**40), 2**40), st.integers(-1, 1)
+)
+
+
+@given(
+    st.integers(-(2**61), 2**61) | st.integers(-(2**51), 2**51) | NEAR_HALVES,
+    st.sampled_from([1, 1000]),
+    st.integers(-(10**9), 10**9),
+)
 def test_stamps_are_the_nearest_and_of_two_nearest_the_even(timestamp_ns, tick_ns, offset):
     from fractions import Fraction
 

@@ -1,6 +1,6 @@
 """Making the header of a file out of everything that was given to its writer."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,29 +46,30 @@ class Contents:
     extras: dict[str, Any] = field(default_factory=dict)
 
 
-class _Replay:
-    """Gives the blobs of a first pass again."""
-
-    def __init__(self, blobs: list[Blob]) -> None:
-        self._blobs: Iterator[Blob] = iter(blobs)
-
-    def add(self, array: AnyArray) -> Blob:
-        """Give the blob that this array got before."""
-        del array
-        return next(self._blobs)
-
-
 class _Recorder:
-    """Spools arrays and remembers their blobs."""
+    """Spools the arrays of a first pass over everything, and remembers where each stands."""
 
     def __init__(self, spool: Spool) -> None:
-        self._spool = spool
-        self.blobs: list[Blob] = []
+        self.spool = spool
+        self.known: dict[int, tuple[AnyArray, Blob]] = {}
 
     def add(self, array: AnyArray) -> Blob:
         """Spool one array."""
-        self.blobs.append(self._spool.add(array))
-        return self.blobs[-1]
+        blob = self.spool.add(array)
+        self.known[id(array)] = (array, blob)
+        return blob
+
+
+class _Replay:
+    """Gives the blobs of a first pass again, each once; an array made anew is spooled anew."""
+
+    def __init__(self, first: _Recorder) -> None:
+        self._first = first
+
+    def add(self, array: AnyArray) -> Blob:
+        """Find or spool one array."""
+        known = self._first.known.pop(id(array), None)
+        return self._first.spool.add(array) if known is None else known[1]
 
 
 def assemble(contents: Contents, profile: Profile, keeper: ClockKeeper, losses: Losses) -> bytes:
@@ -86,7 +87,7 @@ def assemble(contents: Contents, profile: Profile, keeper: ClockKeeper, losses: 
     if passed.writer.lowest < 0:
         # a time that stands only in annotations or attributes is earlier than all frames and poses
         keeper.clock_for(passed.writer.lowest * keeper.tick_ns + keeper.clock.offset_ns)
-        passed = _Pass(contents, profile, RecordWriter(keeper.clock, _Replay(recorder.blobs)))
+        passed = _Pass(contents, profile, RecordWriter(keeper.clock, _Replay(recorder)))
         header = passed.header()
     for loss in passed.losses.all():
         losses.add(loss.field, loss.what, count=loss.count, kept=loss.kept)

@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array
+from sceneloom.errors import OptionError
 
 TICKS_NS: Mapping[str, int] = MappingProxyType({"microseconds": 1_000, "nanoseconds": 1})
 """Length of one tick of each unit that we write [ns]."""
@@ -22,9 +23,12 @@ SMALL_START_NS = 10_000_000_000
 
 _SECOND_NS = 1_000_000_000
 
+_EXACT_QUOTIENT = 2**50
+"""Below it a quotient in float64 is off by less than a thousandth, so that it rounds as the exact one does."""
 
-class TimeRangeError(ValueError):
-    """A time does not fit the integers that must hold it."""
+
+class TimeRangeError(OptionError):
+    """A time does not fit the integers that must hold it; readers turn it into a fault of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,17 +89,18 @@ class FileClock:
         """
         if timestamps_ns.size == 0:
             return np.zeros(0, np.int64), 0
-        checked_ns(int(timestamps_ns.min()) - self.offset_ns)
-        checked_ns(int(timestamps_ns.max()) - self.offset_ns)
+        lowest = checked_ns(int(timestamps_ns.min()) - self.offset_ns)
+        highest = checked_ns(int(timestamps_ns.max()) - self.offset_ns)
         since_offset = timestamps_ns - self.offset_ns
         if self.tick_ns == 1:
             return since_offset, 0
+        if lowest > -_EXACT_QUOTIENT and highest < _EXACT_QUOTIENT:
+            stamps = np.rint(since_offset / self.tick_ns).astype(np.int64)
+            return stamps, int(np.count_nonzero(stamps * self.tick_ns != since_offset))
         quotient = since_offset // self.tick_ns
-        inexact = int(np.count_nonzero(since_offset - quotient * self.tick_ns))
-        if inexact:
-            # a half goes up only where that makes the stamp even; ticks are of even length
-            quotient = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
-        return quotient, inexact
+        # a half goes up only where that makes the stamp even; ticks are of even length
+        stamps = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
+        return stamps, int(np.count_nonzero(since_offset - quotient * self.tick_ns))
 
     def duration_ns(self, duration: float) -> int | float:
         """Give a duration of the file in nanoseconds: an integer, if that is the same number when it is written."""

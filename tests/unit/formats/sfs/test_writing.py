@@ -194,6 +194,32 @@ def test_an_annotation_before_everything_else_moves_the_offset_too(target):
     assert scene.sensors[0].frames[0].points.timestamps_ns.tolist() == [late, late]
 
 
+def test_arrays_of_the_header_stay_with_their_fields_when_the_offset_moves(target):
+    """In the profile `scale` the lidar then starts too late and goes aside, so that the order of writing changes."""
+    late, early = 1_700_000_200 * SECOND, 1_700_000_000 * SECOND
+    chart, grid = np.arange(4.0), np.arange(5)
+    with SceneWriter(target, profile="scale", metadata={"grid": grid, "again": grid}) as writer:
+        writer.add_sensor(lidar(poses=path_at(late), extras={"chart": chart}))
+        writer.add_frame("top", sweep(late, [late, late]))
+        writer.add_annotation(PlainAnnotation(2, "event", {"start": early, "drawn": TWO}))
+    scene = FORMAT.open(target)
+    assert scene.time_offset_ns == early
+    np.testing.assert_array_equal(scene.sensors[0].extras["chart"], chart)
+    np.testing.assert_array_equal(scene.annotations[0].fields["drawn"], TWO)
+    np.testing.assert_array_equal(scene.metadata["grid"], grid)
+    np.testing.assert_array_equal(scene.metadata["again"], grid)
+    assert "within 100 s" in next(iter(writer.losses)).what
+
+
+def test_times_that_no_integer_holds_are_refused(target):
+    with (
+        pytest.raises(OptionError, match="does not fit 64 bits"),
+        SceneWriter(target, time_offset_ns=-8 * 10**18) as writer,
+    ):
+        writer.add_sensor(lidar())
+        writer.add_frame("top", sweep(2**62, [2**62, 2**62]))
+
+
 def test_times_before_zero_come_back(written, target):
     header = written(sweep(-5 * SECOND, [-5 * SECOND, -4_999_999_000]))
     assert header["time_offset"] == 0

@@ -51,9 +51,10 @@ def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, A
     """
     if camera.model not in _LENSES:
         raise CalibrationError(f"camera model {camera.model!r}; a recording can hold {', '.join(_LENSES)}")
-    used = {place for place, value in enumerate(camera.coefficients) if value != 0}
     writings = _LENSES[camera.model]
-    writing = next((row for row in writings if used <= set(row.places)), writings[-1])
+    used = {place for place, value in enumerate(camera.coefficients) if value != 0}
+    holdable = used & {place for row in writings for place in row.places}
+    writing = next(row for row in writings if holdable <= set(row.places))
     values = dict(enumerate(camera.coefficients))
     fields = {
         model_key: writing.model,
@@ -65,7 +66,7 @@ def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, A
         "imageWidth": camera.width,
         "imageHeight": camera.height,
     }
-    return fields, tuple(sorted(used - set(writing.places)))
+    return fields, tuple(sorted(used - holdable))
 
 
 def decentring_losses(field: str, lost: tuple[int, ...]) -> list[Loss]:

@@ -27,7 +27,8 @@ def group_pictures(stamps: Sequence[Int64Array]) -> Int64Array:
     Returns:
         (L, C) int64: for each line and camera the index of the picture, -1 for none; lines in time order.
     """
-    periods = [np.median(np.diff(times)) for times in stamps if len(times) > 1]
+    steps = [np.diff(times) for times in stamps]
+    periods = [float(np.median(step[step > 0])) for step in steps if (step > 0).any()]
     half_ns = min(periods, default=_DEFAULT_PERIOD_NS) / 2
     cameras = np.concatenate([np.full(len(times), c, np.int64) for c, times in enumerate(stamps)])
     indices = np.concatenate([np.arange(len(times), dtype=np.int64) for times in stamps])

@@ -1,0 +1,228 @@
+"""What is written as a recording is read back: arrays, times, mountings, lenses and pictures."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
+
+from sceneloom.cameras import MODELS, lens_vector
+from sceneloom.cameras.camera import Camera
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CameraSensor,
+    GnssSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Picture,
+    Scene,
+    Trajectory,
+    VectorSamples,
+)
+
+EXACT_NS = 2**51
+"""Up to 26 days, a 64-bit number of seconds holds every nanosecond."""
+NAMES = ["groundTruth", "pose", "arkit", "my method", "output"]
+EPOCH_NS = 1_700_000_000_000_000_000
+
+exact_times = st.integers(-EXACT_NS, EXACT_NS)
+finite = st.floats(-1e6, 1e6)
+
+
+def sorted_times(low: int, high: int, *, unique: bool = False) -> st.SearchStrategy[np.ndarray]:
+    times = st.lists(st.integers(low, high), min_size=1, max_size=12, unique=unique)
+    return times.map(lambda found: np.array(sorted(found), np.int64))
+
+
+def rigid(draw: st.DrawFn) -> RigidTransform:
+    turn = Rotation.from_rotvec(draw(hnp.arrays(np.float64, 3, elements=st.floats(-3, 3))))
+    return RigidTransform(turn.as_matrix(), draw(hnp.arrays(np.float64, 3, elements=st.floats(-50, 50))))
+
+
+rigids = st.composite(rigid)()
+
+
+def round_trip(scene: Scene, **options):
+    with TemporaryDirectory() as folder:
+        report = write_scene(scene, Path(folder, "drive"), **options)
+        with open_scene(Path(folder, "drive")) as found:
+            yield found, report
+
+
+@given(sorted_times(-EXACT_NS, EXACT_NS), st.data())
+def test_samples_keep_their_times_to_the_nanosecond_and_their_values_to_the_bit(stamps, data):
+    values = data.draw(hnp.arrays(np.float64, (len(stamps), 3), elements=finite))
+    scene = Scene((ImuSensor("imu", {"gyroscope": VectorSamples(stamps, values)}),))
+    for found, report in round_trip(scene):
+        assert len(report) == 0
+        stream = found.sensor("imu").streams["gyroscope"]
+        np.testing.assert_array_equal(stream.timestamps_ns, stamps)
+        np.testing.assert_array_equal(stream.values, values)
+
+
+@given(st.lists(st.floats(-9e9, 9e9), min_size=1, max_size=12))
+def test_the_seconds_that_a_file_had_are_in_the_next_file(seconds):
+    numbers = np.array(sorted(seconds))
+    stamps = np.rint(numbers * 1e9).astype(np.int64)
+    scene = Scene(
+        (ImuSensor("imu", {"gyroscope": VectorSamples(stamps, np.ones((len(stamps), 3)), numbers)}),)
+    )
+    for found, report in round_trip(scene):
+        stream = found.sensor("imu").streams["gyroscope"]
+        assert len(report) == 0
+        # equal as numbers: -0.0 is 0.0
+        np.testing.assert_array_equal(stream.file_seconds, numbers)
+        np.testing.assert_array_equal(stream.timestamps_ns, stamps)
+
+
+@given(sorted_times(EPOCH_NS, EPOCH_NS + 10**13))
+def test_times_since_1970_are_off_by_no_more_than_is_reported(stamps):
+    scene = Scene((ImuSensor("imu", {"gyroscope": VectorSamples(stamps, np.ones((len(stamps), 3)))}),))
+    for found, report in round_trip(scene):
+        off = np.abs(found.sensor("imu").streams["gyroscope"].timestamps_ns - stamps)
+        assert (
+            off.max() <= 128
+        )  # half of 2^-22 s, and the rounding to whole nanoseconds of a number that large
+        assert sum(loss.count for loss in report) == int((off > 0).sum())
+
+
+@given(sorted_times(-EXACT_NS, EXACT_NS, unique=True), st.booleans(), st.data())
+def test_trajectories_come_back_under_their_names(stamps, oriented, data):
+    count = len(stamps)
+    positions = data.draw(hnp.arrays(np.float64, (count, 3), elements=finite))
+    turns = data.draw(hnp.arrays(np.float64, (count, 3), elements=st.floats(-3, 3)))
+    quaternions = Rotation.from_rotvec(turns).as_quat() if oriented else None
+    names = data.draw(
+        st.lists(
+            st.sampled_from(["groundTruth", "pose", "arkit", "my method", "output"]), min_size=1, unique=True
+        )
+    )
+    scene = Scene((), trajectories={name: Trajectory(name, stamps, positions, quaternions) for name in names})
+    for found, _ in round_trip(scene):
+        assert set(found.trajectories) == set(names)
+        for trajectory in found.trajectories.values():
+            np.testing.assert_array_equal(trajectory.timestamps_ns, stamps)
+            np.testing.assert_array_equal(trajectory.positions, positions)
+            assert (trajectory.quaternions_xyzw is None) == (not oriented)
+            if oriented:
+                np.testing.assert_array_equal(trajectory.quaternions_xyzw, quaternions)
+
+
+@given(sorted_times(-EXACT_NS, EXACT_NS), st.data())
+def test_fixes_come_back_with_the_accuracies_that_they_have(stamps, data):
+    count = len(stamps)
+    lla = data.draw(hnp.arrays(np.float64, (count, 3), elements=st.floats(-90, 90)))
+    known = st.one_of(st.just(np.nan), st.floats(0, 100))
+    accuracies = [data.draw(hnp.arrays(np.float64, count, elements=known)) for _ in range(2)]
+    scene = Scene((GnssSensor("gnss", stamps, lla, *accuracies),))
+    for found, _ in round_trip(scene):
+        gnss = found.sensor("gnss")
+        np.testing.assert_array_equal(gnss.timestamps_ns, stamps)
+        np.testing.assert_array_equal(gnss.positions_lla, lla)
+        np.testing.assert_array_equal(gnss.accuracies, accuracies[0])
+        np.testing.assert_array_equal(gnss.vertical_accuracies, accuracies[1])
+
+
+def points_at(data: st.DataObject, start_ns: int) -> LidarPoints:
+    count = data.draw(st.integers(0, 6))
+    floats = st.floats(allow_nan=True, allow_infinity=True, width=32)
+    offsets = data.draw(hnp.arrays(np.int64, count, elements=st.integers(0, 10**8)))
+    return LidarPoints(
+        positions=data.draw(hnp.arrays(np.float32, (count, 3), elements=floats)),
+        intensities=data.draw(hnp.arrays(np.uint8, count)),
+        timestamps_ns=start_ns + offsets,
+        rings=data.draw(hnp.arrays(np.uint16, count)),
+    )
+
+
+@given(sorted_times(-EXACT_NS, EXACT_NS, unique=True), rigids, st.data())
+def test_sweeps_come_back_point_by_point(stamps, mount, data):
+    frames = [LidarFrame(int(stamp), points_at(data, int(stamp))) for stamp in stamps]
+    lidars = tuple(
+        LidarSensor(f"lidar{index}", LazyFrames.of(frames, stamps), mount=mount) for index in range(2)
+    )
+    for found, report in round_trip(Scene(lidars)):
+        assert len(report) == 0
+        for lidar in found.lidars:
+            # the mounting is inverted on the way there and back
+            np.testing.assert_allclose(lidar.mount.matrix, mount.matrix, atol=1e-12)
+            np.testing.assert_array_equal(lidar.frames.timestamps_ns, stamps)
+            for before, after in zip(frames, lidar.frames, strict=True):
+                for name in ("positions", "intensities", "timestamps_ns", "rings"):
+                    np.testing.assert_array_equal(getattr(after.points, name), getattr(before.points, name))
+
+
+@st.composite
+def lenses(draw: st.DrawFn) -> Camera:
+    model = draw(st.sampled_from(sorted(MODELS)))
+    names = MODELS[model].coefficient_names
+    count = draw(st.sampled_from(sorted({0, min(5, len(names)), len(names)})))
+    # the format has no decentring
+    values = [0.0 if names[k] in {"lx", "ly"} else draw(st.floats(-0.01, 0.01)) for k in range(count)]
+    numbers = [draw(st.floats(10, 50)) for _ in range(4)]
+    return Camera(model, 32, 16, *numbers, tuple(values))
+
+
+@given(lenses(), rigids, sorted_times(-EXACT_NS, EXACT_NS, unique=True), st.integers(1, 2))
+def test_cameras_come_back_with_lens_mounting_times_and_pixels(lens, mount, stamps, count):
+    rng = np.random.default_rng(len(stamps))
+    shots = [rng.integers(0, 256, (16, 32, 3), dtype=np.uint8) for _ in stamps]
+    pictures = [Picture.of(int(stamp), lens, rgb) for stamp, rgb in zip(stamps, shots, strict=True)]
+    cameras = tuple(
+        CameraSensor(f"camera{index}", lens, LazyFrames.of(pictures, stamps), mount=mount)
+        for index in range(count)
+    )
+    for found, report in round_trip(Scene(cameras), pictures="png"):
+        assert len(report) == 0
+        assert len(found.cameras) == count
+        for camera in found.cameras:
+            np.testing.assert_array_equal(lens_vector(camera.camera), lens_vector(lens))
+            np.testing.assert_allclose(camera.mount.matrix, mount.matrix, atol=1e-12)
+            np.testing.assert_array_equal(camera.pictures.timestamps_ns, stamps)
+            for rgb, picture in zip(shots, camera.pictures, strict=True):
+                np.testing.assert_array_equal(picture.rgb, rgb)
+
+
+def test_a_real_recording_read_written_and_read_again_is_the_same(data_dir, tmp_path):
+    for name in ("kitti_drive", "pandaset", "kitti_oxts_0000"):
+        with open_scene(data_dir / "recordings" / name) as before:
+            assert len(write_scene(before, tmp_path / name)) == 0
+            with open_scene(tmp_path / name) as after:
+                assert [sensor.id for sensor in after.sensors] == [sensor.id for sensor in before.sensors]
+                assert [notice.code for notice in after.notices] == [notice.code for notice in before.notices]
+                for old, new in zip(before.lidars, after.lidars, strict=True):
+                    np.testing.assert_allclose(new.mount.matrix, old.mount.matrix, atol=1e-12)
+                    sweep_before, sweep_after = old.frames[-1].points, new.frames[-1].points
+                    np.testing.assert_array_equal(sweep_after.positions, sweep_before.positions)
+                    np.testing.assert_array_equal(sweep_after.timestamps_ns, sweep_before.timestamps_ns)
+                for old, new in zip(before.cameras, after.cameras, strict=True):
+                    assert new.camera == old.camera
+                    np.testing.assert_array_equal(new.pictures.timestamps_ns, old.pictures.timestamps_ns)
+                    np.testing.assert_array_equal(new.pictures[2].rgb, old.pictures[2].rgb)
+                for key, old in before.trajectories.items():
+                    np.testing.assert_array_equal(after.trajectories[key].positions, old.positions)
+                    np.testing.assert_array_equal(after.trajectories[key].file_seconds, old.file_seconds)
+
+
+@pytest.mark.parametrize("start_ns", [0, -5_000_000_000, EPOCH_NS])
+def test_a_drive_with_h264_has_as_many_pictures_at_the_same_times(start_ns, tmp_path):
+    lens = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
+    stamps = start_ns + np.cumsum([0, 100, 100, 33, 170, 97, 100]).astype(np.int64) * 1_000_000
+    shots = [np.full((48, 64, 3), 30 * k + 20, np.uint8) for k in range(len(stamps))]
+    pictures = [Picture.of(int(stamp), lens, rgb) for stamp, rgb in zip(stamps, shots, strict=True)]
+    camera = CameraSensor("camera0", lens, LazyFrames.of(pictures, stamps), mount=RigidTransform.identity())
+    write_scene(Scene((camera,)), tmp_path / "drive")
+    with open_scene(tmp_path / "drive") as found:
+        after = found.cameras[0]
+        # whole milliseconds since 1970 come back within what a 64-bit number of seconds holds
+        assert np.abs(after.pictures.timestamps_ns - stamps).max() <= (0 if start_ns < 10**12 else 128)
+        for rgb, picture in zip(shots, after.pictures, strict=True):
+            assert np.abs(picture.rgb.astype(int) - rgb).max() <= 3  # flat grey through crf 18

@@ -1,0 +1,150 @@
+"""Lenses and mountings are written in the spelling that the vendor's software reads."""
+
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry, matrix_entry, mounting
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraSensor, Coordinates, LazyFrames, PosePath
+
+
+def camera(model, *coefficients):
+    return Camera(model, 640, 480, 500.0, 501.0, 320.5, 240.25, coefficients)
+
+
+LENSES = {
+    "pinhole": (camera("pinhole"), "pinhole", []),
+    "fisheye": (camera("fisheye", 0.1, -0.2, 0.3, -0.4), "kannala-brandt4", [0.1, -0.2, 0.3, -0.4]),
+    "fisheye, short": (camera("fisheye", 0.1), "kannala-brandt4", [0.1, 0.0, 0.0, 0.0]),
+    "brown, five": (
+        camera("brown_conrady", 0.1, 0.2, 0.01, 0.02, 0.3),
+        "brown-conrady",
+        [0.1, 0.2, 0.01, 0.02, 0.3, 0.0, 0.0, 0.0],
+    ),
+    "brown, prism": (
+        camera("brown_conrady", 1, 2, 3, 4, 5, 6, 7, 8, 0, 0, 11, 12, 13, 14, 15, 16),
+        "brown-conrady",
+        [1, 2, 3, 4, 5, 6, 7, 8, 11, 12, 13, 14, 15, 16],
+    ),
+    "brown, sixteen without prism": (
+        camera("brown_conrady", *range(1, 9), *[0.0] * 8),
+        "brown-conrady",
+        [1, 2, 3, 4, 5, 6, 7, 8],
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", LENSES)
+def test_lenses_are_written_under_the_format_s_names(kind):
+    lens, model, coefficients = LENSES[kind]
+    fields, lost = lens_entry(lens)
+    assert lost == ()
+    assert fields == {
+        "model": model,
+        "distortionCoefficients": coefficients,
+        "focalLengthX": 500.0,
+        "focalLengthY": 501.0,
+        "principalPointX": 320.5,
+        "principalPointY": 240.25,
+        "imageWidth": 640,
+        "imageHeight": 480,
+    }
+
+
+def test_decentring_has_no_place_and_is_named():
+    fields, lost = lens_entry(camera("brown_conrady", *range(1, 9), 0.5, 0.0))
+    assert fields["distortionCoefficients"] == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert lost == (8,)
+
+
+def test_a_model_that_the_format_has_not_is_refused_with_those_it_has():
+    with pytest.raises(
+        CalibrationError, match="'ftheta'; a recording can hold pinhole, fisheye, brown_conrady"
+    ):
+        lens_entry(camera("ftheta"))
+
+
+MOUNT = RigidTransform(Rotation.from_euler("zyx", [0.3, -0.2, 0.9]).as_matrix(), np.array([1.5, -0.2, 0.7]))
+
+
+def test_imu_to_camera_takes_points_of_the_ego_into_the_camera():
+    sensor = CameraSensor("front", camera("pinhole"), LazyFrames.of([], []), mount=MOUNT)
+    entry, losses = camera_entry(sensor, sensor.camera, MOUNT)
+    assert losses == []
+    camera_from_ego = np.array(entry["imuToCamera"])
+    point_camera = np.array([0.3, 0.4, 5.0])
+    point_ego = MOUNT.rotation @ point_camera + MOUNT.translation
+    np.testing.assert_allclose(camera_from_ego @ [*point_ego, 1.0], [*point_camera, 1.0], atol=1e-12)
+
+
+def test_what_else_a_recording_said_of_a_camera_is_written_back():
+    before = {
+        "shutterRollTimeSeconds": 0.02,
+        "model": "pinhole",
+        "imuToCameraMatrix": [[1]],
+        "note": {"a": 1},
+    }
+    sensor = CameraSensor(
+        "front", camera("fisheye"), LazyFrames.of([], []), extras=MappingProxyType({"calibration": before})
+    )
+    entry, _ = camera_entry(sensor, sensor.camera, MOUNT)
+    assert entry["model"] == "kannala-brandt4"
+    assert entry["shutterRollTimeSeconds"] == 0.02
+    assert entry["note"] == {"a": 1}
+    assert "imuToCameraMatrix" not in entry
+
+
+def ego_path():
+    turns = Rotation.from_rotvec(np.linspace(0, 1, 5)[:, None] * [0.0, 0.0, 1.0])
+    positions = np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], axis=1)
+    return PosePath(np.arange(5, dtype=np.int64) * 10**8, positions, turns.as_quat())
+
+
+def sensor_path(mount, move=0.0):
+    poses = [
+        RigidTransform.from_quaternion(p, q) @ mount
+        for p, q in zip(ego_path().positions, ego_path().quaternions_xyzw, strict=True)
+    ]
+    positions = np.array([pose.translation for pose in poses])
+    positions[-1, 2] += move
+    return PosePath(ego_path().timestamps_ns, positions, np.array([pose.quaternion_xyzw for pose in poses]))
+
+
+def posed_camera(**fields):
+    return CameraSensor("front", camera("pinhole"), LazyFrames.of([], []), **fields)
+
+
+def test_a_mounting_is_found_from_poses_in_the_world():
+    mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT)), ego_path())
+    assert losses == []
+    np.testing.assert_allclose(mount.matrix, MOUNT.matrix, atol=1e-12)
+
+
+def test_a_mounting_is_found_from_poses_on_the_ego():
+    poses = PosePath(np.zeros(1, np.int64), MOUNT.translation[None], MOUNT.quaternion_xyzw[None])
+    mount, losses = mounting(posed_camera(poses=poses, coordinates=Coordinates.EGO), None)
+    assert losses == []
+    np.testing.assert_allclose(mount.matrix, MOUNT.matrix, atol=1e-12)
+
+
+def test_a_sensor_that_moves_on_the_vehicle_is_reported():
+    mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT, move=0.5)), ego_path())
+    np.testing.assert_allclose(mount.matrix, MOUNT.matrix, atol=1e-12)
+    assert "moves up to 0.5 m" in losses[0].what
+
+
+def test_without_any_poses_there_is_no_mounting():
+    assert mounting(posed_camera(), ego_path()) == (None, [])
+    assert mounting(posed_camera(poses=sensor_path(MOUNT)), None) == (None, [])
+
+
+def test_a_matrix_is_four_rows():
+    rows = matrix_entry(MOUNT)
+    assert [len(row) for row in rows] == [4, 4, 4, 4]
+    assert rows[3] == [0.0, 0.0, 0.0, 1.0]
+    assert rows[0][3] == 1.5

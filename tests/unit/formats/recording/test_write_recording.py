@@ -1,0 +1,699 @@
+"""Scenes become recordings whose files hold what the description of the format says, and nothing else is touched."""
+
+import json
+import struct
+from decimal import Decimal
+from itertools import pairwise
+from types import MappingProxyType
+
+import av
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import ArrayError, CalibrationError, OptionError, OutputError, PoseError
+from sceneloom.formats.recording.writer import write_recording
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CameraSensor,
+    CuboidAnnotation,
+    CuboidPath,
+    GnssSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    OdometrySensor,
+    Picture,
+    PlainSensor,
+    PointsFrame,
+    PosePath,
+    RadarSensor,
+    Scene,
+    Trajectory,
+    VectorSamples,
+    VideoContent,
+)
+
+MS = 1_000_000
+MODEL = "RoboSense M1 XYZIRT"
+MOUNT = RigidTransform(Rotation.from_euler("zyx", [0.3, -0.2, 0.9]).as_matrix(), np.array([1.5, -0.2, 0.7]))
+
+
+def times(count, *, start_ms=0, step_ms=100):
+    return (np.arange(count, dtype=np.int64) * step_ms + start_ms) * MS
+
+
+def picture_rgb(index, width=32, height=16):
+    return np.full((height, width, 3), (10 * index, 200 - 10 * index, 77), np.uint8)
+
+
+def a_camera(name="camera0", *, stamps=None, width=32, height=16, **fields):
+    stamps = times(4, start_ms=50) if stamps is None else stamps
+    lens = Camera("pinhole", width, height, 30.0, 31.0, width / 2, height / 2)
+    pictures = LazyFrames.of(
+        [Picture.of(int(t), lens, picture_rgb(k, width, height)) for k, t in enumerate(stamps)], stamps
+    )
+    return CameraSensor(name, lens, pictures, **({"mount": MOUNT} | fields))
+
+
+def some_points(seed, start_ns, count=5):
+    rng = np.random.default_rng(seed)
+    return LidarPoints(
+        positions=rng.normal(size=(count, 3)).astype(np.float32),
+        intensities=rng.integers(0, 256, count).astype(np.uint8),
+        timestamps_ns=start_ns + np.arange(count, dtype=np.int64) * 1234,
+        rings=rng.integers(0, 65536, count).astype(np.uint16),
+    )
+
+
+def a_lidar(name="lidar", *, frames=None, **fields):
+    frames = (
+        [LidarFrame(int(t), some_points(k, int(t))) for k, t in enumerate(times(3))]
+        if frames is None
+        else frames
+    )
+    return LidarSensor(
+        name, LazyFrames.of(frames, [f.timestamp_ns for f in frames]), **({"mount": MOUNT} | fields)
+    )
+
+
+def an_imu(**streams):
+    stamps = times(30, start_ms=3, step_ms=10)
+    values = np.random.default_rng(1).normal(size=(30, 3))
+    return ImuSensor(
+        "imu",
+        streams
+        or {"accelerometer": VectorSamples(stamps, values), "gyroscope": VectorSamples(stamps, -values)},
+    )
+
+
+def a_gnss():
+    lla = np.array([[60.173783793064594, 24.906486344581662, 14.18831106834269], [60.2, 24.9, 15.0]])
+    return GnssSensor("gnss", times(2, start_ms=20), lla, np.array([4.0, np.nan]), np.array([np.nan, 2.5]))
+
+
+def ego_path(count=6):
+    turns = Rotation.from_rotvec(np.linspace(0, 1, count)[:, None] * [0.0, 0.0, 1.0])
+    positions = np.stack([np.arange(count, dtype=float), np.zeros(count), np.zeros(count)], axis=1)
+    return PosePath(times(count), positions, turns.as_quat())
+
+
+def a_trajectory(name="groundTruth"):
+    path = ego_path()
+    return Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
+
+
+def a_scene(*sensors, trajectories=(), **fields):
+    return Scene(sensors, trajectories={t.name: t for t in trajectories}, **fields)
+
+
+def whole_scene():
+    return a_scene(
+        a_lidar(), a_camera(), a_camera("camera1"), an_imu(), a_gnss(), trajectories=[a_trajectory()]
+    )
+
+
+def lines_of(folder):
+    return [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
+
+
+def records_of(path):
+    return list(struct.iter_unpack("<fffBHd", path.read_bytes()))
+
+
+def losses_of(report):
+    return {loss.field: loss.what for loss in report}
+
+
+def test_lines_are_sorted_and_each_says_one_thing(tmp_path):
+    report = write_recording(whole_scene(), tmp_path / "drive")
+    lines = lines_of(tmp_path / "drive")
+    stamps = [line["time"] for line in lines]
+    assert stamps == sorted(stamps)
+    kinds = [next(iter(line)) for line in lines]
+    counts = {kind: kinds.count(kind) for kind in kinds}
+    assert counts == {"groundTruth": 6, "sensor": 60, "gps": 2, "lidar": 3, "frames": 4}
+    assert losses_of(report) == {
+        "sensors[camera0].pictures": "encoded as H.264, which changes colours a little",
+        "sensors[camera1].pictures": "encoded as H.264, which changes colours a little",
+    }
+
+
+def test_frames_lines_count_from_zero_and_list_every_camera(tmp_path):
+    write_recording(whole_scene(), tmp_path / "drive")
+    frames = [line for line in lines_of(tmp_path / "drive") if "frames" in line]
+    assert [line["number"] for line in frames] == [0, 1, 2, 3]
+    assert frames[1] == {
+        "frames": [{"cameraInd": 0, "time": 0.15}, {"cameraInd": 1, "time": 0.15}],
+        "number": 1,
+        "time": 0.15,
+    }
+
+
+def test_samples_fixes_and_poses_are_written_in_the_format_s_words(tmp_path):
+    write_recording(whole_scene(), tmp_path / "drive")
+    lines = lines_of(tmp_path / "drive")
+    values = np.random.default_rng(1).normal(size=(30, 3))
+    gyroscope = [line for line in lines if line.get("sensor", {}).get("type") == "gyroscope"]
+    assert gyroscope[4] == {"sensor": {"type": "gyroscope", "values": (-values[4]).tolist()}, "time": 0.043}
+    fixes = [line for line in lines if "gps" in line]
+    assert fixes == [
+        {
+            "gps": {
+                "latitude": 60.173783793064594,
+                "longitude": 24.906486344581662,
+                "altitude": 14.18831106834269,
+                "accuracy": 4.0,
+            },
+            "time": 0.02,
+        },
+        {
+            "gps": {"latitude": 60.2, "longitude": 24.9, "altitude": 15.0, "verticalAccuracy": 2.5},
+            "time": 0.12,
+        },
+    ]
+    pose = [line for line in lines if "groundTruth" in line][3]["groundTruth"]
+    assert pose["position"] == {"x": 3.0, "y": 0.0, "z": 0.0}
+    # a turn by 0.6 rad about z
+    assert pose["orientation"] == pytest.approx(
+        {"x": 0, "y": 0, "z": np.sin(0.3), "w": np.cos(0.3)}, abs=1e-15
+    )
+
+
+def test_a_sweep_is_a_file_of_packed_records(tmp_path):
+    write_recording(whole_scene(), tmp_path / "drive")
+    sweeps = [line for line in lines_of(tmp_path / "drive") if "lidar" in line]
+    assert sweeps[2] == {"lidar": {"model": MODEL, "dataFile": "lidar/000002.bin"}, "time": 0.2}
+    points = some_points(2, 200 * MS)
+    records = records_of(tmp_path / "drive" / "lidar" / "000002.bin")
+    for row, (x, y, z, intensity, ring, seconds) in enumerate(records):
+        assert (np.float32([x, y, z]) == points.positions[row]).all()
+        assert (intensity, ring) == (points.intensities[row], points.rings[row])
+        assert round(seconds * 1e9) == points.timestamps_ns[row]
+    assert len(records) == 5
+
+
+def test_the_calibration_takes_points_of_the_imu_into_the_sensors(tmp_path):
+    write_recording(whole_scene(), tmp_path / "drive")
+    calibration = json.loads((tmp_path / "drive" / "calibration.json").read_text())
+    expected = np.linalg.inv(np.vstack([np.column_stack([MOUNT.rotation, MOUNT.translation]), [0, 0, 0, 1]]))
+    assert len(calibration["cameras"]) == 2
+    np.testing.assert_allclose(calibration["cameras"][1]["imuToCamera"], expected, atol=1e-15)
+    np.testing.assert_allclose(calibration["lidars"][0]["imuToLidar"], expected, atol=1e-15)
+    assert calibration["lidars"][0]["model"] == MODEL
+    assert calibration["cameras"][0]["imageWidth"] == 32
+    assert calibration["cameras"][0]["imageHeight"] == 16
+
+
+def read_video(path):
+    capture, pictures = cv2.VideoCapture(str(path)), []
+    while (found := capture.read())[0]:
+        pictures.append(found[1][:, :, ::-1])
+    return pictures
+
+
+def test_videos_are_h264_with_one_picture_per_frames_line(tmp_path):
+    write_recording(whole_scene(), tmp_path / "drive")
+    for name in ("data.mkv", "data2.mkv"):
+        with av.open(str(tmp_path / "drive" / name)) as container:
+            assert container.streams.video[0].codec_context.name == "h264"
+        pictures = read_video(tmp_path / "drive" / name)
+        assert len(pictures) == 4
+        for index, rgb in enumerate(pictures):
+            # flat colours survive but for rounding, 1 to 3 levels
+            assert np.abs(rgb.astype(int) - picture_rgb(index)).max() <= 4
+
+
+def test_png_pictures_lose_nothing(tmp_path):
+    report = write_recording(whole_scene(), tmp_path / "drive", pictures="png")
+    assert len(report) == 0
+    assert not list((tmp_path / "drive").glob("*.mkv"))
+    for folder in ("frames1", "frames2"):
+        names = sorted(path.name for path in (tmp_path / "drive" / folder).iterdir())
+        assert names == [f"{index:08d}.png" for index in range(4)]
+        for index, name in enumerate(names):
+            bgr = cv2.imread(str(tmp_path / "drive" / folder / name))
+            np.testing.assert_array_equal(bgr[:, :, ::-1], picture_rgb(index))
+
+
+def test_odd_pictures_lose_a_line_in_h264_and_say_so(tmp_path):
+    scene = a_scene(a_camera(width=33, height=17))
+    report = write_recording(scene, tmp_path / "drive")
+    assert "cut from 33x17 to 32x16: H.264 needs even sizes" in [loss.what for loss in report]
+    entry = json.loads((tmp_path / "drive" / "calibration.json").read_text())["cameras"][0]
+    assert (entry["imageWidth"], entry["imageHeight"]) == (32, 16)
+    # the upper left corner stays where it is, so the principal point does
+    assert (entry["principalPointX"], entry["principalPointY"]) == (16.5, 8.5)
+    assert read_video(tmp_path / "drive" / "data.mkv")[0].shape == (16, 32, 3)
+
+
+def encoded(tmp_path, codec="libx264", count=4):
+    path = tmp_path / f"{codec}.mkv"
+    with av.open(str(path), "w") as output:
+        stream = output.add_stream(codec, rate=10)
+        stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
+        for index in range(count):
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(picture_rgb(index), format="rgb24")))
+        output.mux(stream.encode(None))
+    return path
+
+
+def packets_of(path):
+    with av.open(str(path)) as container:
+        return [bytes(packet) for packet in container.demux(video=0) if packet.size]
+
+
+@pytest.mark.parametrize(
+    ("codec", "pictures", "copied"),
+    [("libx264", "copy", True), ("libx264", "h264", True), ("ffv1", "copy", True), ("ffv1", "h264", False)],
+)
+def test_a_camera_s_own_video_is_copied_packet_by_packet(tmp_path, codec, pictures, copied):
+    path = encoded(tmp_path, codec)
+    video = VideoContent(lambda: path.open("rb"), "h264" if codec == "libx264" else codec)
+    report = write_recording(a_scene(a_camera(video=video)), tmp_path / "drive", pictures=pictures)
+    assert (packets_of(tmp_path / "drive" / "data.mkv") == packets_of(path)) == copied
+    assert (len(report) == 0) == copied
+    assert len(read_video(tmp_path / "drive" / "data.mkv")) == 4
+
+
+def test_a_video_of_which_not_all_pictures_belong_to_the_camera_is_encoded(tmp_path):
+    path = encoded(tmp_path, count=6)
+    content = VideoContent(lambda: path.open("rb"), "h264", frame_indices=(0, 1, 2, 4))
+    write_recording(a_scene(a_camera(video=content)), tmp_path / "some")
+    write_recording(a_scene(a_camera(video=VideoContent(content.open, "h264"))), tmp_path / "too many")
+    for name in ("some", "too many"):
+        assert len(read_video(tmp_path / name / "data.mkv")) == 4
+
+
+def test_a_camera_out_of_step_repeats_a_picture_and_is_reported(tmp_path):
+    second = a_camera("camera1", stamps=times(4, start_ms=50)[[0, 2, 3]])
+    report = write_recording(a_scene(a_camera(), second), tmp_path / "drive", pictures="png")
+    frames = [line["frames"] for line in lines_of(tmp_path / "drive")]
+    assert [entries[1].get("missingBitmap", False) for entries in frames] == [False, True, False, False]
+    assert all([entry["cameraInd"] for entry in entries] == [0, 1] for entries in frames)
+    written = [cv2.imread(str(path))[0, 0, 2] for path in sorted((tmp_path / "drive" / "frames2").iterdir())]
+    assert written == [0, 0, 10, 20]
+    assert list(losses_of(report)) == ["sensors[camera1].pictures"]
+    assert "not in step" in losses_of(report)["sensors[camera1].pictures"]
+
+
+def test_cameras_a_little_apart_share_a_line_and_keep_their_times(tmp_path):
+    second = a_camera("camera1", stamps=times(4, start_ms=50) - 7 * MS)
+    write_recording(a_scene(a_camera(), second), tmp_path / "drive", pictures="png")
+    assert lines_of(tmp_path / "drive")[0] == {
+        "frames": [{"cameraInd": 0, "time": 0.05}, {"cameraInd": 1, "time": 0.043}],
+        "number": 0,
+        "time": 0.043,
+    }
+
+
+def test_a_picture_s_own_lens_and_mounting_stand_in_its_line(tmp_path):
+    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+    own = Camera("fisheye", 32, 16, 40.0, 41.0, 15.0, 7.0, (0.1, 0.2, 0.3, 0.4))
+    pictures = [
+        Picture.of(0, lens, picture_rgb(0)),
+        Picture(100 * MS, own, lambda: picture_rgb(1), mount=RigidTransform.identity()),
+    ]
+    camera = CameraSensor("camera0", lens, LazyFrames.of(pictures, [0, 100 * MS]), mount=MOUNT)
+    write_recording(a_scene(camera), tmp_path / "drive", pictures="png")
+    first, second = (line["frames"][0] for line in lines_of(tmp_path / "drive"))
+    assert set(first) == {"cameraInd", "time"}
+    assert second["cameraParameters"] == {
+        "distortionModel": "kannala-brandt4",
+        "distortionCoefficients": [0.1, 0.2, 0.3, 0.4],
+        "focalLengthX": 40.0,
+        "focalLengthY": 41.0,
+        "principalPointX": 15.0,
+        "principalPointY": 7.0,
+    }
+    assert second["imuToCamera"] == np.eye(4).tolist()
+
+
+def test_several_lidars_are_told_apart_by_an_index(tmp_path):
+    write_recording(a_scene(a_lidar("lidar0"), a_lidar("lidar1")), tmp_path / "drive")
+    sweeps = [line["lidar"] for line in lines_of(tmp_path / "drive")]
+    assert sweeps[:2] == [
+        {"model": MODEL, "dataFile": "lidar/000000.bin"},
+        {"model": MODEL, "dataFile": "lidar2/000000.bin", "lidarInd": 1},
+    ]
+    lidars = json.loads((tmp_path / "drive" / "calibration.json").read_text())["lidars"]
+    assert [lidar.get("lidarInd") for lidar in lidars] == [None, 1]
+    assert (tmp_path / "drive" / "lidar2" / "000002.bin").stat().st_size == 5 * 23
+
+
+def test_what_points_lack_is_filled_and_what_they_have_too_much_is_named(tmp_path):
+    bare = LidarPoints(np.ones((4, 3), np.float32))
+    rich = LidarPoints(
+        np.ones((2, 3), np.float32),
+        np.zeros(2, np.uint8),
+        colors=np.zeros((2, 3), np.uint8),
+        timestamps_ns=np.zeros(2, np.int64),
+        rings=np.zeros(2, np.uint16),
+        extras=MappingProxyType({"echo": np.zeros(2)}),
+    )
+    lidar = a_lidar(frames=[LidarFrame(0, bare), LidarFrame(100 * MS, rich)])
+    report = write_recording(a_scene(lidar), tmp_path / "drive")
+    points = "sensors[lidar].frames[].points"
+    assert {loss.field: loss.count for loss in report} == {
+        f"{points}.intensities": 4,
+        f"{points}.rings": 4,
+        f"{points}.timestamps_ns": 4,
+        f"{points}.colors": 2,
+        f"{points}.echo": 2,
+    }
+    assert records_of(tmp_path / "drive" / "lidar" / "000000.bin")[3] == (1.0, 1.0, 1.0, 0, 0, 0.0)
+
+
+def world_lidar(**fields):
+    """A lidar whose points were brought into the world, each at its own time, and the points before that."""
+    start, stamps = 120 * MS, 120 * MS + np.arange(5, dtype=np.int64) * 17 * MS
+    positions = np.random.default_rng(7).normal(size=(5, 3)) * 20
+    moving = ego_path()
+    world = []
+    for stamp, position in zip(stamps, positions, strict=True):
+        body = moving.interpolate(np.array([stamp]))
+        ego = RigidTransform.from_quaternion(body.positions[0], body.quaternions_xyzw[0])
+        world.append((ego @ MOUNT).apply(position))
+    points = LidarPoints(
+        np.array(world, np.float32), np.zeros(5, np.uint8), timestamps_ns=stamps, rings=np.zeros(5, np.uint16)
+    )
+    return a_lidar(frames=[LidarFrame(start, points)], points_frame=PointsFrame.WORLD, **fields), positions
+
+
+def mounted_path():
+    path = ego_path()
+    egos = map(RigidTransform.from_quaternion, path.positions, path.quaternions_xyzw)
+    poses = [ego @ MOUNT for ego in egos]
+    positions, quaternions = (
+        np.array([getattr(p, name) for p in poses]) for name in ("translation", "quaternion_xyzw")
+    )
+    return PosePath(path.timestamps_ns, positions, quaternions)
+
+
+def positions_in(path):
+    return np.array([record[:3] for record in records_of(path)])
+
+
+@pytest.mark.parametrize(
+    "known", ["the trajectory and the mounting", "the lidar's own poses", "an odometry sensor"]
+)
+def test_points_in_the_world_are_brought_back_to_where_each_was_measured(tmp_path, known):
+    tolerance = 2e-5  # float32 at 20 m
+    if known == "the lidar's own poses":
+        lidar, positions = world_lidar(poses=mounted_path())
+        scene = a_scene(lidar)
+        # between poses 0.2 rad apart the lidar, 1.5 m from the axis, takes the chord: 1.5 m (1 - cos 0.1) inside
+        tolerance = 8e-3
+    else:
+        lidar, positions = world_lidar()
+        odometry = OdometrySensor("ego", ego_path())
+        scene = (
+            a_scene(lidar, odometry) if "odometry" in known else a_scene(lidar, trajectories=[a_trajectory()])
+        )
+    write_recording(scene, tmp_path / "drive")
+    np.testing.assert_allclose(
+        positions_in(tmp_path / "drive" / "lidar" / "000000.bin"), positions, atol=tolerance
+    )
+
+
+def test_points_on_the_ego_are_brought_back_by_the_mounting(tmp_path):
+    positions = np.random.default_rng(7).normal(size=(5, 3)) * 20
+    points = LidarPoints(MOUNT.apply(positions).astype(np.float32))
+    write_recording(
+        a_scene(a_lidar(frames=[LidarFrame(0, points)], points_frame=PointsFrame.EGO)), tmp_path / "drive"
+    )
+    np.testing.assert_allclose(
+        positions_in(tmp_path / "drive" / "lidar" / "000000.bin"), positions, atol=2e-5
+    )
+
+
+def test_points_in_the_world_without_any_poses_are_refused(tmp_path):
+    lidar, _ = world_lidar()
+    with pytest.raises(PoseError, match="lidar 'lidar': its points are in the world"):
+        write_recording(a_scene(lidar), tmp_path / "drive")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_points_beyond_the_poses_are_refused(tmp_path):
+    lidar, _ = world_lidar(
+        poses=PosePath(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2))
+    )
+    with pytest.raises(PoseError, match="sweep at 120000000 ns: no pose for 5 of its points"):
+        write_recording(a_scene(lidar), tmp_path / "drive")
+
+
+def test_a_camera_whose_mounting_is_unknown_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match="camera 'front': nothing says how it is mounted"):
+        write_recording(a_scene(a_camera("front", mount=None)), tmp_path / "drive")
+
+
+def test_a_lidar_whose_mounting_is_unknown_is_taken_to_be_the_ego(tmp_path):
+    report = write_recording(a_scene(a_lidar(mount=None)), tmp_path / "drive")
+    assert "where the IMU is" in losses_of(report)["sensors[lidar].mount"]
+    entry = json.loads((tmp_path / "drive" / "calibration.json").read_text())["lidars"][0]
+    assert entry["imuToLidar"] == np.eye(4).tolist()
+
+
+def test_what_a_recording_cannot_hold_is_named_field_by_field(tmp_path):
+    box = CuboidAnnotation("car", CuboidPath(np.zeros(1, np.int64), np.ones((1, 9))))
+    radar = RadarSensor("radar", LazyFrames.of([], []))
+    scene = a_scene(
+        an_imu(),
+        ImuSensor("second", {}),
+        radar,
+        PlainSensor("odd", "sonar", {}),
+        annotations=(box,),
+        attributes=({"name": "weather"},),
+        metadata={"city": "Turku", "recording": {}},
+        extras={"future": 1},
+    )
+    assert losses_of(write_recording(scene, tmp_path / "drive")) == {
+        "annotations": "left out: the format has none",
+        "attributes": "left out: the format has none",
+        "metadata.city": "left out: the format has none",
+        "future": "left out: the format has none",
+        "sensors[radar]": "left out: the format has none",
+        "sensors[odd]": "left out: the format has none",
+        "sensors[second]": "left out: the format has one imu only",
+    }
+
+
+def test_ids_that_the_format_forgets_are_named(tmp_path):
+    report = write_recording(a_scene(a_camera("front"), a_lidar("roof")), tmp_path / "drive", pictures="png")
+    assert losses_of(report) == {
+        "sensors[front].id": "read back as 'camera0'",
+        "sensors[roof].id": "read back as 'lidar'",
+    }
+
+
+def test_samples_that_json_or_the_format_cannot_hold_are_left_out_and_counted(tmp_path):
+    values = np.ones((4, 3))
+    values[2, 1] = np.nan
+    lla = np.array([[60.0, 24.0, np.nan], [60.0, 24.0, 3.0]])
+    imu = an_imu(
+        accelerometer=VectorSamples(times(4), values), gyroscope=VectorSamples(times(4), np.ones((4, 2)))
+    )
+    gnss = GnssSensor("gnss", times(2), lla, np.ones(2), np.ones(2))
+    report = write_recording(a_scene(imu, gnss), tmp_path / "drive")
+    assert {loss.field: loss.count for loss in report} == {
+        "sensors[imu].streams[accelerometer]": 1,
+        "sensors[imu].streams[gyroscope]": 4,
+        "sensors[gnss]": 1,
+    }
+    assert len(lines_of(tmp_path / "drive")) == 3 + 1
+
+
+@pytest.mark.parametrize(
+    ("name", "root", "inner"),
+    [
+        ("groundTruth", "groundTruth", None),
+        ("arkit", "arkit", None),
+        ("pose", "pose", None),
+        ("lidar", "pose", "lidar"),
+        ("time", "pose", "time"),
+    ],
+)
+def test_trajectories_go_under_their_name_but_where_the_format_means_something_else(
+    tmp_path, name, root, inner
+):
+    write_recording(a_scene(trajectories=[a_trajectory(name)]), tmp_path / "drive")
+    line = lines_of(tmp_path / "drive")[0]
+    assert set(line) == {root, "time"}
+    assert line[root].get("name") == inner
+
+
+def test_an_odometry_sensor_becomes_a_trajectory_unless_it_is_one(tmp_path):
+    write_recording(
+        a_scene(OdometrySensor("ego", ego_path()), trajectories=[a_trajectory()]), tmp_path / "one"
+    )
+    write_recording(a_scene(OdometrySensor("ego", ego_path())), tmp_path / "other")
+    assert {key for line in lines_of(tmp_path / "one") for key in line} == {"groundTruth", "time"}
+    assert {key for line in lines_of(tmp_path / "other") for key in line} == {"ego", "time"}
+
+
+def test_times_keep_their_digits_and_the_loss_of_64_bit_numbers_is_reported(tmp_path):
+    stamps = np.array([1_700_000_000_123_456_789, 1_700_000_001_000_000_000], np.int64)
+    imu = an_imu(gyroscope=VectorSamples(stamps, np.ones((2, 3))))
+    report = write_recording(a_scene(imu), tmp_path / "drive")
+    texts = (tmp_path / "drive" / "data.jsonl").read_text().splitlines()
+    found = [json.loads(text, parse_float=Decimal)["time"] for text in texts]
+    assert found == [Decimal("1700000000.123456789"), Decimal("1700000001.0")]
+    assert [(loss.field, loss.count) for loss in report] == [("timestamps", 1)]
+
+
+def test_numbers_that_times_were_read_from_are_written_back(tmp_path):
+    seconds = np.array([1.43846240234375, 1.444770263671875, 1.4387])
+    stamps = np.rint(seconds * 1e9).astype(np.int64)
+    seconds[2] = 99.0  # no longer means its time
+    imu = an_imu(gyroscope=VectorSamples(stamps, np.ones((3, 3)), seconds))
+    write_recording(a_scene(imu), tmp_path / "drive")
+    assert [line["time"] for line in lines_of(tmp_path / "drive")] == [
+        1.43846240234375,
+        1.4387,
+        1.444770263671875,
+    ]
+
+
+def test_what_a_recording_said_beside_is_written_back(tmp_path):
+    stamps = np.array([0, 10 * MS], np.int64)
+    text = '{"sensor": {"type": "gyroscope", "values": [9], "bias": 1}, "time": 1, "note": "x"}'
+    notes = {
+        "calibration": {"imuForward": [1, 0, 0], "cameras": [{"model": "old"}]},
+        "vio_config": "useStereo: true\n",
+        "other_lines": ['{"barometer": {"pressure": 1013}, "time": 0.005}', '{"sdkVersion": "1.2"}'],
+        "further_keys": {"imu.gyroscope": {"10000000": text}},
+        "trajectory_origins": {"pose:lidar": ["pose", "lidar"]},
+    }
+    scene = a_scene(
+        an_imu(gyroscope=VectorSamples(stamps, np.ones((2, 3)))),
+        trajectories=[Trajectory("pose:lidar", stamps[:1] + 20 * MS, np.zeros((1, 3)))],
+        metadata={"recording": notes},
+    )
+    assert len(write_recording(scene, tmp_path / "drive")) == 0
+    assert lines_of(tmp_path / "drive") == [
+        {"sdkVersion": "1.2"},
+        {"sensor": {"type": "gyroscope", "values": [1, 1, 1]}, "time": 0.0},
+        {"barometer": {"pressure": 1013}, "time": 0.005},
+        {"sensor": {"type": "gyroscope", "values": [1, 1, 1], "bias": 1}, "note": "x", "time": 0.01},
+        {"pose": {"name": "lidar", "position": {"x": 0, "y": 0, "z": 0}}, "time": 0.02},
+    ]
+    assert (tmp_path / "drive" / "vio_config.yaml").read_text() == "useStereo: true\n"
+    calibration = json.loads((tmp_path / "drive" / "calibration.json").read_text())
+    assert calibration == {"imuForward": [1, 0, 0], "cameras": []}
+
+
+def test_without_cameras_and_lidars_there_is_no_calibration(tmp_path):
+    write_recording(a_scene(an_imu()), tmp_path / "drive")
+    assert [path.name for path in (tmp_path / "drive").iterdir()] == ["data.jsonl"]
+
+
+def test_a_scene_with_nothing_for_a_recording_is_refused(tmp_path):
+    with pytest.raises(OptionError, match="holds nothing that a recording could hold"):
+        write_recording(a_scene(), tmp_path / "drive")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_camera_without_pictures_is_calibrated_alone_and_left_out_beside_others(tmp_path):
+    empty = a_camera("camera1", stamps=times(0))
+    report = write_recording(a_scene(a_camera(), empty), tmp_path / "both", pictures="png")
+    assert "has no pictures" in losses_of(report)["sensors[camera1]"]
+    assert len(json.loads((tmp_path / "both" / "calibration.json").read_text())["cameras"]) == 1
+    write_recording(a_scene(a_lidar(), empty), tmp_path / "alone")
+    assert len(json.loads((tmp_path / "alone" / "calibration.json").read_text())["cameras"]) == 1
+    assert not list((tmp_path / "alone").glob("*.mkv"))
+
+
+@pytest.mark.parametrize("pictures", ["jpeg", ""])
+def test_an_unknown_way_of_keeping_pictures_is_refused(tmp_path, pictures):
+    with pytest.raises(OptionError, match="expected one of: copy, h264, png"):
+        write_recording(whole_scene(), tmp_path / "drive", pictures=pictures)
+
+
+def test_an_existing_recording_is_replaced_only_on_request_and_whole(tmp_path):
+    write_recording(whole_scene(), tmp_path / "drive")
+    with pytest.raises(OutputError, match="exists already"):
+        write_recording(a_scene(an_imu()), tmp_path / "drive")
+    write_recording(a_scene(an_imu()), tmp_path / "drive", overwrite=True)
+    assert [path.name for path in (tmp_path / "drive").iterdir()] == ["data.jsonl"]
+    assert [path.name for path in tmp_path.iterdir()] == ["drive"]
+
+
+@pytest.mark.parametrize("names", [["thesis.odt"], ["data.jsonl", "thesis.odt"], ["calibration.json"]])
+def test_somebody_s_folder_is_never_replaced(tmp_path, names):
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for name in names:
+        (folder / name).write_text("mine")
+    with pytest.raises(OutputError, match="no recording that could be replaced"):
+        write_recording(whole_scene(), folder, overwrite=True)
+    assert sorted(path.name for path in folder.iterdir()) == sorted(names)
+
+
+def test_an_empty_folder_is_replaced_on_request_and_a_file_never(tmp_path):
+    (tmp_path / "drive").mkdir()
+    write_recording(a_scene(an_imu()), tmp_path / "drive", overwrite=True)
+    assert (tmp_path / "drive" / "data.jsonl").is_file()
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="is a file"):
+        write_recording(a_scene(an_imu()), tmp_path / "file", overwrite=True)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("pictures", ["h264", "png"])
+def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, pictures):
+    write_recording(a_scene(an_imu()), tmp_path / "drive")
+    before = (tmp_path / "drive" / "data.jsonl").read_bytes()
+    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+    shots = [
+        Picture(k * 100 * MS, lens, lambda k=k: picture_rgb(k, 32, 16 if k < 2 else 14)) for k in range(4)
+    ]
+    camera = CameraSensor("camera0", lens, LazyFrames.of(shots, times(4)), mount=MOUNT)
+    with pytest.raises(ArrayError, match=r"picture.*\(14, 32, 3\)"):
+        write_recording(a_scene(camera), tmp_path / "drive", overwrite=True, pictures=pictures)
+    assert (tmp_path / "drive" / "data.jsonl").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["drive"]
+
+
+def test_the_same_scene_gives_the_same_files(tmp_path):
+    for name in ("first", "second"):
+        write_recording(whole_scene(), tmp_path / name)
+    files = sorted(
+        path.relative_to(tmp_path / "first") for path in (tmp_path / "first").rglob("*") if path.is_file()
+    )
+    assert len(files) == 7
+    for file in files:
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
+
+
+def test_frames_and_pictures_are_asked_for_one_by_one_in_the_order_of_time(tmp_path):
+    asked: list[tuple[str, int]] = []
+    sweeps, shots = times(4), times(4, start_ms=50)
+
+    def sweep(k):
+        asked.append(("lidar", int(sweeps[k])))
+        return LidarFrame(int(sweeps[k]), some_points(k, int(sweeps[k])))
+
+    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+
+    def decode(k):
+        asked.append(("picture", int(shots[k])))
+        return picture_rgb(k)
+
+    camera = CameraSensor(
+        "camera0",
+        lens,
+        LazyFrames(shots, lambda k: Picture(int(shots[k]), lens, lambda: decode(k))),
+        mount=MOUNT,
+    )
+    write_recording(
+        a_scene(LidarSensor("lidar", LazyFrames(sweeps, sweep), mount=MOUNT), camera), tmp_path / "drive"
+    )
+    assert [kind for kind, _ in asked].count("picture") == 4
+    assert [kind for kind, _ in asked].count("lidar") == 4
+    # a merge looks one line ahead in every stream, and no farther
+    order = [stamp for _, stamp in asked]
+    assert all(later > earlier - 101 * MS for earlier, later in pairwise(order))

@@ -51,7 +51,6 @@ _RESERVED = frozenset(
         "trajectories",
         "exact_attributes",
         "notices",
-        "unfused",
     }
 )
 _ROOT = frozenset({"version", "time_unit", "time_offset"})
@@ -130,6 +129,7 @@ class SceneWriter:
             self._usual_offset_ns = chosen_offset_ns(first_ns)
         self._contents = Contents()
         self._cameras: dict[tuple[type, Identifier], CameraDraft] = {}
+        self._unfused: list[Mapping[str, Any]] = []
         self._losses = Losses()
         self._stack = ExitStack()
         self._open: _OpenFile | None = None
@@ -174,6 +174,7 @@ class SceneWriter:
                 if note is not None:
                     self._contents.drafts[key].note["pictures"] = note
             with_euler(self._contents)
+            self._contents.ours["unfused"] = self._unfused or None
             with collector_paused():
                 header = assemble(self._contents, self._profile, opened.keeper, self._losses)
             opened.spool.finish(header)
@@ -230,7 +231,7 @@ class SceneWriter:
             "reason": reason,
             "points": points,
         }
-        self._contents.ours.setdefault("unfused", []).append(record)
+        self._unfused.append(record)
         kept = "metadata.sceneloom.unfused"
         self._losses.add(f"{draft.place}.frames[]", f"left out of the frames: {reason}", kept=kept)
 
@@ -256,10 +257,11 @@ class SceneWriter:
         Raises:
             OptionError: a field under "sceneloom" is one that the writer fills itself.
         """
-        ours = fields.get(OURS) or {}
-        taken = sorted(_RESERVED.intersection(ours) - ({"unfused"} if self._verbatim else set()))
+        ours = dict(fields.get(OURS) or {})
+        taken = sorted(_RESERVED.intersection(ours))
         if taken:
             raise OptionError(f"metadata.{OURS}.{taken[0]} is filled by the writer; expected another name")
+        self._unfused.extend(ours.pop("unfused", []))
         self._contents.metadata.update({name: value for name, value in fields.items() if name != OURS})
         self._contents.ours.update(ours)
 

@@ -425,8 +425,12 @@ def test_sweeps_that_could_not_be_fused_stand_under_our_metadata(target, decode_
     assert kept["points"]["timestamps_ns"].tolist() == [1, 2]
     np.testing.assert_array_equal(kept["points"]["positions"], TWO)
     assert "no pose" in next(iter(writer.losses)).what
-    write_scene(scene, target, overwrite=True)
-    assert len(FORMAT.open(target).metadata["sceneloom"]["unfused"]) == 1
+    with SceneWriter(target, overwrite=True) as writer:
+        writer.add_scene(scene)
+        writer.add_unfused("top", sweep(5), "still no pose")
+    assert len(scene.metadata["sceneloom"]["unfused"]) == 1
+    reasons = [kept["reason"] for kept in FORMAT.open(target).metadata["sceneloom"]["unfused"]]
+    assert reasons == ["no pose", "still no pose"]
 
 
 def test_trajectories_stand_under_our_metadata_in_their_order(target):

@@ -137,17 +137,19 @@ class SceneWriter:
         self.set_metadata(metadata or {})
 
     def __enter__(self) -> Self:
-        draft = self._stack.enter_context(replacing(self._path, overwrite=self._overwrite))
-        spool = self._stack.enter_context(Spool(draft, reserve=self._expected_header))
-        fixed = self._fixed_offset_ns is not None
-        offset_ns = self._fixed_offset_ns if fixed else self._usual_offset_ns
-        keeper = ClockKeeper(self._tick_ns, offset_ns, fixed, spool, self._contents.drafts.values())
-        self._open = _OpenFile(
-            spool,
-            keeper,
-            CloudWriter(spool, self._profile, self._losses, self._verbatim, keeper),
-            PictureWriter(spool, draft.parent, self._losses, self._verbatim),
-        )
+        with ExitStack() as stack:
+            draft = stack.enter_context(replacing(self._path, overwrite=self._overwrite))
+            spool = stack.enter_context(Spool(draft, reserve=self._expected_header))
+            fixed = self._fixed_offset_ns is not None
+            offset_ns = self._fixed_offset_ns if fixed else self._usual_offset_ns
+            keeper = ClockKeeper(self._tick_ns, offset_ns, fixed, spool, self._contents.drafts.values())
+            self._open = _OpenFile(
+                spool,
+                keeper,
+                CloudWriter(spool, self._profile, self._losses, self._verbatim, keeper),
+                PictureWriter(spool, draft.parent, self._losses, self._verbatim),
+            )
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(

@@ -235,6 +235,7 @@ def test_an_offset_of_the_caller_stands(written, target):
         written(sweep(SECOND, [SECOND] * 2), time_offset_ns=2 * SECOND, overwrite=True)
     with pytest.raises(OptionError, match="whole microseconds"):
         written(sweep(SECOND), time_offset_ns=1, overwrite=True)
+    assert list(target.parent.iterdir()) == [target]
 
 
 def test_microseconds_in_32_bits_end_after_71_minutes(written):

@@ -24,8 +24,8 @@ def place(directions: np.ndarray, cell: float, border: int) -> tuple[np.ndarray,
     return row * columns + column, columns, rows
 
 
-def measure_spacing(directions: np.ndarray, cell: float, reach: int, samples: int) -> float:
-    """Median step across the scan lines."""
+def measure_spacing(directions: np.ndarray, cell: float, reach: int, samples: int) -> np.ndarray:
+    """Typical steps to the next point along the axes at 0, 45, 90 and 135 degrees."""
     cells, columns, rows = place(directions, cell, reach)
     occupied = np.zeros(columns * rows, bool)
     occupied[cells] = True
@@ -41,19 +41,34 @@ def measure_spacing(directions: np.ndarray, cell: float, reach: int, samples: in
         steps, lengths = (dy * columns + dx)[sectors == sector], distances[sectors == sector]
         hits = occupied[around[:, None] + steps]
         found[sector] = np.where(hits.any(axis=1), lengths[hits.argmax(axis=1)], np.nan)
-    axes = np.concatenate([found[: SECTORS // 2], found[SECTORS // 2 :]], axis=1)
-    enough = 2 * (~np.isnan(axes)).sum(axis=1) >= samples
-    return cell * float(np.nanmedian(axes[enough], axis=1).max())
+    spacings = np.full(SECTORS // 2, np.nan)
+    for axis, values in enumerate(np.concatenate([found[: SECTORS // 2], found[SECTORS // 2 :]], axis=1)):
+        known = np.sort(values[~np.isnan(values)])
+        if len(known) >= samples:
+            spacings[axis] = cell * known[len(known) // 4 : len(known) - len(known) // 4].mean()
+    return spacings
 
 
-def window_cells(radius: float, cell: float) -> list[tuple[int, int, float]]:
-    """Steps (dx, dy) to the cells within a radius, and their least distance."""
-    border = int(np.ceil(radius / cell))
-    steps = range(-border, border + 1)
-    gaps = {
-        (dx, dy): cell * np.hypot(max(abs(dx) - 1, 0), max(abs(dy) - 1, 0)) for dx in steps for dy in steps
-    }
-    return [(dx, dy, 0.999 * gap) for (dx, dy), gap in gaps.items() if 0.999 * gap <= radius]
+def reach_for(spacings: np.ndarray) -> tuple[float, float, float, float]:
+    """Window, reach across and along the scan lines, angle of the axis across them; [rad]."""
+    pair = int(np.nanargmax(np.abs(np.log(spacings[:2] / spacings[2:]))))
+    axis = pair if spacings[pair] > spacings[pair + 2] else pair + 2
+    across, along = spacings[axis], spacings[(axis + 2) % 4]
+    window = np.clip(1.15 * across, *np.radians([0.3, 2.5]))
+    near = np.clip([0.9 * across, 1.2 * along], *np.radians([0.1, 2.0]))
+    return float(window), float(near[0]), float(near[1]), axis * np.pi / 4
+
+
+def window_cells(reach: tuple[float, float], radius: float, cell: float) -> list[tuple[int, int, float]]:
+    """Steps (dx, dy) to the cells within reach, and their least distance."""
+    border = int(np.ceil(max(reach) / cell))
+    cells = []
+    for dy in range(-border, border + 1):
+        for dx in range(-border, border + 1):
+            gap = 0.999 * cell * np.maximum(np.abs([dx, dy]) - 1, 0)
+            if (gap <= reach).all() and np.hypot(*gap) <= radius:
+                cells.append((dx, dy, float(np.hypot(*gap))))
+    return cells
 
 
 def bound(nearest: np.ndarray, border: int, cells: list[tuple[int, int, float]], slope: float) -> np.ndarray:
@@ -69,18 +84,20 @@ def bound(nearest: np.ndarray, border: int, cells: list[tuple[int, int, float]],
 def find_visible_in_numpy(points: np.ndarray, matrix: np.ndarray, settings: VisibilitySettings) -> np.ndarray:
     """Tell which of the points are not hidden by others; settings with a measured window only."""
     directions, inverse = map_directions(points, matrix)
-    spacing = measure_spacing(directions, np.radians(0.1), 25, 256)
-    window = float(np.clip(1.15 * spacing, np.radians(0.3), np.radians(2.5)))
-    near, slope = np.radians(settings.near_deg), 1 / settings.surface_distance
-    cell = max(window / 4, near)
-    border = int(np.ceil(window / cell))
+    window, across, along, angle = reach_for(measure_spacing(directions, np.radians(0.1), 25, 256))
+    turn, slope = np.array([np.cos(angle), np.sin(angle)]), 1 / settings.surface_distance
+    form = np.outer(turn, turn) / across**2 + (np.eye(2) - np.outer(turn, turn)) / along**2
+    near = np.sqrt(np.diag(np.linalg.inv(form)))
+    cell = max(window / 4, np.radians(0.16))
+    border = int(np.ceil(max(window, *near) / cell))
     cells, columns, rows = place(directions, cell, border)
     order = np.lexsort((-inverse, cells))
     first = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
     nearest, places = np.zeros(rows * columns, np.float32), np.zeros((rows * columns, 2), np.float32)
     nearest[cells[first]], places[cells[first]] = inverse[first], directions[first]
     image = nearest.reshape(rows, columns)
-    around, beside = window_cells(window, cell), window_cells(near, cell)
+    around = window_cells((window, window), window, cell)
+    beside = window_cells((float(near[0]), float(near[1])), np.inf, cell)
     quadrants = [
         bound(image, border, [c for c in around if a * c[0] >= 0 and b * c[1] >= 0], slope)
         for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
@@ -89,26 +106,22 @@ def find_visible_in_numpy(points: np.ndarray, matrix: np.ndarray, settings: Visi
     margin, share = np.float32(settings.margin), np.float32(settings.margin_share)
     threshold = inverse + margin * inverse * inverse + share * inverse
 
-    def hiding(
-        candidates: np.ndarray, steps: list[tuple[int, int, float]], radius: float
-    ) -> tuple[np.ndarray, ...]:
+    def hiding(candidates: np.ndarray, steps: list[tuple[int, int, float]]) -> tuple[np.ndarray, ...]:
         there = cells[candidates][:, None] + np.array([dy * columns + dx for dx, dy, _ in steps])
         x, y = np.moveaxis(places[there] - directions[candidates][:, None], 2, 0)
         excess = nearest[there] - threshold[candidates][:, None]
         squared, own = x * x + y * y, (directions[candidates] ** 2).sum(axis=1)
         steepest = np.float32(slope * slope) / np.maximum(1 - np.float32(0.25) * own, np.float32(1e-3))
-        hides = (
-            (excess > 0)
-            & (squared <= np.float32(radius**2))
-            & (excess * excess > steepest[:, None] * squared)
-        )
-        return hides, x, y
+        return (excess > 0) & (excess * excess > steepest[:, None] * squared), x, y, squared
 
     hidden = np.zeros(len(points), bool)
-    candidates = np.flatnonzero(bound(image, border, beside, 0.0)[cells] > threshold)
-    hidden[candidates] = hiding(candidates, beside, near)[0].any(axis=1)
+    candidates = np.flatnonzero(bound(image, border, beside, slope)[cells] > threshold)
+    hides, x, y, _ = hiding(candidates, beside)
+    p, q, r = np.float32([form[0, 0], 2 * form[0, 1], form[1, 1]])
+    hidden[candidates] = (hides & (p * x * x + q * x * y + r * y * y <= 1)).any(axis=1)
     candidates = np.flatnonzero(~hidden & (opposite[cells] > threshold))
-    hides, x, y = hiding(candidates, around, window)
+    hides, x, y, squared = hiding(candidates, around)
+    hides &= squared <= np.float32(window * window)
     first_, second = (hides & (x > 0) & (y >= 0)).any(axis=1), (hides & (x <= 0) & (y > 0)).any(axis=1)
     third, fourth = (hides & (x < 0) & (y <= 0)).any(axis=1), (hides & (x >= 0) & (y < 0)).any(axis=1)
     hidden[candidates] = (first_ & third) | (second & fourth)

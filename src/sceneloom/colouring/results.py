@@ -1,6 +1,8 @@
 """What sensor-data fusion gives: for each lidar frame its coloured world points, for each picture its depths."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +10,7 @@ from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array, ch
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Identifier, LidarPoints
+from sceneloom.scene.types import NO_FIELDS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +66,8 @@ class FusedFrame:
         unposed: cameras whose picture lies beyond the reach of the trajectory.
         extrapolated: whether poses beyond the trajectory's ends were used.
         unfused: why the frame could not be fused, or None.
+        untimed: whether the times of its points were left out, being all the same and not of this sweep.
+        extras: further fields of the frame, by name.
     """
 
     lidar_id: Identifier
@@ -75,3 +80,5 @@ class FusedFrame:
     unposed: tuple[Identifier, ...] = ()
     extrapolated: bool = False
     unfused: str | None = None
+    untimed: bool = False
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)

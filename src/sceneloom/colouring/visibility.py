@@ -24,8 +24,8 @@ rule therefore holds for every lens and resolution alike. To be fast, only the n
 that map can hide others; cells are a quarter of the window, but at least `near_deg`, in size.
 """
 
-from dataclasses import dataclass, fields
-from math import isfinite, isnan, radians
+from dataclasses import dataclass
+from math import cos, isfinite, pi, radians, sin
 
 import numpy as np
 
@@ -35,11 +35,12 @@ from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
 from sceneloom.kernels.spacing import measure_spacing
 
-_USUAL_WINDOW_DEG = 0.5
-_WINDOWS_DEG = (0.3, 2.5)
+_USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
+_WINDOWS_DEG, _NEARS_DEG = (0.3, 2.5), (0.1, 2.0)
 _WINDOW_PER_SPACING = 1.15
+_NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG = 0.9, 1.2
 _CELLS_PER_WINDOW = 4
-_MINIMUM_CELL = 1e-3
+_CELL_DEG = 0.16
 _SPACING_CELL = radians(0.1)
 _SPACING_REACH = 25
 _SPACING_SAMPLES = 256
@@ -53,8 +54,10 @@ class VisibilitySettings:
         enabled: False leaves a plain z-buffer over the pixels.
         window_deg: how far things on opposite sides of a point may be from it to hide it [deg]; None for 1.15 times
             the spacing of the scan lines, measured from the cloud, between 0.3 and 2.5.
-        near_deg: within this one thing alone hides a point [deg].
-        surface_distance: surfaces whose plane passes the camera farther away than this never hide themselves [m].
+        near_deg: within this one thing alone hides a point [deg]; None for 0.9 times the spacing of the scan lines
+            across them and 1.2 times the spacing of the points along them, measured, between 0.1 and 2.
+        surface_distance: surfaces whose plane passes the camera farther away than this never hide themselves [m];
+            less than the height of the camera above the ground.
         margin: how much nearer than a point something must be to hide it [m] …
         margin_share: … plus this share of the point's range.
 
@@ -64,20 +67,44 @@ class VisibilitySettings:
 
     enabled: bool = True
     window_deg: float | None = None
-    near_deg: float = 0.16
-    surface_distance: float = 1.2
+    near_deg: float | None = None
+    surface_distance: float = 0.5
     margin: float = 0.15
     margin_share: float = 0.01
 
     def __post_init__(self) -> None:
-        for name in (field.name for field in fields(self) if field.name != "enabled"):
+        for name in ("surface_distance", "margin", "margin_share"):
             value = getattr(self, name)
-            if value is not None and not (isfinite(value) and value >= 0):
+            if not (isfinite(value) and value >= 0):
                 raise OptionError(f"{name} {value}; expected a finite number that is not negative")
         if self.surface_distance == 0:
             raise OptionError("surface_distance 0; expected a positive distance in metres")
-        if self.window_deg is not None and not 0 < self.window_deg <= 45:
-            raise OptionError(f"window_deg {self.window_deg}; expected more than 0 and at most 45")
+        for name in ("window_deg", "near_deg"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value <= 45:
+                raise OptionError(f"{name} {value}; expected more than 0 and at most 45")
+
+
+@dataclass(frozen=True, slots=True)
+class _Reach:
+    """How far occlusion reaches in the map of directions [rad].
+
+    Attributes:
+        window: for two things on opposite sides.
+        across, along: for one thing alone, across the scan lines and along them.
+        angle: of the axis across the scan lines, from rightward to downward.
+    """
+
+    window: float
+    across: float
+    along: float
+    angle: float
+
+    @property
+    def ellipse(self) -> tuple[float, float, float]:
+        """p, q, r of p x² + q x y + r y² <= 1, the directions in which one thing alone hides."""
+        c, s, p, r = cos(self.angle), sin(self.angle), self.across**-2, self.along**-2
+        return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
 def find_visible(
@@ -101,14 +128,13 @@ def find_visible(
     inverse_ranges = np.empty(len(point_ids), np.float32)
     visible = np.empty(len(point_ids), np.bool_)
     map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges)
-    window = _window(directions, inverse_ranges, settings)
-    near = min(radians(settings.near_deg), window)
+    reach = _reach(directions, inverse_ranges, settings)
     mark_unhidden(
         directions,
         inverse_ranges,
-        max(window / _CELLS_PER_WINDOW, near, _MINIMUM_CELL),
-        window,
-        near,
+        max(reach.window / _CELLS_PER_WINDOW, radians(_CELL_DEG)),
+        reach.window,
+        *reach.ellipse,
         1.0 / settings.surface_distance,
         settings.margin,
         settings.margin_share,
@@ -117,12 +143,34 @@ def find_visible(
     return visible
 
 
-def _window(directions: Float32Array, inverse_ranges: Float32Array, settings: VisibilitySettings) -> float:
-    """Give half the size of the window [rad]: the settings' or one that fits the cloud's scan lines."""
-    if settings.window_deg is not None:
-        return radians(settings.window_deg)
-    spacing = measure_spacing(directions, inverse_ranges, _SPACING_CELL, _SPACING_REACH, _SPACING_SAMPLES)
-    if isnan(spacing):
-        return radians(_USUAL_WINDOW_DEG)
-    least, most = _WINDOWS_DEG
-    return min(max(_WINDOW_PER_SPACING * spacing, radians(least)), radians(most))
+def _reach(directions: Float32Array, inverse_ranges: Float32Array, settings: VisibilitySettings) -> _Reach:
+    """Take the settings' reach, or one that fits the cloud's scan lines."""
+    window, near = settings.window_deg, settings.near_deg
+    if window is not None and near is not None:
+        return _Reach(radians(window), radians(near), radians(near), 0.0)
+    spacings = np.empty(4)
+    measure_spacing(directions, inverse_ranges, _SPACING_CELL, _SPACING_REACH, _SPACING_SAMPLES, spacings)
+    measured = _reach_for(spacings)
+    return _Reach(
+        measured.window if window is None else radians(window),
+        measured.across if near is None else radians(near),
+        measured.along if near is None else radians(near),
+        measured.angle,
+    )
+
+
+def _reach_for(spacings: Float64Array) -> _Reach:
+    """Fit the reach to the spacings along the four axes: of the two upright pairs, the one that differs more."""
+    ratios = np.abs(np.log(spacings[:2] / spacings[2:]))
+    if np.isnan(ratios).all():
+        near = radians(_USUAL_NEAR_DEG)
+        return _Reach(radians(_USUAL_WINDOW_DEG), near, near, 0.0)
+    pair = int(np.nanargmax(ratios))
+    axis = pair if spacings[pair] > spacings[pair + 2] else pair + 2
+    across, along = np.degrees([spacings[axis], spacings[(axis + 2) % 4]])
+    return _Reach(
+        radians(np.clip(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)),
+        radians(np.clip(_NEAR_PER_SPACING_ACROSS * across, *_NEARS_DEG)),
+        radians(np.clip(_NEAR_PER_SPACING_ALONG * along, *_NEARS_DEG)),
+        axis * pi / 4,
+    )

@@ -34,6 +34,13 @@ def _step(value: Any, placed: Any, per_cell: Any) -> Any:
 
 
 @numba.njit(**INNER)
+def fraction(value: Any, per_cell: Any) -> Any:
+    """Give how far into its cell a direction lies, 0 to 1."""
+    steps = value * per_cell + _EDGE * per_cell
+    return steps - np.float32(np.int32(steps))
+
+
+@numba.njit(**INNER)
 def fit_grid(
     directions: Float32Array, inverse_ranges: Float32Array, cell: float, border: int
 ) -> tuple[Any, Any, Any, int, int]:
@@ -81,12 +88,12 @@ def number_cells(
 @numba.njit(**INNER)
 def keep_nearest(
     directions: Float32Array, inverse_ranges: Float32Array, grid: tuple[Any, Any, Any, int, int]
-) -> tuple[Float32Array, Float32Array]:
+) -> tuple[Float32Array, Float32Array, Float32Array]:
     """Keep the nearest point of each cell, the first of equally near ones.
 
     Returns:
         nearest: (rows * columns,) float32 [1/m], its inverse range, 0 where the cell is empty.
-        places: (rows * columns, 2) float32, its direction.
+        right, down: (rows * columns,) float32, how far into the cell it lies, 0 to 1.
     """
     # The bits of positive floats are ordered as the floats are, so range and number fit one integer, whose maximum
     # is taken without a branch.
@@ -101,12 +108,13 @@ def keep_nearest(
             key = (np.int64(block_bits[k]) << 32) | np.int64(_LOW - start - k)
             keys[cell] = max(key, keys[cell])
     keys[0] = 0
-    nearest, places = np.empty(keys.shape[0], np.float32), np.empty((keys.shape[0], 2), np.float32)
+    nearest = np.empty(keys.shape[0], np.float32)
+    right, down = np.zeros_like(nearest), np.zeros_like(nearest)
     nearest_bits = nearest.view(np.int32)
     for c in range(keys.shape[0]):
         nearest_bits[c] = keys[c] >> 32
     for c in range(keys.shape[0]):
         if nearest_bits[c] > 0:
             holder = np.uint32(_LOW - (keys[c] & _LOW))
-            places[c, 0], places[c, 1] = rightward[holder], downward[holder]
-    return nearest, places
+            right[c], down[c] = fraction(rightward[holder], grid[0]), fraction(downward[holder], grid[0])
+    return nearest, right, down

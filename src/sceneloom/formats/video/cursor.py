@@ -21,11 +21,16 @@ class Cursor:
     """
 
     def __init__(self, opened: OpenVideo, pictures: VideoIndex, name: str) -> None:
-        """Start at the container's next packet, taken to be its first."""
+        """Start at the container's next packet, taken to be its first.
+
+        Raises:
+            DataError: damage has changed the stream's codec to an unknown one.
+        """
         self.first = 0
         self._pictures, self._name = pictures, name
-        self._reorders = codec_reorders(opened.stream)
-        self._packets: Iterator[Packet[VideoStream]] = opened.container.demux(opened.stream)
+        with decoder_faults(name, ""):
+            self._reorders = codec_reorders(opened.stream)
+            self._packets: Iterator[Packet[VideoStream]] = opened.container.demux(opened.stream)
         self._pending: deque[VideoFrame] = deque()
         self._current: tuple[int, VideoFrame] | None = None
         self._next = 0

@@ -18,7 +18,8 @@ from sceneloom.scene import (
     VectorSamples,
     VideoContent,
 )
-from sceneloom.scene.span import cut_scene, time_span
+from sceneloom.scene.part import cut_scene
+from sceneloom.scene.span import time_span
 from sceneloom.scene.summary import summarise
 
 CAMERA = Camera("pinhole", 4, 2, 3.0, 3.0, 1.5, 0.5)

@@ -1,0 +1,213 @@
+"""A part of a scene in time: what lies in it, and the poses around it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import OptionError
+from sceneloom.scene.annotations import Annotation, CuboidAnnotation, CuboidPath
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.span import frame_times, time_span
+
+_POSES_AROUND_NS = 1_000_000_000
+"""Poses so long before and after a part stay in it: its last sweep ends later than it begins."""
+
+_LONGEST = 9.2e9
+"""What int64 nanoseconds hold, nearly [s]."""
+
+Interval = tuple[int, int]
+"""`[first_ns, last_ns)`."""
+
+Moving = TypeVar("Moving", LidarSensor, RadarSensor, CameraSensor)
+Cloud = TypeVar("Cloud", LidarSensor, RadarSensor)
+
+
+def chosen_interval(
+    scene: Scene, *, start: float | None = None, stop: float | None = None
+) -> Interval | None:
+    """Turn seconds after a scene's first time stamp into times; None for the whole scene.
+
+    Args:
+        start: None for the beginning.
+        stop: exclusive, None for the end.
+
+    Raises:
+        OptionError: the interval is empty.
+    """
+    span_ns = time_span(scene)
+    if (start is None and stop is None) or span_ns is None:
+        return None
+    start_s, stop_s = start or 0.0, float("inf") if stop is None else stop
+    if not (start_s >= 0 and stop_s > start_s):
+        raise OptionError(f"from {start_s} s to {stop_s} s; expected 0 <= start < stop")
+    first_ns = span_ns[0] + round(min(start_s, _LONGEST) * 1e9)
+    last_ns = span_ns[0] + round(min(stop_s, _LONGEST) * 1e9)
+    return first_ns, min(last_ns, span_ns[1] + 1)
+
+
+def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = None) -> Scene:
+    """Keep a part of a scene: frames, pictures, samples and boxes in it, and the poses in and around it.
+
+    Attributes, and annotations that are no boxes, stay whole.
+
+    Args:
+        start: seconds after the scene's first time stamp, None for the beginning.
+        stop: seconds after it, exclusive, None for the end.
+
+    Raises:
+        OptionError: the interval is empty, or no frame lies in it.
+    """
+    part = chosen_interval(scene, start=start, stop=stop)
+    if part is None:
+        return scene
+    sensors = tuple(_cut_sensor(sensor, part) for sensor in scene.sensors)
+    clouds_and_pictures = [s for s in sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
+    if not any(len(frame_times(sensor)) for sensor in clouds_and_pictures):
+        length = np.ptp(time_span(scene) or (0, 0)) / 1e9
+        until = "the end" if stop is None else f"{stop} s"
+        raise OptionError(
+            f"{scene.source}: no frame from {start or 0.0} s to {until}; the scene lasts {length:.3f} s"
+        )
+    cut = [_cut_annotation(annotation, part) for annotation in scene.annotations]
+    annotations = tuple(annotation for annotation in cut if annotation is not None)
+    return replace(
+        scene,
+        sensors=sensors,
+        annotations=annotations,
+        trajectories={name: _cut_trajectory(way, part) for name, way in scene.trajectories.items()},
+        notices=scene.notices + _notices(len(scene.annotations) - len(annotations)),
+    )
+
+
+def cut_path(path: PosePath, part: Interval) -> PosePath:
+    """Keep the poses in and around a part, so that between its times nothing changes."""
+    if path.endless:
+        return path
+    rows = _rows_around(path.timestamps_ns, part, _POSES_AROUND_NS)
+    return PosePath(path.timestamps_ns[rows], path.positions[rows], path.quaternions_xyzw[rows])
+
+
+def _cut_trajectory(way: Trajectory, part: Interval) -> Trajectory:
+    rows = _rows_around(way.timestamps_ns, part, _POSES_AROUND_NS)
+    return Trajectory(
+        way.name,
+        way.timestamps_ns[rows],
+        way.positions[rows],
+        None if way.quaternions_xyzw is None else way.quaternions_xyzw[rows],
+        None if way.file_seconds is None else way.file_seconds[rows],
+    )
+
+
+def _cut_sensor(sensor: Sensor, part: Interval) -> Sensor:
+    cut = next((cut for kind, cut in _CUTS.items() if isinstance(sensor, kind)), None)
+    return sensor if cut is None else cut(sensor, part)
+
+
+def _cut_cloud(sensor: Cloud, part: Interval) -> Cloud:
+    return _with_cut_poses(replace(sensor, frames=sensor.frames[_rows_in(sensor, part)]), part)
+
+
+def _cut_camera(sensor: CameraSensor, part: Interval) -> CameraSensor:
+    inside, video = _rows_in(sensor, part), sensor.video
+    if video is not None and (inside.start, inside.stop) != (0, len(sensor.pictures)):
+        indices = range(len(sensor.pictures)) if video.frame_indices is None else video.frame_indices
+        video = replace(video, frame_indices=tuple(indices[inside]))
+    return _with_cut_poses(replace(sensor, pictures=sensor.pictures[inside], video=video), part)
+
+
+def _with_cut_poses(sensor: Moving, part: Interval) -> Moving:
+    return sensor if sensor.poses is None else replace(sensor, poses=cut_path(sensor.poses, part))
+
+
+def _cut_odometry(sensor: OdometrySensor, part: Interval) -> OdometrySensor:
+    return replace(sensor, poses=cut_path(sensor.poses, part))
+
+
+def _cut_imu(sensor: ImuSensor, part: Interval) -> ImuSensor:
+    return replace(sensor, streams={name: _cut_samples(s, part) for name, s in sensor.streams.items()})
+
+
+def _cut_samples(samples: VectorSamples, part: Interval) -> VectorSamples:
+    rows = _rows_between(samples.timestamps_ns, part)
+    seconds = samples.file_seconds
+    return VectorSamples(
+        samples.timestamps_ns[rows], samples.values[rows], None if seconds is None else seconds[rows]
+    )
+
+
+def _cut_fixes(sensor: GnssSensor, part: Interval) -> GnssSensor:
+    rows = _rows_between(sensor.timestamps_ns, part)
+    return replace(
+        sensor,
+        timestamps_ns=sensor.timestamps_ns[rows],
+        positions_lla=sensor.positions_lla[rows],
+        accuracies=sensor.accuracies[rows],
+        vertical_accuracies=sensor.vertical_accuracies[rows],
+        file_seconds=None if sensor.file_seconds is None else sensor.file_seconds[rows],
+    )
+
+
+_CUTS: Mapping[type, Callable[[Any, Interval], Sensor]] = MappingProxyType(
+    {
+        CameraSensor: _cut_camera,
+        LidarSensor: _cut_cloud,
+        RadarSensor: _cut_cloud,
+        OdometrySensor: _cut_odometry,
+        ImuSensor: _cut_imu,
+        GnssSensor: _cut_fixes,
+    }
+)
+"""How the sensors that measure over time are cut; the others stay whole."""
+
+
+def _cut_annotation(annotation: Annotation, part: Interval) -> Annotation | None:
+    """Cut the path of a box; None for a box that is not there in the part."""
+    if not isinstance(annotation, CuboidAnnotation) or len(annotation.path.timestamps_ns) == 0:
+        return annotation
+    times, values = annotation.path.timestamps_ns, annotation.path.values
+    if annotation.stationary:
+        # such a box holds at all times, so one of its rows serves the part, at a time in it
+        rows = _rows_between(times, part)
+        rows = rows if rows.start < rows.stop else slice(0, 1)
+        path = CuboidPath(np.clip(times[rows], part[0], part[1] - 1), values[rows])
+        return replace(annotation, path=path)
+    if times[-1] < part[0] or times[0] >= part[1]:
+        return None
+    rows = _rows_around(times, part, 0)
+    return replace(annotation, path=CuboidPath(times[rows], values[rows]))
+
+
+def _rows_in(sensor: LidarSensor | RadarSensor | CameraSensor, part: Interval) -> slice:
+    return _rows_between(frame_times(sensor), part)
+
+
+def _rows_between(times_ns: Int64Array, part: Interval) -> slice:
+    first, last = np.searchsorted(times_ns, part)
+    return slice(int(first), int(last))
+
+
+def _rows_around(times_ns: Int64Array, part: Interval, margin_ns: int) -> slice:
+    """The rows of a part and its surroundings, with at least one at or before it and one after it, where there are."""
+    inner = _rows_between(times_ns, part)
+    outer = _rows_between(times_ns, (part[0] - margin_ns, part[1] + margin_ns))
+    return slice(max(min(outer.start, inner.start - 1), 0), max(outer.stop, inner.stop + 1))
+
+
+def _notices(left_out: int) -> tuple[Notice, ...]:
+    if left_out == 0:
+        return ()
+    message = "boxes that are not there in the chosen part were left out"
+    return (
+        Notice(
+            kind=NoticeKind.SKIPPED, code="boxes-cut", place="annotations", message=message, count=left_out
+        ),
+    )

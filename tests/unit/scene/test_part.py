@@ -1,0 +1,131 @@
+"""A part of a scene: what lies in it stays, and the poses around it, so that nothing in it changes."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    CuboidAnnotation,
+    CuboidPath,
+    GnssSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    OdometrySensor,
+    PlainAnnotation,
+    PosePath,
+    RadarSensor,
+    Scene,
+    Trajectory,
+    VectorSamples,
+)
+from sceneloom.scene.part import cut_scene
+
+SECOND = 1_000_000_000
+TIMES = np.arange(0, 200 * SECOND, SECOND // 2, dtype=np.int64)
+PART = (100 * SECOND, 110 * SECOND)
+
+
+def path_at(times_ns: np.ndarray) -> PosePath:
+    positions = np.stack([times_ns * 1e-9, 0 * times_ns, 0 * times_ns], axis=1)
+    return PosePath(times_ns, positions, np.tile([0.0, 0, 0, 1], (len(times_ns), 1)))
+
+
+def lidar() -> LidarSensor:
+    frames = [LidarFrame(int(t), LidarPoints(np.zeros((1, 3), np.float32))) for t in TIMES]
+    return LidarSensor("lidar", LazyFrames.of(frames, TIMES.tolist()))
+
+
+def moving_scene() -> Scene:
+    path, ones = path_at(TIMES), np.ones(len(TIMES))
+    return Scene(
+        (
+            lidar(),
+            RadarSensor("radar", LazyFrames.of([], []), poses=path),
+            OdometrySensor("ego", path),
+            ImuSensor("imu", {"gyroscope": VectorSamples(TIMES, np.zeros((len(TIMES), 3)), TIMES / 1e9)}),
+            GnssSensor("gnss", TIMES, np.zeros((len(TIMES), 3)), ones, ones),
+        ),
+        trajectories={"pose": Trajectory("pose", TIMES, path.positions, path.quaternions_xyzw)},
+    )
+
+
+def test_samples_are_those_of_the_part() -> None:
+    part = cut_scene(moving_scene(), start=100.0, stop=110.0)
+    inside = TIMES[(PART[0] <= TIMES) & (PART[1] > TIMES)]
+    samples = part.sensor("imu").streams["gyroscope"]
+    np.testing.assert_array_equal(samples.timestamps_ns, inside)
+    np.testing.assert_array_equal(samples.file_seconds, inside / 1e9)
+    np.testing.assert_array_equal(part.sensor("gnss").timestamps_ns, inside)
+    assert len(part.sensor("gnss").accuracies) == len(inside)
+
+
+def test_poses_reach_a_little_around_the_part_and_say_the_same_in_it() -> None:
+    whole = moving_scene()
+    part = cut_scene(whole, start=100.0, stop=110.0)
+    asked = np.linspace(PART[0], PART[1] + SECOND // 2, 99).astype(np.int64)
+    expected = whole.sensor("ego").poses.interpolate(asked)
+    for poses in (part.sensor("ego").poses, part.sensor("radar").poses, part.trajectories["pose"].poses):
+        given = poses.interpolate(asked)
+        np.testing.assert_allclose(given.positions, expected.positions, atol=1e-9)
+        assert not given.coverage.any()
+        assert PART[0] - 2 * SECOND < poses.start_ns <= PART[0]
+
+
+@pytest.mark.parametrize("times", [[0, 10 * SECOND], [180 * SECOND, 190 * SECOND], [5 * SECOND]])
+def test_a_way_that_misses_the_part_keeps_its_nearest_pose(times: list[int]) -> None:
+    way = path_at(np.array(times, np.int64))
+    scene = Scene((lidar(), OdometrySensor("ego", way)))
+    poses = cut_scene(scene, start=100.0, stop=110.0).sensor("ego").poses
+    nearest = min(times, key=lambda time: abs(time - PART[0]))
+    assert poses.timestamps_ns.tolist() == [nearest]
+
+
+def test_poses_far_apart_stay_on_both_sides_of_the_part() -> None:
+    way = path_at(np.array([0, 50 * SECOND, 150 * SECOND, 190 * SECOND], np.int64))
+    poses = (
+        cut_scene(Scene((lidar(), OdometrySensor("ego", way))), start=100.0, stop=110.0).sensor("ego").poses
+    )
+    assert poses.timestamps_ns.tolist() == [50 * SECOND, 150 * SECOND]
+
+
+def box(identifier: str, times: list[int], *, stationary: bool | None = None) -> CuboidAnnotation:
+    values = np.arange(len(times) * 9, dtype=np.float64).reshape(-1, 9)
+    return CuboidAnnotation(identifier, CuboidPath(np.array(times, np.int64), values), stationary=stationary)
+
+
+def test_boxes_are_cut_standing_ones_kept_and_absent_ones_counted() -> None:
+    label = PlainAnnotation("lane", "polyline", {})
+    boxes = (
+        box("passing", [95 * SECOND, 99 * SECOND, 105 * SECOND, 120 * SECOND, 130 * SECOND]),
+        box("gone", [0, 10 * SECOND]),
+        box("standing", [0], stationary=True),
+        label,
+    )
+    part = cut_scene(Scene((lidar(),), boxes), start=100.0, stop=110.0)
+    passing, standing, lane = part.annotations
+    assert passing.path.timestamps_ns.tolist() == [99 * SECOND, 105 * SECOND, 120 * SECOND]
+    np.testing.assert_array_equal(passing.path.values, boxes[0].path.values[1:4])
+    assert standing.path.timestamps_ns.tolist() == [PART[0]]
+    np.testing.assert_array_equal(standing.path.values, boxes[2].path.values)
+    assert lane is label
+    assert [(notice.code, notice.count) for notice in part.notices] == [("boxes-cut", 1)]
+
+
+@pytest.mark.parametrize("stop", [float("inf"), 1e300, 1e12])
+def test_a_stop_beyond_all_time_is_the_end(stop: float) -> None:
+    part = cut_scene(moving_scene(), stop=stop)
+    assert len(part.lidars[0].frames) == len(TIMES)
+
+
+@pytest.mark.parametrize("start", [1e300, 1e12])
+def test_a_start_beyond_all_time_is_refused(start: float) -> None:
+    with pytest.raises(OptionError, match=r"no frame from .* the scene lasts 199\.500 s"):
+        cut_scene(moving_scene(), start=start)
+
+
+def test_a_path_that_holds_always_is_not_cut() -> None:
+    scene = Scene((lidar(), OdometrySensor("ego", PosePath.identity())))
+    assert cut_scene(scene, start=100.0).sensor("ego").poses.endless

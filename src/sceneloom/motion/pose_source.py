@@ -1,6 +1,6 @@
 """Where a sensor was at any time: a path, and how the sensor is mounted on what moves along it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sceneloom.arrays import Int64Array
 from sceneloom.geometry.rigid import RigidTransform
@@ -16,15 +16,17 @@ class PoseSource:
         path: the moving body in the world (the ego, or the sensor itself).
         mount: `body_from_sensor`.
         reach_ns: how far beyond the path's ends its velocity is continued.
+        own: whether the path is the sensor's own, so that a mounting on the ego says nothing more about it.
     """
 
     path: PosePath
     mount: RigidTransform
     reach_ns: int = 0
+    own: bool = False
 
-    def mounted(self, mount: RigidTransform) -> "PoseSource":
-        """The same path with another mounting."""
-        return PoseSource(self.path, mount, self.reach_ns)
+    def mounted(self, ego_from_sensor: RigidTransform | None) -> "PoseSource":
+        """The same way of the ego with another mounting, if there is one; a sensor's own path stays as it is."""
+        return self if self.own or ego_from_sensor is None else replace(self, mount=ego_from_sensor)
 
     def at(self, timestamps_ns: Int64Array) -> PoseSamples:
         """Give `world_from_sensor` at each time, (M,) int64 [ns]."""

@@ -4,6 +4,7 @@ import numpy as np
 
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.trajectories import EgoMotion
 from sceneloom.scene import (
@@ -29,10 +30,11 @@ def sensor_source(
         return PoseSource(ego.path, sensor.mount, reach_ns)
     if sensor.poses is None:
         raise PoseError(
-            f"{scene.source}: sensor {sensor.id!r} has neither poses nor a mounting on a moving ego"
+            f"{scene.source}: it is not known where sensor {sensor.id!r} is: it has neither poses nor a mounting on "
+            "the ego; give it one (in calibration.json `imuToCamera` or `imuToLidar`) or leave the sensor out"
         )
     if sensor.coordinates is Coordinates.WORLD:
-        return PoseSource(sensor.poses, RigidTransform.identity(), reach_ns)
+        return PoseSource(sensor.poses, RigidTransform.identity(), reach_ns, own=True)
     return _source_on_ego(scene, sensor, ego, reach_ns)
 
 
@@ -61,24 +63,19 @@ def _source_on_ego(
     if len(relative.timestamps_ns) == 1:
         mount = RigidTransform.from_quaternion(relative.positions[0], relative.quaternions_xyzw[0])
         return PoseSource(path, mount, reach_ns)
-    start, stop = max(path.start_ns, relative.start_ns), min(path.stop_ns, relative.stop_ns)
     times = np.unique(np.concatenate([path.timestamps_ns, relative.timestamps_ns]))
-    times = times[(times >= start) & (times <= stop)]
+    for body in (path, relative):
+        if not body.endless:
+            times = times[(times >= body.start_ns) & (times <= body.stop_ns)]
     if len(times) == 0:
         raise PoseError(f"{scene.source}: the poses of sensor {sensor.id!r} and of the ego share no time")
-    on_ego = relative.interpolate(times)
-    world = PoseSource(path, RigidTransform.identity()).at(times)
-    transforms = [
-        RigidTransform.from_quaternion(world.positions[k], world.quaternions_xyzw[k])
-        @ RigidTransform.from_quaternion(on_ego.positions[k], on_ego.quaternions_xyzw[k])
-        for k in range(len(times))
-    ]
+    on_ego, world = relative.interpolate(times), path.interpolate(times)
     composed = PosePath(
         times,
-        np.array([transform.translation for transform in transforms]),
-        np.array([transform.quaternion_xyzw for transform in transforms]),
+        rotate_vectors(world.quaternions_xyzw, on_ego.positions) + world.positions,
+        multiply_quaternions(world.quaternions_xyzw, on_ego.quaternions_xyzw),
     )
-    return PoseSource(composed, RigidTransform.identity(), reach_ns)
+    return PoseSource(composed, RigidTransform.identity(), reach_ns, own=True)
 
 
 def _ego_path(scene: Scene, sensor: LidarSensor | CameraSensor, ego: EgoMotion | None) -> PosePath:

@@ -1,12 +1,12 @@
 """Which way of the ego a scene is fused by."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import numpy as np
-
+from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.motion.heading import headed_poses
 from sceneloom.scene import PosePath, Scene, Trajectory
+from sceneloom.scene.part import Interval, cut_path
 
 IDENTITY = "identity"
 RESERVED = ("gnss", "lidar")
@@ -26,13 +26,13 @@ class EgoMotion:
     path: PosePath
     heading: str | None = None
 
-    def moved(self, origin_world: np.ndarray[tuple[int], np.dtype[np.float64]]) -> "EgoMotion":
+    def moved(self, origin_world: Float64Array) -> "EgoMotion":
         """The same way seen from another origin, (3,) float64 [m]; the axes stay."""
-        path = self.path
-        shifted = PosePath(
-            path.timestamps_ns, path.positions - origin_world, path.quaternions_xyzw, path.endless
-        )
-        return EgoMotion(self.name, shifted, self.heading)
+        return replace(self, path=self.path.moved(origin_world))
+
+    def within(self, part: Interval | None) -> "EgoMotion":
+        """The way in and around a part of the drive; None: all of it."""
+        return self if part is None else replace(self, path=cut_path(self.path, part))
 
 
 def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | None = None) -> EgoMotion:

@@ -1,12 +1,13 @@
 """Where something was over time: the PosePath of the Sensor Fusion Scene format, and named trajectories."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, check_array, read_only
 from sceneloom.errors import ArrayError, PoseError
 from sceneloom.geometry.interpolation import interpolate_poses
+from sceneloom.geometry.rotations import normalise_quaternion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +32,7 @@ class PosePath:
     Attributes:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 1.
         positions: (N, 3) float64 [m].
-        quaternions_xyzw: (N, 4) float64, unit, scalar last.
+        quaternions_xyzw: (N, 4) float64, unit within 0.01, scalar last.
         endless: the pose holds at all times (only for N = 1: a body that stands still).
 
     Raises:
@@ -84,6 +85,10 @@ class PosePath:
         """Time of the last pose [ns]."""
         return int(self.timestamps_ns[-1])
 
+    def moved(self, origin: Float64Array) -> "PosePath":
+        """The same path seen from another origin of its parent frame, (3,) float64 [m]; the axes stay."""
+        return replace(self, positions=self.positions - origin)
+
     def interpolate(self, timestamps_ns: Int64Array, *, reach_ns: int = 0) -> PoseSamples:
         """Give the pose at each time: position linear, rotation slerp between the neighbouring poses.
 
@@ -96,7 +101,7 @@ class PosePath:
             inside = np.zeros(count, np.uint8)
             return PoseSamples(
                 np.repeat(self.positions, count, axis=0),
-                np.repeat(self.quaternions_xyzw, count, axis=0),
+                np.repeat(normalise_quaternion(self.quaternions_xyzw), count, axis=0),
                 inside,
             )
         return PoseSamples(

@@ -1,12 +1,15 @@
 """The thin pose path of a sensor stays true to its dense source."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
+from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion import sensor_paths
 from sceneloom.motion.pose_source import PoseSource
-from sceneloom.motion.sensor_paths import sensor_path
-from sceneloom.scene import PosePath
+from sceneloom.motion.sensor_paths import camera_path, sensor_path
+from sceneloom.scene import LazyFrames, Picture, PosePath
 
 MOUNT = RigidTransform(Rotation.from_euler("z", 0.4).as_matrix(), np.array([2.0, 0.5, 1.7]))
 
@@ -53,3 +56,59 @@ def test_frames_beyond_the_reach_get_no_pose() -> None:
     assert thin is not None
     assert thin.stop_ns == path.stop_ns + 10
     assert sensor_path(PoseSource(path, MOUNT), frames[2:]) is None
+
+
+def test_looking_piece_by_piece_gives_the_path_that_looking_at_once_gives(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    source = PoseSource(winding_path(), MOUNT)
+    frames = np.arange(100_000_000, 3_800_000_000, 130_000_000, dtype=np.int64)
+    whole = sensor_path(source, frames)
+    monkeypatch.setattr(sensor_paths, "_FRAMES_AT_ONCE", 3)
+    pieces = sensor_path(source, frames)
+    assert whole is not None
+    assert pieces is not None
+    assert len(whole.timestamps_ns) > len(frames)
+    np.testing.assert_array_equal(pieces.timestamps_ns, whole.timestamps_ns)
+
+
+def pictures_with(mounts: list[RigidTransform | None], times_ns: list[int]) -> LazyFrames[Picture]:
+    camera, rgb = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0), np.zeros((1, 1, 3), np.uint8)
+    pictures = [Picture(t, camera, lambda: rgb, mount=m) for t, m in zip(times_ns, mounts, strict=True)]
+    return LazyFrames.of(pictures, times_ns)
+
+
+def test_each_picture_has_the_pose_of_its_own_mounting() -> None:
+    raised = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
+    same = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
+    mounts = [None, None, raised, same, None, raised]
+    times = [400_000_000 + 100_000_000 * k for k in range(6)]
+    source = PoseSource(winding_path(), MOUNT)
+    path = camera_path(source, pictures_with(mounts, times))
+    assert path is not None
+    for time, mount in zip(times, mounts, strict=True):
+        at = np.array([time], np.int64)
+        expected = PoseSource(winding_path(), mount or MOUNT).at(at)
+        np.testing.assert_allclose(path.interpolate(at).positions, expected.positions, atol=1e-9)
+    between = np.linspace(times[2], times[3], 50).astype(np.int64)
+    truth = PoseSource(winding_path(), raised).at(between).positions
+    assert np.linalg.norm(path.interpolate(between).positions - truth, axis=1).max() < 1.1e-3
+
+
+def test_pictures_of_one_time_share_the_pose_of_the_first() -> None:
+    raised = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
+    path = camera_path(PoseSource(winding_path(), MOUNT), pictures_with([None, raised], [500, 500]))
+    assert path is not None
+    at = np.array([500], np.int64)
+    np.testing.assert_allclose(path.positions, PoseSource(winding_path(), MOUNT).at(at).positions)
+
+
+def test_a_camera_with_poses_of_its_own_keeps_them_whatever_its_pictures_say() -> None:
+    source = PoseSource(winding_path(), RigidTransform.identity(), own=True)
+    path = camera_path(source, pictures_with([MOUNT, MOUNT], [0, 100_000_000]))
+    assert path is not None
+    np.testing.assert_allclose(path.positions[0], winding_path().positions[0])
+
+
+def test_a_camera_without_pictures_has_no_path() -> None:
+    assert camera_path(PoseSource(winding_path(), MOUNT), pictures_with([], [])) is None

@@ -73,3 +73,29 @@ def test_a_sensor_with_neither_poses_nor_mounting_is_named() -> None:
     lidar = LidarSensor("roof", NO_FRAMES)
     with pytest.raises(PoseError, match="'roof'"):
         sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)
+
+
+def test_poses_relative_to_an_ego_that_stands_still_hold_at_their_own_times() -> None:
+    stands = PosePath(
+        np.zeros(1, np.int64), np.array([[5.0, 0, 0]]), np.array([[0, 0, 0, 1.0]]), endless=True
+    )
+    lidar = LidarSensor("lidar", NO_FRAMES, poses=relative_path(moving=True), coordinates=Coordinates.EGO)
+    source = sensor_source(Scene((lidar, OdometrySensor("odometry", stands))), lidar, None, reach_ns=0)
+    np.testing.assert_allclose(source.at(TIMES).positions, np.tile([5.0, 1, 2], (3, 1)))
+
+
+def test_a_mounting_changes_a_sensor_on_the_ego_and_not_one_with_poses_of_its_own() -> None:
+    higher = RigidTransform(np.eye(3), np.array([0.0, 0.0, 9.0]))
+    on_ego = LidarSensor("lidar", NO_FRAMES, mount=MOUNT)
+    riding = sensor_source(Scene((on_ego,)), on_ego, EgoMotion("groundTruth", EGO), reach_ns=0)
+    np.testing.assert_allclose(riding.mounted(higher).at(TIMES[:1]).positions, [[0, 0, 9]])
+    assert riding.mounted(None) is riding
+    placed = LidarSensor("lidar", NO_FRAMES, poses=EGO)
+    own = sensor_source(Scene((placed,)), placed, None, reach_ns=0)
+    np.testing.assert_allclose(own.mounted(higher).at(TIMES).positions, EGO.positions)
+
+
+def test_a_sensor_of_unknown_place_is_named_with_what_to_write() -> None:
+    lidar = LidarSensor("lidar", NO_FRAMES)
+    with pytest.raises(PoseError, match=r"where sensor 'lidar' is.*`imuToLidar`"):
+        sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)

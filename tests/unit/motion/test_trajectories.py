@@ -69,3 +69,15 @@ def test_positions_alone_need_the_heading_to_be_asked_for() -> None:
     with pytest.raises(PoseError, match="--heading motion"):
         choose_trajectory(scene)
     assert choose_trajectory(scene, heading="motion").heading == "motion"
+
+
+def test_a_heading_is_kept_in_a_part_in_which_the_ego_stands() -> None:
+    x = np.concatenate([np.linspace(0, 10, 50), np.full(30, 10.0)])
+    times = np.arange(80, dtype=np.int64) * 1_000_000_000
+    way = Trajectory("fixes", times, np.stack([0 * x, x, 0 * x], axis=1))
+    ego = choose_trajectory(Scene((), trajectories={"fixes": way}), heading="motion")
+    part = ego.within((int(times[70]), int(times[75])))
+    assert (part.heading, len(part.path.timestamps_ns)) == ("motion", 7)
+    ahead = rotate_vectors(part.path.quaternions_xyzw, np.array([1.0, 0, 0]))
+    np.testing.assert_allclose(ahead, np.tile([0.0, 1, 0], (7, 1)), atol=1e-9)
+    assert ego.within(None) is ego

@@ -44,6 +44,19 @@ def test_the_identity_holds_at_all_times() -> None:
     np.testing.assert_array_equal(samples.coverage, 0)
 
 
+def test_a_pose_that_holds_always_comes_out_of_unit_length_as_every_other() -> None:
+    path = PosePath(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0, 0, 0.603, 0.804]]), endless=True)
+    np.testing.assert_allclose(
+        path.interpolate(np.zeros(2, np.int64)).quaternions_xyzw, [[0, 0, 0.6, 0.8]] * 2
+    )
+
+
+def test_a_moved_path_lies_elsewhere_and_keeps_the_rest() -> None:
+    moved = PosePath.identity().moved(np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_array_equal(moved.positions, [[-1, -2, -3]])
+    assert moved.endless
+
+
 def test_the_arrays_of_a_path_cannot_be_written() -> None:
     path = path_with([0, 1])
     with pytest.raises(ValueError, match="read-only"):

@@ -17,12 +17,20 @@ from sceneloom.motion.deskew import points_to_world
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene import Identifier, LidarFrame, Picture
 
+_LONGEST_LAG_NS = 10_000_000_000
+"""Sweeps that come, or are stamped, later than so long after their points were measured are not paired any more."""
+
 
 @dataclass(slots=True)
 class _Lidar:
     source: PoseSource | None
     period_ns: int
     received: int = 0
+    lag_ns: int = 0
+
+    def note_lag(self, frame: LidarFrame, reference_ns: int) -> None:
+        """Remember how much later than its own reference time the last sweep was stamped."""
+        self.lag_ns = min(max(frame.timestamp_ns - reference_ns, 0), _LONGEST_LAG_NS)
 
 
 @dataclass(slots=True)
@@ -46,6 +54,7 @@ class _Waiting:
     frame: LidarFrame
     reference_ns: int
     tolerance_ns: int
+    untimed: bool
 
 
 @dataclass(slots=True)
@@ -117,6 +126,13 @@ class FusionSystem:
         latest = measurement.timestamp_ns
         self._latest_ns = latest if self._latest_ns is None else max(self._latest_ns, latest)
         self._fuse_ready(final=False)
+        if not self._waiting:
+            self._forget_before(self._latest_ns - _LONGEST_LAG_NS)
+
+    def pass_over(self, sensor_id: Identifier) -> None:
+        """Count a sweep of a lidar that will not come, so that those after it keep their numbers."""
+        if sensor_id in self._lidars:
+            self._lidars[sensor_id].received += 1
 
     def get(self) -> FusedFrame | None:
         """Fetch the oldest result that has not been fetched; None where there is none yet."""
@@ -133,16 +149,20 @@ class FusionSystem:
     def _receive_frame(self, lidar_id: Identifier, frame: LidarFrame) -> None:
         lidar = self._lidars[lidar_id]
         tolerance_ns = self.configuration.pairing_tolerance_ns
-        self._waiting.append(
-            _Waiting(
-                lidar_id,
-                lidar.received,
-                frame,
-                frame.reference_ns,
-                lidar.period_ns if tolerance_ns is None else tolerance_ns,
-            )
+        untimed = _times_tell_nothing(frame, lidar.period_ns)
+        if untimed:
+            frame = replace(frame, points=replace(frame.points, timestamps_ns=None))
+        waiting = _Waiting(
+            lidar_id,
+            lidar.received,
+            frame,
+            frame.reference_ns,
+            lidar.period_ns if tolerance_ns is None else tolerance_ns,
+            untimed,
         )
+        self._waiting.append(waiting)
         lidar.received += 1
+        lidar.note_lag(frame, waiting.reference_ns)
 
     def _fuse_ready(self, *, final: bool) -> None:
         while self._waiting and (final or self._is_ready(self._waiting[0])):
@@ -157,9 +177,13 @@ class FusionSystem:
         return latest > waiting.reference_ns + waiting.tolerance_ns + self.configuration.lateness_ns
 
     def _forget(self, waiting: _Waiting) -> None:
-        """Sweeps come in order of their start; a later one can refer to any time after this one's start."""
+        """Sweeps come in order of their stamps; a later one can refer to any time from this stamp on, less the lag."""
+        lag_ns = max(lidar.lag_ns for lidar in self._lidars.values())
+        self._forget_before(waiting.frame.timestamp_ns - lag_ns)
+
+    def _forget_before(self, time_ns: int) -> None:
         for camera in self._cameras.values():
-            camera.queue.forget_before(waiting.frame.timestamp_ns)
+            camera.queue.forget_before(time_ns)
 
     def _fuse(self, waiting: _Waiting) -> FusedFrame:
         fused = FusedFrame(
@@ -168,6 +192,8 @@ class FusionSystem:
             waiting.frame.timestamp_ns,
             waiting.reference_ns,
             waiting.frame.points,
+            extras=waiting.frame.extras,
+            untimed=waiting.untimed,
         )
         source = self._lidars[waiting.lidar_id].source
         try:
@@ -201,8 +227,7 @@ class FusionSystem:
         if picture is None:
             pairs.unpaired.append(camera_id)
             return
-        source = camera.source if picture.mount is None else camera.source.mounted(picture.mount)
-        pose = source.at(np.array([picture.timestamp_ns], np.int64))
+        pose = camera.source.mounted(picture.mount).at(np.array([picture.timestamp_ns], np.int64))
         if pose.coverage[0] == 2:
             pairs.unposed.append(camera_id)
             return
@@ -230,3 +255,11 @@ class FusionSystem:
                 raise
             self.on_unreadable(error)
             return None
+
+
+def _times_tell_nothing(frame: LidarFrame, period_ns: int) -> bool:
+    """Whether all points bear one time that cannot be this sweep's: a format that wants times got some number."""
+    times = frame.points.timestamps_ns
+    if times is None or len(times) == 0 or times.min() != times.max():
+        return False
+    return abs(int(times[0]) - frame.timestamp_ns) > period_ns

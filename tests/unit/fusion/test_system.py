@@ -177,6 +177,68 @@ def test_without_cameras_the_colours_of_the_source_stay() -> None:
     np.testing.assert_array_equal(fused.points.colors, colors)
 
 
+def late_sweep(stamp_ns: int, late_ns: int) -> LidarFrame:
+    times = np.array([stamp_ns - late_ns, stamp_ns - late_ns + 50, stamp_ns - late_ns + 99], np.int64)
+    return sweep(stamp_ns, LidarPoints(np.ones((3, 3), np.float32), timestamps_ns=times))
+
+
+def test_sweeps_that_are_stamped_long_after_their_points_get_the_pictures_of_their_points() -> None:
+    system, seen = system_with(), []
+    for now in range(0, 3000, 10):
+        if now % 100 == 50:
+            system.send("camera0", picture(now))
+        if now % 100 == 70:
+            system.send("lidar", late_sweep(now, late_ns=470))
+        seen += list(results(system))
+    system.flush()
+    seen += list(results(system))
+    pairs = [(fused.reference_ns, [view.timestamp_ns for view in fused.views]) for fused in seen]
+    assert len(pairs) == 30
+    assert [pair for pair in pairs if pair[0] > 0] == [(50 + 100 * k, [50 + 100 * k]) for k in range(26)]
+
+
+def test_pictures_do_not_pile_up_where_no_sweep_comes() -> None:
+    system = system_with()
+    for second in range(1000):
+        system.send("camera0", picture(second * 1_000_000_000))
+    assert len(system._cameras["camera0"].queue.pictures) <= 12
+
+
+def test_one_time_for_all_points_far_from_the_sweep_is_no_time() -> None:
+    path = PosePath(
+        np.array([0, 5000], np.int64), np.array([[0.0, 0, 0], [50, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1))
+    )
+    system = system_with(path=path)
+    positions, zero = np.zeros((2, 3), np.float32), np.zeros(2, np.int64)
+    system.send("lidar", sweep(1000, LidarPoints(positions, timestamps_ns=zero)))
+    system.send("lidar", sweep(1100, LidarPoints(positions, timestamps_ns=zero + 1150)))
+    system.flush()
+    absent, flash = results(system)
+    assert (absent.untimed, absent.points.timestamps_ns, absent.timestamp_ns) == (True, None, 1000)
+    np.testing.assert_allclose(absent.points.positions[:, 0], 10.0)
+    assert not flash.untimed
+    np.testing.assert_allclose(flash.points.positions[:, 0], 11.5)
+
+
+def test_a_sweep_that_is_passed_over_keeps_its_number() -> None:
+    system = system_with(cameras=0)
+    system.send("lidar", sweep(0))
+    system.pass_over("lidar")
+    system.pass_over("camera0")
+    system.send("lidar", sweep(200))
+    system.flush()
+    assert [fused.index for fused in results(system)] == [0, 2]
+
+
+def test_further_fields_of_a_sweep_come_out_with_it() -> None:
+    system = system_with(cameras=0)
+    system.send("lidar", LidarFrame(0, sweep(0).points, {"dataFile": "a.bin"}))
+    system.flush()
+    fused = system.get()
+    assert fused is not None
+    assert fused.extras == {"dataFile": "a.bin"}
+
+
 def test_unknown_sensors_and_wrong_measurements_are_refused_by_name() -> None:
     system = system_with()
     with pytest.raises(OptionError, match="from 'roof'; known are"):

@@ -25,6 +25,8 @@ def check_output(target: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
     if there and not overwrite:
         raise OutputError(f"{target}: exists already; choose another name or say `--overwrite`")
+    if there and not (target.is_file() or target.is_dir()):
+        raise OutputError(f"{target}: is neither a file nor a folder and is left alone; choose another name")
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder {target.parent} does not exist")
     if not os.access(target.parent, os.W_OK):

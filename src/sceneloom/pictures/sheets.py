@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.formats.file_names import file_stem
+from sceneloom.formats.file_names import file_stem, file_stems
 from sceneloom.formats.output import replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pictures.canvas import Canvas, PilImage, seconds_text
@@ -16,7 +16,7 @@ from sceneloom.pictures.cloud_above import draw_cloud_above
 from sceneloom.pictures.cloud_perspective import draw_cloud_perspective
 from sceneloom.pictures.ego import find_ego
 from sceneloom.pictures.views import draw_depth_image, draw_overlay, view_scale
-from sceneloom.scene import Identifier, PosePath
+from sceneloom.scene import PosePath
 
 _COMPRESSION = 2
 """Higher levels of PNG make these pictures 3 % smaller and take three times as long."""
@@ -39,9 +39,8 @@ def iter_pictures(
     Yields:
         A file name without suffix, unique within the frame, and a function that draws.
     """
-    taken: dict[str, int] = {}
-    for view in frame.views:
-        stem = _stem(view.camera_id, taken)
+    stems = file_stems(view.camera_id for view in frame.views)
+    for view, stem in zip(frame.views, stems, strict=True):
         scale = view_scale(view)
         yield f"{stem}_{index:06d}_overlay", partial(draw_overlay, view, scale=scale, show_hidden=show_hidden)
         yield f"{stem}_{index:06d}_depth", partial(draw_depth_image, view, scale=scale)
@@ -49,7 +48,7 @@ def iter_pictures(
     ego_path = None if ego_poses is None else ego_poses.positions
     ego = find_ego(_ego_at(ego_poses, frame.reference_ns), ego_path, frame.views)
     points = frame.points
-    stem = f"cloud_{_stem(frame.lidar_id, {})}_{index:06d}"
+    stem = f"cloud_{file_stem(frame.lidar_id)}_{index:06d}"
     for name, draw in (("above", draw_cloud_above), ("perspective", draw_cloud_perspective)):
         cloud = partial(draw, points.positions, points.colors, camera_index=points.camera_index)
         yield f"{stem}_{name}", partial(cloud, ego=ego, ego_path=ego_path, caption=[title])
@@ -130,10 +129,3 @@ def _save(image: PilImage, path: Path, *, overwrite: bool) -> Path:
     with replacing(path, overwrite=overwrite) as draft:
         image.save(draft, "PNG", compress_level=_COMPRESSION)
     return path
-
-
-def _stem(identifier: Identifier, taken: dict[str, int]) -> str:
-    """Turn an id into a part of a file name; a second one that comes out the same gets a number."""
-    stem = file_stem(identifier)
-    taken[stem] = taken.get(stem, 0) + 1
-    return stem if taken[stem] == 1 else f"{stem}~{taken[stem]}"

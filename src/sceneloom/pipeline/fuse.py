@@ -18,10 +18,10 @@ from sceneloom.formats.sfs import SceneWriter
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.pipeline.play import Skips, build_system, play, scene_period_ns
 from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally
-from sceneloom.pipeline.sinks import DepthSink, PictureSink, SceneSink, Sink
+from sceneloom.pipeline.sinks import DepthSink, PictureSink, SceneSink, Sink, lidar_folders, names_of
 from sceneloom.pipeline.woven import Woven, output_scene, weave
-from sceneloom.scene import Scene
-from sceneloom.scene.span import cut_scene, time_span
+from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
+from sceneloom.scene.span import time_span
 
 Progress = Callable[[int, int], None]
 """Told after each sweep: how many are done, how many there are."""
@@ -116,17 +116,17 @@ def fuse(
     """
     begun = time.perf_counter()
     wanted = _checked(outputs or FusionOutputs(), output)
-    woven = weave(cut_scene(scene, start=start, stop=stop), trajectory=trajectory, heading=heading)
+    woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop)
     if not woven.scene.lidars:
         raise OptionError(f"{scene.source}: no lidar in it, so there is nothing to fuse with its pictures")
     skips = Skips() if lenient else None
     system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
     if skips is not None:
-        system.on_unreadable = lambda error: skips.reasons.append(str(error))
+        system.on_unreadable = skips.add
     tally = FusionTally({camera.id: CameraTally(len(camera.pictures)) for camera in woven.scene.cameras})
     total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
     with ExitStack() as stack:
-        sinks = _open_sinks(woven, wanted, stack)
+        sinks = _open_sinks(woven, wanted, stack, skips)
         for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
             tally.add(frame)
             for sink in sinks.all:
@@ -150,7 +150,7 @@ def fuse(
         depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
         seconds=time.perf_counter() - begun,
         losses=losses,
-        notices=scene.notices,
+        notices=(*woven.scene.notices, *tally.notices()),
     )
 
 
@@ -160,6 +160,9 @@ def _checked(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs
         raise OptionError(f"depth_form {wanted.depth_form!r}; expected 'png' or 'npz'")
     if wanted.pictures_every is not None and wanted.pictures_every < 1:
         raise OptionError(f"pictures_every {wanted.pictures_every}; expected 1 or more")
+    folders = [folder.absolute() for folder in (wanted.depth, wanted.pictures) if folder is not None]
+    if wanted.scene is not None and wanted.scene.absolute() in folders:
+        raise OptionError(f"{wanted.scene}: named for a file and for a folder; expected two names")
     return wanted
 
 
@@ -182,41 +185,71 @@ class _Sinks:
         return LossReport() if self.scene is None else self.scene.finish()
 
 
-def _open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack) -> _Sinks:
+def _open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack, skips: Skips | None) -> _Sinks:
     """Open every wanted output; what goes wrong later takes all of them away again."""
-    sinks, by_lidar = _Sinks(), len(woven.scene.lidars) > 1
+    sinks = _Sinks()
     if wanted.depth is not None:
         folder = stack.enter_context(filling(wanted.depth, overwrite=wanted.overwrite))
-        sinks.depth = DepthSink(folder, wanted.depth_form, by_lidar)
+        sinks.depth = DepthSink(
+            lidar_folders(folder, woven.scene), names_of(woven.scene.cameras), wanted.depth_form
+        )
     if wanted.pictures is not None:
         folder = stack.enter_context(filling(wanted.pictures, overwrite=wanted.overwrite))
         chosen = _frames_to_draw(woven.scene, wanted.pictures_every)
-        sinks.pictures = PictureSink(folder, chosen, by_lidar, None if woven.ego is None else woven.ego.path)
+        ego_poses = None if woven.ego is None else woven.ego.path
+        sinks.pictures = PictureSink(lidar_folders(folder, woven.scene), chosen, ego_poses)
     if wanted.scene is not None:
-        sinks.scene = _open_scene_sink(woven, wanted, wanted.scene, stack)
+        sinks.scene = _open_scene_sink(woven, wanted, wanted.scene, stack, skips)
     return sinks
 
 
-def _open_scene_sink(woven: Woven, wanted: FusionOutputs, target: Path, stack: ExitStack) -> SceneSink:
+def _open_scene_sink(
+    woven: Woven, wanted: FusionOutputs, target: Path, stack: ExitStack, skips: Skips | None
+) -> SceneSink:
     scene, sources = output_scene(woven, reach_ns=scene_period_ns(woven.scene))
-    span_ns = time_span(woven.scene)
+    spans_ns = [span_ns for span_ns in map(time_span, (woven.scene, scene)) if span_ns is not None]
     writer = stack.enter_context(
         SceneWriter(
             target,
             overwrite=wanted.overwrite,
             profile=wanted.profile,
             time_unit=wanted.time_unit,
-            first_ns=None if span_ns is None else span_ns[0],
+            first_ns=min((first_ns for first_ns, _ in spans_ns), default=None),
             frame_count=sum(len(lidar.frames) for lidar in woven.scene.lidars),
         )
     )
-    writer.add_scene(scene)
+    if skips is None:
+        writer.add_scene(scene)
+    else:
+        _add_readable(writer, scene, skips)
     writer.set_metadata(_provenance(woven))
     return SceneSink(writer, sources, wanted.time_unit)
 
 
+def _add_readable(writer: SceneWriter, scene: Scene, skips: Skips) -> None:
+    """Add a scene, but pass over single pictures that cannot be read; a video is taken as it is."""
+    alone = [camera for camera in scene.cameras if camera.video is None]
+    none: LazyFrames[Picture] = LazyFrames.of([], [])
+    sensors = [
+        replace(sensor, pictures=none)
+        if isinstance(sensor, CameraSensor) and sensor.video is None
+        else sensor
+        for sensor in scene.sensors
+    ]
+    writer.add_scene(replace(scene, sensors=tuple(sensors)))
+    for camera in alone:
+        for index in range(len(camera.pictures)):
+            try:
+                writer.add_frame(camera.id, camera.pictures[index])
+            except DataError as error:
+                skips.add(error)
+
+
 def _provenance(woven: Woven) -> Mapping[str, Any]:
-    """How the fused scene came about, for its metadata; a transform that a fusion took off earlier is kept."""
+    """How the fused scene came about, for its metadata; a transform that a fusion took off earlier is kept.
+
+    The cameras stand in the order that `camera_index` counts, since a profile may have no place for some of them.
+    """
     world_from_file = _earlier_world(woven.scene)
     world_from_file[:3, 3] += world_from_file[:3, :3] @ woven.origin_world
     fusion = {
@@ -224,6 +257,7 @@ def _provenance(woven: Woven) -> Mapping[str, Any]:
         "heading": None if woven.ego is None else woven.ego.heading,
         "source": Path(woven.scene.source).name,
         "source_format": woven.scene.format,
+        "cameras": [camera.id for camera in woven.scene.cameras],
     }
     return {"sceneloom": {"world_from_file": world_from_file.tolist(), "fusion": fusion}}
 

@@ -14,24 +14,29 @@ from sceneloom.motion.trajectories import EgoMotion
 from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, Picture, Scene
 
 NOMINAL_PERIOD_NS = 100_000_000
-"""The sweep period of a lidar with a single frame: 10 Hz, the commonest."""
+"""The sweep period of a lidar with a single frame, or all of one time: 10 Hz, the commonest."""
 
 
 @dataclass(slots=True)
 class Skips:
-    """Frames that could not be read, with the reason; filled while a scene is played leniently.
+    """Frames that could not be read, with the reason; filled while a scene is fused leniently.
 
     Attributes:
-        reasons: one line per frame.
+        reasons: one line per frame, however often it was asked for.
     """
 
-    reasons: list[str] = field(default_factory=list)
+    reasons: dict[str, None] = field(default_factory=dict)
+
+    def add(self, error: DataError) -> None:
+        """Note a frame that could not be read."""
+        self.reasons[str(error)] = None
 
 
 def sweep_period_ns(lidar: LidarSensor) -> int:
-    """The median time from sweep to sweep [ns]."""
+    """The median time from sweep to sweep [ns]; the nominal one where the stamps tell none."""
     times = lidar.frames.timestamps_ns
-    return int(np.median(np.diff(times))) if len(times) > 1 else NOMINAL_PERIOD_NS
+    median_ns = int(np.median(np.diff(times))) if len(times) > 1 else 0
+    return median_ns if median_ns > 0 else NOMINAL_PERIOD_NS
 
 
 def scene_period_ns(scene: Scene) -> int:
@@ -40,7 +45,7 @@ def scene_period_ns(scene: Scene) -> int:
 
 
 def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration) -> FusionSystem:
-    """Make a fusion system that knows the scene's lidars and cameras and where they were.
+    """Make a fusion system that knows the scene's lidars, and its cameras with pictures, and where they were.
 
     Raises:
         PoseError: for a sensor neither poses nor a mounting are known.
@@ -51,6 +56,8 @@ def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfi
         source = points_source(scene, lidar, ego, reach_ns=reach_ns)
         system.add_lidar(lidar.id, source, period_ns=sweep_period_ns(lidar))
     for index, camera in enumerate(scene.cameras):
+        if len(camera.pictures) == 0:
+            continue
         system.add_camera(camera.id, sensor_source(scene, camera, ego, reach_ns=reach_ns), index=index)
     return system
 
@@ -70,7 +77,8 @@ def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> I
         except DataError as error:
             if skips is None:
                 raise
-            skips.reasons.append(str(error))
+            skips.add(error)
+            system.pass_over(sensor_id)
             continue
         system.send(sensor_id, measurement)
         yield from iter(system.get, None)

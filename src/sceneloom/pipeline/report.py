@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.formats.loss import LossReport
-from sceneloom.scene import Identifier, Notice
+from sceneloom.scene import Identifier, Notice, NoticeKind
 
 
 class CameraReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,7 +53,7 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
         depth_beyond_range: pixels too far for the depth image's format.
         seconds: how long it took.
         losses: what the scene file could not hold.
-        notices: what was assumed, repaired or left out on reading.
+        notices: what was assumed, repaired or left out on reading and fusing.
     """
 
     source: str
@@ -127,12 +127,14 @@ class FusionTally:
     extrapolated: int = 0
     points: int = 0
     coloured: int = 0
+    untimed: int = 0
     unfused: dict[str, int] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame) -> None:
         """Count one sweep."""
         self.frames += 1
         self.points += len(frame.points)
+        self.untimed += frame.untimed
         if frame.unfused is not None:
             reason = frame.unfused.split(":", maxsplit=1)[0]
             self.unfused[reason] = self.unfused.get(reason, 0) + 1
@@ -153,6 +155,17 @@ class FusionTally:
             for tally, count in zip(self.cameras.values(), by_index.tolist(), strict=False):
                 tally.coloured += count
             self.coloured += int(by_index[:255].sum())
+
+    def notices(self) -> tuple[Notice, ...]:
+        """What had to be assumed about the sweeps."""
+        if self.untimed == 0:
+            return ()
+        message = (
+            "all points of a sweep bear one time, more than a sweep period away from the sweep's own; they were taken "
+            "as measured at the sweep's time, and their times were left out"
+        )
+        place, kind = "sensors[].frames[].points.timestamps", NoticeKind.ASSUMED
+        return (Notice(kind=kind, code="times-of-points", place=place, message=message, count=self.untimed),)
 
     @property
     def coloured_percent(self) -> float:

@@ -1,6 +1,6 @@
 """Where the results of a fusion go: a scene file, depth images, pictures."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -10,13 +10,13 @@ import numpy as np
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.formats import LossReport
 from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
-from sceneloom.formats.file_names import file_stem
+from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.formats.sfs.times import TICKS_NS
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.pictures import save_pictures
-from sceneloom.scene import Identifier, LidarFrame, PosePath
+from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, PosePath, Scene
 
 
 class Sink(Protocol):
@@ -33,7 +33,7 @@ class SceneSink:
 
     Attributes:
         writer: the open file.
-        sources: `world_from_sensor` of each lidar and camera; absent for sensors that keep their own poses.
+        sources: `world_from_sensor` of the lidars whose place is known.
         time_unit: the file's unit of time.
     """
 
@@ -41,18 +41,25 @@ class SceneSink:
     sources: Mapping[Identifier, PoseSource]
     time_unit: str
     _starts_ns: dict[Identifier, list[int]] = field(default_factory=dict)
+    _extrapolated_ns: dict[Identifier, list[int]] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame) -> None:
         """Write one sweep; an unfused one goes, in its sensor's frame, under the file's metadata."""
-        start_ns = _start_ns(frame, TICKS_NS[self.time_unit])
+        sweep = LidarFrame(frame.timestamp_ns, frame.points, frame.extras)
         if frame.unfused is not None:
-            self.writer.add_unfused(frame.lidar_id, LidarFrame(start_ns, frame.points), frame.unfused)
+            self.writer.add_unfused(frame.lidar_id, sweep, frame.unfused)
             return
-        self.writer.add_frame(frame.lidar_id, LidarFrame(start_ns, frame.points))
+        self.writer.add_frame(frame.lidar_id, sweep)
+        start_ns = _start_ns(frame, TICKS_NS[self.time_unit])
         self._starts_ns.setdefault(frame.lidar_id, []).append(start_ns)
+        if frame.extrapolated:
+            self._extrapolated_ns.setdefault(frame.lidar_id, []).append(start_ns)
 
     def finish(self) -> LossReport:
-        """Give each lidar its poses at the times of its frames, and complete the file."""
+        """Give each lidar its poses at the times of its frames, mark what was extrapolated, and complete the file."""
+        if self._extrapolated_ns:
+            marks = [{"sensor_id": key, "timestamps_ns": t} for key, t in self._extrapolated_ns.items()]
+            self.writer.set_metadata({"sceneloom": {"extrapolated": marks}})
         for lidar_id, starts_ns in self._starts_ns.items():
             if lidar_id in self.sources:
                 path = sensor_path(self.sources[lidar_id], np.array(starts_ns, np.int64))
@@ -62,7 +69,7 @@ class SceneSink:
 
 
 def _start_ns(frame: FusedFrame, tick_ns: int) -> int:
-    """The earliest point time, rounded down to the file's unit; READINGS: a frame never starts after a point."""
+    """The frame's time in the file: that of its earliest point, rounded down, so that it starts after no point."""
     times = frame.points.timestamps_ns
     earliest = frame.timestamp_ns if times is None or len(times) == 0 else int(times.min())
     return earliest // tick_ns * tick_ns
@@ -73,23 +80,23 @@ class DepthSink:
     """Writes one depth image per view: `<camera>/<frame number>.png`, or `.npz`; of several lidars below `<lidar>/`.
 
     Attributes:
-        folder: where to.
+        folders: of the views of each lidar.
+        names: of the folder of each camera therein.
         form: "png" (16 bit, metres times 256) or "npz" (float32 metres).
-        by_lidar: whether the scene has several lidars.
         written: files so far.
         beyond_range: pixels that the form cannot hold.
     """
 
-    folder: Path
+    folders: Mapping[Identifier, Path]
+    names: Mapping[Identifier, str]
     form: str
-    by_lidar: bool = False
     written: int = 0
     beyond_range: int = 0
 
     def add(self, frame: FusedFrame) -> None:
         """Write the views of one sweep."""
         for view in frame.views:
-            folder = _lidar_folder(self.folder, frame, by_lidar=self.by_lidar) / file_stem(view.camera_id)
+            folder = self.folders[frame.lidar_id] / self.names[view.camera_id]
             folder.mkdir(parents=True, exist_ok=True)
             target = folder / f"{frame.index:06d}.{self.form}"
             if self.form == "npz":
@@ -104,25 +111,31 @@ class PictureSink:
     """Draws some of the sweeps for people to look at.
 
     Attributes:
-        folder: where to.
+        folders: of the pictures of each lidar.
         chosen: numbers of the sweeps to draw.
-        by_lidar: whether the scene has several lidars; each then has a folder of its own.
         ego_poses: the way of the ego, drawn into the clouds; None where it is not known.
         written: files so far.
     """
 
-    folder: Path
+    folders: Mapping[Identifier, Path]
     chosen: frozenset[int]
-    by_lidar: bool = False
     ego_poses: PosePath | None = None
     written: int = 0
 
     def add(self, frame: FusedFrame) -> None:
         """Draw the sweep if it is chosen."""
         if frame.index in self.chosen and frame.unfused is None:
-            folder = _lidar_folder(self.folder, frame, by_lidar=self.by_lidar)
+            folder = self.folders[frame.lidar_id]
             self.written += len(save_pictures(frame, folder, frame.index, ego_poses=self.ego_poses))
 
 
-def _lidar_folder(folder: Path, frame: FusedFrame, *, by_lidar: bool) -> Path:
-    return folder / file_stem(frame.lidar_id) if by_lidar else folder
+def lidar_folders(folder: Path, scene: Scene) -> Mapping[Identifier, Path]:
+    """Where the files of each lidar go: a folder of its own where there are several."""
+    names = names_of(scene.lidars)
+    return {lidar_id: folder / name if len(names) > 1 else folder for lidar_id, name in names.items()}
+
+
+def names_of(sensors: Sequence[LidarSensor] | Sequence[CameraSensor]) -> Mapping[Identifier, str]:
+    """The part of a file name that stands for each sensor."""
+    ids: list[Identifier] = [sensor.id for sensor in sensors]
+    return dict(zip(ids, file_stems(ids), strict=True))

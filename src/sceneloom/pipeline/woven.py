@@ -8,25 +8,24 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError
 from sceneloom.motion.pose_source import PoseSource
-from sceneloom.motion.sensor_paths import sensor_path
+from sceneloom.motion.sensor_paths import camera_path
 from sceneloom.motion.sensor_sources import sensor_source
 from sceneloom.motion.trajectories import EgoMotion, choose_trajectory
+from sceneloom.pipeline.origin import can_move, moved_scene
 from sceneloom.scene import (
-    Annotation,
     CameraSensor,
     Coordinates,
-    CuboidAnnotation,
-    CuboidPath,
     Identifier,
     LazyFrames,
     LidarFrame,
     LidarSensor,
     OdometrySensor,
     PointsFrame,
+    PosePath,
     Scene,
     Sensor,
-    Trajectory,
 )
+from sceneloom.scene.part import chosen_interval, cut_scene
 
 EGO_ID = "ego"
 
@@ -36,7 +35,7 @@ class Woven:
     """A scene made ready for fusion.
 
     Attributes:
-        scene: as read, its trajectories and annotations seen from the new origin.
+        scene: as read, or the chosen part of it, seen from the new origin.
         ego: the chosen way of the ego from that origin; None where every sensor has poses of its own.
         origin_world: (3,) float64 [m], the new origin in the source's world: the first position of the ego.
     """
@@ -46,27 +45,35 @@ class Woven:
     origin_world: Float64Array
 
 
-def weave(scene: Scene, *, trajectory: str | None = None, heading: str | None = None) -> Woven:
-    """Choose the ego's way and put the world's origin at its first position; the axes stay, so z stays up.
+def weave(
+    scene: Scene,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+) -> Woven:
+    """Choose the part and the ego's way, and put the world's origin at its first position; z stays up.
+
+    The origin stays where it is, where points or sensors are placed in the world already, and where something in
+    the scene would not move along.
 
     Raises:
         PoseError: the sensors' motion is not known.
-        OptionError: the trajectory is not known, or the sensors carry their own poses.
+        OptionError: the trajectory is not known, the sensors carry their own poses, or the part is empty.
     """
+    part = cut_scene(scene, start=start, stop=stop)
     if not _needs_ego(scene):
         if trajectory is not None:
             raise OptionError(
                 f"{scene.source}: its points and sensors are placed in the world already; a trajectory cannot be chosen"
             )
-        return Woven(scene, None, np.zeros(3))
-    ego = choose_trajectory(scene, name=trajectory, heading=heading)
-    origin = ego.path.positions[0].copy()
-    moved = replace(
-        scene,
-        trajectories={name: _moved_trajectory(way, origin) for name, way in scene.trajectories.items()},
-        annotations=tuple(_moved_annotation(annotation, origin) for annotation in scene.annotations),
-    )
-    return Woven(moved, ego.moved(origin), origin)
+        return Woven(part, None, np.zeros(3))
+    # chosen from the whole drive: a heading comes from the way before the part, too
+    whole_way = choose_trajectory(scene, name=trajectory, heading=heading)
+    ego = whole_way.within(chosen_interval(scene, start=start, stop=stop))
+    origin = ego.path.positions[0].copy() if can_move(scene) else np.zeros(3)
+    return Woven(moved_scene(part, origin), ego.moved(origin), origin)
 
 
 def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identifier, PoseSource]]:
@@ -74,34 +81,63 @@ def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identif
 
     Returns:
         scene: lidar points in the world; cameras with their poses; the ego's way as an odometry sensor.
-        sources: `world_from_sensor` of the lidars and cameras.
+        sources: `world_from_sensor` of the lidars and cameras, as far as it is known or needed.
+
+    Raises:
+        PoseError: it is not known where a sensor was.
     """
     sources = {
         sensor.id: sensor_source(woven.scene, sensor, woven.ego, reach_ns=reach_ns)
-        for sensor in _posed(woven.scene)
+        for sensor in _lidars_and_cameras(woven.scene)
+        if _must_be_placed(sensor) or (isinstance(sensor, LidarSensor) and sensor.poses is not None)
     }
     sensors = [_output_sensor(sensor, sources) for sensor in woven.scene.sensors]
-    if woven.ego is not None and not any(sensor.id == EGO_ID for sensor in sensors):
-        sensors.append(OdometrySensor(EGO_ID, woven.ego.path))
+    if woven.ego is not None and not _is_told(woven.ego.path, woven.scene):
+        sensors.append(OdometrySensor(_free_id(woven.scene, EGO_ID), woven.ego.path))
     return replace(woven.scene, sensors=tuple(sensors)), sources
 
 
 def _needs_ego(scene: Scene) -> bool:
     """Whether something must still be placed: a sensor without poses, or points that ride on the ego."""
-    unposed = any(sensor.poses is None for sensor in _posed(scene))
+    unposed = any(sensor.poses is None and _must_be_placed(sensor) for sensor in _lidars_and_cameras(scene))
     riding = any(
         lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
     )
     return unposed or riding
 
 
-def _posed(scene: Scene) -> list[LidarSensor | CameraSensor]:
+def _lidars_and_cameras(scene: Scene) -> list[LidarSensor | CameraSensor]:
     return [*scene.cameras, *scene.lidars]
 
 
-def _output_sensor(sensor: Sensor, sources: Mapping[Identifier, PoseSource]) -> Sensor:
+def _must_be_placed(sensor: LidarSensor | CameraSensor) -> bool:
+    """Whether fusing takes the sensor's place: not of points in the world, nor of a camera without pictures."""
     if isinstance(sensor, CameraSensor):
-        path = sensor_path(sources[sensor.id], sensor.pictures.timestamps_ns)
+        return len(sensor.pictures) > 0
+    return sensor.points_frame is not PointsFrame.WORLD
+
+
+def _is_told(path: PosePath, scene: Scene) -> bool:
+    """Whether an odometry sensor of the scene tells this very path."""
+    return any(
+        np.array_equal(sensor.poses.timestamps_ns, path.timestamps_ns)
+        and np.array_equal(sensor.poses.positions, path.positions)
+        and np.array_equal(sensor.poses.quaternions_xyzw, path.quaternions_xyzw)
+        for sensor in scene.sensors
+        if isinstance(sensor, OdometrySensor)
+    )
+
+
+def _free_id(scene: Scene, wanted: str) -> str:
+    """The id itself, or with a number where another sensor has it."""
+    taken = {sensor.id for sensor in scene.sensors}
+    choices = (wanted if number == 1 else f"{wanted}{number}" for number in range(1, len(taken) + 2))
+    return next(choice for choice in choices if choice not in taken)
+
+
+def _output_sensor(sensor: Sensor, sources: Mapping[Identifier, PoseSource]) -> Sensor:
+    if isinstance(sensor, CameraSensor) and sensor.id in sources:
+        path = camera_path(sources[sensor.id], sensor.pictures)
         return replace(sensor, poses=path, coordinates=Coordinates.WORLD)
     if isinstance(sensor, LidarSensor):
         empty: LazyFrames[LidarFrame] = LazyFrames.of([], [])
@@ -109,15 +145,3 @@ def _output_sensor(sensor: Sensor, sources: Mapping[Identifier, PoseSource]) -> 
             sensor, frames=empty, poses=None, coordinates=Coordinates.WORLD, points_frame=PointsFrame.WORLD
         )
     return sensor
-
-
-def _moved_trajectory(way: Trajectory, origin_world: Float64Array) -> Trajectory:
-    return replace(way, positions=way.positions - origin_world)
-
-
-def _moved_annotation(annotation: Annotation, origin_world: Float64Array) -> Annotation:
-    if not isinstance(annotation, CuboidAnnotation):
-        return annotation
-    values = annotation.path.values.copy()
-    values[:, 3:6] -= origin_world
-    return replace(annotation, path=CuboidPath(annotation.path.timestamps_ns, values))

@@ -1,7 +1,9 @@
 """The main job: what it writes, what it counts, and that it leaves nothing half done."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,7 +14,16 @@ from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
 from sceneloom.pipeline.woven import EGO_ID
-from sceneloom.scene import LazyFrames, LidarFrame, LidarSensor, PointsFrame, Scene, Trajectory
+from sceneloom.scene import (
+    LazyFrames,
+    LidarFrame,
+    LidarSensor,
+    OdometrySensor,
+    PointsFrame,
+    PosePath,
+    Scene,
+    Trajectory,
+)
 from sceneloom.scene.span import time_span
 
 
@@ -83,6 +94,25 @@ def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive: Scene) -> N
     assert report.frames == 3
     assert report.points == sum(len(frame.points) for frame in whole[1:])
     assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(
+    drive: Scene, tmp_path: Path, decode_sfs: Callable[[bytes], dict[str, Any]]
+) -> None:
+    first_ns = int(drive.lidars[0].frames.timestamps_ns[0])
+    times = np.arange(first_ns - 200_000_000_000, first_ns + 1, 500_000_000, dtype=np.int64)
+    count = len(times)
+    wheels = OdometrySensor(
+        "wheels", PosePath(times, np.zeros((count, 3)), np.tile([0.0, 0, 0, 1], (count, 1)))
+    )
+    outputs = FusionOutputs(scene=tmp_path / "part.sfs", profile="scale")
+    fuse(replace(drive, sensors=(*drive.sensors, wheels)), start=199.9, outputs=outputs)
+    header = decode_sfs((tmp_path / "part.sfs").read_bytes())
+    # this profile has no place for frames that begin more than 100 s after the clock's zero
+    assert [sensor["id"] for sensor in header["sensors"]] == ["lidar", "camera0", "camera1"]
+    with sceneloom.open(tmp_path / "part.sfs") as scene:
+        np.testing.assert_allclose(scene.sensor(EGO_ID).poses.positions[0], 0, atol=1e-12)
+        assert scene.sensor("wheels").poses.start_ns >= first_ns - 2_000_000_000
 
 
 @pytest.mark.parametrize("form", ["png", "npz"])

@@ -1,0 +1,177 @@
+"""The scene that a fusion writes: everything in one world, whatever else the source holds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.errors import PoseError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.pose_source import PoseSource
+from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
+from sceneloom.pipeline.woven import EGO_ID
+from sceneloom.scene import (
+    Coordinates,
+    LazyFrames,
+    LidarFrame,
+    OdometrySensor,
+    Picture,
+    PlainAnnotation,
+    PointsFrame,
+    PointsSensor,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+    Scene,
+)
+
+PLACES = np.array([[100.0, 200.0, 3.0]], np.float32)
+
+
+def with_sensors(scene: Scene, *more: object) -> Scene:
+    return replace(scene, sensors=(*scene.sensors, *more))
+
+
+def changed(scene: Scene, sensor_id: str, **fields: object) -> Scene:
+    sensors = tuple(replace(s, **fields) if s.id == sensor_id else s for s in scene.sensors)
+    return replace(scene, sensors=sensors)
+
+
+def radar(scene: Scene, coordinates: Coordinates, points_frame: PointsFrame) -> RadarSensor:
+    time = int(scene.lidars[0].frames.timestamps_ns[0])
+    frames = LazyFrames.of([RadarFrame(time, RadarPoints(PLACES))], [time])
+    poses = scene.trajectories["groundTruth"].poses
+    return RadarSensor("radar", frames, poses, coordinates=coordinates, points_frame=points_frame)
+
+
+def origin_of(scene: Scene) -> np.ndarray:
+    return scene.trajectories["groundTruth"].positions[0]
+
+
+def test_everything_in_the_world_moves_to_the_new_origin(drive: Scene, tmp_path: Path) -> None:
+    way, origin = drive.trajectories["groundTruth"].poses, origin_of(drive)
+    more = (
+        radar(drive, Coordinates.WORLD, PointsFrame.WORLD),
+        PointsSensor("map", PLACES),
+        OdometrySensor("wheels", way),
+    )
+    fuse(with_sensors(drive, *more), tmp_path / "drive.sfs")
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        # float32 resolves 2e-5 m at 200 m
+        for positions in (scene.sensor("radar").frames[0].points.positions, scene.sensor("map").positions):
+            np.testing.assert_allclose(positions, PLACES - origin, atol=2e-5)
+        for sensor_id in ("radar", "wheels"):
+            np.testing.assert_allclose(scene.sensor(sensor_id).poses.positions[0], 0, atol=1e-12)
+        # the way is told by the odometry that was there
+        assert EGO_ID not in [sensor.id for sensor in scene.sensors]
+
+
+def test_what_rides_on_the_ego_or_a_sensor_does_not_move(drive: Scene, tmp_path: Path) -> None:
+    riding = radar(drive, Coordinates.EGO, PointsFrame.SENSOR)
+    fuse(with_sensors(drive, riding), tmp_path / "drive.sfs")
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        np.testing.assert_array_equal(scene.sensor("radar").frames[0].points.positions, PLACES)
+        np.testing.assert_allclose(
+            scene.sensor("radar").poses.positions[0], riding.poses.positions[0], atol=1e-12
+        )
+
+
+@pytest.mark.parametrize(("kind", "moves"), [("polyline", False), ("object", True)])
+def test_the_origin_stays_where_an_annotation_could_not_move_along(
+    drive: Scene, tmp_path: Path, kind: str, moves: bool
+) -> None:
+    fields = {"path": {"timestamps": [0], "values": [[1.0, 2.0, 3.0]]}} if kind == "polyline" else {}
+    fuse(replace(drive, annotations=(PlainAnnotation("x", kind, fields),)), tmp_path / "drive.sfs")
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        place = np.array(scene.metadata["sceneloom"]["world_from_file"])[:3, 3]
+        np.testing.assert_array_equal(place, origin_of(drive) if moves else 0)
+        expected = origin_of(drive) - place
+        np.testing.assert_allclose(scene.sensor(EGO_ID).poses.positions[0], expected, atol=1e-12)
+
+
+def test_the_ego_gets_another_id_where_a_sensor_has_its_own(drive: Scene, tmp_path: Path) -> None:
+    fuse(changed(drive, "lidar", id=EGO_ID), tmp_path / "drive.sfs")
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        assert scene.sensor(EGO_ID) is scene.lidars[0]
+        assert isinstance(scene.sensor("ego2"), OdometrySensor)
+
+
+def test_points_that_lie_in_the_world_need_no_poses(drive: Scene, tmp_path: Path) -> None:
+    fused = list(iter_fused(drive))
+    frames = [LidarFrame(f.timestamp_ns, replace(f.points, colors=None)) for f in fused]
+    placed = replace(
+        changed(
+            drive,
+            "lidar",
+            frames=LazyFrames.of(frames, [f.timestamp_ns for f in frames]),
+            points_frame=PointsFrame.WORLD,
+            poses=None,
+            mount=None,
+        ),
+        trajectories={},
+    )
+    cameras = tuple(replace(c, mount=None, poses=c.poses.moved(origin_of(drive))) for c in placed.cameras)
+    report = fuse(replace(placed, sensors=(placed.lidars[0], *cameras)), tmp_path / "drive.sfs")
+    assert (report.fused, report.trajectory) == (4, None)
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        for frame, expected in zip(scene.lidars[0].frames, fused, strict=True):
+            np.testing.assert_array_equal(frame.points.camera_index, expected.points.camera_index)
+
+
+def test_a_camera_without_pictures_needs_no_place_and_keeps_its_number(drive: Scene, tmp_path: Path) -> None:
+    idle = replace(
+        drive.cameras[0], id="idle", pictures=LazyFrames.of([], []), video=None, mount=None, poses=None
+    )
+    report = fuse(replace(drive, sensors=(idle, *drive.sensors)), tmp_path / "drive.sfs")
+    assert next((c.camera, c.pictures, c.unpaired) for c in report.cameras) == ("idle", 0, 0)
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        assert set(np.unique(scene.lidars[0].frames[0].points.camera_index)) <= {1, 2, 255}
+        assert scene.metadata["sceneloom"]["fusion"]["cameras"] == ["idle", "camera0", "camera1"]
+
+
+def test_a_camera_with_pictures_and_no_place_is_refused_by_name(drive: Scene) -> None:
+    with pytest.raises(PoseError, match="'camera1'"):
+        fuse(changed(drive, "camera1", mount=None, poses=None))
+
+
+def own_mountings(drive: Scene) -> Scene:
+    """Every second picture of the first camera hangs one metre higher than the calibration says."""
+    camera = drive.cameras[0]
+    assert camera.mount is not None
+    higher = RigidTransform(camera.mount.rotation, np.add(camera.mount.translation, [0.0, 0.0, 1.0]))
+
+    def read(index: int) -> Picture:
+        picture = camera.pictures[index]
+        return replace(picture, mount=higher) if index % 2 else picture
+
+    pictures = LazyFrames(camera.pictures.timestamps_ns, read)
+    return changed(drive, camera.id, pictures=pictures)
+
+
+def test_a_picture_with_a_mounting_of_its_own_has_its_own_pose_in_the_file(
+    drive: Scene, tmp_path: Path
+) -> None:
+    mixed = own_mountings(drive)
+    fuse(mixed, tmp_path / "drive.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
+    way = drive.trajectories["groundTruth"].poses
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        camera = scene.cameras[0]
+        for picture, source in zip(camera.pictures, mixed.cameras[0].pictures, strict=True):
+            at = np.array([source.timestamp_ns], np.int64)
+            expected = PoseSource(way, source.mount or mixed.cameras[0].mount).at(at).positions
+            given = camera.poses.interpolate(at).positions + origin_of(drive)
+            np.testing.assert_allclose(given, expected, atol=1e-9)
+            assert (picture.mount is None) == (source.mount is None)
+
+
+def test_fusing_again_does_not_apply_a_mounting_twice(drive: Scene, tmp_path: Path) -> None:
+    mixed = own_mountings(drive)
+    fuse(mixed, tmp_path / "drive.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        for again, first in zip(iter_fused(scene), iter_fused(mixed), strict=True):
+            for view, source in zip(again.views, first.views, strict=True):
+                np.testing.assert_allclose(
+                    view.world_from_camera.matrix, source.world_from_camera.matrix, atol=1e-9
+                )

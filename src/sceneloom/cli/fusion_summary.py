@@ -2,7 +2,7 @@
 
 import click
 
-from sceneloom.cli.printing import print_losses, print_notices, print_table
+from sceneloom.cli.printing import print_lines, print_losses, print_notices, print_table, several
 from sceneloom.pipeline.fuse import FusionOutputs
 from sceneloom.pipeline.report import CameraReport, FusionReport
 
@@ -11,28 +11,28 @@ def print_fusion(report: FusionReport, outputs: FusionOutputs, *, quiet: bool, v
     """Print what was fused, what was left out and why, and where it is."""
     way = "the sensors' own poses" if report.trajectory is None else f"trajectory {report.trajectory}"
     click.echo(
-        f"fused {report.fused} of {report.frames} sweeps by {way} "
+        f"fused {report.fused} of {several(report.frames, 'sweep')} by {way} "
         f"in {report.seconds:.1f} s ({report.frames_per_second:.1f} sweeps a second)"
     )
-    click.echo(f"{report.points} points, {report.coloured_percent:.1f} % coloured")
+    click.echo(f"{several(report.points, 'point')}, {report.coloured_percent:.1f} % coloured")
     print_table(_camera_row(camera) for camera in report.cameras)
-    _print_left_out(report)
+    _print_left_out(report, quiet=quiet, verbose=verbose)
     places = {"scene": outputs.scene, "depth images": outputs.depth, "pictures": outputs.pictures}
     for kind, place in places.items():
         if place is not None:
             count = report.files.get(kind)
-            click.echo(f"{kind}: {place}" + ("" if count is None else f" ({count} files)"))
+            click.echo(f"{kind}: {place}" + ("" if count is None else f" ({several(count, 'file')})"))
     if not quiet:
         print_notices(report.notices, verbose=verbose)
         print_losses(report.losses, verbose=verbose)
 
 
 def _camera_row(camera: CameraReport) -> list[str]:
-    unpaired = f"{camera.unpaired} sweeps without a picture" if camera.unpaired else ""
-    unposed = f"{camera.unposed} pictures beyond the trajectory" if camera.unposed else ""
+    unpaired = f"{several(camera.unpaired, 'sweep')} without a picture" if camera.unpaired else ""
+    unposed = f"{several(camera.unposed, 'picture')} beyond the trajectory" if camera.unposed else ""
     return [
         str(camera.camera),
-        f"{camera.pictures} pictures",
+        several(camera.pictures, "picture"),
         f"{camera.in_picture_percent:.1f} % of the points in it",
         f"{camera.hidden_percent:.1f} % of these hidden",
         f"{camera.coloured} coloured",
@@ -40,15 +40,16 @@ def _camera_row(camera: CameraReport) -> list[str]:
     ]
 
 
-def _print_left_out(report: FusionReport) -> None:
+def _print_left_out(report: FusionReport, *, quiet: bool, verbose: bool) -> None:
     if report.extrapolated:
-        click.echo(
-            f"{report.extrapolated} sweeps used poses beyond the trajectory's ends, by at most one sweep period"
-        )
+        sweeps = several(report.extrapolated, "sweep")
+        click.echo(f"{sweeps} used poses beyond the trajectory's ends, by at most one sweep period")
     for reason, count in report.unfused.items():
-        click.echo(f"{count} sweeps kept unfused: {reason}")
-    for reason in report.skipped:
-        click.echo(f"skipped: {reason}")
+        click.echo(f"{several(count, 'sweep')} kept unfused: {reason}")
+    if report.skipped:
+        click.echo(f"{len(report.skipped)} unreadable sweeps or pictures skipped")
+        if not quiet:
+            print_lines([f"skipped: {reason}" for reason in report.skipped], verbose=verbose)
     if report.depth_beyond_range:
         click.echo(
             f"{report.depth_beyond_range} depth pixels beyond 255.99 m were written as 0; --depth-form npz keeps them"

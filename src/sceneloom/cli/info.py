@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import amount, print_json, print_notices, print_table
+from sceneloom.cli.printing import amount, print_json, print_notices, print_table, seconds, several
 from sceneloom.scene.summary import SensorSummary
 
 
@@ -27,14 +27,14 @@ def info(path: Path, as_json: bool, quiet: bool, verbose: bool, **reading: Any) 
     size = "" if summary.size_bytes is None else f", {amount(summary.size_bytes)}"
     click.echo(f"{summary.source}: {summary.format}, {summary.duration:.3f} s{size}")
     if summary.start_ns is not None:
-        click.echo(f"clock starts at {summary.start_ns / 1e9:.9f} s")
+        click.echo(f"clock starts at {seconds(summary.start_ns)}")
     click.echo("sensors")
     print_table(_sensor_row(sensor) for sensor in summary.sensors)
     click.echo("trajectories (the first is the default)" if summary.trajectories else "no trajectory")
     print_table(
         (
             way.name,
-            f"{way.poses} poses",
+            several(way.poses, "pose"),
             f"{way.seconds:.3f} s",
             f"{way.metres:.1f} m",
             "" if way.oriented else "positions only",
@@ -51,15 +51,15 @@ def _sensor_row(sensor: SensorSummary) -> list[str]:
     """One line of the table; what a sensor does not have is left blank."""
     rate = "" if sensor.rate_hz is None else f"{sensor.rate_hz:.4g} Hz"
     span = "" if sensor.start is None else f"{sensor.start:.3f} to {sensor.stop:.3f} s"
-    gaps = f"{sensor.gap_count} gaps, first at {sensor.gaps[0].start:.3f} s" if sensor.gaps else ""
+    gaps = f"{several(sensor.gap_count, 'gap')}, first at {sensor.gaps[0].start:.3f} s" if sensor.gaps else ""
     details = [
         sensor.lens,
         sensor.video,
         None
         if sensor.first_frame_points is None
-        else f"{sensor.first_frame_points} points in the first frame",
+        else f"{several(sensor.first_frame_points, 'point')} in the first frame",
         sensor.coordinates,
-        None if sensor.poses is None else f"{sensor.poses} poses",
+        None if sensor.poses is None else several(sensor.poses, "pose"),
         "mounted on the ego" if sensor.mounted else None,
         gaps,
     ]

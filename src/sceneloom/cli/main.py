@@ -2,6 +2,7 @@
 
 import sys
 from importlib import import_module
+from io import TextIOWrapper
 from types import MappingProxyType
 from typing import Any
 
@@ -52,6 +53,10 @@ def sceneloom() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; exit 0 when done, 1 on bad data, 2 on bad usage."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            # names of files may be no Unicode, and a terminal may know fewer characters than we write
+            stream.reconfigure(errors="backslashreplace")
     sys.exit(_run(arguments))
 
 
@@ -73,9 +78,6 @@ def _run(arguments: list[str] | None) -> int:
     except click.ClickException as error:
         error.show()
         return error.exit_code
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 1
     except tuple(kind for kind, _ in EXIT_CODES) as error:
         click.echo(f"sceneloom: {str(error) or type(error).__name__}", err=True)
         return next(code for kind, code in EXIT_CODES if isinstance(error, kind))

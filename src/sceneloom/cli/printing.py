@@ -1,5 +1,6 @@
 """Results for people on standard output, progress and notices on standard error."""
 
+import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,12 +18,17 @@ SHOWN = 5
 
 def print_json(result: Any) -> None:
     """Print a result for machines."""
-    click.echo(msgspec.json.format(msgspec.json.encode(result), indent=2).decode())
+    try:
+        text = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
+    except UnicodeEncodeError:
+        # a path may hold bytes that are no Unicode; this encoder escapes them
+        text = json.dumps(msgspec.to_builtins(result), indent=2)
+    click.echo(text)
 
 
 def print_notices(notices: Sequence[Notice], *, verbose: bool) -> None:
     """Print what was assumed, repaired or left out."""
-    _print_lines(
+    print_lines(
         [
             f"{notice.kind}: {notice.place}: {notice.message}"
             + (f" ({notice.count} times)" if notice.count > 1 else "")
@@ -34,7 +40,7 @@ def print_notices(notices: Sequence[Notice], *, verbose: bool) -> None:
 
 def print_losses(losses: LossReport, *, verbose: bool) -> None:
     """Print what the target format could not hold."""
-    _print_lines(
+    print_lines(
         [
             f"lost: {loss.field}: {loss.what}"
             + (f" ({loss.count} times)" if loss.count > 1 else "")
@@ -45,7 +51,8 @@ def print_losses(losses: LossReport, *, verbose: bool) -> None:
     )
 
 
-def _print_lines(lines: list[str], *, verbose: bool) -> None:
+def print_lines(lines: Sequence[str], *, verbose: bool) -> None:
+    """Print remarks, only the first ones unless `verbose`."""
     shown = lines if verbose else lines[:SHOWN]
     for line in shown:
         click.echo(line, err=True)
@@ -77,6 +84,17 @@ def progress_bar(title: str, *, quiet: bool) -> Iterator[Callable[[int, int], No
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def several(count: int, noun: str) -> str:
+    """A count with its noun: "1 sweep", "3 sweeps"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def seconds(timestamp_ns: int) -> str:
+    """A time in seconds with all its nanoseconds."""
+    whole, part = divmod(abs(timestamp_ns), 1_000_000_000)
+    return f"{'-' if timestamp_ns < 0 else ''}{whole}.{part:09d} s"
 
 
 def amount(size_bytes: int) -> str:

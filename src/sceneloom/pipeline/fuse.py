@@ -255,7 +255,8 @@ def _provenance(woven: Woven) -> Mapping[str, Any]:
     fusion = {
         "trajectory": None if woven.ego is None else woven.ego.name,
         "heading": None if woven.ego is None else woven.ego.heading,
-        "source": Path(woven.scene.source).name,
+        # the name of a folder may hold bytes that are no Unicode
+        "source": Path(woven.scene.source).name.encode(errors="replace").decode(),
         "source_format": woven.scene.format,
         "cameras": [camera.id for camera in woven.scene.cameras],
     }

@@ -6,6 +6,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
+from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.notices import Notice
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.scene import Scene, Sensor
@@ -30,7 +31,7 @@ class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
         id: its id.
         type: the word of the format.
         count: frames, pictures, poses or samples.
-        rate_hz: one over the median interval, or None for fewer than two.
+        rate_hz: one over the median interval, or None for fewer than two; of an IMU that of its longest stream.
         start, stop: first and last stamp, in seconds after the scene's first one.
         gaps: intervals longer than 1.5 median ones; the first 20.
         gap_count: all of them.
@@ -127,13 +128,14 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
 
 def _summarise_sensor(sensor: Sensor, start_ns: int) -> SensorSummary:
     times = frame_times(sensor)
-    gaps = _gaps(times, start_ns)
+    paced = _longest_stream(sensor) if isinstance(sensor, ImuSensor) else times
+    gaps = _gaps(paced, start_ns)
     poses: PosePath | None = getattr(sensor, "poses", None)
     return SensorSummary(
         id=sensor.id,
         type=str(sensor.type),
         count=_count(sensor, times),
-        rate_hz=_rate(times),
+        rate_hz=_rate(paced),
         start=(int(times[0]) - start_ns) / 1e9 if len(times) else None,
         stop=(int(times[-1]) - start_ns) / 1e9 if len(times) else None,
         gaps=tuple(gaps[:20]),
@@ -149,6 +151,12 @@ def _summarise_sensor(sensor: Sensor, start_ns: int) -> SensorSummary:
 
 def _count(sensor: Sensor, times: Int64Array) -> int:
     return len(sensor.positions) if isinstance(sensor, PointsSensor) else len(times)
+
+
+def _longest_stream(sensor: ImuSensor) -> Int64Array:
+    """The stamps of an IMU's longest stream: those of several together have no rate."""
+    streams = [stream.timestamps_ns for stream in sensor.streams.values()]
+    return max(streams, key=len, default=np.zeros(0, np.int64))
 
 
 def _rate(times: Int64Array) -> float | None:

@@ -1,11 +1,17 @@
 """The verbs: their results for people and for machines."""
 
 import json
+import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from sceneloom.cli.printing import seconds
 
 Call = Callable[..., Any]
 
@@ -78,3 +84,53 @@ def test_every_verb_explains_itself(call: Call, verb: str) -> None:
     outcome = call(verb, "--help")
     assert outcome.code == 0
     assert "--json" in outcome.out
+
+
+def test_info_tells_the_first_time_to_the_nanosecond(call: Call, recording: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    lines = [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
+    fix = {"latitude": 60.0, "longitude": 25.0, "altitude": 1.0, "accuracy": 1.0}
+    lines = [{"time": -0.25, "gps": fix}, *lines]
+    (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert "clock starts at -0.250000000 s" in call("info", folder).out
+    # seconds as float64 are off by 50 ns at such a time
+    assert seconds(1_700_000_000_800_000_000) == "1700000000.800000000 s"
+
+
+def test_only_the_first_skipped_frames_are_listed(call: Call, recording: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    for picture in (folder / "frames1").iterdir():
+        picture.write_bytes(picture.read_bytes()[:120])
+    arguments = ("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient", "--overwrite")
+    outcome = call(*arguments)
+    assert outcome.code == 0
+    assert "3 unreadable sweeps or pictures skipped" in outcome.out
+    assert outcome.err.count("skipped: ") == 3
+    assert "skipped: " not in call(*arguments, "--quiet").err
+
+
+def test_one_thing_is_not_called_several(call: Call, recording: Path, tmp_path: Path) -> None:
+    outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", "--stop", "0.25")
+    assert "fused 1 of 1 sweep by" in outcome.out
+
+
+def test_a_terminal_that_knows_few_characters_gets_them_escaped(recording: Path, tmp_path: Path) -> None:
+    start = "from sceneloom.cli import main; main()"
+    command = [sys.executable, "-c", start, "convert", recording, tmp_path / "a.sfs"]
+    environment = {**os.environ, "PYTHONIOENCODING": "cp1252"}
+    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    assert b"\\u2192" in done.stdout
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there names of files may be any bytes")
+def test_a_folder_whose_name_is_no_unicode_is_read_and_fused(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / os.fsdecode(b"dr\xffive")
+    shutil.copytree(recording, folder)
+    assert call("info", folder).code == 0
+    assert json.loads(call("info", folder, "--json").out)["source"] == str(folder)
+    assert call("fuse", folder, "-o", tmp_path / "d.sfs").code == 0

@@ -102,3 +102,13 @@ def test_the_reference_time_of_a_sweep_is_the_median_of_its_points() -> None:
 def test_a_sweep_whose_points_share_one_time_is_known_by_its_start() -> None:
     points = LidarPoints(np.zeros((3, 3), np.float32), timestamps_ns=np.full(3, 70, np.int64))
     assert LidarFrame(20, points).reference_ns == 20
+
+
+def test_the_rate_of_an_imu_is_that_of_its_longest_stream_and_its_gaps_are_real() -> None:
+    times = np.array([k * SECOND // 100 for k in range(50)], np.int64)
+    gyroscope = VectorSamples(times, np.zeros((50, 3)))
+    slow = VectorSamples(times[::10] + 3_000_000, np.zeros((5, 3)))
+    imu = ImuSensor("imu", {"imuTemperature": slow, "gyroscope": gyroscope, "accelerometer": gyroscope})
+    summary = summarise(Scene((imu,))).sensors[0]
+    assert (summary.count, summary.gap_count) == (105, 0)
+    assert summary.rate_hz == pytest.approx(100)

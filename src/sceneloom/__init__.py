@@ -7,21 +7,21 @@ with sceneloom.open("drive/") as scene:
     report = sceneloom.fuse(scene, "drive.sfs")
 ```
 
-The readers, the fusion and the simulator are imported when they are first used.
+Every name but the errors is imported when it is first used, so that a program that offers sceneloom starts quickly.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.table import open_scene as open
-from sceneloom.formats.table import write_scene as write
-from sceneloom.scene import PosePath, Scene
 from sceneloom.version import __version__
 
 if TYPE_CHECKING:
     from sceneloom.formats.sfs import SceneWriter
+    from sceneloom.formats.table import open_scene as open
+    from sceneloom.formats.table import write_scene as write
     from sceneloom.pipeline import convert, fuse, iter_fused
+    from sceneloom.scene import PosePath, Scene
     from sceneloom.simulate import simulate_street
 
 __all__ = [
@@ -39,18 +39,26 @@ __all__ = [
 ]
 
 _ON_FIRST_USE = {
-    "SceneWriter": "sceneloom.formats.sfs",
-    "convert": "sceneloom.pipeline",
-    "fuse": "sceneloom.pipeline",
-    "iter_fused": "sceneloom.pipeline",
-    "simulate_street": "sceneloom.simulate",
+    "PosePath": ("sceneloom.scene", "PosePath"),
+    "Scene": ("sceneloom.scene", "Scene"),
+    "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),
+    "convert": ("sceneloom.pipeline", "convert"),
+    "fuse": ("sceneloom.pipeline", "fuse"),
+    "iter_fused": ("sceneloom.pipeline", "iter_fused"),
+    "open": ("sceneloom.formats.table", "open_scene"),
+    "simulate_street": ("sceneloom.simulate", "simulate_street"),
+    "write": ("sceneloom.formats.table", "write_scene"),
 }
+"""Module and name there of everything that is imported when it is first asked for."""
 
 
 def __getattr__(name: str) -> Any:
     if name not in _ON_FIRST_USE:
         raise AttributeError(f"module 'sceneloom' has no attribute {name!r}")
-    return getattr(import_module(_ON_FIRST_USE[name]), name)
+    module, attribute = _ON_FIRST_USE[name]
+    value = getattr(import_module(module), attribute)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -88,7 +88,7 @@ def find_visible_in_numpy(points: np.ndarray, matrix: np.ndarray, settings: Visi
     turn, slope = np.array([np.cos(angle), np.sin(angle)]), 1 / settings.surface_distance
     form = np.outer(turn, turn) / across**2 + (np.eye(2) - np.outer(turn, turn)) / along**2
     near = np.sqrt(np.diag(np.linalg.inv(form)))
-    cell = max(window / 4, np.radians(0.16))
+    cell = max(window / 6, np.radians(0.16))
     border = int(np.ceil(max(window, *near) / cell))
     cells, columns, rows = place(directions, cell, border)
     order = np.lexsort((-inverse, cells))

@@ -14,14 +14,21 @@ where m is what Q must be nearer (in metres and as a share of the range, for noi
 plane is at least `surface_distance` away from the camera hides itself: not the road seen at grazing angle, not the wall
 along it.
 
-**Hidden points lie within silhouettes.** P is hidden if such a Q is very near in direction (`near_deg`: less than the
-samples of any surface are apart), or if two of them lie in opposite quadrants around P within a window. Q on one side
-only is a neighbour beyond a silhouette: P is the background beside it and stays. The window must reach from scan line
-to scan line; since lidars differ, and mountings turn and tilt them, it is measured from the cloud.
+**Hidden points lie within silhouettes.** P is hidden if one such Q is so near in direction that no other sample of
+Q's surface can be expected between them, or if two of them lie in opposite quadrants around P within a window. Q on
+one side only, and farther away, is a neighbour beyond a silhouette: P is the background beside it and stays. How near
+is near depends on the lidar: an ellipse of 0.9 spacings across the scan lines (between the last line on a roof and the
+next, which misses it, nothing tells where the roof ends; the point that is coloured wrongly is the worse loss) and 1.2
+spacings along them. The window reaches a little over one spacing of the scan lines. Since lidars differ, and mountings
+turn and tilt them, the spacings and their axes are measured in the cloud, as the camera sees it.
 
 Directions are compared in Lambert's equal-area map around the optical axis, in which distances are nearly angles. The
 rule therefore holds for every lens and resolution alike. To be fast, only the nearest point in each cell of a grid over
-that map can hide others; cells are a quarter of the window, but at least `near_deg`, in size.
+that map can hide others; cells are 0.16 degrees wide, or a sixth of the reach.
+
+On simulated streets (64 beams 0.42 degrees apart, mounted 0.2 to 1 m from the cameras, f from 400 to 1970 px) 0.1 to
+2.6 % of the hidden points pass and 0.1 to 2.7 % of the visible ones are lost, 2 px from outlines and more. Beams 1
+degree apart let 4 % of the hidden pass, a camera 0.5 m above the ground too.
 """
 
 from dataclasses import dataclass
@@ -39,7 +46,7 @@ _USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
 _WINDOWS_DEG, _NEARS_DEG = (0.3, 2.5), (0.1, 2.0)
 _WINDOW_PER_SPACING = 1.15
 _NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG = 0.9, 1.2
-_CELLS_PER_WINDOW = 4
+_CELLS_PER_REACH = 6
 _CELL_DEG = 0.16
 _SPACING_CELL = radians(0.1)
 _SPACING_REACH = 25
@@ -78,7 +85,7 @@ class VisibilitySettings:
             if not (isfinite(value) and value >= 0):
                 raise OptionError(f"{name} {value}; expected a finite number that is not negative")
         if self.surface_distance == 0:
-            raise OptionError("surface_distance 0; expected a positive distance in metres")
+            raise OptionError(f"surface_distance {self.surface_distance}; expected a positive distance in metres")
         for name in ("window_deg", "near_deg"):
             value = getattr(self, name)
             if value is not None and not 0 < value <= 45:
@@ -132,7 +139,7 @@ def find_visible(
     mark_unhidden(
         directions,
         inverse_ranges,
-        max(reach.window / _CELLS_PER_WINDOW, radians(_CELL_DEG)),
+        max(max(reach.window, reach.across, reach.along) / _CELLS_PER_REACH, radians(_CELL_DEG)),
         reach.window,
         *reach.ellipse,
         1.0 / settings.surface_distance,

@@ -1,0 +1,196 @@
+"""What must hold for any cloud at all: no write beside the outputs, and decisions that obey geometry."""
+
+import math
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.colouring import ViewRequest, VisibilitySettings, find_visible, fuse_by_projection
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.depth_images import draw_depths, mark_nearest
+from sceneloom.kernels.directions import map_directions
+from sceneloom.kernels.occlusion import mark_unhidden
+from sceneloom.kernels.point_colours import paint_points
+from sceneloom.kernels.spacing import measure_spacing
+
+GUARD = 64
+STILL = np.eye(4)
+FIXED = VisibilitySettings(window_deg=0.5, near_deg=0.3)
+
+any_float32 = st.floats(width=32)
+any_float = st.one_of(st.floats(), st.floats(-50, 50), st.sampled_from([0.0, -0.5, 0.5, 6.5, 1e-7, 1e308]))
+coordinates = st.floats(-40, 40, width=32)
+clouds = hnp.arrays(np.float64, st.tuples(st.integers(0, 40), st.just(3)), elements=any_float)
+
+
+@st.composite
+def tame_clouds(draw, least=0):
+    """Points ahead, many of them close to each other in direction."""
+    count = draw(st.integers(least, 40))
+    rows = draw(hnp.arrays(np.float64, (count, 3), elements=st.floats(-1, 1, width=16)))
+    spread = draw(st.sampled_from([0.003, 0.02, 0.5]))
+    depths = 2.0 + 30 * np.abs(rows[:, 2])
+    return np.column_stack([rows[:, 0] * spread * depths, rows[:, 1] * spread * depths, depths])
+
+
+def guarded(shape, dtype, value):
+    """An array in the middle of a larger one, and the function that checks what lies around it."""
+    size = math.prod(shape)
+    whole = np.full(size + 2 * GUARD, value, dtype)
+    untouched = np.concatenate([whole[:GUARD], whole[-GUARD:]])
+
+    def check() -> None:
+        np.testing.assert_array_equal(np.concatenate([whole[:GUARD], whole[-GUARD:]]), untouched)
+
+    return whole[GUARD : GUARD + size].reshape(shape), check
+
+
+@given(
+    points=clouds,
+    ids=hnp.arrays(
+        np.int64,
+        st.integers(0, 50),
+        elements=st.one_of(st.integers(-3, 45), st.integers(-(2**63), 2**63 - 1)),
+    ),
+)
+@settings(max_examples=200, deadline=None)
+def test_directions_of_any_points_stay_in_the_map_and_in_the_outputs(points, ids):
+    directions, check_directions = guarded((2, len(ids)), np.float32, 7)
+    inverse_ranges, check_ranges = guarded((len(ids),), np.float32, 7)
+    map_directions(points, ids, STILL, directions, inverse_ranges)
+    check_directions()
+    check_ranges()
+    assert (np.hypot(*directions) <= 2.001).all()
+    assert ((inverse_ranges >= 0) & np.isfinite(inverse_ranges)).all()
+
+
+@given(
+    rows=hnp.arrays(
+        np.float32,
+        st.tuples(st.just(3), st.integers(0, 60)),
+        elements=st.one_of(any_float32, st.floats(-2, 2, width=32), st.floats(0, 0.015625, width=32)),
+    ),
+    window_deg=st.sampled_from([0.3, 2.5]),
+)
+@settings(max_examples=200, deadline=None)
+def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg):
+    visible, check = guarded((rows.shape[1],), np.bool_, True)
+    near = math.radians(0.3) ** -2
+    cell = math.radians(0.16)
+    mark_unhidden(
+        rows[:2], rows[2], cell, math.radians(window_deg), near, 0.0, near, 2.0, 0.15, 0.01, visible
+    )
+    check()
+    takes_part = (rows[2] > 0) & np.isfinite(rows[2]) & (np.abs(rows[:2]) <= 2.1).all(axis=0)
+    assert not visible[~takes_part].any()
+    assert visible[takes_part].any() == takes_part.any()
+
+
+@given(
+    rows=hnp.arrays(
+        np.float32,
+        st.tuples(st.just(3), st.integers(0, 60)),
+        elements=st.one_of(any_float32, st.floats(-2, 2, width=32)),
+    )
+)
+@settings(max_examples=50, deadline=None)
+def test_spacings_of_any_directions_are_positive_or_unknown(rows):
+    spacings, check = guarded((4,), np.float64, 7)
+    measure_spacing(rows[:2], rows[2], math.radians(0.1), 25, 8, spacings)
+    check()
+    assert (np.isnan(spacings) | ((spacings > 0) & (spacings <= math.radians(2.6)))).all()
+
+
+@given(
+    pixels=hnp.arrays(
+        np.float32,
+        st.tuples(st.integers(0, 40), st.just(2)),
+        elements=st.one_of(any_float32, st.sampled_from([-0.5, 0.5, 0.49999997, 2.5, 6.5, 6.4999995])),
+    ),
+    size=st.sampled_from([(1, 1), (1, 7), (3, 1), (3, 7)]),
+    data=st.data(),
+)
+@settings(max_examples=200, deadline=None)
+def test_pictures_and_colours_are_written_nowhere_else(pixels, size, data):
+    count = len(pixels)
+    depths = data.draw(hnp.arrays(np.float32, count, elements=any_float32))
+    visible = data.draw(hnp.arrays(np.bool_, count))
+    ids = data.draw(hnp.arrays(np.int64, count, elements=st.integers(-2, 12)))
+    image, check_image = guarded(size, np.float32, 0)
+    nearest, check_nearest = guarded((count,), np.bool_, True)
+    colors, check_colors = guarded((10, 3), np.uint8, 255)
+    camera_index, check_index = guarded((10,), np.uint8, 255)
+    best, check_best = guarded((10,), np.float64, math.inf)
+    draw_depths(pixels, depths, visible, image)
+    mark_nearest(pixels, depths, image, nearest)
+    paint_points(ids, pixels, visible, np.full((*size, 3), 9, np.uint8), 1, best, colors, camera_index)
+    for check in (check_image, check_nearest, check_colors, check_index, check_best):
+        check()
+    assert ((image >= 0) & np.isfinite(image)).all()
+    assert ((camera_index == 1) == (colors == 9).all(axis=1)).all()
+
+
+@given(points=clouds, size=st.sampled_from([(1, 1), (40, 30), (1, 100)]), enabled=st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_any_cloud_can_be_fused(points, size, enabled):
+    camera = Camera("pinhole", *size, 20.0, 20.0, (size[0] - 1) / 2, (size[1] - 1) / 2)
+    rgb = np.full((size[1], size[0], 3), 3, np.uint8)
+    request = ViewRequest(
+        camera_id=0,
+        camera_index=0,
+        camera=camera,
+        timestamp_ns=0,
+        world_from_camera=RigidTransform.identity(),
+        rgb=rgb,
+    )
+    fused = fuse_by_projection(points, [request], VisibilitySettings(enabled=enabled))
+    view = fused.views[0]
+    seen = np.zeros(len(points), bool)
+    seen[view.point_ids[view.visible]] = True
+    assert ((fused.camera_index == 0) == seen).all()
+    assert (view.depth_image > 0).sum() <= view.visible.sum()
+    # Beyond a million kilometres, or nearer than a micrometre, nothing is seen.
+    sane = (view.depths > 1e-5) & (view.depths < 1e8)
+    assert view.visible.any() or not sane.any()
+
+
+@given(points=tame_clouds(least=1))
+@settings(max_examples=100, deadline=None)
+def test_the_nearest_point_is_always_visible(points):
+    visible = find_visible(points, np.arange(len(points)), STILL, FIXED)
+    assert visible[np.argmin(np.linalg.norm(points, axis=1))]
+
+
+@given(points=tame_clouds(), seed=st.integers(0, 99))
+@settings(max_examples=100, deadline=None)
+def test_the_order_of_the_points_does_not_matter(points, seed):
+    # Equally near points of a cell are told apart by their order only.
+    points = points * (1 + 1e-3 * np.arange(len(points)))[:, None]
+    order = np.random.default_rng(seed).permutation(len(points))
+    ids = np.arange(len(points))
+    visible = find_visible(points, ids, STILL, FIXED)
+    np.testing.assert_array_equal(find_visible(points[order].copy(), ids, STILL, FIXED), visible[order])
+
+
+@given(points=tame_clouds())
+@settings(max_examples=100, deadline=None)
+def test_a_point_behind_all_others_hides_none_of_them(points):
+    visible = find_visible(points, np.arange(len(points)), STILL, FIXED)
+    more = np.concatenate([points, [[0.01, 0.02, 90.0]]])
+    np.testing.assert_array_equal(find_visible(more, np.arange(len(more)), STILL, FIXED)[:-1], visible)
+
+
+@given(points=tame_clouds())
+@settings(max_examples=100, deadline=None)
+def test_the_unit_of_length_does_not_matter(points):
+    ids = np.arange(len(points))
+    in_quarters = VisibilitySettings(
+        window_deg=0.5, near_deg=0.3, surface_distance=4 * FIXED.surface_distance, margin=4 * FIXED.margin
+    )
+    # Powers of two change no digit of any sum.
+    np.testing.assert_array_equal(
+        find_visible(4 * points, ids, STILL, in_quarters), find_visible(points, ids, STILL, FIXED)
+    )

@@ -1,0 +1,161 @@
+"""An analytic street: a road, walls, cars, people, poles and a sign over the road, seen by a lidar and a camera.
+
+All bodies are boxes and upright cylinders, so every ray has an exact answer and what the camera sees is known.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project, unproject
+from sceneloom.geometry.rigid import RigidTransform
+
+CAMERA_FROM_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+REACH = 120.0
+
+
+@dataclass(frozen=True)
+class StreetView:
+    """Points of a sweep in a picture and the truth about them.
+
+    Attributes:
+        camera, world_from_camera: the camera.
+        points_world: (N, 3), with range noise; all fall into the picture.
+        seen: (N,), whether nothing stands between the point's origin and the camera.
+        counted: (N,), whether the point lies 2 px or more from any outline.
+    """
+
+    camera: Camera
+    world_from_camera: RigidTransform
+    points_world: np.ndarray
+    seen: np.ndarray
+    counted: np.ndarray
+
+
+def street_bodies(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes (x y z length width height yaw) and cylinders (x y radius top) along a road on z = 0."""
+    random = np.random.default_rng(seed)
+    boxes = [(40, 14, 4, 160, 1, 8, 0), (40, -12, 3, 160, 1, 6, 0), (95, 0, 5, 1, 30, 10, 0)]
+    for x in range(6, 80, 7):
+        for side in (4.5, -4.5):
+            if random.random() < 0.8:
+                y, yaw = side + 0.2 * random.normal(), 0.03 * random.normal()
+                boxes.append((x + random.normal(), y, 0.9, 4.2, 1.8, 1.35, yaw))
+    boxes += [
+        (18, 0.4, 1, 4.2, 1.8, 1.4, 0.1),
+        (34, -1.5, 1.8, 7, 2.4, 3.2, 0),
+        (12, -2.6, 0.9, 4, 1.8, 1.3, 0.5),
+    ]
+    boxes += [
+        (14, 8, 0.85, 0.6, 0.5, 1.7, 0),
+        (9, -7.5, 0.85, 0.5, 0.5, 1.7, 0),
+        (30, 0, 6.2, 0.3, 6, 1.5, 0),
+    ]
+    cylinders = [(x, 7, 0.08, 6) for x in range(5, 80, 11)] + [(x, -7, 0.12, 6) for x in range(5, 80, 11)]
+    cylinders += [(x, side, 0.25, 5) for x in range(8, 80, 13) for side in (9.5, -9.5)]
+    return np.array(boxes, float), np.array(cylinders, float)
+
+
+def cast(
+    bodies: tuple[np.ndarray, np.ndarray], origin: np.ndarray, rays: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Range of the first hit of each unit ray, infinite for none, and the number of what it hit; 0 is the road."""
+    x, y, z = rays.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ranges = np.where(z < 0, -origin[2] / z, np.inf)
+        ranges[ranges > REACH] = np.inf
+        hits = np.where(np.isfinite(ranges), 0, -1)
+        for number, (bx, by, bz, *size, yaw) in enumerate(bodies[0], 1):
+            c, s = np.cos(yaw), np.sin(yaw)
+            turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+            start, along, half = turn @ (origin - (bx, by, bz)), turn @ rays.T, np.array(size)[:, None] / 2
+            enter, leave = (-half - start[:, None]) / along, (half - start[:, None]) / along
+            near, far = np.minimum(enter, leave).max(axis=0), np.maximum(enter, leave).min(axis=0)
+            hit = (near < far) & (near > 0) & (near < np.minimum(ranges, REACH))
+            ranges[hit], hits[hit] = near[hit], number
+        for number, (cx, cy, radius, top) in enumerate(bodies[1], 1 + len(bodies[0])):
+            dx, dy = origin[0] - cx, origin[1] - cy
+            a, b = x * x + y * y, dx * x + dy * y
+            near = (-b - np.sqrt(b * b - a * (dx * dx + dy * dy - radius * radius))) / a
+            height = origin[2] + near * z
+            hit = (near > 0) & (height > 0) & (height < top) & (near < np.minimum(ranges, REACH))
+            ranges[hit], hits[hit] = near[hit], number
+    return ranges, hits
+
+
+def lidar_rays(beams: int, pitch_deg: float, top_deg: float, azimuth_deg: float) -> np.ndarray:
+    """Unit rays of a lidar that looks ahead, all azimuths of a beam after the other."""
+    elevation, azimuth = np.meshgrid(
+        np.radians(top_deg - pitch_deg * np.arange(beams)),
+        np.radians(np.arange(-75, 75, azimuth_deg)),
+        indexing="ij",
+    )
+    rays = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
+    return np.stack(rays, axis=-1).reshape(-1, 3)
+
+
+def far_from_outlines(look: Callable[[np.ndarray], np.ndarray], pixels: np.ndarray) -> np.ndarray:
+    """Which pixels see one and the same thing in all directions up to 2 px; `look` tells what pixels (N, 2) see."""
+    steps = [(du, dv) for du in range(-2, 3) for dv in range(-2, 3) if du * du + dv * dv <= 4]
+    around = np.floor(pixels + 0.5).astype(int)[:, None] + steps
+    needed, places = np.unique(around.reshape(-1, 2), axis=0, return_inverse=True)
+    hits = look(needed)[places.reshape(len(pixels), -1)]
+    return (hits == hits[:, :1]).all(axis=1)
+
+
+def view_street(
+    camera: Camera,
+    *,
+    lidar_above: tuple[float, float, float] = (-0.3, 0.0, 0.6),
+    height: float = 1.65,
+    beams: int = 64,
+    pitch_deg: float = 0.42,
+    top_deg: float = 2.0,
+    azimuth_deg: float = 0.17,
+    roll: float = 0.0,
+    noise: float = 0.02,
+    seed: int = 0,
+) -> StreetView:
+    """Look ahead into the street; `lidar_above` is the lidar's place from the camera (forward, left, up)."""
+    bodies, center = street_bodies(seed), np.array([0.0, 0.0, height])
+    origin = center + lidar_above
+    rays = lidar_rays(beams, pitch_deg, top_deg, azimuth_deg)
+    ranges, _ = cast(bodies, origin, rays)
+    rays, ranges = rays[np.isfinite(ranges)], ranges[np.isfinite(ranges)]
+    noisy = ranges + np.random.default_rng(seed + 1).normal(scale=noise, size=len(ranges))
+    turn = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+    world_from_camera = RigidTransform((turn @ CAMERA_FROM_BODY).T, center)
+    pixels, inside = project(camera, world_from_camera.inverse().apply(origin + rays * noisy[:, None]))
+    apart = (origin + rays * ranges[:, None] - center)[inside]
+    distances = np.linalg.norm(apart, axis=1)
+    first, _ = cast(bodies, center, apart / distances[:, None])
+
+    def look(where: np.ndarray) -> np.ndarray:
+        rays = unproject(camera, where) @ world_from_camera.rotation.T
+        return np.where(np.isnan(rays[:, 0]), -2, cast(bodies, center, np.nan_to_num(rays, nan=0.6))[1])
+
+    return StreetView(
+        camera,
+        world_from_camera,
+        (origin + rays * noisy[:, None])[inside],
+        first > distances - 0.03 - 1e-3 * distances,
+        far_from_outlines(look, pixels[inside]),
+    )
+
+
+@pytest.fixture(scope="session")
+def street() -> Callable[..., StreetView]:
+    """Makes views of the street; each set-up is made once."""
+    made: dict[Any, StreetView] = {}
+
+    def make(camera: Camera, **kwargs: Any) -> StreetView:
+        key = (camera, tuple(kwargs.items()))
+        if key not in made:
+            made[key] = view_street(camera, **kwargs)
+        return made[key]
+
+    return make

@@ -1,0 +1,173 @@
+import math
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.views import view_points
+from sceneloom.colouring.visibility import VisibilitySettings, _reach_for, find_visible
+from sceneloom.errors import OptionError
+
+KITTI = Camera("pinhole", 1242, 375, 720.0, 720.0, 620.5, 187.0)
+TELE = Camera("pinhole", 1920, 1080, 1970.0, 1970.0, 959.5, 539.5)
+WIDE = Camera("pinhole", 1280, 720, 500.0, 500.0, 639.5, 359.5)
+BARREL = Camera("brown_conrady", 1280, 720, 640.0, 640.0, 639.5, 359.5, (-0.2, 0.03))
+FISHEYE = Camera("fisheye", 960, 720, 300.0, 300.0, 479.5, 359.5, (0.02, -0.003, 0.0, 0.0))
+
+SET_UPS = {
+    "lidar above": (KITTI, {}),
+    "lidar a little above": (KITTI, {"lidar_above": (-0.3, 0.0, 0.3)}),
+    "lidar behind and above": (KITTI, {"lidar_above": (-1.0, 0.2, 1.0)}),
+    "lidar beside": (KITTI, {"lidar_above": (0.0, 0.8, 0.1)}),
+    "lidar below": (KITTI, {"lidar_above": (1.5, 0.0, -1.0), "top_deg": 13.0}),
+    "camera rolled": (KITTI, {"roll": 0.4}),
+    "camera on its side": (Camera("pinhole", 600, 600, 500.0, 500.0, 299.5, 299.5), {"roll": math.pi / 2}),
+    "low camera": (KITTI, {"height": 0.8, "lidar_above": (-1.2, 0.0, 1.0)}),
+    "other street": (KITTI, {"seed": 3}),
+    "128 beams": (KITTI, {"beams": 128, "pitch_deg": 0.2}),
+    "32 beams": (KITTI, {"beams": 32, "pitch_deg": 1.0, "top_deg": 5.0}),
+    "coarse azimuths": (KITTI, {"azimuth_deg": 0.35}),
+    "noisy ranges": (KITTI, {"noise": 0.04}),
+    "long lens": (TELE, {}),
+    "wide lens": (WIDE, {}),
+    "distorting lens": (BARREL, {}),
+    "fisheye lens": (FISHEYE, {}),
+}
+
+
+def view(street_view, settings=None):
+    camera = street_view.camera
+    rgb = np.zeros((camera.height, camera.width, 3), np.uint8)
+    return view_points(
+        street_view.points_world,
+        camera,
+        street_view.world_from_camera,
+        rgb,
+        camera_id="front",
+        timestamp_ns=0,
+        visibility=settings,
+    )
+
+
+def shares(street_view, fused):
+    """Share of the hidden points that pass for visible, and of the visible ones that pass for hidden."""
+    assert len(fused.point_ids) == len(street_view.points_world)
+    hidden, seen = ~street_view.seen & street_view.counted, street_view.seen & street_view.counted
+    assert hidden.sum() > 200
+    return fused.visible[hidden].mean(), 1 - fused.visible[seen].mean()
+
+
+@pytest.mark.parametrize("name", SET_UPS)
+def test_hidden_points_are_found_and_visible_ones_kept(street, name):
+    camera, kwargs = SET_UPS[name]
+    street_view = street(camera, **kwargs)
+    hidden_passed, visible_lost = shares(street_view, view(street_view))
+    assert hidden_passed < 0.03
+    assert visible_lost < 0.03
+
+
+def test_a_plain_z_buffer_finds_almost_nothing(street):
+    street_view = street(*SET_UPS["lidar above"][:1])
+    hidden_passed, _ = shares(street_view, view(street_view, VisibilitySettings(enabled=False)))
+    assert hidden_passed > 0.8
+
+
+def test_the_road_ahead_has_no_holes(street):
+    street_view = street(KITTI)
+    fused = view(street_view)
+    road = (street_view.points_world[:, 2] < 0.05) & street_view.seen & street_view.counted
+    assert fused.visible[road].mean() > 0.99
+
+
+def test_depths_in_the_image_are_those_of_points_that_are_not_hidden(street):
+    street_view = street(KITTI)
+    fused = view(street_view)
+    columns, rows = np.floor(fused.pixels + 0.5).astype(int).T
+    drawn = fused.depth_image[rows, columns] == fused.depths
+    wrongly_drawn = drawn & ~street_view.seen & street_view.counted
+    assert wrongly_drawn.sum() < 0.03 * (~street_view.seen & street_view.counted).sum()
+    assert not (drawn & ~fused.visible).any()
+
+
+def test_given_windows_are_followed(street):
+    street_view = street(KITTI, beams=32, pitch_deg=1.0, top_deg=5.0)
+    narrow = view(street_view, VisibilitySettings(window_deg=0.5, near_deg=0.16))
+    assert shares(street_view, narrow)[0] > 0.4  # the window does not reach the next scan line
+    wide = view(street_view, VisibilitySettings(window_deg=1.2, near_deg=0.3))
+    assert shares(street_view, wide)[0] < 0.1
+
+
+def test_one_given_reach_leaves_the_other_to_be_measured(street):
+    street_view = street(KITTI, beams=32, pitch_deg=1.0, top_deg=5.0)
+    both = shares(street_view, view(street_view, VisibilitySettings(window_deg=0.5, near_deg=0.16)))[0]
+    assert shares(street_view, view(street_view, VisibilitySettings(near_deg=0.16)))[0] < 0.2 * both
+    assert shares(street_view, view(street_view, VisibilitySettings(window_deg=0.5)))[0] < 0.2 * both
+
+
+def test_a_larger_margin_hides_less(street):
+    street_view = street(KITTI)
+    counts = [
+        view(street_view, VisibilitySettings(margin=margin)).visible.sum() for margin in (0.05, 0.5, 5.0)
+    ]
+    assert counts[0] < counts[1] < counts[2]
+
+
+def test_decisions_do_not_depend_on_where_the_world_begins(street):
+    street_view = street(KITTI)
+    settings, ids = VisibilitySettings(), np.arange(len(street_view.points_world))
+    matrix = street_view.world_from_camera.inverse().matrix
+    shift = np.array([4096.0, -2048.0, 64.0])
+    moved = matrix.copy()
+    moved[:3, 3] -= matrix[:3, :3] @ shift
+    here = find_visible(street_view.points_world, ids, matrix, settings)
+    there = find_visible(street_view.points_world + shift, ids, moved, settings)
+    # The coordinates are rounded elsewhere; a decision in ten thousand may hang on that.
+    assert (here == there).mean() > 0.9999
+
+
+@pytest.mark.parametrize(
+    ("spacings_deg", "window_deg", "across_deg", "along_deg", "angle_deg"),
+    [
+        ((0.2, 0.45, 0.4, 0.45), 0.46, 0.36, 0.24, 90),
+        ((0.4, 0.45, 0.2, 0.45), 0.46, 0.36, 0.24, 0),
+        ((0.45, 0.2, 0.45, 0.4), 0.46, 0.36, 0.24, 135),
+        ((0.1, 0.11, 0.1, 0.1), 0.3, 0.1, 0.12, 45),
+        ((0.2, 2.1, 2.4, 2.1), 2.5, 2.0, 0.24, 90),
+        ((0.2, math.nan, 1.0, math.nan), 1.15, 0.9, 0.24, 90),
+        ((0.2, 0.3, math.nan, math.nan), 0.5, 0.16, 0.16, 0),
+        ((math.nan,) * 4, 0.5, 0.16, 0.16, 0),
+    ],
+)
+def test_the_reach_follows_the_scan_lines(spacings_deg, window_deg, across_deg, along_deg, angle_deg):
+    reach = _reach_for(np.radians(spacings_deg))
+    assert math.degrees(reach.window) == pytest.approx(window_deg)
+    assert math.degrees(reach.across) == pytest.approx(across_deg, abs=1e-3)
+    assert math.degrees(reach.along) == pytest.approx(along_deg)
+    assert math.degrees(reach.angle) == pytest.approx(angle_deg)
+
+
+def test_the_ellipse_has_its_axes_across_and_along_the_scan_lines():
+    reach = _reach_for(np.radians([0.45, 0.2, 0.45, 0.4]))
+    xx, xy, yy = reach.ellipse
+    for length, angle in ((reach.across, reach.angle), (reach.along, reach.angle + math.pi / 2)):
+        x, y = length * math.cos(angle), length * math.sin(angle)
+        assert xx * x * x + xy * x * y + yy * y * y == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("margin", -0.1),
+        ("margin", math.nan),
+        ("margin_share", math.inf),
+        ("surface_distance", 0.0),
+        ("surface_distance", -1.0),
+        ("window_deg", 0.0),
+        ("window_deg", 46.0),
+        ("near_deg", -1.0),
+        ("near_deg", math.nan),
+    ],
+)
+def test_settings_that_cannot_be_followed_are_refused(field, value):
+    with pytest.raises(OptionError, match=f"{field} {value}"):
+        VisibilitySettings(**{field: value})

@@ -1,5 +1,6 @@
 """An output is there whole, or not at all."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -78,3 +79,12 @@ def test_a_failed_filling_leaves_no_trace(tmp_path: Path) -> None:
         (draft / "0.png").write_text("half")
         raise DataError("source", "", "broken")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe to try it on")
+def test_what_is_neither_a_file_nor_a_folder_is_left_alone(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(OutputError, match="left alone"), replacing(pipe, overwrite=True):
+        pytest.fail("must not be entered")
+    assert pipe.is_fifo()

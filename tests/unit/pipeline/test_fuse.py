@@ -19,6 +19,7 @@ from sceneloom.scene import (
     LidarFrame,
     LidarSensor,
     OdometrySensor,
+    Picture,
     PointsFrame,
     PosePath,
     Scene,
@@ -171,6 +172,99 @@ def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive: Scene,
         assert [record["sensor_id"] for record in kept] == ["lidar", "lidar"]
         expected = drive.lidars[0].frames[2].points.positions
         np.testing.assert_array_equal(kept[0]["points"]["positions"], expected)
+
+
+def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(
+    drive: Scene, tmp_path: Path
+) -> None:
+    way, frames = drive.trajectories["groundTruth"], drive.lidars[0].frames
+    part = way.timestamps_ns <= frames.timestamps_ns[-1] + 60_000_000
+    short = Trajectory(
+        "groundTruth", way.timestamps_ns[part], way.positions[part], way.quaternions_xyzw[part]
+    )
+    report = fuse(replace(drive, trajectories={"groundTruth": short}), tmp_path / "drive.sfs")
+    assert report.extrapolated == 1
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        last = int(scene.lidars[0].frames.timestamps_ns[-1])
+        marks = [{"sensor_id": "lidar", "timestamps_ns": [last]}]
+        assert scene.metadata["sceneloom"]["extrapolated"] == marks
+
+
+def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_told(
+    drive: Scene, tmp_path: Path
+) -> None:
+    frames = drive.lidars[0].frames
+
+    def read(index: int) -> LidarFrame:
+        frame = frames[index]
+        return LidarFrame(frame.timestamp_ns + 5_000_000, frame.points, {"label": f"sweep {index}"})
+
+    late = with_lidar(drive, frames=LazyFrames(frames.timestamps_ns + 5_000_000, read))
+    report = fuse(late, tmp_path / "drive.sfs")
+    moved = [loss.count for loss in report.losses if "moved to the earliest point" in loss.what]
+    assert moved == [4]
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        for index, frame in enumerate(scene.lidars[0].frames):
+            earliest_ns = int(frames[index].points.timestamps_ns.min())
+            assert frame.timestamp_ns == earliest_ns // 1000 * 1000
+            assert frame.extras["label"] == f"sweep {index}"
+
+
+def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that_is_told(
+    drive: Scene, tmp_path: Path
+) -> None:
+    frames = drive.lidars[0].frames
+
+    def read(index: int) -> LidarFrame:
+        frame = frames[index]
+        zeros = np.zeros(len(frame.points), np.int64)
+        return replace(frame, points=replace(frame.points, timestamps_ns=zeros))
+
+    report = fuse(with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read)), tmp_path / "drive.sfs")
+    assert report.fused == 4
+    assert [(notice.code, notice.count) for notice in report.notices] == [("times-of-points", 4)]
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        np.testing.assert_array_equal(scene.lidars[0].frames.timestamps_ns, frames.timestamps_ns)
+        assert scene.lidars[0].frames[0].points.timestamps_ns is None
+
+
+def test_a_picture_that_cannot_be_read_is_passed_over_in_every_output(drive: Scene, tmp_path: Path) -> None:
+    pictures = drive.cameras[0].pictures
+
+    def broken() -> np.ndarray:
+        raise DataError("frames1", "00000001.png", "cannot be decoded")
+
+    def read(index: int) -> Picture:
+        return replace(pictures[index], decode=broken) if index == 1 else pictures[index]
+
+    camera = replace(drive.cameras[0], pictures=LazyFrames(pictures.timestamps_ns, read), video=None)
+    damaged = replace(drive, sensors=(camera, drive.cameras[1], *drive.lidars))
+    with pytest.raises(DataError, match=r"00000001\.png"):
+        fuse(damaged, tmp_path / "drive.sfs")
+    report = fuse(damaged, tmp_path / "drive.sfs", lenient=True)
+    assert report.skipped == ("frames1: 00000001.png: cannot be decoded",)
+    assert (report.cameras[0].paired, report.cameras[0].unpaired) == (3, 1)
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        kept = scene.sensor(camera.id).pictures.timestamps_ns
+        np.testing.assert_array_equal(kept // 1000, pictures.timestamps_ns[[0, 2, 3]] // 1000)
+
+
+def test_files_of_lidars_and_cameras_of_like_names_stand_apart(drive: Scene, tmp_path: Path) -> None:
+    lidar, camera = drive.lidars[0], drive.cameras[0]
+    sensors = [replace(lidar, id=1), replace(lidar, id="1"), replace(camera, id="A"), replace(camera, id="a")]
+    outputs = FusionOutputs(depth=tmp_path / "depth", pictures=tmp_path / "look", pictures_every=4)
+    report = fuse(replace(drive, sensors=tuple(sensors)), outputs=outputs)
+    assert report.files == {"depth images": 16, "pictures": 12}
+    folders = {str(path.parent.relative_to(tmp_path)) for path in tmp_path.rglob("*.png")}
+    assert folders == {"depth/1/A", "depth/1/a~2", "depth/1~2/A", "depth/1~2/a~2", "look/1", "look/1~2"}
+
+
+def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(
+    drive: Scene, tmp_path: Path
+) -> None:
+    with pytest.raises(OptionError, match="two names"):
+        fuse(drive, tmp_path / "x", outputs=FusionOutputs(depth=tmp_path / "x"))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_drive_without_trajectory_says_what_to_do_and_identity_does_it(drive: Scene) -> None:

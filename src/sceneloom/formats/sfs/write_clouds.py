@@ -133,9 +133,14 @@ class CloudWriter:
     def _check_reach(self, draft: SensorDraft, positions: Float32Array) -> None:
         if self.verbatim or draft.points_frame != PointsFrame.WORLD or len(positions) == 0:
             return
-        farthest = float(np.nanmax(np.abs(positions), initial=0.0))
+        distances = np.abs(positions)
+        if float(np.nanmax(distances, initial=0.0)) <= FARTHEST:
+            return
+        # a point that is infinitely far is no point, as one that is no number
+        farthest = float(np.max(distances, initial=0.0, where=np.isfinite(distances)))
         if farthest > FARTHEST:
             raise OptionError(
-                f"{draft.place}.frames[{len(draft.frames or [])}].points.positions: {farthest:.0f} m from the origin; "
-                f"float32 holds millimetres up to {FARTHEST:.0f} m: move the origin, for instance to the first pose"
+                f"{draft.place}.frames[{len(draft.frames or [])}].points.positions: {farthest:.6g} m from the origin; "
+                f"float32 holds millimetres up to {FARTHEST:.0f} m: take the point out if it is wrong, else write the "
+                "drive in parts (--start, --stop), each with an origin of its own"
             )

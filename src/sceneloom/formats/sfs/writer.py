@@ -235,7 +235,9 @@ class SceneWriter:
         }
         self._unfused.append(record)
         kept = "metadata.sceneloom.unfused"
-        self._losses.add(f"{draft.place}.frames[]", f"left out of the frames: {reason}", kept=kept)
+        # what stands behind a colon differs from sweep to sweep
+        why = reason.partition(":")[0]
+        self._losses.add(f"{draft.place}.frames[]", f"left out of the frames: {why}", kept=kept)
 
     def set_poses(self, sensor_id: Identifier, poses: PosePath) -> None:
         """Say where a sensor was, in the frame that its `coordinates` name.

@@ -471,3 +471,25 @@ def test_how_angles_are_meant_is_written(target, decode_sfs):
     radians = {"sceneloom": {"euler_unit": "radians"}}
     write_scene(Scene((), (cuboid,), metadata=radians), target, overwrite=True)
     assert FORMAT.open(target).metadata["sceneloom"]["euler_unit"] == "radians"
+
+
+def test_sweeps_left_out_for_one_reason_are_one_loss(target):
+    with SceneWriter(target) as writer:
+        writer.add_sensor(lidar(poses=path_at(0)))
+        for stamp in (0, 1):
+            writer.add_unfused("top", sweep(stamp), f"beyond the trajectory: points at {stamp} ns")
+    losses = [(loss.what, loss.count) for loss in writer.losses if "left out of the frames" in loss.what]
+    assert losses == [("left out of the frames: beyond the trajectory", 2)]
+
+
+@pytest.mark.parametrize("far", [np.inf, -np.inf, np.nan])
+def test_a_point_without_a_place_is_written_as_it_is(written, far):
+    positions = np.array([[1.0, far, 2.0], [3, 4, 5]], np.float32)
+    header = written(LidarFrame(0, LidarPoints(positions)))
+    np.testing.assert_array_equal(header["sensors"][0]["frames"][0]["points"]["positions"], positions)
+
+
+def test_a_point_too_far_for_float32_is_refused_though_another_is_infinitely_far(written):
+    positions = np.array([[np.inf, 0, 0], [0, -20_000, 0]], np.float32)
+    with pytest.raises(OptionError, match=r"frames\[0\].points.positions: 20000 m from .* in parts"):
+        written(LidarFrame(0, LidarPoints(positions)))

@@ -31,26 +31,19 @@ On simulated streets (64 beams 0.42 degrees apart, mounted 0.2 to 1 m from the c
 degree apart let 4 % of the hidden pass, a camera 0.5 m above the ground too.
 """
 
-from dataclasses import dataclass
-from math import cos, isfinite, pi, radians, sin
+from dataclasses import dataclass, replace
+from math import isfinite, radians
 
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from sceneloom.colouring.scan_lines import Reach, fit_reach, measure_spacings
 from sceneloom.errors import OptionError
 from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
-from sceneloom.kernels.spacing import measure_spacing
 
-_USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
-_WINDOWS_DEG, _NEARS_DEG = (0.3, 2.5), (0.1, 2.0)
-_WINDOW_PER_SPACING = 1.15
-_NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG = 0.9, 1.2
 _CELLS_PER_REACH = 6
 _CELL_DEG = 0.16
-_SPACING_CELL = radians(0.1)
-_SPACING_REACH = 25
-_SPACING_SAMPLES = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,33 +78,13 @@ class VisibilitySettings:
             if not (isfinite(value) and value >= 0):
                 raise OptionError(f"{name} {value}; expected a finite number that is not negative")
         if self.surface_distance == 0:
-            raise OptionError(f"surface_distance {self.surface_distance}; expected a positive distance in metres")
+            raise OptionError(
+                f"surface_distance {self.surface_distance}; expected a positive distance in metres"
+            )
         for name in ("window_deg", "near_deg"):
             value = getattr(self, name)
             if value is not None and not 0 < value <= 45:
                 raise OptionError(f"{name} {value}; expected more than 0 and at most 45")
-
-
-@dataclass(frozen=True, slots=True)
-class _Reach:
-    """How far occlusion reaches in the map of directions [rad].
-
-    Attributes:
-        window: for two things on opposite sides.
-        across, along: for one thing alone, across the scan lines and along them.
-        angle: of the axis across the scan lines, from rightward to downward.
-    """
-
-    window: float
-    across: float
-    along: float
-    angle: float
-
-    @property
-    def ellipse(self) -> tuple[float, float, float]:
-        """p, q, r of p x² + q x y + r y² <= 1, the directions in which one thing alone hides."""
-        c, s, p, r = cos(self.angle), sin(self.angle), self.across**-2, self.along**-2
-        return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
 def find_visible(
@@ -150,34 +123,12 @@ def find_visible(
     return visible
 
 
-def _reach(directions: Float32Array, inverse_ranges: Float32Array, settings: VisibilitySettings) -> _Reach:
-    """Take the settings' reach, or one that fits the cloud's scan lines."""
+def _reach(directions: Float32Array, inverse_ranges: Float32Array, settings: VisibilitySettings) -> Reach:
+    """Take the settings' reach, or what fits the cloud's scan lines where they leave it open."""
     window, near = settings.window_deg, settings.near_deg
     if window is not None and near is not None:
-        return _Reach(radians(window), radians(near), radians(near), 0.0)
-    spacings = np.empty(4)
-    measure_spacing(directions, inverse_ranges, _SPACING_CELL, _SPACING_REACH, _SPACING_SAMPLES, spacings)
-    measured = _reach_for(spacings)
-    return _Reach(
-        measured.window if window is None else radians(window),
-        measured.across if near is None else radians(near),
-        measured.along if near is None else radians(near),
-        measured.angle,
-    )
-
-
-def _reach_for(spacings: Float64Array) -> _Reach:
-    """Fit the reach to the spacings along the four axes: of the two upright pairs, the one that differs more."""
-    ratios = np.abs(np.log(spacings[:2] / spacings[2:]))
-    if np.isnan(ratios).all():
-        near = radians(_USUAL_NEAR_DEG)
-        return _Reach(radians(_USUAL_WINDOW_DEG), near, near, 0.0)
-    pair = int(np.nanargmax(ratios))
-    axis = pair if spacings[pair] > spacings[pair + 2] else pair + 2
-    across, along = np.degrees([spacings[axis], spacings[(axis + 2) % 4]])
-    return _Reach(
-        radians(np.clip(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)),
-        radians(np.clip(_NEAR_PER_SPACING_ACROSS * across, *_NEARS_DEG)),
-        radians(np.clip(_NEAR_PER_SPACING_ALONG * along, *_NEARS_DEG)),
-        axis * pi / 4,
-    )
+        return Reach(radians(window), radians(near), radians(near))
+    measured = fit_reach(measure_spacings(directions, inverse_ranges))
+    if near is not None:
+        return Reach(measured.window, radians(near), radians(near))
+    return measured if window is None else replace(measured, window=radians(window))

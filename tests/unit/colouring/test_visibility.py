@@ -5,7 +5,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.views import view_points
-from sceneloom.colouring.visibility import VisibilitySettings, _reach_for, find_visible
+from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.errors import OptionError
 
 KITTI = Camera("pinhole", 1242, 375, 720.0, 720.0, 620.5, 187.0)
@@ -123,35 +123,6 @@ def test_decisions_do_not_depend_on_where_the_world_begins(street):
     there = find_visible(street_view.points_world + shift, ids, moved, settings)
     # The coordinates are rounded elsewhere; a decision in ten thousand may hang on that.
     assert (here == there).mean() > 0.9999
-
-
-@pytest.mark.parametrize(
-    ("spacings_deg", "window_deg", "across_deg", "along_deg", "angle_deg"),
-    [
-        ((0.2, 0.45, 0.4, 0.45), 0.46, 0.36, 0.24, 90),
-        ((0.4, 0.45, 0.2, 0.45), 0.46, 0.36, 0.24, 0),
-        ((0.45, 0.2, 0.45, 0.4), 0.46, 0.36, 0.24, 135),
-        ((0.1, 0.11, 0.1, 0.1), 0.3, 0.1, 0.12, 45),
-        ((0.2, 2.1, 2.4, 2.1), 2.5, 2.0, 0.24, 90),
-        ((0.2, math.nan, 1.0, math.nan), 1.15, 0.9, 0.24, 90),
-        ((0.2, 0.3, math.nan, math.nan), 0.5, 0.16, 0.16, 0),
-        ((math.nan,) * 4, 0.5, 0.16, 0.16, 0),
-    ],
-)
-def test_the_reach_follows_the_scan_lines(spacings_deg, window_deg, across_deg, along_deg, angle_deg):
-    reach = _reach_for(np.radians(spacings_deg))
-    assert math.degrees(reach.window) == pytest.approx(window_deg)
-    assert math.degrees(reach.across) == pytest.approx(across_deg, abs=1e-3)
-    assert math.degrees(reach.along) == pytest.approx(along_deg)
-    assert math.degrees(reach.angle) == pytest.approx(angle_deg)
-
-
-def test_the_ellipse_has_its_axes_across_and_along_the_scan_lines():
-    reach = _reach_for(np.radians([0.45, 0.2, 0.45, 0.4]))
-    xx, xy, yy = reach.ellipse
-    for length, angle in ((reach.across, reach.angle), (reach.along, reach.angle + math.pi / 2)):
-        x, y = length * math.cos(angle), length * math.sin(angle)
-        assert xx * x * x + xy * x * y + yy * y * y == pytest.approx(1)
 
 
 @pytest.mark.parametrize(

@@ -1,50 +1,54 @@
+import math
+
 import numpy as np
 import pytest
 
-from sceneloom.kernels.spacing import measure_spacing
+from sceneloom.kernels.spacing import find_neighbours
 
-CELL, REACH, SAMPLES = np.radians(0.1), 25, 256
-
-
-def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
-    """Directions on parallel lines; at angle 0 the lines run to the right."""
-    random = np.random.default_rng(0)
-    right, down = np.meshgrid(np.arange(-15, 15, along_deg), np.arange(-12, 12, across_deg))
-    right = right + random.normal(scale=jitter, size=right.shape)
-    turn = np.radians(angle_deg)
-    rotated = right * np.cos(turn) - down * np.sin(turn), right * np.sin(turn) + down * np.cos(turn)
-    return np.radians([axis.ravel() for axis in rotated]).astype(np.float32)
+CELL = 0.002
+STEPS = [(dx, dy) for dx in range(-6, 7) for dy in range(-6, 7) if 0 < dx * dx + dy * dy <= 36]
+RIGHT, DOWN = np.array(sorted(STEPS, key=lambda step: (math.hypot(*step), step)), np.int64).T.copy()
+SECTORS, DISTANCES = (RIGHT > 0) + 2 * (DOWN > 0), np.hypot(RIGHT, DOWN)
 
 
-def spacings_deg(directions, inverse_ranges=None):
-    inverse = np.full(directions.shape[1], 0.1, np.float32) if inverse_ranges is None else inverse_ranges
-    spacings = np.zeros(4)
-    measure_spacing(directions, inverse, CELL, REACH, SAMPLES, spacings)
-    return np.degrees(spacings)
+def found(directions, inverse_ranges, samples):
+    distances = np.zeros((samples, 4))
+    find_neighbours(
+        directions, inverse_ranges, CELL, RIGHT, DOWN, SECTORS.astype(np.int64), DISTANCES, distances
+    )
+    return distances
 
 
-@pytest.mark.parametrize(("angle_deg", "along_axis"), [(0, 0), (45, 1), (90, 2), (135, 3)])
-@pytest.mark.parametrize(("across_deg", "along_deg"), [(0.42, 0.17), (1.0, 0.2), (2.0, 0.4), (0.6, 0.35)])
-def test_the_spacings_across_and_along_scan_lines_are_found(across_deg, along_deg, angle_deg, along_axis):
-    spacings = spacings_deg(scan_lines(across_deg, along_deg, angle_deg))
-    # Half a cell of resolution, and the neighbour across may lie a little to the side.
-    assert spacings[along_axis] == pytest.approx(along_deg, abs=0.05)
-    assert spacings[(along_axis + 2) % 4] == pytest.approx(across_deg, abs=0.05 + 0.1 * across_deg)
+def found_one_by_one(directions, inverse_ranges, samples):
+    """Every sampled cell against every other cell that holds a point."""
+    per_cell = np.float32(1 / CELL)
+    cells = (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64).T
+    taking_part = (inverse_ranges > 0) & (np.abs(directions) <= 2.1).all(axis=0)
+    occupied = {tuple(cell) for cell in cells[taking_part].tolist()}
+    rows = []
+    for s in range(samples):
+        nearest, count = [math.nan] * 4, len(inverse_ranges)
+        i = s * count // min(samples, count) if s < min(samples, count) else None
+        for x, y in occupied if i is not None and taking_part[i] else ():
+            dx, dy = x - int(cells[i, 0]), y - int(cells[i, 1])
+            if 0 < math.hypot(dx, dy) <= 6:
+                sector = (dx > 0) + 2 * (dy > 0)
+                nearest[sector] = min(
+                    math.hypot(dx, dy), nearest[sector], key=lambda d: math.inf if d != d else d
+                )
+        rows.append(nearest)
+    return np.array(rows)
 
 
-def test_points_that_take_no_part_do_not_count():
-    lines, others = scan_lines(0.42, 0.17), scan_lines(0.29, 0.87)
-    both = np.column_stack([lines, others])
-    inverse = np.concatenate([np.full(lines.shape[1], 0.1), np.zeros(others.shape[1])]).astype(np.float32)
-    assert spacings_deg(both[:, ::-1].copy(), inverse[::-1].copy())[2] == pytest.approx(0.42, abs=0.1)
+@pytest.mark.parametrize("count", [1, 7, 300, 1500])
+@pytest.mark.parametrize("samples", [1, 50])
+def test_the_next_occupied_cell_of_each_sector_is_found(count, samples):
+    random = np.random.default_rng(count)
+    directions = random.uniform(-0.06, 0.06, (2, count)).astype(np.float32)
+    inverse_ranges = np.where(random.random(count) < 0.8, 0.1, 0).astype(np.float32)
+    expected = found_one_by_one(directions, inverse_ranges, samples)
+    np.testing.assert_allclose(found(directions, inverse_ranges, samples), expected)
 
 
-@pytest.mark.parametrize("count", [0, 1, 5, 100])
-def test_too_few_points_give_no_spacing(count):
-    assert np.isnan(spacings_deg(scan_lines(0.42, 0.17)[:, :count].copy())).all()
-
-
-def test_lines_beyond_reach_give_no_spacing_across_them():
-    spacings = spacings_deg(scan_lines(4.0, 0.2))
-    assert np.isnan(spacings[2])
-    assert spacings[0] == pytest.approx(0.2, abs=0.05)
+def test_no_points_have_no_neighbours():
+    assert np.isnan(found(np.zeros((2, 0), np.float32), np.zeros(0, np.float32), 3)).all()

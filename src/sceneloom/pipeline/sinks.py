@@ -41,6 +41,7 @@ class SceneSink:
     sources: Mapping[Identifier, PoseSource]
     time_unit: str
     _starts_ns: dict[Identifier, list[int]] = field(default_factory=dict)
+    _stops_ns: dict[Identifier, int] = field(default_factory=dict)
     _extrapolated_ns: dict[Identifier, list[int]] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame) -> None:
@@ -50,19 +51,22 @@ class SceneSink:
             self.writer.add_unfused(frame.lidar_id, sweep, frame.unfused)
             return
         self.writer.add_frame(frame.lidar_id, sweep)
-        start_ns = _start_ns(frame, TICKS_NS[self.time_unit])
+        tick_ns = TICKS_NS[self.time_unit]
+        start_ns, stop_ns = _start_ns(frame, tick_ns), _stop_ns(frame, tick_ns)
         self._starts_ns.setdefault(frame.lidar_id, []).append(start_ns)
+        self._stops_ns[frame.lidar_id] = max(stop_ns, self._stops_ns.get(frame.lidar_id, stop_ns))
         if frame.extrapolated:
             self._extrapolated_ns.setdefault(frame.lidar_id, []).append(start_ns)
 
     def finish(self) -> LossReport:
-        """Give each lidar its poses at the times of its frames, mark what was extrapolated, and complete the file."""
+        """Give each lidar its poses, up to the end of its last sweep, mark what was extrapolated, complete the file."""
         if self._extrapolated_ns:
             marks = [{"sensor_id": key, "timestamps_ns": t} for key, t in self._extrapolated_ns.items()]
             self.writer.set_metadata({"sceneloom": {"extrapolated": marks}})
         for lidar_id, starts_ns in self._starts_ns.items():
             if lidar_id in self.sources:
-                path = sensor_path(self.sources[lidar_id], np.array(starts_ns, np.int64))
+                times_ns = np.array([*starts_ns, self._stops_ns[lidar_id]], np.int64)
+                path = sensor_path(self.sources[lidar_id], times_ns)
                 if path is not None:
                     self.writer.set_poses(lidar_id, path)
         return self.writer.finish()
@@ -73,6 +77,13 @@ def _start_ns(frame: FusedFrame, tick_ns: int) -> int:
     times = frame.points.timestamps_ns
     earliest = frame.timestamp_ns if times is None or len(times) == 0 else int(times.min())
     return earliest // tick_ns * tick_ns
+
+
+def _stop_ns(frame: FusedFrame, tick_ns: int) -> int:
+    """The time of the frame's latest point, rounded up to the file's unit."""
+    times = frame.points.timestamps_ns
+    latest = frame.timestamp_ns if times is None or len(times) == 0 else int(times.max())
+    return -(-latest // tick_ns) * tick_ns
 
 
 @dataclass(slots=True)

@@ -288,6 +288,25 @@ def test_a_fused_scene_can_be_fused_again_and_keeps_its_origin(drive: Scene, tmp
                 np.testing.assert_array_equal(first.points.camera_index, second.points.camera_index)
 
 
+def test_a_fused_scene_becomes_a_recording_that_fuses_to_the_same_points(
+    drive: Scene, tmp_path: Path
+) -> None:
+    fuse(drive, tmp_path / "once.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
+    sceneloom.convert(tmp_path / "once.sfs", tmp_path / "back")
+    with sceneloom.open(tmp_path / "once.sfs") as once, sceneloom.open(tmp_path / "back") as back:
+        for first, again in zip(once.lidars[0].frames, iter_fused(back), strict=True):
+            # two roundings to float32 at 100 m
+            np.testing.assert_allclose(again.points.positions, first.points.positions, atol=3e-5)
+
+
+def test_the_poses_of_a_lidar_reach_to_the_end_of_its_last_sweep(drive: Scene, tmp_path: Path) -> None:
+    fuse(drive, tmp_path / "drive.sfs")
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        lidar = scene.lidars[0]
+        assert lidar.poses.stop_ns >= lidar.frames[-1].points.timestamps_ns.max()
+        assert np.isin(lidar.frames.timestamps_ns, lidar.poses.timestamps_ns).all()
+
+
 def test_a_scene_without_lidar_is_refused(drive: Scene) -> None:
     cameras_only = replace(drive, sensors=drive.cameras)
     with pytest.raises(OptionError, match="no lidar in it"):

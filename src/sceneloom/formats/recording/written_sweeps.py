@@ -1,6 +1,7 @@
 """The lidars: one binary of packed records per sweep, and the line that names it."""
 
 from collections.abc import Iterator, Mapping
+from math import radians
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ from sceneloom.formats.recording.columns import nanoseconds
 from sceneloom.formats.recording.lidar_files import LIDAR_MODELS, XYZIRT
 from sceneloom.formats.recording.written_lines import WrittenLine, make_line, with_further_keys
 from sceneloom.formats.recording.written_times import TimeWriter
+from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
+from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, rotate_vectors
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene import Coordinates, LidarFrame, LidarPoints, LidarSensor, PointsFrame, PosePath
 
@@ -27,6 +29,8 @@ _ABSENT = (
     ("timestamps_ns", "the sweep's own time written: the source has none per point"),
 )
 _NO_PLACE = ("colors", "camera_index")
+_SAME_PLACE, _SAME_TURN = 1e-3, radians(0.01)
+"""How far poses may be from each other and still be the same [m], [rad]: as far as those of thinned paths are."""
 
 
 class SweepWriter:
@@ -150,14 +154,32 @@ def _point_times(frame: LidarFrame) -> Int64Array:
 
 
 def _world_poses(sensor: LidarSensor, mount: RigidTransform, ego_path: PosePath | None) -> PoseSource:
-    """Where the lidar was: by its own poses in the world, else by the ego's and the mounting."""
+    """Where the lidar was: by its own poses in the world, else by the ego's and the mounting.
+
+    Own poses may be few. Where the ego's with the mounting say the same, these tell more of the time between.
+    """
     stamps = sensor.frames.timestamps_ns
     reach_ns = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
+    riding = None if ego_path is None else PoseSource(ego_path, mount, reach_ns)
     if sensor.poses is not None and sensor.coordinates is Coordinates.WORLD:
+        if riding is not None and _agree(riding, sensor.poses):
+            return riding
         return PoseSource(sensor.poses, RigidTransform.identity(), reach_ns)
-    if ego_path is None:
+    if riding is None:
         raise PoseError(
             f"lidar {sensor.id!r}: its points are in the world and have to be brought back into its own frame, "
             "but the scene says neither where it was nor where the ego was"
         )
-    return PoseSource(ego_path, mount, reach_ns)
+    return riding
+
+
+def _agree(riding: PoseSource, poses: PosePath) -> bool:
+    """Whether a source gives the poses of a path at all its times, but for rounding."""
+    if poses.endless:
+        return False
+    samples = riding.at(poses.timestamps_ns)
+    if (samples.coverage == OUT_OF_REACH).any():
+        return False
+    distances = np.linalg.norm(samples.positions - poses.positions, axis=1)
+    angles = angle_between(samples.quaternions_xyzw, poses.quaternions_xyzw)
+    return bool(distances.max() <= _SAME_PLACE and angles.max() <= _SAME_TURN)

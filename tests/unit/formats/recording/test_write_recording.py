@@ -420,6 +420,16 @@ def test_points_in_the_world_are_brought_back_to_where_each_was_measured(tmp_pat
     )
 
 
+@pytest.mark.parametrize("aside", [0.0, 1.0])
+def test_a_lidars_own_poses_count_unless_the_trajectory_says_the_same_and_more(tmp_path, aside):
+    path = mounted_path()
+    lidar, positions = world_lidar(poses=path.moved(np.array([aside, 0.0, 0.0])))
+    write_recording(a_scene(lidar, trajectories=[a_trajectory()]), tmp_path / "drive")
+    back = positions_in(tmp_path / "drive" / "lidar" / "000000.bin")
+    off = np.linalg.norm(back - positions, axis=1)
+    assert off.max() < 2e-5 if aside == 0 else off.min() > 0.9
+
+
 def test_points_on_the_ego_are_brought_back_by_the_mounting(tmp_path):
     positions = np.random.default_rng(7).normal(size=(5, 3)) * 20
     points = LidarPoints(MOUNT.apply(positions).astype(np.float32))

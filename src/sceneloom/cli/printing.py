@@ -30,7 +30,7 @@ def print_notices(notices: Sequence[Notice], *, verbose: bool) -> None:
     """Print what was assumed, repaired or left out."""
     print_lines(
         [
-            f"{notice.kind}: {notice.place}: {notice.message}"
+            ": ".join(filter(None, (notice.kind, notice.place, notice.message)))
             + (f" ({notice.count} times)" if notice.count > 1 else "")
             for notice in notices
         ],

@@ -119,6 +119,19 @@ def test_lenient_counts_what_it_skips(call: Call, recording: Path, tmp_path: Pat
     assert "data.jsonl" in places
 
 
+def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_empty_places(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    FAULTS["an unknown lens"][0](folder)
+    outcome = call("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient")
+    assert outcome.code == 0
+    assert "fused 3 of 3 sweeps" in outcome.out
+    assert "skipped: left out: " in outcome.err
+    assert "fisheye-of-mine" in outcome.err
+
+
 def test_points_that_are_not_finite_are_kept_and_never_coloured(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:

@@ -37,7 +37,7 @@ class Ledger:
         """
         if not self.lenient:
             raise error
-        place = f"{error.file}: {error.place}" if isinstance(error, DataError) else ""
+        place = ": ".join(filter(None, (error.file, error.place))) if isinstance(error, DataError) else ""
         problem = error.problem if isinstance(error, DataError) else str(error)
         self._add(code, NoticeKind.SKIPPED, code, place, f"left out: {problem}", count)
 

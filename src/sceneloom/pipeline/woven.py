@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.errors import OptionError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.sensor_paths import camera_path
 from sceneloom.motion.sensor_sources import sensor_source
@@ -22,10 +22,12 @@ from sceneloom.scene import (
     OdometrySensor,
     PointsFrame,
     PosePath,
+    RadarSensor,
     Scene,
     Sensor,
 )
 from sceneloom.scene.part import chosen_interval, cut_scene
+from sceneloom.scene.span import frame_times
 
 EGO_ID = "ego"
 
@@ -61,7 +63,9 @@ def weave(
     Raises:
         PoseError: the sensors' motion is not known.
         OptionError: the trajectory is not known, the sensors carry their own poses, or the part is empty.
+        DataError: the frames or pictures of a sensor do not stand in the order of their times.
     """
+    _check_order(scene)
     part = cut_scene(scene, start=start, stop=stop)
     if not _needs_ego(scene):
         if trajectory is not None:
@@ -95,6 +99,21 @@ def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identif
     if woven.ego is not None and not _is_told(woven.ego.path, woven.scene):
         sensors.append(OdometrySensor(_free_id(woven.scene, EGO_ID), woven.ego.path))
     return replace(woven.scene, sensors=tuple(sensors)), sources
+
+
+def _check_order(scene: Scene) -> None:
+    """Refuse times that run backwards: what is paired and what is cut off depends on their order."""
+    for sensor in scene.sensors:
+        if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+            continue
+        times = frame_times(sensor)
+        backwards = np.flatnonzero(np.diff(times) < 0)
+        if len(backwards):
+            kind = "pictures" if isinstance(sensor, CameraSensor) else "frames"
+            k = int(backwards[0]) + 1
+            place = f"sensors[{sensor.id}].{kind}[{k}].timestamp"
+            problem = f"{times[k]} ns after {times[k - 1]} ns; expected {kind} in the order of their times"
+            raise DataError(scene.source, place, problem)
 
 
 def _needs_ego(scene: Scene) -> bool:

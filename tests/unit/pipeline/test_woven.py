@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.errors import PoseError
+from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.pose_source import PoseSource
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
@@ -175,3 +175,12 @@ def test_fusing_again_does_not_apply_a_mounting_twice(drive: Scene, tmp_path: Pa
                 np.testing.assert_allclose(
                     view.world_from_camera.matrix, source.world_from_camera.matrix, atol=1e-9
                 )
+
+
+@pytest.mark.parametrize(("sensor_id", "place"), [("lidar", "frames"), ("camera1", "pictures")])
+def test_times_that_run_backwards_are_refused_with_their_place(
+    drive: Scene, sensor_id: str, place: str
+) -> None:
+    backwards = changed(drive, sensor_id, **{place: getattr(drive.sensor(sensor_id), place)[::-1]})
+    with pytest.raises(DataError, match=rf"sensors\[{sensor_id}\]\.{place}\[1\]\.timestamp: .* in the order"):
+        fuse(backwards)

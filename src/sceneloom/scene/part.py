@@ -57,7 +57,8 @@ def chosen_interval(
 def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = None) -> Scene:
     """Keep a part of a scene: frames, pictures, samples and boxes in it, and the poses in and around it.
 
-    Attributes, and annotations that are no boxes, stay whole.
+    Pictures are kept to the end of the last sweep, since that is paired with one later than its start. Attributes,
+    and annotations that are no boxes, stay whole.
 
     Args:
         start: seconds after the scene's first time stamp, None for the beginning.
@@ -69,7 +70,11 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
     part = chosen_interval(scene, start=start, stop=stop)
     if part is None:
         return scene
-    sensors = tuple(_cut_sensor(sensor, part) for sensor in scene.sensors)
+    with_pictures = (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)]))
+    sensors = tuple(
+        _cut_sensor(sensor, with_pictures if isinstance(sensor, CameraSensor) else part)
+        for sensor in scene.sensors
+    )
     clouds_and_pictures = [s for s in sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
     if not any(len(frame_times(sensor)) for sensor in clouds_and_pictures):
         length = np.ptp(time_span(scene) or (0, 0)) / 1e9
@@ -94,6 +99,15 @@ def cut_path(path: PosePath, part: Interval) -> PosePath:
         return path
     rows = _rows_around(path.timestamps_ns, part, _POSES_AROUND_NS)
     return PosePath(path.timestamps_ns[rows], path.positions[rows], path.quaternions_xyzw[rows])
+
+
+def _sweeps_end(lidar: LidarSensor, part: Interval) -> int:
+    """When the last sweep that begins in the part ends, as far as the stamps can tell."""
+    times = lidar.frames.timestamps_ns
+    rows = _rows_between(times, part)
+    if rows.start == rows.stop or len(times) < 2:
+        return part[1]
+    return int(times[rows.stop - 1]) + int(np.median(np.diff(times)))
 
 
 def _cut_trajectory(way: Trajectory, part: Interval) -> Trajectory:

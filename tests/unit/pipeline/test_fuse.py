@@ -94,7 +94,19 @@ def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive: Scene) -> N
     report = fuse(drive, start=float(start), progress=lambda done, total: seen.append((done, total)))
     assert report.frames == 3
     assert report.points == sum(len(frame.points) for frame in whole[1:])
+    assert sum(c.coloured for c in report.cameras) == sum(
+        int((frame.points.camera_index < 255).sum()) for frame in whole[1:]
+    )
     assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_the_last_sweep_of_a_part_is_paired_as_within_the_whole(drive: Scene) -> None:
+    whole = list(iter_fused(drive))[:2]
+    stop = (drive.lidars[0].frames.timestamps_ns[1] - time_span(drive)[0]) / 1e9 + 0.01
+    report = fuse(drive, stop=float(stop))
+    assert report.frames == 2
+    coloured = [sum(int((f.points.camera_index == k).sum()) for f in whole) for k in range(2)]
+    assert [camera.coloured for camera in report.cameras] == coloured
 
 
 def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
+    CameraSensor,
     CuboidAnnotation,
     CuboidPath,
     GnssSensor,
@@ -14,6 +16,7 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     OdometrySensor,
+    Picture,
     PlainAnnotation,
     PosePath,
     RadarSensor,
@@ -112,6 +115,16 @@ def test_boxes_are_cut_standing_ones_kept_and_absent_ones_counted() -> None:
     np.testing.assert_array_equal(standing.path.values, boxes[2].path.values)
     assert lane is label
     assert [(notice.code, notice.count) for notice in part.notices] == [("boxes-cut", 1)]
+
+
+def test_the_last_sweep_keeps_its_picture() -> None:
+    middles = TIMES + SECOND // 4
+    camera = Camera("pinhole", 2, 1, 1.0, 1.0, 0.5, 0.0)
+    pictures = [Picture.of(int(t), camera, np.zeros((1, 2, 3), np.uint8)) for t in middles]
+    scene = Scene((lidar(), CameraSensor("camera0", camera, LazyFrames.of(pictures, middles.tolist()))))
+    part = cut_scene(scene, start=100.0, stop=102.6)
+    assert part.lidars[0].frames.timestamps_ns[-1] == 102.5 * SECOND
+    assert part.cameras[0].pictures.timestamps_ns[[0, -1]].tolist() == [100.25 * SECOND, 102.75 * SECOND]
 
 
 @pytest.mark.parametrize("stop", [float("inf"), 1e300, 1e12])

@@ -8,6 +8,7 @@ from itertools import chain
 import pytest
 
 ROWS = (
+    ("__main__",),
     ("cli",),
     ("service", "view", "report", "batch", "catalog"),
     ("pipeline", "simulate", "evaluate"),

@@ -43,12 +43,13 @@ def demo(
 
     begun = time.perf_counter()
     recording = keep / "drive"
-    outputs = FusionOutputs(
-        scene=keep / "drive.sfs", depth=keep / "depth", pictures=keep / "pictures", overwrite=overwrite
-    )
-    check_output(recording, overwrite=overwrite) if keep.exists() else keep.mkdir(parents=True)
+    fused, depth, pictures = keep / "drive.sfs", keep / "depth", keep / "pictures"
+    outputs = FusionOutputs(scene=fused, depth=depth, pictures=pictures, overwrite=overwrite)
+    keep.mkdir(parents=True, exist_ok=True)
+    for place in (recording, fused, depth, pictures):
+        check_output(place, overwrite=overwrite)
     if not quiet:
-        click.echo(f"making a drive of {frames / 10:.0f} s through a made-up street …", err=True)
+        click.echo(f"making a drive of {frames / 10:g} s through a made-up street …", err=True)
     drive = demo_drive(seed=seed, frames=frames).scene
     written = write_scene(drive, recording, overwrite=overwrite, pictures=video)
     with open_scene(recording) as scene, progress_bar("fusing", quiet=quiet) as progress:

@@ -16,14 +16,16 @@ from sceneloom.cli.printing import print_json, progress_bar
 @click.option(
     "--trajectory", help="The ego's way to use; `identity`: it stood still. [default: the drive's first]"
 )
-@click.option("--heading", type=click.Choice(["motion"]), help="Derive orientations from positions alone.")
+@click.option(
+    "--heading",
+    type=click.Choice(["motion"]),
+    help="Derive orientations where the trajectory has positions only.",
+)
 @click.option("--depth", type=click.Path(path_type=Path), help="Folder for depth images.")
 @click.option(
     "--depth-form",
     type=click.Choice(["png", "npz"]),
-    default="png",
-    show_default=True,
-    help="16-bit PNG (metres times 256) or NPZ (float32 metres).",
+    help="16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]",
 )
 @click.option("--pictures", type=click.Path(path_type=Path), help="Folder for pictures to look at.")
 @click.option(
@@ -43,7 +45,7 @@ def fuse(
     trajectory: str | None,
     heading: str | None,
     depth: Path | None,
-    depth_form: str,
+    depth_form: str | None,
     pictures: Path | None,
     pictures_every: int | None,
     start: float | None,
@@ -59,6 +61,12 @@ def fuse(
     """Fuse lidar and cameras of a drive: coloured clouds in one world, depth images, one scene file."""
     if output is None and depth is None and pictures is None:
         raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
+    for option, value, needed, folder in (
+        ("--depth-form", depth_form, "--depth", depth),
+        ("--pictures-every", pictures_every, "--pictures", pictures),
+    ):
+        if value is not None and folder is None:
+            raise click.UsageError(f"{option} {value} does nothing without {needed} DIR")
     from sceneloom.formats import open_scene
     from sceneloom.pipeline import FusionOutputs
     from sceneloom.pipeline import fuse as fuse_scene
@@ -66,10 +74,9 @@ def fuse(
     outputs = FusionOutputs(
         scene=output,
         depth=depth,
-        depth_form=depth_form,
         pictures=pictures,
         pictures_every=pictures_every,
-        **options.said(profile=profile, time_unit=time_unit),
+        **options.said(depth_form=depth_form, profile=profile, time_unit=time_unit),
         overwrite=overwrite,
     )
     with (

@@ -1,13 +1,17 @@
 """A fusion's report as a summary that one can read."""
 
+from typing import TYPE_CHECKING
+
 import click
 
 from sceneloom.cli.printing import print_lines, print_losses, print_notices, print_table, several
-from sceneloom.pipeline.fuse import FusionOutputs
-from sceneloom.pipeline.report import CameraReport, FusionReport
+
+if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
+    from sceneloom.pipeline.fuse import FusionOutputs
+    from sceneloom.pipeline.report import CameraReport, FusionReport
 
 
-def print_fusion(report: FusionReport, outputs: FusionOutputs, *, quiet: bool, verbose: bool) -> None:
+def print_fusion(report: "FusionReport", outputs: "FusionOutputs", *, quiet: bool, verbose: bool) -> None:
     """Print what was fused, what was left out and why, and where it is."""
     way = "the sensors' own poses" if report.trajectory is None else f"trajectory {report.trajectory}"
     click.echo(
@@ -27,7 +31,7 @@ def print_fusion(report: FusionReport, outputs: FusionOutputs, *, quiet: bool, v
         print_losses(report.losses, verbose=verbose)
 
 
-def _camera_row(camera: CameraReport) -> list[str]:
+def _camera_row(camera: "CameraReport") -> list[str]:
     unpaired = f"{several(camera.unpaired, 'sweep')} without a picture" if camera.unpaired else ""
     unposed = f"{several(camera.unposed, 'picture')} beyond the trajectory" if camera.unposed else ""
     return [
@@ -40,7 +44,7 @@ def _camera_row(camera: CameraReport) -> list[str]:
     ]
 
 
-def _print_left_out(report: FusionReport, *, quiet: bool, verbose: bool) -> None:
+def _print_left_out(report: "FusionReport", *, quiet: bool, verbose: bool) -> None:
     if report.extrapolated:
         sweeps = several(report.extrapolated, "sweep")
         click.echo(f"{sweeps} used poses beyond the trajectory's ends, by at most one sweep period")

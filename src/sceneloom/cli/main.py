@@ -1,10 +1,14 @@
 """The command `sceneloom` and the table of its verbs, each imported when it is called."""
 
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from io import TextIOWrapper
-from types import MappingProxyType
-from typing import Any
+from types import FrameType, MappingProxyType
+from typing import Any, NoReturn
 
 import click
 
@@ -57,7 +61,8 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, TextIOWrapper):
             # names of files may be no Unicode, and a terminal may know fewer characters than we write
             stream.reconfigure(errors="backslashreplace")
-    sys.exit(_run(arguments))
+    with _ending_cleanly():
+        sys.exit(_run(arguments))
 
 
 EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
@@ -69,16 +74,53 @@ EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
 """What each kind of failure means to the shell; the first that fits counts."""
 
 
+ENDING_SIGNALS = ("SIGTERM", "SIGHUP")
+"""What asks a program to end, besides Ctrl-C: `kill`, a container or a batch system, a terminal that closes."""
+
+
+class Ended(BaseException):
+    """One of the ending signals came; passes through everything, so that half written outputs are taken away."""
+
+
+def _end(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001 - the signature of a signal's handler
+    raise Ended(number)
+
+
+@contextmanager
+def _ending_cleanly() -> Iterator[None]:
+    """Let the ending signals do what Ctrl-C does; those that the caller ignores or handles are left alone."""
+    found = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
+    main_thread = threading.current_thread() is threading.main_thread()
+    ours = [number for number in found if main_thread and signal.getsignal(number) is signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, _end)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def _run(arguments: list[str] | None) -> int:
     try:
         result: Any = sceneloom.main(args=arguments, prog_name="sceneloom", standalone_mode=False)
     except (click.exceptions.Abort, KeyboardInterrupt):
         click.echo("sceneloom: stopped; nothing was left half written", err=True)
-        return 130
+        return 128 + signal.SIGINT
+    except Ended as ended:
+        click.echo("sceneloom: stopped; nothing was left half written", err=True)
+        return 128 + int(ended.args[0])
     except click.ClickException as error:
         error.show()
         return error.exit_code
     except tuple(kind for kind, _ in EXIT_CODES) as error:
-        click.echo(f"sceneloom: {str(error) or type(error).__name__}", err=True)
+        click.echo(f"sceneloom: {_told(error)}", err=True)
         return next(code for kind, code in EXIT_CODES if isinstance(error, kind))
     return result if isinstance(result, int) else 0
+
+
+def _told(error: BaseException) -> str:
+    """The error in one line, that of the operating system in the form of ours: file, then problem."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error) or type(error).__name__

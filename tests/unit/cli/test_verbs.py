@@ -79,6 +79,26 @@ def test_demo_keeps_a_recording_a_scene_and_pictures(call: Call, tmp_path: Path)
     assert (again.code, "--overwrite" in again.err) == (1, True)
 
 
+def test_demo_looks_at_all_its_outputs_before_it_makes_one(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "mine.png").write_text("mine")
+    outcome = call("demo", "--keep", tmp_path, "--frames", "2")
+    assert (outcome.code, "--overwrite" in outcome.err) == (1, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "needed"),
+    [("--depth-form", "npz", "--depth"), ("--pictures-every", "2", "--pictures")],
+)
+def test_an_option_that_would_do_nothing_is_bad_usage(
+    call: Call, recording: Path, tmp_path: Path, option: str, value: str, needed: str
+) -> None:
+    outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", option, value)
+    assert outcome.code == 2
+    assert f"without {needed} DIR" in outcome.err
+
+
 @pytest.mark.parametrize("verb", ["demo", "info", "fuse", "convert", "formats"])
 def test_every_verb_explains_itself(call: Call, verb: str) -> None:
     outcome = call(verb, "--help")

@@ -1,0 +1,5 @@
+"""`python -m sceneloom`: the command line."""
+
+from sceneloom.cli import main
+
+main()

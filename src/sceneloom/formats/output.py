@@ -28,7 +28,9 @@ def check_output(target: Path, *, overwrite: bool) -> None:
     if there and not (target.is_file() or target.is_dir()):
         raise OutputError(f"{target}: is neither a file nor a folder and is left alone; choose another name")
     if not target.parent.is_dir():
-        raise OutputError(f"{target}: the folder {target.parent} does not exist")
+        if target.parent.exists():
+            raise OutputError(f"{target}: {target.parent} is a file; expected a folder")
+        raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
     if not os.access(target.parent, os.W_OK):
         raise OutputError(f"{target}: the folder {target.parent} is not writable")
 
@@ -53,10 +55,19 @@ def replacing(target: Path, *, overwrite: bool, folder: bool = False) -> Iterato
         if folder:
             draft.mkdir()
         yield draft
+        _check_still_free(target, overwrite=overwrite)
         if folder:
             _replace_folder(draft, target, workplace)
         else:
             draft.replace(target)
+
+
+def _check_still_free(place: Path, *, overwrite: bool) -> None:
+    """Look again before the output takes its place: another program may have been quicker."""
+    if not overwrite and place.exists():
+        raise OutputError(
+            f"{place}: was made by another program meanwhile; choose another name or say `--overwrite`"
+        )
 
 
 @contextmanager
@@ -96,7 +107,10 @@ def filling(folder: Path, *, overwrite: bool) -> Iterator[Path]:
     check_output(folder, overwrite=overwrite or (folder.is_dir() and not any(folder.iterdir())))
     with _workplace(folder) as workplace:
         yield workplace
-        for draft in sorted(path for path in workplace.rglob("*") if path.is_file()):
-            place = folder / draft.relative_to(workplace)
+        drafts = sorted(path for path in workplace.rglob("*") if path.is_file())
+        places = {draft: folder / draft.relative_to(workplace) for draft in drafts}
+        for place in places.values():
+            _check_still_free(place, overwrite=overwrite)
+        for draft, place in places.items():
             place.parent.mkdir(parents=True, exist_ok=True)
             draft.replace(place)

@@ -52,6 +52,39 @@ def test_a_missing_parent_is_named(tmp_path: Path) -> None:
         pytest.fail("must not be entered")
 
 
+def test_a_file_where_a_folder_is_expected_is_called_a_file(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("mine")
+    with (
+        pytest.raises(OutputError, match=r"taken is a file"),
+        replacing(tmp_path / "taken" / "a", overwrite=False),
+    ):
+        pytest.fail("must not be entered")
+
+
+@pytest.mark.parametrize("folder", [False, True], ids=["file", "folder"])
+def test_what_another_program_made_meanwhile_is_not_replaced(tmp_path: Path, folder: bool) -> None:
+    target = tmp_path / "drive"
+    with (
+        pytest.raises(OutputError, match="meanwhile"),
+        replacing(target, overwrite=False, folder=folder) as draft,
+    ):
+        (draft / "data.jsonl" if folder else draft).write_text("ours")
+        target.write_text("theirs")
+    assert target.read_text() == "theirs"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_filling_moves_nothing_where_another_program_was_quicker(tmp_path: Path) -> None:
+    folder = tmp_path / "depth"
+    with pytest.raises(OutputError, match=r"1\.png: .*meanwhile"), filling(folder, overwrite=False) as draft:
+        (draft / "0.png").write_text("ours")
+        (draft / "1.png").write_text("ours")
+        folder.mkdir()
+        (folder / "1.png").write_text("theirs")
+    assert [path.name for path in folder.iterdir()] == ["1.png"]
+    assert (folder / "1.png").read_text() == "theirs"
+
+
 def test_a_fault_of_reading_is_not_called_a_fault_of_writing(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError), replacing(tmp_path / "drive.sfs", overwrite=False):
         (tmp_path / "source").read_text()

@@ -24,6 +24,8 @@ class Format(Protocol):
 
     name: str
     suffixes: tuple[str, ...]
+    looks_like: str
+    """What a person recognises it by ("a file that begins with its header")."""
 
     def recognises(self, path: Path) -> bool:
         """Say whether the content of an existing path looks like this format."""
@@ -76,8 +78,8 @@ def find_format(path: Path) -> Format:
     claims = [form for form in map(format_named, format_names()) if form.recognises(path)]
     if len(claims) == 1:
         return claims[0]
-    known = ", ".join(format_names())
     if not claims:
+        known = "; ".join(f"{name}, {format_named(name).looks_like}" for name in format_names())
         raise UnknownFormatError(path, "", f"no reader knows this; expected one of: {known}")
     names = ", ".join(form.name for form in claims)
     raise UnknownFormatError(path, "", f"more than one reader claims this ({names}); name one with `format=`")

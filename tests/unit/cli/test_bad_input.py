@@ -45,7 +45,10 @@ def with_nan_position(lines: list[str]) -> list[str]:
 
 FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "no such folder": (shutil.rmtree, ("no such file or folder",)),
-    "an empty folder": (lambda f: [shutil.rmtree(f), f.mkdir()], ("no reader knows this",)),
+    "an empty folder": (
+        lambda f: [shutil.rmtree(f), f.mkdir()],
+        ("no reader knows this", "a folder with a data.jsonl"),
+    ),
     "no calibration": (lambda f: (f / "calibration.json").unlink(), ("calibration.json",)),
     "no video": (lambda f: shutil.rmtree(f / "frames1"), ("frames1", "data.{mkv")),
     "fewer pictures than lines": (lambda f: (f / "frames1" / "00000002.png").unlink(), ("2 pictures", "3")),
@@ -67,6 +70,10 @@ FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "calibration that is no JSON": (
         lambda f: (f / "calibration.json").write_text("{"),
         ("calibration.json",),
+    ),
+    "calibration cut in the middle of its lines": (
+        lambda f: (f / "calibration.json").write_text('{\n  "cameras": [\n    {\n'),
+        ("calibration.json", "truncated"),
     ),
     "no lines": (lambda f: (f / "data.jsonl").write_text(""), ("data.jsonl",)),
     "binary lines": (

@@ -19,6 +19,7 @@ class RecordingFormat:
 
     name = "recording"
     suffixes: tuple[str, ...] = ("",)
+    looks_like = "a folder with a data.jsonl"
 
     def recognises(self, path: Path) -> bool:
         """Say whether the path is a folder with a `data.jsonl`, or that file."""

@@ -10,6 +10,7 @@ DECODER_FAULTS = (msgspec.MsgspecError, ValueError, RecursionError)
 
 _PATH = re.compile(r"(?P<what>.*) - at `\$(?P<path>.*)`", re.DOTALL)
 _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
+_NO_NUMBER = re.compile(rb"\bnan\b|\binf", re.IGNORECASE)
 _LONGEST_QUOTE = 60
 
 
@@ -33,7 +34,8 @@ def json_fault(error: Exception, text: bytes, *, prefix: str = "") -> tuple[str,
     if isinstance(error, RecursionError):
         return prefix, f"{quote(text)}: nested too deeply"
     if not isinstance(error, msgspec.ValidationError):
-        return prefix, f"{quote(text)}: not a JSON object: {error}; NaN and Infinity are no JSON numbers"
+        hint = "; NaN and Infinity are no JSON numbers" if _NO_NUMBER.search(text) else ""
+        return prefix, f"{quote(text)}: not a JSON object: {error}{hint}"
     match = _PATH.fullmatch(str(error))
     what, path = (match["what"], match["path"]) if match else (str(error), "")
     return f"{prefix}{path}".lstrip("."), f"{_value_at(path, text)}: {what}"
@@ -50,6 +52,6 @@ def _value_at(path: str, text: bytes) -> str:
 
 
 def quote(text: bytes) -> str:
-    """Show the beginning of a text that may be anything."""
-    shown = text.strip().decode("utf-8", "backslashreplace")
+    """Show the beginning of a text that may be anything, in one line."""
+    shown = " ".join(text.decode("utf-8", "backslashreplace").split())
     return shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}…"

@@ -17,6 +17,7 @@ class SfsFormat:
 
     name = "sfs"
     suffixes: tuple[str, ...] = (".sfs",)
+    looks_like = "a file that begins with the JSON header of a scene"
 
     def recognises(self, path: Path) -> bool:
         """Say whether a file begins with the header of a scene."""

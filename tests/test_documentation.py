@@ -10,12 +10,18 @@ from pathlib import Path
 import pytest
 from click import Command, Context, Group
 
+import sceneloom
+from sceneloom.cameras.camera import Camera
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.formats import FORMATS
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 PROJECT = Path(__file__).parents[1]
 PAGES = sorted([*PROJECT.glob("*.md"), *PROJECT.glob("docs/**/*.md"), *PROJECT.glob("examples/*.md")])
 EXAMPLES = sorted(PROJECT.glob("examples/*.py"))
+RUNNABLE = [PROJECT / "README.md", PROJECT / "docs" / "formats" / "sfs.md"]
+"""Pages whose Python runs as it stands, in a folder with a recording `drive` and a scene `drive.sfs`."""
+
 EXAMPLE_LIMIT_S = 240
 FIRST_COMMANDS = ("pip install . && sceneloom demo", "pip install '.[dev]' && pytest")
 
@@ -92,6 +98,25 @@ def test_every_command_in_the_documentation_exists_with_its_options(page):
 def test_python_in_the_documentation_can_be_parsed(page):
     for text in fenced(page, {"python", "py"}):
         ast.parse(text)
+
+
+@pytest.mark.parametrize("page", RUNNABLE, ids=page_id)
+def test_python_in_the_documentation_runs(page, tmp_path):
+    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
+    drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,)).scene
+    sceneloom.write(drive, tmp_path / "drive", pictures="png")
+    if page.name != "README.md":  # which makes it
+        sceneloom.write(drive, tmp_path / "drive.sfs")
+    for text in fenced(page, {"python"}):
+        done = subprocess.run(
+            [sys.executable, "-W", "error", "-c", text],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=EXAMPLE_LIMIT_S,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)

@@ -110,7 +110,7 @@ def fuse(
 
     Raises:
         PoseError: the sensors' motion is not known.
-        DataError: a sweep or a picture cannot be read.
+        DataError: there is no lidar, or a sweep or a picture cannot be read.
         OutputError: an output exists, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
@@ -118,7 +118,7 @@ def fuse(
     wanted = _checked(outputs or FusionOutputs(), output)
     woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop)
     if not woven.scene.lidars:
-        raise OptionError(f"{scene.source}: no lidar in it, so there is nothing to fuse with its pictures")
+        raise DataError(scene.source, "", "no lidar in it; fusing needs one")
     skips = Skips() if lenient else None
     system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
     if skips is not None:

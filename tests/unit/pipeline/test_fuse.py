@@ -321,7 +321,7 @@ def test_the_poses_of_a_lidar_reach_to_the_end_of_its_last_sweep(drive: Scene, t
 
 def test_a_scene_without_lidar_is_refused(drive: Scene) -> None:
     cameras_only = replace(drive, sensors=drive.cameras)
-    with pytest.raises(OptionError, match="no lidar in it"):
+    with pytest.raises(DataError, match="no lidar in it"):
         fuse(cameras_only)
 
 

@@ -77,7 +77,7 @@ class SweepWriter:
         (self._folder / self._subfolder).mkdir(exist_ok=True)
         for k, frame in enumerate(self._sensor.frames):
             name = f"{self._subfolder}/{k:06d}.bin"
-            self._records(frame).tofile(self._folder / name)
+            (self._folder / name).write_bytes(self._records(frame).tobytes())
             sweep: dict[str, Any] = {"model": LIDAR_MODEL, "dataFile": name}
             if self._index:
                 sweep["lidarInd"] = self._index

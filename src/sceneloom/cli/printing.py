@@ -39,12 +39,12 @@ def print_notices(notices: Sequence[Notice], *, verbose: bool) -> None:
 
 
 def print_losses(losses: LossReport, *, verbose: bool) -> None:
-    """Print what the target format could not hold."""
+    """Print what the target format has no place for: lost, or kept where only we look for it."""
     print_lines(
         [
-            f"lost: {loss.field}: {loss.what}"
+            f"{'kept aside' if loss.kept else 'lost'}: {loss.field}: {loss.what}"
             + (f" ({loss.count} times)" if loss.count > 1 else "")
-            + (f"; kept in {loss.kept}" if loss.kept else "")
+            + (f"; it is in {loss.kept}" if loss.kept else "")
             for loss in losses
         ],
         verbose=verbose,

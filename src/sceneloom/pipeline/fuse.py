@@ -160,6 +160,8 @@ def _checked(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs
         raise OptionError(f"depth_form {wanted.depth_form!r}; expected 'png' or 'npz'")
     if wanted.pictures_every is not None and wanted.pictures_every < 1:
         raise OptionError(f"pictures_every {wanted.pictures_every}; expected 1 or more")
+    if wanted.scene is not None and wanted.scene.suffix.lower() != ".sfs":
+        raise OptionError(f"{wanted.scene}: fusing writes scene files; expected a name that ends in .sfs")
     folders = [folder.absolute() for folder in (wanted.depth, wanted.pictures) if folder is not None]
     if wanted.scene is not None and wanted.scene.absolute() in folders:
         raise OptionError(f"{wanted.scene}: named for a file and for a folder; expected two names")
@@ -191,7 +193,10 @@ def _open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack, skips: Sk
     if wanted.depth is not None:
         folder = stack.enter_context(filling(wanted.depth, overwrite=wanted.overwrite))
         sinks.depth = DepthSink(
-            lidar_folders(folder, woven.scene), names_of(woven.scene.cameras), wanted.depth_form
+            lidar_folders(folder, woven.scene),
+            names_of(woven.scene.cameras),
+            wanted.depth_form,
+            folder / "index.jsonl",
         )
     if wanted.pictures is not None:
         folder = stack.enter_context(filling(wanted.pictures, overwrite=wanted.overwrite))

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+import msgspec
 import numpy as np
 
-from sceneloom.colouring.results import FusedFrame
+from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.formats import LossReport
 from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
 from sceneloom.formats.file_names import file_stems
@@ -94,6 +95,7 @@ class DepthSink:
         folders: of the views of each lidar.
         names: of the folder of each camera therein.
         form: "png" (16 bit, metres times 256) or "npz" (float32 metres).
+        index: file of JSON lines that says of each image which sweep and which picture it is of, and their times.
         written: files so far.
         beyond_range: pixels that the form cannot hold.
     """
@@ -101,6 +103,7 @@ class DepthSink:
     folders: Mapping[Identifier, Path]
     names: Mapping[Identifier, str]
     form: str
+    index: Path
     written: int = 0
     beyond_range: int = 0
 
@@ -114,7 +117,19 @@ class DepthSink:
                 write_depth_npz(view.depth_image, target)
             else:
                 self.beyond_range += write_depth_png(view.depth_image, target)
+            self._note(frame, view, target)
             self.written += 1
+
+    def _note(self, frame: FusedFrame, view: FusedView, image: Path) -> None:
+        record = {
+            "file": image.relative_to(self.index.parent).as_posix(),
+            "lidar": frame.lidar_id,
+            "sweep_ns": frame.timestamp_ns,
+            "camera": view.camera_id,
+            "picture_ns": view.timestamp_ns,
+        }
+        with self.index.open("ab") as lines:
+            lines.write(msgspec.json.encode(record) + b"\n")
 
 
 @dataclass(slots=True)

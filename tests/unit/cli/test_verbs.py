@@ -51,6 +51,18 @@ def test_fuse_for_people_says_frames_points_share_and_place(
     assert quiet.err == ""
 
 
+def test_what_is_kept_aside_is_not_called_lost(call: Call, recording: Path, tmp_path: Path) -> None:
+    remarks = call("fuse", recording, "-o", tmp_path / "d.sfs", "--verbose").err.splitlines()
+    assert any(remark.startswith("kept aside: sensors[imu]") for remark in remarks)
+    assert not any(remark.startswith("lost: sensors[imu]") for remark in remarks)
+
+
+def test_a_scene_file_has_the_suffix_of_its_format(call: Call, recording: Path, tmp_path: Path) -> None:
+    outcome = call("fuse", recording, "-o", tmp_path / "d.txt")
+    assert (outcome.code, list(tmp_path.iterdir())) == (2, [])
+    assert "d.txt: fusing writes scene files; expected a name that ends in .sfs" in outcome.err
+
+
 def test_fuse_without_an_output_is_bad_usage(call: Call, recording: Path) -> None:
     outcome = call("fuse", recording)
     assert outcome.code == 2

@@ -1,5 +1,6 @@
 """The main job: what it writes, what it counts, and that it leaves nothing half done."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -132,9 +133,17 @@ def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(
 def test_depth_images_hold_the_views_depths(drive: Scene, tmp_path: Path, form: str) -> None:
     report = fuse(drive, outputs=FusionOutputs(depth=tmp_path / "depth", depth_form=form))
     assert report.files == {"depth images": 8}
+    index = [json.loads(line) for line in (tmp_path / "depth" / "index.jsonl").read_text().splitlines()]
     for frame in iter_fused(drive):
         for view in frame.views:
             path = tmp_path / "depth" / str(view.camera_id) / f"{frame.index:06d}.{form}"
+            assert index.pop(0) == {
+                "file": f"{view.camera_id}/{frame.index:06d}.{form}",
+                "lidar": "lidar",
+                "sweep_ns": frame.timestamp_ns,
+                "camera": view.camera_id,
+                "picture_ns": view.timestamp_ns,
+            }
             stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if form == "png" else np.load(path)["depth"]
             depth = stored / 256 if form == "png" else stored
             # KITTI's PNG keeps steps of 1/256 m
@@ -275,7 +284,7 @@ def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(
     drive: Scene, tmp_path: Path
 ) -> None:
     with pytest.raises(OptionError, match="two names"):
-        fuse(drive, tmp_path / "x", outputs=FusionOutputs(depth=tmp_path / "x"))
+        fuse(drive, tmp_path / "x.sfs", outputs=FusionOutputs(depth=tmp_path / "x.sfs"))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -141,9 +141,17 @@ def run_python(program: str) -> str:
     return done.stdout
 
 
-def test_importing_the_package_loads_only_numpy_and_msgspec():
+LIGHT_STATEMENTS = (
+    "import sceneloom",
+    "from sceneloom import PosePath, Scene, SceneloomError, open, write",
+    "import sceneloom.scene, sceneloom.formats, sceneloom.cameras, sceneloom.geometry",
+)
+
+
+@pytest.mark.parametrize("statement", LIGHT_STATEMENTS)
+def test_the_package_and_its_model_load_only_numpy_and_msgspec(statement):
     before = set(run_python(LOADED.format(statement="import numpy, msgspec")).split())
-    after = set(run_python(LOADED.format(statement="import sceneloom")).split())
+    after = set(run_python(LOADED.format(statement=statement)).split())
     assert after - before == {"sceneloom"}
 
 

@@ -1,10 +1,10 @@
 """How fast a cloud is fused with one picture: projection, visibility, depth image and colours on one thread.
 
-Run with `python -m benchmarks.projection [--points 250000] [--repetitions 15]`. The cloud is a simulated street seen
-by a dense lidar 0.6 m above a 1920x1080 camera with five distortion coefficients; nearly all its points fall into the
+Run with `python -m benchmarks.projection [--points 250000] [--repetitions 15]`. The cloud is a simulated street seen by
+a dense lidar 0.6 m above a 1920x1080 camera with five distortion coefficients; nearly all its points fall into the
 picture. Peers do the same work: the textbook in NumPy, `cv2.projectPoints` with NumPy for the rest, and for the
-visibility rule a NumPy version that takes the same decisions. All take turns; figures are medians of processor time,
-which other programs on the machine do not stretch.
+visibility rule a NumPy version that takes the same decisions; "with way" it is also known from where the lidar
+measured. All take turns; figures are medians of processor time, which other programs on the machine do not stretch.
 """
 
 import os
@@ -19,13 +19,14 @@ import numpy as np
 
 from benchmarks.visibility_in_numpy import find_visible_in_numpy
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import ViewRequest, VisibilitySettings, fuse_by_projection
+from sceneloom.colouring import LidarWay, ViewRequest, VisibilitySettings, fuse_by_projection
 from sceneloom.geometry.rigid import RigidTransform
 
 WIDTH, HEIGHT = 1920, 1080
 CAMERA = Camera("brown_conrady", WIDTH, HEIGHT, 1100.0, 1100.0, 959.5, 539.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))
 CAMERA_FROM_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 CAMERA_WORLD = np.array([0.0, 0.0, 1.65])
+LIDAR_WORLD = CAMERA_WORLD + np.array([-0.3, 0.0, 0.6])
 
 Fusion = Callable[[], tuple[np.ndarray, np.ndarray]]
 
@@ -172,8 +173,14 @@ def main() -> None:
         camera_id="front", camera_index=0, camera=CAMERA, timestamp_ns=0, world_from_camera=pose, rgb=rgb
     )
 
+    way = LidarWay(np.tile(LIDAR_WORLD, (2, 1)), np.zeros(len(points), np.float32))
+
     def ours(*, enabled: bool) -> tuple[np.ndarray, np.ndarray]:
         fused = fuse_by_projection(points, [request], VisibilitySettings(enabled=enabled))
+        return fused.views[0].depth_image, fused.colors
+
+    def ours_with_way() -> tuple[np.ndarray, np.ndarray]:
+        fused = fuse_by_projection(points, [request], VisibilitySettings(), way=way)
         return fused.views[0].depth_image, fused.colors
 
     def windowed_in_numpy() -> tuple[np.ndarray, np.ndarray]:
@@ -184,6 +191,7 @@ def main() -> None:
     contenders: dict[str, Fusion] = {
         "plain": lambda: ours(enabled=False),
         "windowed": lambda: ours(enabled=True),
+        "with way": ours_with_way,
         "textbook NumPy": lambda: draw(*project_with_numpy(points, matrix), rgb, len(points), None),
         "cv2 + NumPy": lambda: draw(*project_with_cv2(points, matrix), rgb, len(points), None),
         "windowed in NumPy": windowed_in_numpy,
@@ -197,6 +205,7 @@ def main() -> None:
         ("plain", "cv2 + NumPy", 0.12),
         ("windowed", "windowed in NumPy", 0.15),
         ("windowed", "plain", 2.0),
+        ("with way", "plain", 2.0),
     ):
         ratio = medians[name] / medians[peer]
         print(

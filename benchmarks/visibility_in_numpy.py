@@ -55,7 +55,9 @@ def reach_for(spacings: np.ndarray) -> tuple[float, float, float, float]:
     axis = pair if spacings[pair] > spacings[pair + 2] else pair + 2
     across, along = spacings[axis], spacings[(axis + 2) % 4]
     window = np.clip(1.15 * across, *np.radians([0.3, 2.5]))
-    near = np.clip([0.9 * across, 1.2 * along], *np.radians([0.1, 2.0]))
+    near = np.clip(
+        [0.9 * across, 1.2 * along], [np.radians(0.1), max(np.radians(0.1), window / 6)], np.radians(2.0)
+    )
     return float(window), float(near[0]), float(near[1]), axis * np.pi / 4
 
 
@@ -85,7 +87,7 @@ def find_visible_in_numpy(points: np.ndarray, matrix: np.ndarray, settings: Visi
     """Tell which of the points are not hidden by others; settings with a measured window only."""
     directions, inverse = map_directions(points, matrix)
     window, across, along, angle = reach_for(measure_spacing(directions, np.radians(0.1), 25, 256))
-    turn, slope = np.array([np.cos(angle), np.sin(angle)]), 1 / settings.surface_distance
+    turn, slope = np.array([np.cos(angle), np.sin(angle)]), 1 / (settings.surface_distance or 0.5)
     form = np.outer(turn, turn) / across**2 + (np.eye(2) - np.outer(turn, turn)) / along**2
     near = np.sqrt(np.diag(np.linalg.inv(form)))
     cell = max(window / 6, np.radians(0.16))

@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as hnp
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import ViewRequest, VisibilitySettings, find_visible, fuse_by_projection
-from sceneloom.colouring.scan_lines import measure_spacings
+from sceneloom.colouring.scan_lines import look_around, measure_spacings, measure_surface_distance
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
 from sceneloom.kernels.directions import map_directions
@@ -18,7 +18,7 @@ from sceneloom.kernels.point_colours import paint_points
 
 GUARD = 64
 STILL = np.eye(4)
-FIXED = VisibilitySettings(window_deg=0.5, near_deg=0.3)
+FIXED = VisibilitySettings(window_deg=0.5, near_deg=0.3, surface_distance=0.5)
 
 any_float32 = st.floats(width=32)
 any_float = st.one_of(st.floats(), st.floats(-50, 50), st.sampled_from([0.0, -0.5, 0.5, 6.5, 1e-7, 1e308]))
@@ -74,15 +74,19 @@ def test_directions_of_any_points_stay_in_the_map_and_in_the_outputs(points, ids
         elements=st.one_of(any_float32, st.floats(-2, 2, width=32), st.floats(0, 0.015625, width=32)),
     ),
     window_deg=st.sampled_from([0.3, 2.5]),
+    known_way=st.booleans(),
 )
 @settings(max_examples=200, deadline=None)
-def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg):
+def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, known_way):
     visible, check = guarded((rows.shape[1],), np.bool_, True)
     near = math.radians(0.3) ** -2
     cell = math.radians(0.16)
+    eyes = np.array([[0.1, -0.5, 0.3], [0.2, -0.4, math.inf]])[: 2 if known_way else 0]
+    ids, fractions = np.arange(rows.shape[1]), np.ones(rows.shape[1], np.float32)
     mark_unhidden(
-        rows[:2], rows[2], cell, math.radians(window_deg), near, 0.0, near, 2.0, 0.15, 0.01, visible
-    )
+        rows[:2], rows[2], cell, math.radians(window_deg), near, 0.0, near, 2.0, 0.15, 0.01,
+        eyes, ids, fractions, 0.85, visible,
+    )  # fmt: skip
     check()
     takes_part = (rows[2] > 0) & np.isfinite(rows[2]) & (np.abs(rows[:2]) <= 2.1).all(axis=0)
     assert not visible[~takes_part].any()
@@ -97,8 +101,10 @@ def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg):
     )
 )
 @settings(max_examples=50, deadline=None)
-def test_spacings_of_any_directions_are_positive_or_unknown(rows):
-    spacings = measure_spacings(rows[:2], rows[2])
+def test_what_is_measured_in_any_directions_is_within_bounds_or_unknown(rows):
+    neighbours = look_around(rows[:2], rows[2])
+    assert 0.1 <= measure_surface_distance(neighbours, rows[:2], rows[2], 0.1, 0.1) <= 1.5
+    spacings = measure_spacings(neighbours)
     assert (np.isnan(spacings) | ((spacings > 0) & (spacings <= math.radians(2.6)))).all()
 
 

@@ -8,6 +8,7 @@ from sceneloom.colouring.algorithms import (
     fuse_by_projection,
 )
 from sceneloom.colouring.colours import NO_CAMERA, colour_points
+from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
@@ -19,6 +20,7 @@ __all__ = [
     "FusedFrame",
     "FusedView",
     "FusionAlgorithm",
+    "LidarWay",
     "ViewRequest",
     "VisibilitySettings",
     "colour_points",

@@ -8,6 +8,7 @@ from typing import Protocol
 from sceneloom.arrays import Float64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.colours import colour_points
+from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedView
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings
@@ -55,14 +56,24 @@ class FusionAlgorithm(Protocol):
     """How an algorithm is called."""
 
     def __call__(
-        self, points_world: Float64Array, requests: Sequence[ViewRequest], visibility: VisibilitySettings, /
+        self,
+        points_world: Float64Array,
+        requests: Sequence[ViewRequest],
+        visibility: VisibilitySettings,
+        /,
+        *,
+        way: LidarWay | None = None,
     ) -> ColouredPoints:
-        """Fuse (N, 3) float64 points [m] with pictures."""
+        """Fuse (N, 3) float64 points [m] with pictures; `way` says from where they were measured."""
         ...
 
 
 def fuse_by_projection(
-    points_world: Float64Array, requests: Sequence[ViewRequest], visibility: VisibilitySettings
+    points_world: Float64Array,
+    requests: Sequence[ViewRequest],
+    visibility: VisibilitySettings,
+    *,
+    way: LidarWay | None = None,
 ) -> ColouredPoints:
     """Project the cloud into each picture and take colours and depths where points are seen.
 
@@ -70,6 +81,7 @@ def fuse_by_projection(
         points_world: (N, 3) float64 [m].
         requests: the pictures.
         visibility: what counts as hidden.
+        way: from where the lidar measured the points; None where that is not known.
 
     Raises:
         ArrayError: an array has another shape or dtype.
@@ -85,6 +97,7 @@ def fuse_by_projection(
             camera_id=request.camera_id,
             timestamp_ns=request.timestamp_ns,
             visibility=visibility,
+            way=way,
         )
         for request in requests
     )

@@ -19,6 +19,14 @@ _NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG = 0.9, 1.2
 _WINDOWS_DEG, _NEARS_DEG = (0.3, 2.5), (0.1, 2.0)
 _USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
 
+CELLS_PER_REACH = 6
+"""How fine the grid is in which points are compared."""
+
+USUAL_SURFACE_DISTANCE = 0.5
+"""Where nothing was measured [m]: below the height of nearly all cameras."""
+_SURFACE_DISTANCES = (0.1, 1.5)
+_OF_SURFACE_DISTANCE, _STEEPER_THAN, _FEWEST_SURFACES = 0.8, 0.95, 32
+
 
 @dataclass(frozen=True, slots=True)
 class Reach:
@@ -42,23 +50,89 @@ class Reach:
         return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
-def measure_spacings(directions: Float32Array, inverse_ranges: Float32Array) -> Float64Array:
-    """Measure how far apart the points of a cloud appear along four axes.
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """The next point in each of eight sectors around some points of a cloud; opposite sectors make an axis.
 
-    Around some points the nearest neighbour in each of eight sectors is looked for; opposite sectors make an axis.
+    Attributes:
+        points: (S,) int64, the points that were looked around.
+        ids: (S, 8) int64, a point in the nearest occupied cell of each sector; -1 for none within reach.
+        distances: (S, 8) float64 [rad], how far that cell is; NaN for none.
+    """
+
+    points: Int64Array
+    ids: Int64Array
+    distances: Float64Array
+
+
+def look_around(directions: Float32Array, inverse_ranges: Float32Array) -> Neighbours:
+    """Find the neighbours of some points, evenly drawn from a cloud.
 
     Args:
         directions: (2, M) float32 in the equal-area map [rad].
         inverse_ranges: (M,) float32 [1/m]; 0 for a point that takes no part.
+    """
+    distances, ids = np.empty((_SAMPLES, _SECTORS)), np.empty((_SAMPLES, _SECTORS), np.int64)
+    find_neighbours(directions, inverse_ranges, _CELL, *_disc(), distances, ids)
+    drawn = min(_SAMPLES, len(inverse_ranges))
+    points = np.arange(drawn) * len(inverse_ranges) // max(drawn, 1)
+    return Neighbours(points, ids[:drawn], distances[:drawn])
+
+
+def measure_spacings(neighbours: Neighbours) -> Float64Array:
+    """Measure how far apart the points of a cloud appear along four axes.
 
     Returns:
         (4,) float64 [rad], mean of the middle half of the distances along the axes at 0, 45, 90 and 135 degrees from
         rightward to downward, 0.1 to 2.5 degrees; NaN where fewer than half of the neighbours are so near.
     """
-    found = np.empty((_SAMPLES, _SECTORS))
-    find_neighbours(directions, inverse_ranges, _CELL, *_disc(), found)
+    found = neighbours.distances
     axes = np.concatenate([found[:, : _SECTORS // 2], found[:, _SECTORS // 2 :]])
     return np.array([_mean_of_middle(steps[~np.isnan(steps)]) for steps in axes.T])
+
+
+def measure_surface_distance(
+    neighbours: Neighbours,
+    directions: Float32Array,
+    inverse_ranges: Float32Array,
+    margin: float,
+    margin_share: float,
+) -> float:
+    """Measure how near the planes of the surfaces in a cloud pass the camera: mostly the height above the ground.
+
+    The inverse range changes along a plane by at most one over that distance for each radian. It is taken where a point
+    lies on one line with its neighbours on both sides, so that the three are of one surface.
+
+    Args:
+        neighbours: of some points.
+        directions: (2, M) float32 in the equal-area map [rad].
+        inverse_ranges: (M,) float32 [1/m].
+        margin: how far from the line a point may lie [m] …
+        margin_share: … plus this share of its range.
+
+    Returns:
+        Four fifths of the distance that 95 % of the surfaces keep, 0.1 to 1.5 m; 0.5 where too few were found.
+    """
+    has_any = (neighbours.ids >= 0).any(axis=1)
+    half, points, ids = _SECTORS // 2, neighbours.points[has_any, None], neighbours.ids[has_any]
+    known = (ids[:, :half] >= 0) & (ids[:, half:] >= 0)
+    first, second = np.where(known, ids[:, :half], points), np.where(known, ids[:, half:], points)
+    to_first, to_second = (
+        np.hypot(*(directions[:, side] - directions[:, points]).astype(np.float64))
+        for side in (first, second)
+    )
+    apart = np.maximum(to_first + to_second, _CELL * 1e-3)
+    own, one, other = (inverse_ranges[ids].astype(np.float64) for ids in (points, first, second))
+    off = np.abs(own - (one * to_second + other * to_first) / apart)
+    straight = known & (off <= margin * own * own + margin_share * own)
+    # The map widens angles off its axis by up to 1 / cos(θ/2).
+    scale = np.sqrt(np.maximum(1 - 0.25 * (directions[:, points].astype(np.float64) ** 2).sum(axis=0), 0))
+    slopes = np.where(straight, scale * np.abs(one - other) / apart, 0.0).max(axis=1, initial=0.0)
+    slopes = np.sort(slopes[straight.any(axis=1)])
+    if len(slopes) < _FEWEST_SURFACES:
+        return USUAL_SURFACE_DISTANCE
+    steepest = max(float(slopes[int(_STEEPER_THAN * len(slopes))]), 1e-3)
+    return float(np.clip(_OF_SURFACE_DISTANCE / steepest, *_SURFACE_DISTANCES))
 
 
 def fit_reach(spacings: Float64Array) -> Reach:
@@ -69,10 +143,13 @@ def fit_reach(spacings: Float64Array) -> Reach:
     pair = int(np.nanargmax(ratios))
     axis = pair if spacings[pair] > spacings[pair + 2] else pair + 2
     across, along = np.degrees([spacings[axis], spacings[(axis + 2) % 4]])
+    window = np.clip(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)
+    # Of the points of a cell only the nearest counts, so that what is near reaches a cell at least.
+    least = max(_NEARS_DEG[0], window / CELLS_PER_REACH)
     return Reach(
-        radians(np.clip(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)),
+        radians(window),
         radians(np.clip(_NEAR_PER_SPACING_ACROSS * across, *_NEARS_DEG)),
-        radians(np.clip(_NEAR_PER_SPACING_ALONG * along, *_NEARS_DEG)),
+        radians(np.clip(_NEAR_PER_SPACING_ALONG * along, least, _NEARS_DEG[1])),
         axis * pi / 4,
     )
 

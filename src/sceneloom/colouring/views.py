@@ -5,6 +5,7 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector, projection_kernel
+from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedView
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.geometry.rigid import RigidTransform
@@ -21,6 +22,7 @@ def view_points(
     camera_id: Identifier,
     timestamp_ns: int,
     visibility: VisibilitySettings | None = None,
+    way: LidarWay | None = None,
 ) -> FusedView:
     """Project a cloud into a picture, tell what is hidden, and draw the depth image of what is seen.
 
@@ -32,6 +34,7 @@ def view_points(
         camera_id: the camera.
         timestamp_ns: the picture's time [ns].
         visibility: what counts as hidden; None for the usual settings.
+        way: from where the lidar measured the points; None where that is not known.
 
     Raises:
         ArrayError: an array has another shape or dtype.
@@ -42,7 +45,7 @@ def view_points(
     points, camera_from_world = np.ascontiguousarray(points_world), world_from_camera.inverse().matrix
     point_ids, pixels, depths = _project(points, camera, camera_from_world)
     visible = (
-        find_visible(points, point_ids, camera_from_world, settings)
+        find_visible(points, point_ids, camera_from_world, settings, way=way)
         if settings.enabled
         else np.ones(len(point_ids), np.bool_)
     )

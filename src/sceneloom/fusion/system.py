@@ -8,6 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import UInt8Array
 from sceneloom.colouring.algorithms import ALGORITHMS, ViewRequest
+from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.fusion.configuration import FusionConfiguration
@@ -24,6 +25,7 @@ _LONGEST_LAG_NS = 10_000_000_000
 @dataclass(slots=True)
 class _Lidar:
     source: PoseSource | None
+    place: PoseSource | None
     period_ns: int
     received: int = 0
     lag_ns: int = 0
@@ -93,15 +95,24 @@ class FusionSystem:
                 f"fusion_algorithm {self.configuration.fusion_algorithm!r}; there are {', '.join(ALGORITHMS)}"
             )
 
-    def add_lidar(self, lidar_id: Identifier, source: PoseSource | None, *, period_ns: int) -> None:
+    def add_lidar(
+        self,
+        lidar_id: Identifier,
+        source: PoseSource | None,
+        *,
+        period_ns: int,
+        place: PoseSource | None = None,
+    ) -> None:
         """Make a lidar known.
 
         Args:
             source: takes its points into the world; None where they come in world coordinates.
             period_ns: the nominal time from sweep to sweep.
+            place: `world_from_lidar`, from where it measures, whatever frame its points come in; None where that is not
+                known, and then a little less is known of what hides what.
         """
         self._refuse_known(lidar_id)
-        self._lidars[lidar_id] = _Lidar(source, period_ns)
+        self._lidars[lidar_id] = _Lidar(source, place, period_ns)
 
     def add_camera(self, camera_id: Identifier, source: PoseSource, *, index: int) -> None:
         """Make a camera known; `index` is what its points bear as `camera_index`, below 255."""
@@ -195,7 +206,8 @@ class FusionSystem:
             extras=waiting.frame.extras,
             untimed=waiting.untimed,
         )
-        source = self._lidars[waiting.lidar_id].source
+        lidar = self._lidars[waiting.lidar_id]
+        source = lidar.source
         try:
             positions_world, extrapolated = (
                 (waiting.frame.points.positions.astype(np.float64), False)
@@ -211,7 +223,8 @@ class FusionSystem:
         for camera_id, camera in self._cameras.items():
             self._pair(waiting, camera_id, camera, pairs)
         algorithm = ALGORITHMS[self.configuration.fusion_algorithm]
-        coloured = algorithm(positions_world, pairs.requests, self.configuration.visibility)
+        way = None if lidar.place is None else LidarWay.of(waiting.frame, lidar.place)
+        coloured = algorithm(positions_world, pairs.requests, self.configuration.visibility, way=way)
         return replace(
             fused,
             points=replace(points, colors=coloured.colors, camera_index=coloured.camera_index),

@@ -5,9 +5,9 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import boolean, float32, float64, types, void
+from numba import boolean, float32, float64, int64, types, void
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Int64Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, fraction, keep_nearest, number_cells
 
 INLINED = {**INNER, "inline": "always"}
@@ -15,6 +15,8 @@ INLINED = {**INNER, "inline": "always"}
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
+_IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
+_IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 
 _SLACK = np.float32(0.001)
 """Rounding may put a point a hair beyond the border of its cell; cells count as so much nearer to each other."""
@@ -159,6 +161,48 @@ def _search_near(
 
 
 @numba.njit(**INLINED)
+def _search_nearing(
+    a: Any, b: Any, cell: int, inverse: Any, threshold: Any, slope_squared: Any, nearest: Float32Array,
+    right: Float32Array, down: Float32Array, beside: tuple[Int64Array, Float32Array, Float32Array, Int64Array],
+    near: tuple[Any, Any, Any], shift_x: Any, shift_y: Any, nearing: Any,
+) -> bool:  # fmt: skip
+    """Say the same of what came nearer on the eye's way from the lidar to the camera.
+
+    On that way something of inverse range w shifts by w times `shift` [cells m], against what is infinitely far.
+    """
+    nearer = False
+    for k in range(beside[0].shape[0]):
+        c = np.uint32(cell + beside[0][k])
+        x, y = beside[1][k] + right[c] - a, beside[2][k] + down[c] - b
+        inside = near[0] * x * x + near[1] * x * y + near[2] * y * y <= _ONE
+        gained = nearest[c] - inverse
+        from_x, from_y = x - gained * shift_x, y - gained * shift_y
+        inside &= x * from_x + y * from_y <= nearing * (from_x * from_x + from_y * from_y)
+        nearer |= inside & _hides(nearest[c] - threshold, x * x + y * y, slope_squared)
+    return nearer
+
+
+@numba.njit(**INLINED)
+def _shift(
+    rightward: Any, downward: Any, eyes: Float64Array, fraction: Any, per_cell: Any
+) -> tuple[Any, Any]:
+    """Give the shift [cells m], per inverse range, of what lies in a direction when the eye moves to the camera.
+
+    Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the part of the eye's way across the line of sight.
+    """
+    squared = rightward * rightward + downward * downward
+    half = np.float32(math.sqrt(max(_ONE - _QUARTER * squared, _BEHIND)))
+    scale, x, y, z = _ONE / half, half * rightward, half * downward, _ONE - np.float32(0.5) * squared
+    eye_x = np.float32(eyes[0, 0]) + fraction * np.float32(eyes[1, 0] - eyes[0, 0])
+    eye_y = np.float32(eyes[0, 1]) + fraction * np.float32(eyes[1, 1] - eyes[0, 1])
+    eye_z = np.float32(eyes[0, 2]) + fraction * np.float32(eyes[1, 2] - eyes[0, 2])
+    along = x * eye_x + y * eye_y + z * eye_z
+    across = along + _QUARTER * scale * scale * (eye_z - along * z)
+    scale *= per_cell
+    return (eye_x - x * across) * scale, (eye_y - y * across) * scale
+
+
+@numba.njit(**INLINED)
 def _search_window(
     a: Any, b: Any, cell: int, threshold: Any, slope_squared: Any, nearest: Float32Array, right: Float32Array,
     down: Float32Array, around: tuple[Int64Array, Float32Array, Float32Array, Int64Array], window_squared: Any,
@@ -187,10 +231,14 @@ def _decide(
     from_near: Float32Array, from_opposite: Float32Array,
     beside: tuple[Int64Array, Float32Array, Float32Array, Int64Array],
     around: tuple[Int64Array, Float32Array, Float32Array, Int64Array],
-    near: tuple[Any, Any, Any], limits: tuple[Any, Any, Any, Any], visible: BoolArray,
-) -> None:  # fmt: skip
-    """Write which points of a block are not hidden; most of them only need the two bounds of their cells."""
+    near: tuple[Any, Any, Any], limits: tuple[Any, Any, Any, Any], visible: BoolArray, alone: AnyArray,
+) -> int:  # fmt: skip
+    """Write which points of a block are not hidden; most of them only need the two bounds of their cells.
+
+    The numbers of those that one thing alone hides are written to `alone`; how many there are is returned.
+    """
     window_squared, steepest, margin, margin_share = limits
+    count = 0
     for i in range(cells.shape[0]):
         c, inverse = np.uint32(cells[i]), inverse_ranges[i]
         visible[i] = c > 0
@@ -203,15 +251,49 @@ def _decide(
         a, b = fraction(rightward[i], per_cell), fraction(downward[i], per_cell)
         if is_near and _search_near(a, b, c, threshold, slope_squared, nearest, right, down, beside, near):
             visible[i] = False
+            alone[count] = i
+            count += 1
         elif is_between:
             visible[i] = not _search_window(
                 a, b, c, threshold, slope_squared, nearest, right, down, around, window_squared
             )
+    return count
+
+
+@numba.njit(**INNER)
+def _decide_again(
+    alone: AnyArray, fractions: Float32Array, eyes: Float64Array, nearing: Any, point_ids: Int64Array,
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, cells: AnyArray, per_cell: Any,
+    nearest: Float32Array, right: Float32Array, down: Float32Array, from_opposite: Float32Array,
+    beside: tuple[Int64Array, Float32Array, Float32Array, Int64Array],
+    around: tuple[Int64Array, Float32Array, Float32Array, Int64Array],
+    near: tuple[Any, Any, Any], limits: tuple[Any, Any, Any, Any], visible: BoolArray,
+) -> None:  # fmt: skip
+    """Let points be seen again whose only hiding thing came no nearer from the lidar to the camera."""
+    window_squared, steepest, margin, margin_share = limits
+    for k in range(alone.shape[0]):
+        i = alone[k]
+        c, inverse = np.uint32(cells[i]), inverse_ranges[i]
+        threshold = inverse + margin * inverse * inverse + margin_share * inverse
+        off_axis = rightward[i] * rightward[i] + downward[i] * downward[i]
+        slope_squared = steepest / max(_ONE - _QUARTER * off_axis, _BEHIND)
+        a, b = fraction(rightward[i], per_cell), fraction(downward[i], per_cell)
+        shift_x, shift_y = _shift(rightward[i], downward[i], eyes, fractions[point_ids[i]], per_cell)
+        visible[i] = not (
+            _search_nearing(
+                a, b, c, inverse, threshold, slope_squared, nearest, right, down, beside, near,
+                shift_x, shift_y, nearing,
+            )
+            or (from_opposite[c] > threshold and _search_window(
+                a, b, c, threshold, slope_squared, nearest, right, down, around, window_squared
+            ))
+        )  # fmt: skip
 
 
 @numba.njit(
     void(
-        _IN_F32_2D, _IN_F32_1D, float64, float64, float64, float64, float64, float64, float64, float64, boolean[::1]
+        _IN_F32_2D, _IN_F32_1D, float64, float64, float64, float64, float64, float64, float64, float64,
+        _IN_F64_2D, _IN_I64_1D, _IN_F32_1D, float64, boolean[::1]
     ),
     cache=True,
     nogil=True,
@@ -228,6 +310,10 @@ def mark_unhidden(
     slope: float,
     margin: float,
     margin_share: float,
+    eyes: Float64Array,
+    point_ids: Int64Array,
+    fractions: Float32Array,
+    nearing: float,
     visible: BoolArray,
 ) -> None:
     """Write which points no nearer points hide.
@@ -244,6 +330,11 @@ def mark_unhidden(
         slope: largest gradient of the inverse range on a surface that does not hide itself [1/m/rad].
         margin: how much nearer than a point something must be to hide it [m] …
         margin_share: … plus this share of the point's range.
+        eyes: (2, 3) [m], camera frame, where the lidar was first and last; (0, 3) where that is not known.
+        point_ids: (M,), each point's row in `fractions`.
+        fractions: (N,), how far between its two places the lidar was, 0 to 1.
+        nearing: to what share of its distance in the lidar's eyes a single thing must have come to hide; of no account
+            where `eyes` are not known.
         visible: (M,), written.
     """
     # From here on lengths are in cells.
@@ -263,13 +354,20 @@ def mark_unhidden(
     steepest = np.float32(slope * cell * slope * cell)
     limits = (np.float32(radius * radius), steepest, np.float32(margin), np.float32(margin_share))
     rightward, downward, numbers = directions[0], directions[1], np.empty(BLOCK, np.int32)
+    alone, known_way = np.empty(BLOCK, np.int32), eyes.shape[0] > 0
     for start in range(0, inverse_ranges.shape[0], BLOCK):
         stop = min(start + BLOCK, inverse_ranges.shape[0])
         a, b, inverse, block = (
             rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], numbers[: stop - start]
         )  # fmt: skip
         number_cells(a, b, inverse, grid, block)
-        _decide(
+        count = _decide(
             a, b, inverse, block, grid[0], nearest, right, down, from_near, from_opposite, beside, around, near,
-            limits, visible[start:stop],
+            limits, visible[start:stop], alone,
         )  # fmt: skip
+        if known_way and count > 0:
+            _decide_again(
+                alone[:count], fractions, eyes, np.float32(nearing), point_ids[start:stop],
+                a, b, inverse, block, grid[0], nearest, right, down, from_opposite, beside, around, near, limits,
+                visible[start:stop],
+            )  # fmt: skip

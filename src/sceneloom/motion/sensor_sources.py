@@ -53,6 +53,21 @@ def points_source(
     return PoseSource(_ego_path(scene, lidar, ego), RigidTransform.identity(), reach_ns)
 
 
+def lidar_place(
+    scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, *, reach_ns: int
+) -> PoseSource | None:
+    """Give `world_from_lidar`, from where a lidar measured; None where that is not known.
+
+    A mounting that is exactly the identity was not measured: it says that the points come in the ego's frame.
+    """
+    if lidar.mount is not None and np.array_equal(lidar.mount.matrix, np.eye(4)):
+        return None
+    try:
+        return sensor_source(scene, lidar, ego, reach_ns=reach_ns)
+    except PoseError:
+        return None
+
+
 def _source_on_ego(
     scene: Scene, sensor: LidarSensor | CameraSensor, ego: EgoMotion | None, reach_ns: int
 ) -> PoseSource:

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError
 from sceneloom.fusion import FusionConfiguration, FusionSystem
-from sceneloom.motion.sensor_sources import points_source, sensor_source
+from sceneloom.motion.sensor_sources import lidar_place, points_source, sensor_source
 from sceneloom.motion.trajectories import EgoMotion
 from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, Picture, Scene
 
@@ -54,7 +54,8 @@ def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfi
     reach_ns = scene_period_ns(scene)
     for lidar in scene.lidars:
         source = points_source(scene, lidar, ego, reach_ns=reach_ns)
-        system.add_lidar(lidar.id, source, period_ns=sweep_period_ns(lidar))
+        place = lidar_place(scene, lidar, ego, reach_ns=reach_ns)
+        system.add_lidar(lidar.id, source, period_ns=sweep_period_ns(lidar), place=place)
     for index, camera in enumerate(scene.cameras):
         if len(camera.pictures) == 0:
             continue

@@ -24,6 +24,7 @@ class StreetView:
 
     Attributes:
         camera, world_from_camera: the camera.
+        lidar_world: (3,), from where the points were measured.
         points_world: (N, 3), with range noise; all fall into the picture.
         seen: (N,), whether nothing stands between the point's origin and the camera.
         counted: (N,), whether the point lies 2 px or more from any outline.
@@ -31,6 +32,7 @@ class StreetView:
 
     camera: Camera
     world_from_camera: RigidTransform
+    lidar_world: np.ndarray
     points_world: np.ndarray
     seen: np.ndarray
     counted: np.ndarray
@@ -141,6 +143,7 @@ def view_street(
     return StreetView(
         camera,
         world_from_camera,
+        origin,
         (origin + rays * noisy[:, None])[inside],
         first > distances - 0.03 - 1e-3 * distances,
         far_from_outlines(look, pixels[inside]),

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.colouring.scan_lines import fit_reach, measure_spacings
+from sceneloom.colouring.scan_lines import fit_reach, look_around, measure_spacings, measure_surface_distance
 
 
 def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
@@ -18,7 +18,7 @@ def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
 
 def spacings_deg(directions, inverse_ranges=None):
     inverse = np.full(directions.shape[1], 0.1, np.float32) if inverse_ranges is None else inverse_ranges
-    return np.degrees(measure_spacings(directions, inverse))
+    return np.degrees(measure_spacings(look_around(directions, inverse)))
 
 
 @pytest.mark.parametrize(("angle_deg", "along_axis"), [(0, 0), (45, 1), (90, 2), (135, 3)])
@@ -55,7 +55,7 @@ def test_lines_beyond_reach_give_no_spacing_across_them():
         ((0.4, 0.45, 0.2, 0.45), 0.46, 0.36, 0.24, 0),
         ((0.45, 0.2, 0.45, 0.4), 0.46, 0.36, 0.24, 135),
         ((0.1, 0.11, 0.1, 0.1), 0.3, 0.1, 0.12, 45),
-        ((0.2, 2.1, 2.4, 2.1), 2.5, 2.0, 0.24, 90),
+        ((0.2, 2.1, 2.4, 2.1), 2.5, 2.0, 2.5 / 6, 90),  # what is near reaches one cell
         ((0.2, math.nan, 1.0, math.nan), 1.15, 0.9, 0.24, 90),
         ((0.2, 0.3, math.nan, math.nan), 0.5, 0.16, 0.16, 0),
         ((math.nan,) * 4, 0.5, 0.16, 0.16, 0),
@@ -75,3 +75,45 @@ def test_the_ellipse_has_its_axes_across_and_along_the_scan_lines():
     for length, angle in ((reach.across, reach.angle), (reach.along, reach.angle + math.pi / 2)):
         x, y = length * math.cos(angle), length * math.sin(angle)
         assert xx * x * x + xy * x * y + yy * y * y == pytest.approx(1)
+
+
+def ground_and_wall(height, *, spacing_deg=0.4, wall_at=40.0, noise=0.02):
+    """A cloud of a flat ground, that many metres below the camera, and of a wall ahead."""
+    random = np.random.default_rng(0)
+    across, along = np.meshgrid(
+        np.radians(np.arange(-12, 25, spacing_deg)), np.radians(np.arange(-30, 30, 0.2))
+    )
+    rays = np.stack([np.sin(along) * np.cos(across), np.sin(across), np.cos(along) * np.cos(across)], axis=-1)
+    rays = rays.reshape(-1, 3)
+    with np.errstate(divide="ignore"):
+        to_ground = np.where(rays[:, 1] > 0, height / rays[:, 1], np.inf)
+    ranges = np.minimum(to_ground, wall_at / rays[:, 2]) + random.normal(scale=noise, size=len(rays))
+    directions = rays[:, :2].T * np.sqrt(2 / (1 + rays[:, 2]))
+    return np.ascontiguousarray(directions, np.float32), (1 / ranges).astype(np.float32)
+
+
+@pytest.mark.parametrize(("height", "expected"), [(0.3, 0.24), (0.8, 0.64), (1.65, 1.32), (3.0, 1.5)])
+@pytest.mark.parametrize("spacing_deg", [0.2, 0.4, 2.0])
+def test_surfaces_pass_the_camera_at_its_height_above_the_ground(height, expected, spacing_deg):
+    directions, inverse_ranges = ground_and_wall(height, spacing_deg=spacing_deg, noise=0.0)
+    neighbours = look_around(directions, inverse_ranges)
+    measured = measure_surface_distance(neighbours, directions, inverse_ranges, 0.075, 0.005)
+    # The ground in the picture is met at up to 25 degrees, whose cosine is 0.91, and directions are rounded to float32.
+    assert 0.99 * expected < measured < expected / 0.9
+
+
+@pytest.mark.parametrize(("height", "most"), [(0.3, 0.26), (0.8, 0.7), (1.65, 1.4)])
+def test_noise_makes_surfaces_steeper_never_flatter(height, most):
+    directions, inverse_ranges = ground_and_wall(height)
+    neighbours = look_around(directions, inverse_ranges)
+    measured = measure_surface_distance(neighbours, directions, inverse_ranges, 0.075, 0.005)
+    assert 0.4 * most < measured < most
+
+
+def test_a_cloud_that_shows_no_surface_gives_the_usual_distance():
+    directions = scan_lines(0.42, 0.17)
+    ranges = np.random.default_rng(0).uniform(2, 80, directions.shape[1])
+    for inverse in ((1 / ranges).astype(np.float32), np.zeros(directions.shape[1], np.float32)):
+        assert measure_surface_distance(look_around(directions, inverse), directions, inverse, 0, 0) == 0.5
+    nothing = np.zeros((2, 0), np.float32), np.zeros(0, np.float32)
+    assert measure_surface_distance(look_around(*nothing), *nothing, 0.1, 0.1) == 0.5

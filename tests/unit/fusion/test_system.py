@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import FusedFrame
+from sceneloom.colouring import ALGORITHMS, FusedFrame
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
@@ -264,3 +264,29 @@ def test_memory_holds_what_waits_and_not_what_has_passed() -> None:
         list(results(system))
     assert len(system._waiting) <= 2
     assert len(system._cameras["camera0"].queue.pictures) <= 3
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_the_algorithm_is_told_from_where_the_lidar_measured(
+    known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ways = []
+
+    def algorithm(points_world, requests, visibility, /, *, way=None):
+        ways.append(way)
+        return ALGORITHMS["projection"](points_world, requests, visibility, way=way)
+
+    monkeypatch.setattr("sceneloom.fusion.system.ALGORITHMS", {"projection": algorithm})
+    system = FusionSystem()
+    mount = RigidTransform(np.eye(3), np.array([0.0, 0.0, 1.5]))
+    source = PoseSource(STILL, mount)
+    system.add_lidar("lidar", source, period_ns=PERIOD, place=source if known else None)
+    system.add_camera("camera0", PoseSource(STILL, EGO_FROM_CAMERA), index=0)
+    system.send("lidar", sweep(0))
+    system.send("camera0", picture(0))
+    assert system.get() is not None
+    if known:
+        np.testing.assert_array_equal(ways[0].ends_world, [[0, 0, 1.5]] * 2)
+        assert len(ways[0].fractions) == 2
+    else:
+        assert ways == [None]

@@ -6,7 +6,7 @@ import pytest
 from sceneloom.kernels.occlusion import mark_unhidden
 
 CELL, WINDOW = math.radians(0.16), math.radians(0.5)
-MARGIN, SHARE, SLOPE = 0.15, 0.01, 2.0
+MARGIN, SHARE, SLOPE, NEARING = 0.15, 0.01, 2.0, 0.85
 
 
 def ellipse(across_deg=0.38, along_deg=0.24, angle=math.pi / 2):
@@ -19,7 +19,9 @@ def ellipse(across_deg=0.38, along_deg=0.24, angle=math.pi / 2):
     return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
-def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE):
+def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None):
+    """The kernel's answer; point i has row i of the fractions, which rise from 0 to 1."""
+    count = len(inverse_ranges)
     visible = np.zeros(len(inverse_ranges), bool)
     mark_unhidden(
         np.ascontiguousarray(directions, np.float32),
@@ -30,12 +32,31 @@ def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, s
         slope,
         MARGIN,
         SHARE,
+        np.zeros((0, 3)) if eyes is None else eyes,
+        np.arange(count),
+        np.linspace(0, 1, count, dtype=np.float32),
+        NEARING,
         visible,
     )
     return visible
 
 
-def hidden_one_by_one(directions, inverse_ranges, *, cell, window, near, slope, strictness):
+def in_map(points):
+    """Lambert's map of points (N, 3) around the z axis, (2, N)."""
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return rays[:, :2].T * np.sqrt(2 / (1 + rays[:, 2]))
+
+
+def shift_by_small_step(direction, eye):
+    """How a point 1 m away in a direction shifts in the map, to first order, when the eye comes from `eye`."""
+    x, y = direction.astype(np.float64)
+    half = math.sqrt(1 - 0.25 * (x * x + y * y))
+    ray = np.array([[x * half, y * half, 1 - 0.5 * (x * x + y * y)]])
+    step = 1e-6
+    return ((in_map(ray + step * eye) - in_map(ray - step * eye)) / (2 * step))[:, 0]
+
+
+def hidden_one_by_one(directions, inverse_ranges, *, cell, window, near, slope, strictness, eyes=None):
     """The rule by its words: every point against the nearest point of every cell, no bounds, no windows of cells.
 
     `strictness` above 1 makes hiding harder: what is hidden even then is surely hidden.
@@ -55,6 +76,12 @@ def hidden_one_by_one(directions, inverse_ranges, *, cell, window, near, slope, 
         excess = inverse_ranges[holders] - inverse - strictness * (MARGIN * inverse**2 + SHARE * inverse)
         hides = excess > needed
         beside = near[0] * x * x + near[1] * x * y + near[2] * y * y <= 1 / strictness
+        if eyes is not None:
+            eye = eyes[0] + i / max(len(inverse_ranges) - 1, 1) * (eyes[1] - eyes[0])
+            gained = inverse_ranges[holders] - inverse
+            # What the eye comes from, seen from there: the nearer thing has not yet made its larger shift.
+            before = np.stack([x, y]) - gained * shift_by_small_step(directions[:, i], eye)[:, None]
+            beside &= x * before[0] + y * before[1] <= NEARING / strictness * (before**2).sum(axis=0)
         turn = np.floor(np.arctan2(y, x) / (math.pi / 2)).astype(int) % 4
         quadrants = set(turn[hides & (np.hypot(x, y) <= window / strictness)])
         hidden[i] = (hides & beside).any() or {0, 2} <= quadrants or {1, 3} <= quadrants
@@ -79,8 +106,18 @@ def random_cloud(seed, count, spread_deg, *, layers=(1 / 30, 1 / 8)):
         {"near": ellipse(0.5, 0.15, math.pi / 4), "slope": 0.8},
         {"near": ellipse(0.1, 0.1), "window": math.radians(0.3)},
         {"near": ellipse(1.2, 1.2), "window": math.radians(0.2), "cell": math.radians(0.3)},
+        {"near": ellipse(0.5, 0.4), "eyes": np.array([[0.02, -0.06, -0.1], [-0.05, 0.01, 0.05]])},
+        {"near": ellipse(1.2, 0.9), "eyes": np.array([[0.3, -0.6, -0.3], [0.3, -0.6, 0.4]])},
     ],
-    ids=["usual", "sparse lidar", "tilted", "dense lidar", "window smaller than near"],
+    ids=[
+        "usual",
+        "sparse lidar",
+        "tilted",
+        "dense lidar",
+        "window smaller than near",
+        "lidar beside",
+        "lidar above",
+    ],
 )
 @pytest.mark.parametrize(("count", "spread_deg"), [(600, 1.5), (1500, 8.0), (700, 40.0)])
 def test_decisions_are_those_of_the_rule_applied_point_by_point(kwargs, count, spread_deg):

@@ -12,17 +12,30 @@ SECTORS, DISTANCES = (RIGHT > 0) + 2 * (DOWN > 0), np.hypot(RIGHT, DOWN)
 
 
 def found(directions, inverse_ranges, samples):
-    distances = np.zeros((samples, 4))
+    distances, neighbours = np.zeros((samples, 4)), np.zeros((samples, 4), np.int64)
     find_neighbours(
-        directions, inverse_ranges, CELL, RIGHT, DOWN, SECTORS.astype(np.int64), DISTANCES, distances
+        directions,
+        inverse_ranges,
+        CELL,
+        RIGHT,
+        DOWN,
+        SECTORS.astype(np.int64),
+        DISTANCES,
+        distances,
+        neighbours,
     )
-    return distances
+    return distances, neighbours
+
+
+def cells_of(directions):
+    """Column and row of each point's cell, (M, 2)."""
+    per_cell = np.float32(1 / CELL)
+    return (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64).T
 
 
 def found_one_by_one(directions, inverse_ranges, samples):
     """Every sampled cell against every other cell that holds a point."""
-    per_cell = np.float32(1 / CELL)
-    cells = (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64).T
+    cells = cells_of(directions)
     taking_part = (inverse_ranges > 0) & (np.abs(directions) <= 2.1).all(axis=0)
     occupied = {tuple(cell) for cell in cells[taking_part].tolist()}
     rows = []
@@ -47,8 +60,19 @@ def test_the_next_occupied_cell_of_each_sector_is_found(count, samples):
     directions = random.uniform(-0.06, 0.06, (2, count)).astype(np.float32)
     inverse_ranges = np.where(random.random(count) < 0.8, 0.1, 0).astype(np.float32)
     expected = found_one_by_one(directions, inverse_ranges, samples)
-    np.testing.assert_allclose(found(directions, inverse_ranges, samples), expected)
+    distances, neighbours = found(directions, inverse_ranges, samples)
+    np.testing.assert_allclose(distances, expected)
+    np.testing.assert_array_equal(neighbours < 0, np.isnan(expected))
+    cells, drawn = cells_of(directions), min(samples, count)
+    own = cells[np.arange(drawn) * count // drawn]
+    dx, dy = np.moveaxis(cells[neighbours[:drawn]] - own[:, None], 2, 0)
+    known = neighbours[:drawn] >= 0
+    np.testing.assert_allclose(np.hypot(dx, dy)[known], distances[:drawn][known])
+    np.testing.assert_array_equal(((dx > 0) + 2 * (dy > 0))[known], np.nonzero(known)[1])
+    assert (inverse_ranges[neighbours[:drawn][known]] > 0).all()
 
 
 def test_no_points_have_no_neighbours():
-    assert np.isnan(found(np.zeros((2, 0), np.float32), np.zeros(0, np.float32), 3)).all()
+    distances, neighbours = found(np.zeros((2, 0), np.float32), np.zeros(0, np.float32), 3)
+    assert np.isnan(distances).all()
+    assert (neighbours == -1).all()

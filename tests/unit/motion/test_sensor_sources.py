@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.sensor_sources import points_source, sensor_source
+from sceneloom.motion.sensor_sources import lidar_place, points_source, sensor_source
 from sceneloom.motion.trajectories import EgoMotion
 from sceneloom.scene import Coordinates, LazyFrames, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
 
@@ -99,3 +99,18 @@ def test_a_sensor_of_unknown_place_is_named_with_what_to_write() -> None:
     lidar = LidarSensor("lidar", NO_FRAMES)
     with pytest.raises(PoseError, match=r"where sensor 'lidar' is.*`imuToLidar`"):
         sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)
+
+
+@pytest.mark.parametrize("points_frame", [PointsFrame.SENSOR, PointsFrame.EGO, PointsFrame.WORLD])
+def test_a_lidar_has_its_place_whatever_frame_its_points_come_in(points_frame: PointsFrame) -> None:
+    lidar = LidarSensor("lidar", NO_FRAMES, mount=MOUNT, points_frame=points_frame)
+    place = lidar_place(Scene((lidar,)), lidar, EgoMotion("groundTruth", EGO), reach_ns=0)
+    assert place is not None
+    np.testing.assert_allclose(place.at(TIMES[1:2]).positions[0], WORLD_AT_100, atol=1e-12)
+
+
+def test_a_lidar_without_poses_or_mounted_by_the_identity_has_no_known_place() -> None:
+    ego = EgoMotion("groundTruth", EGO)
+    for mount in (None, RigidTransform.identity()):
+        lidar = LidarSensor("lidar", NO_FRAMES, mount=mount)
+        assert lidar_place(Scene((lidar,)), lidar, ego, reach_ns=0) is None

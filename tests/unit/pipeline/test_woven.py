@@ -117,7 +117,8 @@ def test_points_that_lie_in_the_world_need_no_poses(drive: Scene, tmp_path: Path
     assert (report.fused, report.trajectory) == (4, None)
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         for frame, expected in zip(scene.lidars[0].frames, fused, strict=True):
-            np.testing.assert_array_equal(frame.points.camera_index, expected.points.camera_index)
+            # A few decisions hang on from where the lidar measured, which is not known any more.
+            assert (frame.points.camera_index == expected.points.camera_index).mean() > 0.99
 
 
 def test_a_camera_without_pictures_needs_no_place_and_keeps_its_number(drive: Scene, tmp_path: Path) -> None:

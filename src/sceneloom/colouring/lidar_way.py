@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, check_array
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene import LidarFrame
+from sceneloom.scene.pose_source import PoseSource
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,8 +5,8 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene.clouds import LidarFrame
+from sceneloom.scene.pose_source import PoseSource
 
 
 def points_to_world(frame: LidarFrame, source: PoseSource) -> tuple[Float64Array, bool]:

@@ -7,9 +7,9 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.geometry.interpolation import thin_poses
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene.cameras import Picture
 from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
 
 _BETWEEN = 4

@@ -1,38 +1,12 @@
 """Which way of the ego a scene is fused by."""
 
-from dataclasses import dataclass, replace
-
-from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.motion.heading import headed_poses
 from sceneloom.scene import PosePath, Scene, Trajectory
-from sceneloom.scene.part import Interval, cut_path
+from sceneloom.scene.ego import EgoMotion
 
 IDENTITY = "identity"
 RESERVED = ("gnss", "lidar")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EgoMotion:
-    """The chosen way of the ego.
-
-    Attributes:
-        name: the trajectory's name, or "identity".
-        path: `world_from_ego`.
-        heading: "motion" where the orientation was derived from the motion, else None.
-    """
-
-    name: str
-    path: PosePath
-    heading: str | None = None
-
-    def moved(self, origin_world: Float64Array) -> "EgoMotion":
-        """The same way seen from another origin, (3,) float64 [m]; the axes stay."""
-        return replace(self, path=self.path.moved(origin_world))
-
-    def within(self, part: Interval | None) -> "EgoMotion":
-        """The way in and around a part of the drive; None: all of it."""
-        return self if part is None else replace(self, path=cut_path(self.path, part))
 
 
 def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | None = None) -> EgoMotion:
@@ -68,7 +42,7 @@ def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | N
 def _ego_motion(trajectory: Trajectory, heading: str | None) -> EgoMotion:
     if trajectory.quaternions_xyzw is None and heading == "motion":
         return EgoMotion(trajectory.name, headed_poses(trajectory), heading)
-    return EgoMotion(trajectory.name, trajectory.poses)
+    return EgoMotion.of(trajectory)
 
 
 def _choices(scene: Scene) -> str:

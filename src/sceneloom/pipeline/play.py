@@ -9,9 +9,9 @@ import numpy as np
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError
 from sceneloom.fusion import FusionConfiguration, FusionSystem
-from sceneloom.motion.sensor_sources import lidar_place, points_source, sensor_source
-from sceneloom.motion.trajectories import EgoMotion
 from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, Picture, Scene
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.sensor_sources import lidar_place, points_source, sensor_source
 
 NOMINAL_PERIOD_NS = 100_000_000
 """The sweep period of a lidar with a single frame, or all of one time: 10 Hz, the commonest."""

@@ -14,10 +14,10 @@ from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.formats.sfs.times import TICKS_NS
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.pictures import save_pictures
 from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, PosePath, Scene
+from sceneloom.scene.pose_source import PoseSource
 
 
 class Sink(Protocol):

@@ -7,10 +7,8 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError, OptionError
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.sensor_paths import camera_path
-from sceneloom.motion.sensor_sources import sensor_source
-from sceneloom.motion.trajectories import EgoMotion, choose_trajectory
+from sceneloom.motion.trajectories import choose_trajectory
 from sceneloom.pipeline.origin import can_move, moved_scene
 from sceneloom.scene import (
     CameraSensor,
@@ -26,7 +24,10 @@ from sceneloom.scene import (
     Scene,
     Sensor,
 )
+from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.part import chosen_interval, cut_scene
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.sensor_sources import sensor_source
 from sceneloom.scene.span import frame_times
 
 EGO_ID = "ego"

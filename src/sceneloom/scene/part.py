@@ -118,6 +118,7 @@ def _cut_trajectory(way: Trajectory, part: Interval) -> Trajectory:
         way.positions[rows],
         None if way.quaternions_xyzw is None else way.quaternions_xyzw[rows],
         None if way.file_seconds is None else way.file_seconds[rows],
+        None if way.covariances is None else way.covariances[rows],
     )
 
 

@@ -121,6 +121,8 @@ class Trajectory:
         positions: (N, 3) float64 [m], world frame, z up.
         quaternions_xyzw: (N, 4) float64, or None where the method gives positions only.
         file_seconds: (N,) float64 [s], the file's own time stamps, or None.
+        covariances: (N, 6, 6) float64, or None: of a small turn [rad], then a small shift [m], of the ego about the
+            world's axes at the pose, relative to where the method began.
     """
 
     name: str
@@ -128,6 +130,7 @@ class Trajectory:
     positions: Float64Array
     quaternions_xyzw: Float64Array | None = None
     file_seconds: Float64Array | None = None
+    covariances: Float64Array | None = None
 
     def __post_init__(self) -> None:
         count = check_array(f"trajectories[{self.name}].timestamps_ns", self.timestamps_ns, (None,), np.int64)
@@ -141,6 +144,13 @@ class Trajectory:
         )
         check_array(
             f"trajectories[{self.name}].file_seconds", self.file_seconds, (count,), np.float64, optional=True
+        )
+        check_array(
+            f"trajectories[{self.name}].covariances",
+            self.covariances,
+            (count, 6, 6),
+            np.float64,
+            optional=True,
         )
 
     @property

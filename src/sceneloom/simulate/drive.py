@@ -10,7 +10,6 @@ from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene import (
     CameraSensor,
     CuboidAnnotation,
@@ -21,6 +20,7 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
+from sceneloom.scene.pose_source import PoseSource
 from sceneloom.simulate.camera import CameraSpec, RenderedCamera, camera_mount
 from sceneloom.simulate.inertial import ImuSpec, imu_sensor, imu_truth
 from sceneloom.simulate.lidar import LidarSpec, SpinningLidar

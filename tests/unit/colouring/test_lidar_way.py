@@ -6,8 +6,8 @@ import pytest
 from sceneloom.colouring import LidarWay
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene import LidarFrame, LidarPoints, PosePath
+from sceneloom.scene.pose_source import PoseSource
 
 AHEAD = PosePath(
     np.array([0, 1000], np.int64), np.array([[0.0, 0, 0], [10, 0, 0]]), np.array([[0.0, 0, 0, 1]] * 2)

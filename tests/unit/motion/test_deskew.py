@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene import LidarFrame, LidarPoints, PosePath
+from sceneloom.scene.pose_source import PoseSource
 
 MOUNT = RigidTransform(Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix(), np.array([1.0, 0.2, 1.7]))
 

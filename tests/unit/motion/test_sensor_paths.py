@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion import sensor_paths
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.motion.sensor_paths import camera_path, sensor_path
 from sceneloom.scene import LazyFrames, Picture, PosePath
+from sceneloom.scene.pose_source import PoseSource
 
 MOUNT = RigidTransform(Rotation.from_euler("z", 0.4).as_matrix(), np.array([2.0, 0.5, 1.7]))
 

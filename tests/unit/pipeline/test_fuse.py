@@ -12,7 +12,6 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
 from sceneloom.pipeline.woven import EGO_ID
 from sceneloom.scene import (
@@ -26,6 +25,7 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
+from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.span import time_span
 
 

@@ -9,7 +9,6 @@ import pytest
 import sceneloom
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
 from sceneloom.pipeline.woven import EGO_ID
 from sceneloom.scene import (
@@ -26,6 +25,7 @@ from sceneloom.scene import (
     RadarSensor,
     Scene,
 )
+from sceneloom.scene.pose_source import PoseSource
 
 PLACES = np.array([[100.0, 200.0, 3.0]], np.float32)
 

@@ -6,7 +6,7 @@ import pytest
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.motion.pose_source import PoseSource
+from sceneloom.scene.pose_source import PoseSource
 from sceneloom.simulate import LidarSpec, simulate_street
 from sceneloom.simulate.lidar import SpinningLidar
 from sceneloom.simulate.shapes import Material, Pattern

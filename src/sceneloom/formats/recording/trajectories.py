@@ -10,8 +10,8 @@ from sceneloom.errors import DataError
 from sceneloom.formats.recording.columns import PoseColumns, SortedColumns
 from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene import NoticeKind, PosePath, Trajectory
+from sceneloom.scene.pose_source import PoseSource
 
 RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
 """Which root keys are taken for the default trajectory before others."""

@@ -17,8 +17,8 @@ from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, rotate_vectors
-from sceneloom.motion.pose_source import PoseSource
 from sceneloom.scene import Coordinates, LidarFrame, LidarPoints, LidarSensor, PointsFrame, PosePath
+from sceneloom.scene.pose_source import PoseSource
 
 LIDAR_MODEL = next(iter(LIDAR_MODELS))
 """The one model that the format describes."""

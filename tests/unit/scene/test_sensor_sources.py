@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.sensor_sources import lidar_place, points_source, sensor_source
-from sceneloom.motion.trajectories import EgoMotion
 from sceneloom.scene import Coordinates, LazyFrames, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.sensor_sources import lidar_place, points_source, sensor_source
 
 TIMES = np.array([0, 100, 200], np.int64)
 EGO = PosePath(

@@ -5,17 +5,14 @@ import numpy as np
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.motion.pose_source import PoseSource
-from sceneloom.motion.trajectories import EgoMotion
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    LidarSensor,
-    OdometrySensor,
-    PointsFrame,
-    PosePath,
-    Scene,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 
 def sensor_source(

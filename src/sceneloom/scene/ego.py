@@ -1,0 +1,52 @@
+"""The one way of the ego that a scene is placed by."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.part import Interval, cut_path
+from sceneloom.scene.poses import PosePath, Trajectory
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EgoMotion:
+    """The chosen way of the ego.
+
+    Attributes:
+        name: the trajectory's name, or "identity".
+        path: `world_from_ego`.
+        heading: "motion" where the orientation was derived from the motion, else None.
+        covariances: (N, 6, 6) float64, one per pose of the path, as in `Trajectory`; None where not known.
+        notices: what was assumed or met on the way to it.
+    """
+
+    name: str
+    path: PosePath
+    heading: str | None = None
+    covariances: Float64Array | None = None
+    notices: tuple[Notice, ...] = field(default=())
+
+    @classmethod
+    def of(cls, trajectory: Trajectory) -> "EgoMotion":
+        """Follow a trajectory that has orientations.
+
+        Raises:
+            PoseError: it has none.
+        """
+        return cls(trajectory.name, trajectory.poses, covariances=trajectory.covariances)
+
+    def moved(self, origin_world: Float64Array) -> "EgoMotion":
+        """The same way seen from another origin, (3,) float64 [m]; the axes stay."""
+        return replace(self, path=self.path.moved(origin_world))
+
+    def within(self, part: Interval | None) -> "EgoMotion":
+        """The way in and around a part of the drive; None: all of it."""
+        if part is None:
+            return self
+        path = cut_path(self.path, part)
+        if self.covariances is None:
+            return replace(self, path=path)
+        kept = np.isin(self.path.timestamps_ns, path.timestamps_ns)
+        return replace(self, path=path, covariances=self.covariances[kept])

@@ -99,6 +99,9 @@ def _of_default(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Lo
     names = [trajectory.name for trajectory in trajectories]
     if default != "groundTruth" and "groundTruth" in names:
         yield Loss(field="trajectories", what=f"read back with 'groundTruth' first, not {default!r}")
+    for trajectory in trajectories:
+        if trajectory.covariances is not None:
+            yield Loss(field=f"trajectories.{trajectory.name}.covariances", what=_NO_PLACE)
     posed = [sensor for sensor in scene.sensors if getattr(sensor, "poses", None) is not None]
     if not trajectories and posed:
         yield Loss(

@@ -268,6 +268,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _array("positions", "float64", 3, "m"),
         _array("quaternions_xyzw", "float64", 4),
         _array("file_seconds", "float64", unit="s"),
+        _array("covariances", "float64", 36, "rad², rad m, m²"),
     ),
     "camera": (
         _needs("model", Kind.TEXT),

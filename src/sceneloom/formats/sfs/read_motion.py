@@ -1,6 +1,7 @@
 """Odometry of a file, IMU and GNSS of our metadata, and the trajectories that both give."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from sceneloom.errors import ArrayError
@@ -93,14 +94,17 @@ def read_trajectories(
 
 
 def _trajectory(record: Record, sensor: OdometrySensor | None) -> Trajectory:
+    rows = record.get("covariances")
+    covariances = None if rows is None else rows.reshape(-1, 6, 6)
     if record.get("timestamps_ns") is None and sensor is not None:
-        return of_odometry(record["name"], sensor)
+        return replace(of_odometry(record["name"], sensor), covariances=covariances)
     return Trajectory(
         record["name"],
         record["timestamps_ns"],
         record["positions"],
         record.get("quaternions_xyzw"),
         record.get("file_seconds"),
+        covariances,
     )
 
 

@@ -1,6 +1,6 @@
 """The model's sensors, annotations and trajectories as records: the words of the file, times in nanoseconds."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from sceneloom.scene import (
 )
 
 _GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
+_TRAJECTORY_ARRAYS = ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds")
 
 
 def annotation_record(annotation: Annotation) -> dict[str, Any]:
@@ -72,12 +73,17 @@ def gnss_fields(sensor: GnssSensor) -> dict[str, Any]:
     return {name: getattr(sensor, name) for name in _GNSS_ARRAYS}
 
 
-def trajectory_record(name: str, way: Trajectory, sensor: OdometrySensor | None) -> dict[str, Any]:
-    """Make the record of a trajectory; one that is an odometry sensor's own names only the sensor."""
-    if sensor is not None and _tells(sensor, way):
-        return {"name": name, "sensor_id": sensor.id}
-    arrays = ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds")
-    return {"name": name, **{part: getattr(way, part) for part in arrays}}
+def trajectory_record(name: str, way: Trajectory, odometry: Iterable[OdometrySensor]) -> dict[str, Any]:
+    """Make the record of a trajectory; where an odometry sensor tells the same way, only that sensor is named."""
+    teller = next((sensor for sensor in odometry if _tells(sensor, way)), None)
+    record: dict[str, Any] = {"name": name}
+    if teller is None:
+        record |= {part: getattr(way, part) for part in _TRAJECTORY_ARRAYS}
+    else:
+        record["sensor_id"] = teller.id
+    if way.covariances is not None:
+        record["covariances"] = way.covariances.reshape(-1, 36)
+    return record
 
 
 def _tells(sensor: OdometrySensor, way: Trajectory) -> bool:

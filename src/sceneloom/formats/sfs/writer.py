@@ -288,14 +288,13 @@ class SceneWriter:
             self.add_sensor(sensor)
 
     def _add_trajectories(self, scene: Scene) -> None:
-        odometry = {str(sensor.id): sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)}
-        records = [
-            trajectory_record(name, way, odometry.get(name)) for name, way in scene.trajectories.items()
-        ]
+        odometry = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
+        records = [trajectory_record(name, way, odometry) for name, way in scene.trajectories.items()]
         alone = sum("sensor_id" not in record for record in records)
         what, kept = "the format knows odometry sensors only", "metadata.sceneloom.trajectories"
         self._losses.add("trajectories[]", what, count=alone, kept=kept)
-        if records and (alone or [record["name"] for record in records] != list(odometry)):
+        told = [{"name": str(sensor.id), "sensor_id": sensor.id} for sensor in odometry]
+        if records and records != told:
             self._contents.ours["trajectories"] = records
 
     def _opened(self) -> _OpenFile:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats.sfs import FORMAT, write_scene
+from sceneloom.scene import OdometrySensor, Scene, Trajectory
 
 TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
 POSES = {
@@ -206,6 +207,20 @@ def test_times_are_equal_in_another_unit(open_header, tmp_path, header):
         after.sensors[0].frames[0].points.timestamps_ns, before.sensors[0].frames[0].points.timestamps_ns
     )
     assert after.annotations[0].extras["activations"][0]["durations"] == [2500]
+
+
+@pytest.mark.parametrize("with_sensor", [True, False])
+def test_covariances_of_a_trajectory_come_back(target, with_sensor):
+    stamps = np.array([5_000, 105_000], np.int64)
+    positions, quaternions = np.array([[0.0, 0, 0], [1, 2, 3]]), np.array([[0.0, 0, 0, 1], [0, 0, 0.6, 0.8]])
+    covariances = np.arange(72.0).reshape(2, 6, 6) / 7
+    way = Trajectory("lidar", stamps, positions, quaternions, covariances=covariances)
+    sensors = (OdometrySensor("ego", way.poses),) if with_sensor else ()
+    write_scene(Scene(sensors, trajectories={"lidar": way}), target)
+    read = FORMAT.open(target).trajectories["lidar"]
+    np.testing.assert_array_equal(read.covariances, covariances)
+    np.testing.assert_array_equal(read.positions, positions)
+    np.testing.assert_array_equal(read.timestamps_ns, stamps)
 
 
 def test_the_profile_of_scale_keeps_aside_what_it_drops(open_header, target, decode_sfs, header):

@@ -147,8 +147,8 @@ def seen_by_lidar(drive: SimulatedDrive, points_world: np.ndarray, ids: np.ndarr
     directions = apart / ranges[:, None]
     rays = Rays.bundled(directions, bundles_by_direction(directions), pose_of_ray=np.arange(len(ids)))
     upright = np.broadcast_to(np.eye(3), (len(ids), 3, 3))
-    hits = cast(drive.truth.street, rays, upright, origins, reach=float(ranges.max()) + 1.0)
     times = lidar.frame(0).points.timestamps_ns[ids]
+    hits = cast(drive.truth.street, rays, upright, origins, times, reach=float(ranges.max()) + 1.0)
     rotations = drive.truth.path.at(times).rotations @ spec.mount.rotation
     elevations = np.degrees(np.arcsin(np.einsum("nji,nj->ni", rotations, directions)[:, 2].clip(-1, 1)))
     low, high = spec.elevations_deg
@@ -156,14 +156,21 @@ def seen_by_lidar(drive: SimulatedDrive, points_world: np.ndarray, ids: np.ndarr
     return free & (elevations > low) & (elevations < high) & (ranges > spec.min_range)
 
 
-def first_surface(drive: SimulatedDrive, origin: np.ndarray, points_world: np.ndarray) -> np.ndarray:
+def first_surface(
+    drive: SimulatedDrive, origin: np.ndarray, points_world: np.ndarray, times_ns: np.ndarray
+) -> np.ndarray:
     """Where the lines of sight to points behind something end."""
     apart = points_world - origin
     ranges = np.linalg.norm(apart, axis=1)
     directions = apart / ranges[:, None]
     rays = Rays.bundled(directions, bundles_by_direction(directions))
     hits = cast(
-        drive.truth.street, rays, np.eye(3)[None], origin[None].copy(), reach=float(ranges.max()) + 1.0
+        drive.truth.street,
+        rays,
+        np.eye(3)[None],
+        origin[None].copy(),
+        times_ns,
+        reach=float(ranges.max()) + 1.0,
     )
     return origin + directions * np.where(hits.ranges == 0, ranges, hits.ranges)[:, None]
 
@@ -193,7 +200,8 @@ def measure(drive: SimulatedDrive, tally: Tally) -> None:
         column, row = np.rint(view.pixels).astype(int).clip(0, np.array(edges.shape)[::-1] - 1).T
         counted = ~edges[row, column]
         hidden, plain, seen = counted & ~free, counted & free, view.visible
-        surface = first_surface(drive, pose.translation, points_world[hidden])
+        times_ns = drive.truth.cameras[view.camera_id].timestamps_ns[:1]
+        surface = first_surface(drive, pose.translation, points_world[hidden], times_ns)
         known = seen_by_lidar(drive, surface, view.point_ids[hidden])
         tally.hidden += int(hidden.sum())
         tally.coloured += int((hidden & seen).sum())

@@ -55,7 +55,7 @@ def test_a_hit_lies_on_the_surface_and_nothing_of_the_shape_lies_before_it(shape
     direction = direction / length
     street = Street((), PackedShapes.of([shape], [1]), NO_GROUND)
     rays = Rays.bundled(direction[None], np.zeros(1, np.int64))
-    hits = cast(street, rays, np.eye(3)[None], origin[None], reach=200.0)
+    hits = cast(street, rays, np.eye(3)[None], origin[None], np.zeros(1, np.int64), reach=200.0)
     if hits.shapes[0] == 0:
         # A sphere of 20 cm seen from 50 m loses half of float64's digits in its discriminant where the ray grazes it.
         assert abs(excess(shape, origin + hits.ranges[0] * direction) - 1) < 1e-5

@@ -4,8 +4,11 @@ from sceneloom.simulate.camera import CameraSpec, PictureTruth, camera_mount
 from sceneloom.simulate.drive import SimulatedDrive, demo_drive, simulate_street
 from sceneloom.simulate.inertial import ImuSpec
 from sceneloom.simulate.lidar import LidarSpec
+from sceneloom.simulate.path import PathSpec
 from sceneloom.simulate.satellite import GnssSpec
+from sceneloom.simulate.traffic import TrafficSpec
 from sceneloom.simulate.truth import CleanPoints, Truth
+from sceneloom.simulate.warp import Stop
 
 __all__ = [
     "CameraSpec",
@@ -13,8 +16,11 @@ __all__ = [
     "GnssSpec",
     "ImuSpec",
     "LidarSpec",
+    "PathSpec",
     "PictureTruth",
     "SimulatedDrive",
+    "Stop",
+    "TrafficSpec",
     "Truth",
     "camera_mount",
     "demo_drive",

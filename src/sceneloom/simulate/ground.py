@@ -40,11 +40,11 @@ class Lane:
         """Follow a path from the beginning to the end of its curve."""
         first, last = path.reach
         fine = np.linspace(first, last, int((last - first) * 100) + 1)[:-1]
-        xy = path.at_seconds(fine).positions[:, :2]
+        xy = path.on_curve(fine).positions[:, :2]
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
         even = np.arange(0.0, length[-1], _STEP)
         seconds = np.interp(even, length, fine)
-        states = path.at_seconds(seconds)
+        states = path.on_curve(seconds)
         (vx, vy), (ax, ay) = states.velocities[:, :2].T, states.accelerations[:, :2].T
         return cls(
             states.positions[:, :2],

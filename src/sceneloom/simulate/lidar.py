@@ -8,7 +8,16 @@ from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, rea
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, LidarPoints
-from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint, reflectivities_of
+from sceneloom.simulate.casting import (
+    Hits,
+    Paint,
+    Rays,
+    cast,
+    instances_of,
+    paint,
+    reflectivities_of,
+    velocities_of,
+)
 from sceneloom.simulate.path import EgoPath, rotation_from_angles
 from sceneloom.simulate.randomness import Stream, generator_for
 from sceneloom.simulate.street import Street
@@ -87,6 +96,7 @@ class Sweep:
         points_world: (N, 3) float64 [m], where the shots ended, without noise.
         instances: (N,) int32, what they hit.
         colors: (N, 3) uint8, its colour there.
+        velocities: (N, 3) float64 [m/s], world frame, how it moves there.
     """
 
     frame: LidarFrame
@@ -96,6 +106,7 @@ class Sweep:
     points_world: Float64Array
     instances: AnyArray
     colors: UInt8Array
+    velocities: Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,9 +144,10 @@ class SpinningLidar:
 
     def sweep(self, k: int) -> Sweep:
         """Make sweep k with its truth; the same every time."""
-        rotations, origins = self._poses(self.timestamps_ns[k] + self.offsets_ns)
-        hits = cast(self.street, self.rays, rotations, origins, reach=self.spec.max_range)
-        look = paint(self.street, self.rays, rotations, origins, hits)
+        times_ns = self.timestamps_ns[k] + self.offsets_ns
+        rotations, origins = self._poses(times_ns)
+        hits = cast(self.street, self.rays, rotations, origins, times_ns, reach=self.spec.max_range)
+        look = paint(self.street, self.rays, rotations, origins, times_ns, hits)
         noise, kept = self._noise(k, hits)
         directions = np.empty((self.rays.slot_count, 3))
         directions[self.rays.slots] = self.rays.directions
@@ -143,6 +155,7 @@ class SpinningLidar:
         ranges, directions = hits.ranges[kept], directions[kept]
         in_world = np.einsum("nij,nj->ni", rotations[column], directions)
         positions = directions * np.maximum(0.0, ranges + noise[kept])[:, None]
+        ends = origins[column] + ranges[:, None] * in_world
         points = LidarPoints(
             read_only(positions, np.float32),
             intensities=read_only(_intensities(self.street, hits, look)[kept]),
@@ -154,9 +167,10 @@ class SpinningLidar:
             ranges,
             directions,
             origins[column],
-            origins[column] + ranges[:, None] * in_world,
+            ends,
             instances_of(self.street, hits)[kept],
             look.colors[kept],
+            velocities_of(self.street, hits.shapes[kept], ends, times_ns[column]),
         )
 
     def _poses(self, timestamps_ns: Int64Array) -> tuple[Float64Array, Float64Array]:

@@ -7,8 +7,10 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import OptionError
 from sceneloom.geometry.rotations import quaternion_from_matrix
 from sceneloom.scene import PosePath
+from sceneloom.simulate.warp import Stop, TimeWarp
 
 _DEGREE = 5
 _LEAD = 16.0
@@ -17,9 +19,43 @@ _AHEAD = 6.0
 """Seconds after the drive for which the street still turns."""
 _KNOT_STEP = 1.0
 _WIDEST_HEADING = np.radians(55.0)
-_TURN_RATE = 0.21
-"""Fastest turning [rad/s]; at the speed of a turn its radius stays beyond the pavement."""
-_SLOWEST, _FASTEST = 5.0, 10.5
+_GENTLE_TURN = 0.21
+"""Up to this rate [rad/s] knots a second apart follow a turn; faster ones need them closer."""
+_TIGHTEST = 10.4
+"""No turn is planned with a smaller radius [m]: where the pavement on the left ends."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathSpec:
+    """How the ego drives.
+
+    Attributes:
+        speeds: slowest and fastest [m/s]. Turns are taken at the slowest speed, or faster where that would make
+            them tighter than the street is wide.
+        turn_rate: fastest turning [rad/s].
+        stops: when the ego stands truly still, its body included; it neither brakes nor starts in between.
+        ramp: time for braking before a stop and for starting after it [s].
+
+    Raises:
+        OptionError: a number is out of bounds, or stops lie too near each other.
+    """
+
+    speeds: tuple[float, float] = (5.0, 10.5)
+    turn_rate: float = 0.21
+    stops: tuple[Stop, ...] = ()
+    ramp: float = 4.0
+
+    def __post_init__(self) -> None:
+        slowest, fastest = self.speeds
+        if not 0.5 <= slowest <= fastest <= 60.0:
+            raise OptionError(f"path.speeds: {self.speeds}; expected 0.5 to 60 m/s, the slowest first")
+        for name, value, low, high in (
+            ("turn_rate", self.turn_rate, 0.01, 1.5),
+            ("ramp", self.ramp, 0.5, 60.0),
+        ):
+            if not low <= value <= high:
+                raise OptionError(f"path.{name}: {value}; expected {low} to {high}")
+        TimeWarp.of(self.stops, ramp=self.ramp)
 
 
 def _basis_rows() -> Float64Array:
@@ -62,6 +98,9 @@ class EgoStates:
         return quaternion_from_matrix(self.rotations)
 
 
+_NEVER_STOPS = TimeWarp.of((), ramp=1.0)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoPath:
     """A smooth way through the world: a quintic spline on the ground, with a little heave, roll and pitch.
@@ -76,6 +115,7 @@ class EgoPath:
         waves: (3, W, 3) float64: for height [m], roll and pitch [rad] the amplitude, angular frequency [rad/s] and
             phase of W sines.
         knot_step: time between knots [s].
+        warp: how far along the curve the ego has come at each time.
     """
 
     start_ns: int
@@ -83,10 +123,11 @@ class EgoPath:
     control_points: Float64Array
     waves: Float64Array
     knot_step: float = _KNOT_STEP
+    warp: TimeWarp = _NEVER_STOPS
 
     @property
     def reach(self) -> tuple[float, float]:
-        """First and last time at which the curve is defined [s], relative to `start_ns`."""
+        """First and last parameter at which the curve is defined: seconds of a drive without stops."""
         pieces = len(self.control_points) - _DEGREE
         return self.first_knot, self.first_knot + pieces * self.knot_step
 
@@ -97,6 +138,19 @@ class EgoPath:
 
     def at_seconds(self, seconds: Float64Array) -> EgoStates:
         """Give the exact motion at (M,) times [s] relative to `start_ns`."""
+        parameters, pace, slope = self.warp.at(seconds)
+        on_curve = self.on_curve(parameters)
+        pace, slope = pace[:, None], slope[:, None]
+        return EgoStates(
+            on_curve.positions,
+            on_curve.rotations,
+            on_curve.velocities * pace,
+            on_curve.accelerations * (pace * pace) + on_curve.velocities * slope,
+            on_curve.angular_rates * pace,
+        )
+
+    def on_curve(self, seconds: Float64Array) -> EgoStates:
+        """Give the motion of a drive without stops at (M,) parameters [s] of the curve."""
         plane = [self._plane(seconds, order) for order in range(3)]
         (height, roll, pitch), (climb, roll_rate, pitch_rate), (heave, _, _) = (
             self._wave(seconds, order) for order in range(3)
@@ -165,28 +219,54 @@ def _body_rates(
     )
 
 
-def plan_path(generator: np.random.Generator, *, start_ns: int, duration: float) -> EgoPath:
-    """Lay out a drive of some seconds: straights and turns, faster and slower, never across itself."""
-    knots = np.arange(-_LEAD, duration + _LEAD + _KNOT_STEP, _KNOT_STEP)
-    headings = _plan_headings(generator, knots, duration)
-    turning = np.abs(np.gradient(headings, _KNOT_STEP)) / _TURN_RATE
-    phase, rate = generator.uniform(0, 2 * np.pi), generator.uniform(0.35, 0.5)
-    wish = 0.5 * (_SLOWEST + _FASTEST) + 0.5 * (_FASTEST - _SLOWEST) * np.sin(rate * knots + phase)
-    speeds = wish + np.minimum(1.0, turning) * (_SLOWEST - wish)
-    steps = _KNOT_STEP * speeds[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
+def plan_path(
+    generator: np.random.Generator, *, start_ns: int, duration: float, spec: PathSpec | None = None
+) -> EgoPath:
+    """Lay out a drive of some seconds: straights and turns, faster and slower, never across itself.
+
+    Stops change nothing of the curve: the ego only comes less far along it.
+    """
+    spec = spec or PathSpec()
+    step = _KNOT_STEP * min(1.0, _GENTLE_TURN / spec.turn_rate)
+    knots = np.arange(-_LEAD, duration + _LEAD + step, step)
+    headings = _plan_headings(generator, knots, duration, spec.turn_rate)
+    speeds = _plan_speeds(generator, knots, headings, spec)
+    steps = step * speeds[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
     points = np.cumsum(steps, axis=0)
-    path = EgoPath(start_ns, float(knots[0]), points, _plan_waves(generator))
+    path = EgoPath(start_ns, float(knots[0]), points, _plan_waves(generator), step)
     origin = path.at_seconds(np.zeros(1)).positions[0, :2]
-    return EgoPath(start_ns, float(knots[0]), points - origin, path.waves)
+    warp = TimeWarp.of(spec.stops, ramp=spec.ramp)
+    return EgoPath(start_ns, float(knots[0]), points - origin, path.waves, step, warp)
 
 
-def _plan_headings(generator: np.random.Generator, knots: Float64Array, duration: float) -> Float64Array:
+def _plan_speeds(
+    generator: np.random.Generator, knots: Float64Array, headings: Float64Array, spec: PathSpec
+) -> Float64Array:
+    """Speed at each knot [m/s]: up and down on the straights, slow in turns."""
+    step = float(knots[1] - knots[0])
+    turning = np.abs(np.gradient(headings, step)) / spec.turn_rate
+    if step < _KNOT_STEP:
+        width = round(_KNOT_STEP / step)
+        turning = np.convolve(np.pad(turning, width, mode="edge"), np.ones(width) / width, "same")[
+            width:-width
+        ]
+    phase, rate = generator.uniform(0, 2 * np.pi), generator.uniform(0.35, 0.5)
+    slowest, fastest = spec.speeds
+    wish = 0.5 * (slowest + fastest) + 0.5 * (fastest - slowest) * np.sin(rate * knots + phase)
+    in_turns = max(slowest, _TIGHTEST * spec.turn_rate)
+    speeds: Float64Array = wish + np.minimum(1.0, turning) * (in_turns - wish)
+    return speeds
+
+
+def _plan_headings(
+    generator: np.random.Generator, knots: Float64Array, duration: float, turn_rate: float
+) -> Float64Array:
     """Heading at each knot [rad]: straight before and after the drive, turns to either side in turn."""
     times, angles = [float(knots[0]), generator.uniform(0.3, 1.0)], [0.0, 0.0]
     side = 1.0 if generator.uniform() < 0.5 else -1.0
     while times[-1] < duration + _AHEAD:
         target = side * generator.uniform(0.4, 1.0) * _WIDEST_HEADING
-        times.append(times[-1] + abs(target - angles[-1]) / _TURN_RATE)
+        times.append(times[-1] + abs(target - angles[-1]) / turn_rate)
         times.append(times[-1] + generator.uniform(1.0, 4.0))
         angles += [target, target]
         side = -side

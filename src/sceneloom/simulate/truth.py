@@ -30,12 +30,14 @@ class CleanPoints:
         instances: (N,) int32, what was hit; 0 is the ground.
         colors: (N, 3) uint8, colour of the bare surface there, which a picture shows averaged over a pixel.
         ranges: (N,) float64 [m], from the lidar at the point's own time.
+        velocities: (N, 3) float64 [m/s], world frame, of what was hit, at the point; zero where it stands still.
     """
 
     positions_world: Float64Array
     instances: AnyArray
     colors: UInt8Array
     ranges: Float64Array
+    velocities: Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,13 +109,14 @@ class Truth:
         Returns:
             (N,) bool.
         """
-        origin = self._camera(camera_id).pose(k).translation
+        camera = self._camera(camera_id)
+        origin, times_ns = camera.pose(k).translation, camera.timestamps_ns[k : k + 1]
         apart = np.asarray(points_world, np.float64).reshape(-1, 3) - origin
         distances = np.linalg.norm(apart, axis=1)
         directions = apart / np.maximum(1e-12, distances)[:, None]
         rays = Rays.bundled(directions, bundles_by_direction(directions))
         reach = float(distances.max(initial=0.0)) + _BEYOND
-        hits = cast(self.street, rays, np.eye(3)[None], origin[None].copy(), reach=reach)
+        hits = cast(self.street, rays, np.eye(3)[None], origin[None].copy(), times_ns, reach=reach)
         free: BoolArray = (hits.ranges == 0.0) | (hits.ranges > distances - tolerance)
         return free
 
@@ -124,7 +127,7 @@ class Truth:
     def clean_points_world(self, k: int) -> CleanPoints:
         """Where the points of lidar frame k come from, without noise."""
         sweep = self.lidar.sweep(k)
-        return CleanPoints(sweep.points_world, sweep.instances, sweep.colors, sweep.ranges)
+        return CleanPoints(sweep.points_world, sweep.instances, sweep.colors, sweep.ranges, sweep.velocities)
 
     def _camera(self, camera_id: str) -> RenderedCamera:
         if camera_id not in self.cameras:

@@ -27,7 +27,14 @@ def rays_towards(generator, targets, origin, spread):
 
 def cast_from(street, origin, directions, *, reach=200.0, bundles=None):
     bundles = bundles_by_direction(directions) if bundles is None else bundles
-    return cast(street, Rays.bundled(directions, bundles), np.eye(3)[None], origin[None], reach=reach)
+    return cast(
+        street,
+        Rays.bundled(directions, bundles),
+        np.eye(3)[None],
+        origin[None],
+        np.zeros(1, np.int64),
+        reach=reach,
+    )
 
 
 @pytest.mark.parametrize("kind", ShapeKind)
@@ -88,7 +95,7 @@ def test_rays_of_one_bundle_can_start_from_different_poses(drive):
     rotations = Rotation.from_rotvec([[0, 0, 0.0], [0, 0, 0.1], [0, 0, -0.2]]).as_matrix()
     pose_of_ray = generator.integers(0, 3, 300)
     mixed = Rays.bundled(directions, np.arange(300) // 64, pose_of_ray=pose_of_ray)
-    found = cast(street, mixed, rotations, origins, reach=120.0)
+    found = cast(street, mixed, rotations, origins, np.zeros(3, np.int64), reach=120.0)
     for pose in range(3):
         own = pose_of_ray == pose
         expected = cast_from(street, origins[pose], directions[own] @ rotations[pose].T, reach=120.0)

@@ -1,0 +1,264 @@
+"""Whether the times of a sweep's points can be believed, and what they mean where they cannot be taken as they are.
+
+What counts, strongest first: where the times lie on the clock against the sweep's own stamp; whether they lie at zero
+while the stamp does not; how long they last against the sweep period. Conventions differ, and none of these is a
+fault: sweeps stamped at their start, middle or end, or seconds late by the way through a network; points measured
+in a tenth of the period, or all at once; several sweeps gathered under one stamp.
+"""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from fractions import Fraction
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.scene.clouds import LidarFrame
+
+USUAL_PERIOD_NS = 100_000_000
+"""The sweep period where none is known: 10 Hz, the commonest."""
+
+NEAR_PERIODS = 2
+"""A stamp so many periods before the first point or after the last one is the sweep's own in any convention."""
+
+LONGEST_LAG_NS = 10_000_000_000
+"""Times so far from the stamp are still believed, unless they count from zero: what stamps late is late alike."""
+
+MOST_PERIODS = 400
+"""Points gathered over more periods than this look like times in a unit 1000 times too small: half of 1000, nearly."""
+
+LONGEST_SCAN_NS = 3_600_000_000_000
+"""A scanner that stands may measure one cloud for an hour; what reaches further is no time."""
+
+LEAST_SHARE = 100
+"""Times from zero that last less than this part of a period are no times of a sweep."""
+
+_STRAY_SHARE = 20
+"""The first and the last of so many parts of the points do not decide what the times of a sweep are."""
+
+_SAMPLE = 4096
+"""About so many points tell where most of the times lie."""
+
+_FACTORS = tuple(Fraction(1000) ** power for power in (-1, 1, -2, 2, 3))
+"""How many times too large times can be that were read in another unit out of s, ms, µs and ns. Seconds read as
+nanoseconds are not among them: within a sweep all are equal."""
+
+
+class PointTimes(StrEnum):
+    """What the times of a sweep's points are."""
+
+    ABSOLUTE = "absolute"
+    """On the scene's clock, as they should be."""
+    ABSENT = "absent"
+    """The points have none."""
+    EQUAL = "equal"
+    """All the same, and not the sweep's own: they tell nothing."""
+    RELATIVE = "relative"
+    """Counted from the sweep's stamp."""
+    OTHER_CLOCK = "other-clock"
+    """As long as a sweep lasts, but on a clock that the stamp does not come from."""
+    WRONG_UNIT = "wrong-unit"
+    """Multiplied by a power of 1000."""
+    UNKNOWN = "unknown"
+    """None of these."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimesFound:
+    """What was found out about the times of one sweep.
+
+    Attributes:
+        kind: what they are.
+        factor: how many times too large they are; 1 but for `WRONG_UNIT`.
+        relative: whether those of a wrong unit count from the sweep's stamp.
+        strays: points of some other time, far from the sweep's; they were given the median of the others.
+    """
+
+    kind: PointTimes = PointTimes.ABSOLUTE
+    factor: Fraction = Fraction(1)
+    relative: bool = False
+    strays: int = 0
+
+    @property
+    def untimed(self) -> bool:
+        """Whether times were there and had to be left out."""
+        return self.kind in {PointTimes.EQUAL, PointTimes.UNKNOWN}
+
+
+SOUND = TimesFound()
+
+
+@dataclass(frozen=True, slots=True)
+class RawTimes:
+    """The stamp of a sweep and its earliest point time as the source gives them [ns]."""
+
+    timestamp_ns: int
+    first_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedFrame:
+    """A sweep whose point times are on the scene's clock, or absent.
+
+    Attributes:
+        frame: the very frame that was judged where its times could be taken as they are.
+        found: what its times were.
+        raw: what the judgement of the next sweep may need; None where the points had no times.
+    """
+
+    frame: LidarFrame
+    found: TimesFound = SOUND
+    raw: RawTimes | None = None
+
+    @property
+    def verdict(self) -> PointTimes:
+        """What the times were."""
+        return self.found.kind
+
+
+def timed_frame(frame: LidarFrame, period_ns: int, *, previous: RawTimes | None = None) -> TimedFrame:
+    """Judge the times of a sweep's points, and bring them onto the scene's clock.
+
+    Args:
+        period_ns: the time from sweep to sweep; 0 where it is not known.
+        previous: `raw` of the sweep before of the same lidar. Near the clock's zero, times from zero may count from
+            the stamp or be absolute and stamped late; then it decides: absolute times went on as the stamps did.
+    """
+    times = frame.points.timestamps_ns
+    if times is None:
+        return TimedFrame(frame, TimesFound(PointTimes.ABSENT))
+    if len(times) == 0:
+        return TimedFrame(frame)
+    sweep = _Sweep.of(times, frame.timestamp_ns, period_ns if period_ns > 0 else USUAL_PERIOD_NS, previous)
+    raw = RawTimes(frame.timestamp_ns, sweep.first_ns)
+    found = sweep.judged()
+    if found.untimed:
+        return TimedFrame(_with_times(frame, None), found, raw)
+    if found == SOUND:
+        return TimedFrame(frame, found, raw)
+    return TimedFrame(_with_times(frame, sweep.repaired(times, found)), found, raw)
+
+
+def _with_times(frame: LidarFrame, times_ns: Int64Array | None) -> LidarFrame:
+    return replace(frame, points=replace(frame.points, timestamps_ns=times_ns))
+
+
+@dataclass(frozen=True, slots=True)
+class _Sweep:
+    """The times of a sweep in a few numbers [ns]: `first` and `last` of its points without those of some other time."""
+
+    stamp_ns: int
+    period_ns: int
+    first_ns: int
+    last_ns: int
+    median_ns: int
+    strays: int
+    previous: RawTimes | None
+
+    @classmethod
+    def of(cls, times: Int64Array, stamp_ns: int, period_ns: int, previous: RawTimes | None) -> "_Sweep":
+        first_ns, last_ns = int(times.min()), int(times.max())
+        if last_ns - first_ns <= NEAR_PERIODS * period_ns or len(times) < _STRAY_SHARE:
+            return cls(stamp_ns, period_ns, first_ns, last_ns, first_ns, 0, previous)
+        sample = np.sort(times[:: max(1, len(times) // _SAMPLE)])
+        aside = len(sample) // _STRAY_SHARE
+        low, high = int(sample[aside]), int(sample[-1 - aside])
+        margin = max(high - low, NEAR_PERIODS * period_ns)
+        inside = times[(times >= low - margin) & (times <= high + margin)]
+        first_ns, last_ns, middle = int(inside.min()), int(inside.max()), int(sample[len(sample) // 2])
+        return cls(stamp_ns, period_ns, first_ns, last_ns, middle, len(times) - len(inside), previous)
+
+    @property
+    def span_ns(self) -> int:
+        return self.last_ns - self.first_ns
+
+    def judged(self) -> TimesFound:
+        if self.span_ns == 0 and self.strays == 0:
+            return SOUND if self._is_one_time_of_the_sweep() else TimesFound(PointTimes.EQUAL)
+        kind = self._kind()
+        return kind if kind.untimed else replace(kind, strays=self.strays)
+
+    def _is_one_time_of_the_sweep(self) -> bool:
+        """All points of a flash may bear one time near the stamp; zero is what stands where no time is known."""
+        if self.first_ns == 0 and self.stamp_ns != 0:
+            return False
+        return abs(self.first_ns - self.stamp_ns) <= self.period_ns
+
+    def _kind(self) -> TimesFound:
+        relative = self._counts_from_stamp()
+        near = self._is_near_stamp() and self._went_on() is not False
+        gathered_at_most = self.span_ns <= MOST_PERIODS * self.period_ns
+        if near and gathered_at_most and not relative:
+            return SOUND
+        if relative:
+            return TimesFound(PointTimes.RELATIVE)
+        unit = self._unit()
+        if unit is not None:
+            return unit
+        is_late = gathered_at_most and self._is_near_stamp(reach_ns=LONGEST_LAG_NS)
+        if is_late or (near and self.span_ns <= LONGEST_SCAN_NS):
+            return SOUND
+        shortest_ns, longest_ns = self.period_ns / LEAST_SHARE, NEAR_PERIODS * self.period_ns
+        lasts = shortest_ns <= self.span_ns <= longest_ns
+        return TimesFound(PointTimes.OTHER_CLOCK if lasts else PointTimes.UNKNOWN)
+
+    def _is_near_stamp(self, factor: Fraction = Fraction(1), *, reach_ns: int = 0) -> bool:
+        reach_ns = reach_ns or NEAR_PERIODS * self.period_ns
+        return self.first_ns / factor - reach_ns <= self.stamp_ns <= self.last_ns / factor + reach_ns
+
+    def _went_on(self, factor: Fraction = Fraction(1)) -> bool | None:
+        """Whether the times advanced since the sweep before as the stamp did; None where that cannot be said."""
+        if self.previous is None or self.stamp_ns <= self.previous.timestamp_ns:
+            return None
+        advance_ns = self.stamp_ns - self.previous.timestamp_ns
+        return 2 * (self.first_ns - self.previous.first_ns) >= advance_ns * factor
+
+    def _counts_from_stamp(self) -> bool:
+        """Whether the times lie around zero, the stamp does not, and the times did not go on with the stamps."""
+        periods = 1.5 if self._stamp_is_near_zero() else MOST_PERIODS
+        if self.stamp_ns == 0 or not self._lies_around_zero(periods * self.period_ns):
+            return False
+        if self.span_ns * LEAST_SHARE < self.period_ns:
+            return False
+        went_on = self._went_on()
+        return not self._is_near_stamp() if went_on is None else not went_on
+
+    def _stamp_is_near_zero(self) -> bool:
+        return abs(self.stamp_ns) <= LONGEST_LAG_NS
+
+    def _lies_around_zero(self, reach_ns: float) -> bool:
+        return -reach_ns <= self.first_ns and self.last_ns <= reach_ns
+
+    def _unit(self) -> TimesFound | None:
+        """A wrong unit, if one makes the times those of a sweep at the stamp, or as long as a sweep from zero on."""
+        for factor in _FACTORS:
+            if self._is_near_stamp(factor) and self._went_on(factor) is not False and self._lasts(factor):
+                return TimesFound(PointTimes.WRONG_UNIT, factor)
+        for factor in _FACTORS:
+            period = float(self.period_ns * factor)
+            as_long = period <= 2 * self.span_ns <= 4 * period
+            if as_long and self._lies_around_zero(1.5 * period):
+                return TimesFound(PointTimes.WRONG_UNIT, factor, relative=True)
+        return None
+
+    def _lasts(self, factor: Fraction) -> bool:
+        """Whether the times last as long as those of a sweep; near zero any unit brings them near the stamp."""
+        shortest = Fraction(1, 2) if self._stamp_is_near_zero() else Fraction(1, LEAST_SHARE)
+        period = self.period_ns * factor
+        return shortest * period <= self.span_ns <= NEAR_PERIODS * period
+
+    def repaired(self, times: Int64Array, found: TimesFound) -> Int64Array:
+        """The times on the scene's clock, exact where they are too small, rounded where they are too large."""
+        mended = times
+        if found.strays:
+            inside = (times >= self.first_ns) & (times <= self.last_ns)
+            mended = np.where(inside, times, self.median_ns)
+        if found.factor < 1:
+            mended = mended * int(1 / found.factor)
+        elif found.factor > 1:
+            mended = (mended + int(found.factor) // 2) // int(found.factor)
+        if found.kind is PointTimes.RELATIVE or found.relative:
+            mended = mended + self.stamp_ns
+        elif found.kind is PointTimes.OTHER_CLOCK:
+            mended = mended - self.first_ns + self.stamp_ns
+        return np.asarray(mended, np.int64)

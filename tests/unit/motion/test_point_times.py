@@ -1,0 +1,251 @@
+"""What the times of a sweep's points can be, and what is made of them."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.motion.point_time_notices import PointTimesTally
+from sceneloom.motion.point_times import (
+    PointTimes,
+    RawTimes,
+    TimedFrame,
+    TimesFound,
+    timed_frame,
+)
+from sceneloom.scene import LidarFrame, LidarPoints, NoticeKind
+
+PERIOD = 100_000_000
+EPOCH = 1_700_000_000_123_456_789
+CLOCKS = pytest.mark.parametrize(
+    "clock", [EPOCH, 3_000_000_000, 250_000_000_000], ids=["epoch", "3 s", "250 s"]
+)
+
+
+def times_of_sweep(count: int = 1000, span: int = PERIOD) -> np.ndarray:
+    """In no order, as those of many lasers are; the first is 0 and the last the span."""
+    times = np.linspace(0, span, count).astype(np.int64)
+    return np.random.default_rng(1).permutation(times)
+
+
+def sweep(stamp_ns: int, times_ns: np.ndarray | None) -> LidarFrame:
+    count = 5 if times_ns is None else len(times_ns)
+    return LidarFrame(stamp_ns, LidarPoints(np.ones((count, 3), np.float32), timestamps_ns=times_ns))
+
+
+def judged(stamp_ns: int, times_ns: np.ndarray | None, previous: RawTimes | None = None) -> TimedFrame:
+    return timed_frame(sweep(stamp_ns, times_ns), PERIOD, previous=previous)
+
+
+@CLOCKS
+@pytest.mark.parametrize(
+    ("first", "span"),
+    [
+        (0, PERIOD),
+        (-PERIOD, PERIOD),
+        (-PERIOD // 2, PERIOD),
+        (0, PERIOD // 10),
+        (-PERIOD // 3, PERIOD // 1000),
+        (-5 * PERIOD, PERIOD),
+        (-9 * PERIOD, 10 * PERIOD),
+        (2 * PERIOD, PERIOD),
+        (0, 3),
+    ],
+    ids=[
+        "stamped at the start",
+        "stamped at the end",
+        "stamped in the middle",
+        "a tenth of the period",
+        "a flash in several parts",
+        "stamped late",
+        "ten sweeps gathered",
+        "stamped early",
+        "nanoseconds",
+    ],
+)
+def test_conventions_are_no_faults_and_nothing_is_touched(clock: int, first: int, span: int) -> None:
+    frame = sweep(clock, clock + first + times_of_sweep(span=span))
+    timed = timed_frame(frame, PERIOD)
+    assert (timed.verdict, timed.found.untimed) == (PointTimes.ABSOLUTE, False)
+    assert timed.frame is frame
+
+
+def test_a_flash_near_the_stamp_is_believed_and_points_without_times_have_none() -> None:
+    flash = judged(EPOCH, np.full(10, EPOCH + PERIOD // 2))
+    assert (flash.verdict, flash.frame.points.timestamps_ns is None) == (PointTimes.ABSOLUTE, False)
+    assert judged(EPOCH, None).verdict is PointTimes.ABSENT
+    assert judged(EPOCH, np.zeros(0, np.int64)).verdict is PointTimes.ABSOLUTE
+
+
+@pytest.mark.parametrize("time", [0, EPOCH - 2 * PERIOD])
+def test_one_time_for_all_points_that_is_not_the_sweeps_tells_nothing(time: int) -> None:
+    timed = judged(EPOCH, np.full(10, time))
+    assert (timed.verdict, timed.found.untimed) == (PointTimes.EQUAL, True)
+    assert timed.frame.points.timestamps_ns is None
+
+
+def test_zero_is_no_time_however_near_the_stamp_is() -> None:
+    assert judged(PERIOD // 2, np.zeros(10, np.int64)).verdict is PointTimes.EQUAL
+    assert judged(0, np.zeros(10, np.int64)).verdict is PointTimes.ABSOLUTE
+
+
+@CLOCKS
+@pytest.mark.parametrize("first", [0, -PERIOD, -PERIOD // 2])
+@pytest.mark.parametrize("span", [PERIOD, PERIOD // 10])
+def test_times_from_zero_count_from_the_stamp(clock: int, first: int, span: int) -> None:
+    relative = first + times_of_sweep(span=span)
+    timed = judged(clock, relative)
+    assert timed.verdict is PointTimes.RELATIVE
+    np.testing.assert_array_equal(timed.frame.points.timestamps_ns, relative + clock)
+
+
+UNITS = pytest.mark.parametrize(
+    "factor", [Fraction(1000), Fraction(10**6), Fraction(1, 1000), Fraction(1, 10**6)]
+)
+
+
+def in_unit(times_ns: np.ndarray, factor: Fraction) -> np.ndarray:
+    """What a reader makes of the times that takes one unit for another."""
+    return np.array([round(time * factor) for time in times_ns.tolist()], np.int64)
+
+
+@UNITS
+@pytest.mark.parametrize("span", [PERIOD, 6 * PERIOD // 10, 19 * PERIOD // 10])
+def test_times_in_a_wrong_unit_are_brought_into_the_right_one(factor: Fraction, span: int) -> None:
+    clock = 250_000_000_000  # times a million it still fits 64 bits
+    true = clock + times_of_sweep(span=span)
+    timed = judged(clock, in_unit(true, factor))
+    assert (timed.verdict, timed.found.factor, timed.found.relative) == (PointTimes.WRONG_UNIT, factor, False)
+    # what a coarser unit has rounded away does not come back
+    coarse = max(float(1 / factor), 1.0)
+    np.testing.assert_allclose(
+        timed.frame.points.timestamps_ns - clock, true - clock, rtol=0, atol=coarse / 2
+    )
+
+
+@CLOCKS
+@pytest.mark.parametrize(
+    "factor", [Fraction(1000), Fraction(10**6), Fraction(10**9), Fraction(1, 1000), Fraction(1, 10**6)]
+)
+def test_times_from_zero_in_a_wrong_unit_are_brought_to_the_stamp(clock: int, factor: Fraction) -> None:
+    relative = times_of_sweep()
+    timed = judged(clock, in_unit(relative, factor))
+    assert (timed.verdict, timed.found.factor, timed.found.relative) == (PointTimes.WRONG_UNIT, factor, True)
+    coarse = max(float(1 / factor), 1.0)
+    mended = timed.frame.points.timestamps_ns - clock
+    np.testing.assert_allclose(mended, relative, rtol=0, atol=coarse / 2)
+
+
+def test_microseconds_of_today_read_as_nanoseconds_are_exact_again() -> None:
+    micros = EPOCH // 1000 + times_of_sweep() // 1000
+    timed = judged(EPOCH, micros)
+    assert (timed.verdict, timed.found.factor) == (PointTimes.WRONG_UNIT, Fraction(1, 1000))
+    np.testing.assert_array_equal(timed.frame.points.timestamps_ns, micros * 1000)
+
+
+def test_another_clock_is_set_by_the_first_point() -> None:
+    since_boot = 123_456_000_000_000 + times_of_sweep()
+    timed = judged(EPOCH, since_boot)
+    assert timed.verdict is PointTimes.OTHER_CLOCK
+    np.testing.assert_array_equal(timed.frame.points.timestamps_ns, EPOCH + times_of_sweep())
+
+
+@pytest.mark.parametrize("span", [PERIOD // 300, 17 * PERIOD, 40_000 * PERIOD])
+def test_times_that_fit_nothing_are_left_out(span: int) -> None:
+    timed = judged(EPOCH, 123_456_000_000_000 + times_of_sweep(span=span))
+    assert (timed.verdict, timed.found.untimed) == (PointTimes.UNKNOWN, True)
+    assert timed.frame.points.timestamps_ns is None
+
+
+@pytest.mark.parametrize("stray", [0, EPOCH - 50 * PERIOD, 2**62])
+def test_a_few_points_of_some_other_time_get_that_of_their_sweep(stray: int) -> None:
+    true = EPOCH + times_of_sweep()
+    times = true.copy()
+    times[[3, 500, 999]] = stray
+    timed = judged(EPOCH, times)
+    assert timed.found == TimesFound(strays=3)
+    mended = timed.frame.points.timestamps_ns
+    np.testing.assert_array_equal(np.delete(mended, [3, 500, 999]), np.delete(true, [3, 500, 999]))
+    assert np.abs(mended[[3, 500, 999]] - (EPOCH + PERIOD // 2)).max() < PERIOD // 100
+
+
+def test_strays_do_not_hide_a_wrong_unit_nor_times_from_zero() -> None:
+    relative = times_of_sweep()
+    for factor, kind in ((1, PointTimes.RELATIVE), (1000, PointTimes.WRONG_UNIT)):
+        times = relative * factor
+        times[[3, 500]] = EPOCH
+        timed = judged(EPOCH, times)
+        assert (timed.verdict, timed.found.strays) == (kind, 2)
+        kept = np.delete(timed.frame.points.timestamps_ns, [3, 500])
+        np.testing.assert_array_equal(kept, np.delete(relative, [3, 500]) + EPOCH)
+
+
+@pytest.mark.parametrize("factor", [1, Fraction(1, 1000), 1000])
+def test_a_drive_from_zero_on_is_read_alike_throughout(factor: Fraction) -> None:
+    """Sweep 1 alone could be absolute, stamped at its end; the sweep before tells that the times do not go on."""
+    relative, previous = times_of_sweep(), None
+    for k in range(20):
+        timed = judged(k * PERIOD, in_unit(relative, Fraction(factor)), previous)
+        previous = timed.raw
+        if k > 0:  # nothing comes before the first, where counting from the stamp is counting from zero
+            atol = 500 if factor < 1 else 0
+            np.testing.assert_allclose(
+                timed.frame.points.timestamps_ns, relative + k * PERIOD, rtol=0, atol=atol
+            )
+
+
+@pytest.mark.parametrize("late", [0, PERIOD, 5 * PERIOD])
+def test_a_drive_from_zero_on_that_is_stamped_late_is_believed(late: int) -> None:
+    previous = None
+    for k in range(20):
+        frame = sweep(k * PERIOD + late, k * PERIOD + times_of_sweep())
+        timed = timed_frame(frame, PERIOD, previous=previous)
+        previous = timed.raw
+        if k > 0 or late < 2 * PERIOD:
+            assert timed.frame is frame
+
+
+def test_one_long_scan_of_a_scanner_that_stands_is_believed() -> None:
+    assert judged(EPOCH, EPOCH + times_of_sweep(span=1000 * PERIOD)).verdict is PointTimes.ABSOLUTE
+
+
+def test_an_unknown_period_is_taken_to_be_a_tenth_of_a_second() -> None:
+    assert timed_frame(sweep(EPOCH, times_of_sweep()), 0).verdict is PointTimes.RELATIVE
+
+
+def test_extreme_times_are_judged_without_overflow() -> None:
+    extremes = np.array([-(2**63), 2**63 - 1] * 50, np.int64)
+    assert judged(EPOCH, extremes).verdict is PointTimes.UNKNOWN
+    assert judged(-EPOCH, np.full(3, 2**63 - 1)).verdict is PointTimes.EQUAL
+
+
+def test_everything_but_sound_and_absent_times_is_told_once() -> None:
+    tally = PointTimesTally()
+    relative = times_of_sweep()
+    strays = EPOCH + relative
+    strays[:4] = 0
+    for times in (None, EPOCH + relative, relative, relative, relative * 1000, strays, np.zeros(3, np.int64)):
+        tally.add(judged(EPOCH, times).found)
+    told = {notice.code: (notice.kind, notice.count) for notice in tally.notices()}
+    assert told == {
+        "relative-point-times": (NoticeKind.ASSUMED, 2),
+        "unit-of-point-times": (NoticeKind.REPAIRED, 1),
+        "times-of-points": (NoticeKind.ASSUMED, 1),
+        "stray-point-times": (NoticeKind.REPAIRED, 4),
+    }
+    unit = next(notice.message for notice in tally.notices() if notice.code == "unit-of-point-times")
+    assert "1000 times too large" in unit
+    assert "counted from the sweep's time" in unit
+
+
+@pytest.mark.parametrize("recording", ["kitti_drive", "pandaset"])
+def test_real_drives_are_believed(data_dir: Path, recording: str) -> None:
+    with sceneloom.open(data_dir / "recordings" / recording) as scene:
+        lidar, previous = scene.lidars[0], None
+        period_ns = int(np.median(np.diff(lidar.frames.timestamps_ns)))
+        for frame in lidar.frames:
+            timed = timed_frame(frame, period_ns, previous=previous)
+            previous = timed.raw
+            assert timed.frame is frame

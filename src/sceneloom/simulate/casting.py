@@ -61,6 +61,12 @@ class Rays:
             len(directions),
         )
 
+    def spread(self) -> Float64Array:
+        """The directions by slot, (slot_count, 3) float64; undefined in slots without a ray."""
+        directions = np.empty((self.slot_count, 3))
+        directions[self.slots] = self.directions
+        return directions
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits:

@@ -23,7 +23,7 @@ from sceneloom.scene import (
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.simulate.camera import CameraSpec, RenderedCamera, camera_mount
 from sceneloom.simulate.inertial import ImuSpec, imu_sensor, imu_truth
-from sceneloom.simulate.lidar import LidarSpec, SpinningLidar
+from sceneloom.simulate.lidar import LidarSpec, ScanningLidar
 from sceneloom.simulate.path import PathSpec, plan_path
 from sceneloom.simulate.randomness import Stream, generator_for
 from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
@@ -108,7 +108,7 @@ def simulate_street(
     truth = Truth(
         street,
         way,
-        SpinningLidar.of(lidar, street, way, seed=seed, timestamps_ns=starts),
+        ScanningLidar.of(lidar, street, way, seed=seed, timestamps_ns=starts),
         {
             f"camera{index}": RenderedCamera.of(spec, street, way, timestamps_ns=starts + spec.offset_ns)
             for index, spec in enumerate(specs)

@@ -1,13 +1,17 @@
-"""A spinning lidar: every shot leaves from where the sensor is at the shot's own time."""
+"""Lidars: every shot leaves from where the sensor is at the shot's own time.
 
+`LidarSpec` turns about its axis; `sceneloom.simulate.solid_state` has those that look one way. All are made here.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, read_only
-from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, LidarPoints
+from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.casting import (
     Hits,
     Paint,
@@ -18,22 +22,18 @@ from sceneloom.simulate.casting import (
     reflectivities_of,
     velocities_of,
 )
-from sceneloom.simulate.path import EgoPath, rotation_from_angles
+from sceneloom.simulate.mounts import sensor_mount
+from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.randomness import Stream, generator_for
+from sceneloom.simulate.shots import ScanSpec, Shots, directions_at, scan_bounds
 from sceneloom.simulate.street import Street
 
 _BUNDLE_COLUMNS, _BUNDLE_BEAMS = 16, 8
 """Shots that are culled together: about as wide as high at the default resolution."""
 
 
-def _default_mount() -> RigidTransform:
-    """A roof mounting that is a little off square, so that no one can take it for the identity."""
-    roll, pitch, yaw = np.radians([0.3, -0.5, 0.8])
-    return RigidTransform(rotation_from_angles(roll, pitch, yaw), np.array([0.25, 0.02, 1.78]))
-
-
-DEFAULT_MOUNT = _default_mount()
-"""`ego_from_lidar` on the roof."""
+DEFAULT_MOUNT = sensor_mount(position=(0.25, 0.02, 1.78), yaw_deg=0.8, pitch_deg=-0.5, roll_deg=0.3)
+"""`ego_from_lidar` on the roof, a little off square, so that no one can take it for the identity."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +45,7 @@ class LidarSpec:
         elevations_deg: elevation of the lowest and of the highest laser; the others lie evenly between.
         steps: shots of each laser in a turn; `beams * steps` shots make a sweep.
         period_ns: time of a turn [ns].
+        offset_ns: how much later than the drive the first turn starts [ns].
         clockwise: the way it turns, seen from above.
         start_azimuth_deg: where a turn begins, counter-clockwise from the sensor's x axis; 180 looks back, so the
             sensor looks ahead in the middle of a sweep.
@@ -68,20 +69,18 @@ class LidarSpec:
     min_range: float = 0.9
     max_range: float = 120.0
     mount: RigidTransform = DEFAULT_MOUNT
+    offset_ns: int = 0
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("beams", self.beams, 1, 65535),
-            ("period_ns", self.period_ns, 1, 10**12),
-            ("steps", self.steps, 1, self.period_ns),
-            ("range_sigma", self.range_sigma, 0.0, 10.0),
-            ("drop_rate", self.drop_rate, 0.0, 1.0),
-            ("min_range", self.min_range, 0.0, self.max_range),
-            ("max_range", self.max_range, self.min_range, 1e4),
-        )
-        for name, value, low, high in bounds:
-            if not low <= value <= high:
-                raise OptionError(f"lidar.{name}: {value}; expected {low} to {high}")
+        own = (("beams", self.beams, 1, 65535), ("steps", self.steps, 1, self.period_ns))
+        check_bounds("lidar", (*scan_bounds(self), *own))
+
+    def plan_shots(self) -> Callable[[int], Shots]:
+        """Give the shots, which are the same in each turn."""
+        offsets = np.arange(self.steps, dtype=np.int64) * self.period_ns // self.steps
+        column, beam = (grid.ravel() for grid in np.mgrid[: self.steps, : self.beams])
+        shots = Shots(_rays(self, column, beam), offsets, column, beam.astype(np.uint16))
+        return lambda _: shots
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,67 +109,76 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpinningLidar:
+class ScanningLidar:
     """A lidar on its way through a street.
 
     Attributes:
         spec: the device.
         street, path: what it meets and how it moves.
         seed: of the drive.
+        number: which of the drive's lidars it is.
         timestamps_ns: (F,) int64 [ns], start of each sweep.
-        rays: all shots of a sweep, column after column.
-        offsets_ns: (steps,) int64 [ns], time of each column after the start of its sweep.
+        shots_after: makes the shots of a sweep that starts so many ns after the first.
     """
 
-    spec: LidarSpec
+    spec: ScanSpec
     street: Street
     path: EgoPath
     seed: int
+    number: int
     timestamps_ns: Int64Array
-    rays: Rays
-    offsets_ns: Int64Array
+    shots_after: Callable[[int], Shots]
 
     @classmethod
     def of(
-        cls, spec: LidarSpec, street: Street, path: EgoPath, *, seed: int, timestamps_ns: Int64Array
-    ) -> "SpinningLidar":
+        cls,
+        spec: ScanSpec,
+        street: Street,
+        path: EgoPath,
+        *,
+        seed: int,
+        timestamps_ns: Int64Array,
+        number: int = 0,
+    ) -> "ScanningLidar":
         """Set up the shots of a sweep."""
-        offsets = np.arange(spec.steps, dtype=np.int64) * spec.period_ns // spec.steps
-        return cls(spec, street, path, seed, timestamps_ns, _shots(spec), offsets)
+        return cls(spec, street, path, seed, number, timestamps_ns, spec.plan_shots())
 
     def frame(self, k: int) -> LidarFrame:
         """What the sensor reports of sweep k."""
         return self.sweep(k).frame
 
+    def shots(self, k: int) -> Shots:
+        """Where and when sweep k shoots."""
+        return self.shots_after(int(self.timestamps_ns[k] - self.timestamps_ns[0]))
+
     def sweep(self, k: int) -> Sweep:
         """Make sweep k with its truth; the same every time."""
-        times_ns = self.timestamps_ns[k] + self.offsets_ns
+        shots = self.shots(k)
+        times_ns = self.timestamps_ns[k] + shots.offsets_ns
         rotations, origins = self._poses(times_ns)
-        hits = cast(self.street, self.rays, rotations, origins, times_ns, reach=self.spec.max_range)
-        look = paint(self.street, self.rays, rotations, origins, times_ns, hits)
+        hits = cast(self.street, shots.rays, rotations, origins, times_ns, reach=self.spec.max_range)
+        look = paint(self.street, shots.rays, rotations, origins, times_ns, hits)
         noise, kept = self._noise(k, hits)
-        directions = np.empty((self.rays.slot_count, 3))
-        directions[self.rays.slots] = self.rays.directions
-        column = kept // self.spec.beams
-        ranges, directions = hits.ranges[kept], directions[kept]
-        in_world = np.einsum("nij,nj->ni", rotations[column], directions)
+        moments = shots.moments[kept]
+        ranges, directions = hits.ranges[kept], shots.rays.spread()[kept]
+        in_world = np.einsum("nij,nj->ni", rotations[moments], directions)
         positions = directions * np.maximum(0.0, ranges + noise[kept])[:, None]
-        ends = origins[column] + ranges[:, None] * in_world
+        ends = origins[moments] + ranges[:, None] * in_world
         points = LidarPoints(
             read_only(positions, np.float32),
             intensities=read_only(_intensities(self.street, hits, look)[kept]),
-            timestamps_ns=read_only(self.timestamps_ns[k] + self.offsets_ns[column]),
-            rings=read_only((kept % self.spec.beams).astype(np.uint16)),
+            timestamps_ns=read_only(times_ns[moments]),
+            rings=None if shots.rings is None else read_only(shots.rings[kept]),
         )
         return Sweep(
             LidarFrame(int(self.timestamps_ns[k]), points),
             ranges,
             directions,
-            origins[column],
+            origins[moments],
             ends,
             instances_of(self.street, hits)[kept],
             look.colors[kept],
-            velocities_of(self.street, hits.shapes[kept], ends, times_ns[column]),
+            velocities_of(self.street, hits.shapes[kept], ends, times_ns[moments]),
         )
 
     def _poses(self, timestamps_ns: Int64Array) -> tuple[Float64Array, Float64Array]:
@@ -181,23 +189,19 @@ class SpinningLidar:
 
     def _noise(self, k: int, hits: Hits) -> tuple[Float64Array, Int64Array]:
         """Range errors (S,) [m] and the slots of the returns that arrive."""
-        generator = generator_for(self.seed, Stream.LIDAR, k)
+        generator = generator_for(self.seed, Stream.LIDAR, k, sensor=self.number)
         noise = self.spec.range_sigma * generator.standard_normal(len(hits.ranges), dtype=np.float32)
         lost = generator.random(len(hits.ranges), dtype=np.float32) < self.spec.drop_rate
         kept = np.flatnonzero((hits.ranges >= self.spec.min_range) & ~lost)
         return noise.astype(np.float64), kept
 
 
-def _shots(spec: LidarSpec) -> Rays:
+def _rays(spec: LidarSpec, column: Int64Array, beam: Int64Array) -> Rays:
     """Directions of all shots, ordered by column, then by ring; each column has a pose of its own."""
     elevations = np.radians(np.linspace(*spec.elevations_deg, spec.beams))
     turn = (-2.0 if spec.clockwise else 2.0) * np.pi / spec.steps
     azimuths = np.radians(spec.start_azimuth_deg) + turn * np.arange(spec.steps)
-    column, beam = (grid.ravel() for grid in np.mgrid[: spec.steps, : spec.beams])
-    flat = np.cos(elevations[beam])
-    directions = np.column_stack(
-        [flat * np.cos(azimuths[column]), flat * np.sin(azimuths[column]), np.sin(elevations[beam])]
-    )
+    directions = directions_at(azimuths[column], elevations[beam])
     bundle = column // _BUNDLE_COLUMNS * spec.beams + beam // _BUNDLE_BEAMS
     return Rays.bundled(directions, bundle, pose_of_ray=column)
 

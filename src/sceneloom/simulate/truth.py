@@ -13,7 +13,7 @@ from sceneloom.scene import PosePath
 from sceneloom.simulate.camera import PictureTruth, RenderedCamera, edge_mask
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
 from sceneloom.simulate.inertial import ImuTruth
-from sceneloom.simulate.lidar import SpinningLidar, Sweep
+from sceneloom.simulate.lidar import ScanningLidar, Sweep
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.street import Street, StreetObject
 
@@ -54,7 +54,7 @@ class Truth:
 
     street: Street
     path: EgoPath
-    lidar: SpinningLidar
+    lidar: ScanningLidar
     cameras: Mapping[str, RenderedCamera]
     imu: ImuTruth
 

@@ -8,7 +8,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.simulate import LidarSpec, simulate_street
-from sceneloom.simulate.lidar import SpinningLidar
+from sceneloom.simulate.lidar import ScanningLidar
 from sceneloom.simulate.shapes import Material, Pattern
 
 HEIGHT = 1.5
@@ -31,7 +31,7 @@ def sweep_of(wall, standing_path):
 
     def make(spec, *, seed=0, k=2):
         starts = np.arange(4, dtype=np.int64) * spec.period_ns
-        return SpinningLidar.of(spec, wall, standing_path, seed=seed, timestamps_ns=starts).sweep(k)
+        return ScanningLidar.of(spec, wall, standing_path, seed=seed, timestamps_ns=starts).sweep(k)
 
     return make
 

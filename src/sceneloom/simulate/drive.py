@@ -1,7 +1,7 @@
 """A made-up drive: one scene as a reader would give it, and the truth behind it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from sceneloom.scene import (
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
+    Identifier,
     LazyFrames,
     LidarSensor,
     PosePath,
@@ -22,9 +23,11 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.simulate.camera import CameraSpec, RenderedCamera, camera_mount
+from sceneloom.simulate.faults import Faults
 from sceneloom.simulate.inertial import ImuSpec, imu_sensor, imu_truth
 from sceneloom.simulate.lidar import LidarSpec, ScanningLidar
 from sceneloom.simulate.path import PathSpec, plan_path
+from sceneloom.simulate.planting import plant_in_scene
 from sceneloom.simulate.randomness import Stream, generator_for
 from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
 from sceneloom.simulate.street import StreetObject, build_street
@@ -49,11 +52,15 @@ class SimulatedDrive:
 
     Attributes:
         scene: what sensors recorded of it; sweeps and pictures are made when asked for.
-        truth: what was really there.
+        truth: what was really there; planted faults change nothing in it.
+        faults: what was planted in the scene.
+        true_frames: for each sensor with faults, (F,) int64: which frame of the truth each of its frames shows.
     """
 
     scene: Scene
     truth: Truth
+    faults: Faults = field(default_factory=Faults)
+    true_frames: Mapping[Identifier, Int64Array] = field(default_factory=dict)
 
 
 def simulate_street(
@@ -66,6 +73,7 @@ def simulate_street(
     gnss: GnssSpec | None = None,
     path: PathSpec | None = None,
     traffic: TrafficSpec | None = None,
+    faults: Faults | None = None,
     trajectory_hz: float = 100.0,
     start_ns: int = 1_000_000_000,
 ) -> SimulatedDrive:
@@ -79,6 +87,7 @@ def simulate_street(
         imu, gnss: the inertial unit and the satellite receiver.
         path: how the ego drives: speeds, turns, stops.
         traffic: what moves besides the ego; None for nothing.
+        faults: what is wrong with the scene; None for nothing.
         trajectory_hz: samples of the trajectory a second; 100 keeps interpolation within 0.1 mm and 0.001 degrees.
         start_ns: time of the first sweep [ns].
 
@@ -119,7 +128,21 @@ def simulate_street(
         imu_sensor(imu, inertial, seed=seed),
         gnss_sensor(gnss, way, _stamps(span_ns, gnss.rate_hz), seed=seed),
     )
-    return SimulatedDrive(_scene(seed, truth, sensors, _stamps(span_ns, trajectory_hz)), truth)
+    drive = SimulatedDrive(_scene(seed, truth, sensors, _stamps(span_ns, trajectory_hz)), truth)
+    return drive if faults is None else plant(drive, faults)
+
+
+def plant(drive: SimulatedDrive, faults: Faults) -> SimulatedDrive:
+    """Make the scene of a drive wrong; its truth stays as it is.
+
+    Raises:
+        OptionError: the drive has faults already, there is no such sensor or frame, or a fault means nothing for
+            that kind of sensor.
+    """
+    if drive.faults.sensors:
+        raise OptionError(f"{drive.scene.source}: has faults already; plant all of them at once")
+    scene, true_frames = plant_in_scene(drive.scene, faults)
+    return replace(drive, scene=scene, faults=faults, true_frames=true_frames)
 
 
 def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:

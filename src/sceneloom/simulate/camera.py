@@ -1,6 +1,7 @@
 """A camera with a global shutter: one ray through the middle of every pixel, or a few of them."""
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -118,7 +119,7 @@ class RenderedCamera:
 
     def picture(self, k: int) -> Picture:
         """Picture k, rendered when its pixels are asked for."""
-        return Picture(int(self.timestamps_ns[k]), self.spec.camera, lambda: self.render(k))
+        return Picture(int(self.timestamps_ns[k]), self.spec.camera, partial(self.render, k))
 
     def render(self, k: int) -> UInt8Array:
         """Render picture k, (H, W, 3) uint8."""

@@ -1,0 +1,80 @@
+"""A file of points as it is: named columns, whatever they mean."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray
+from sceneloom.errors import DataError
+
+MOST_POINTS = 1 << 28
+"""Files that claim more points are refused: a damaged head can claim any number."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """The points of one file, column by column.
+
+    Attributes:
+        file: where they come from, for messages.
+        count: number of points N.
+        columns: (N,) or (N, K) arrays by the file's own names, of the file's own dtypes in native byte order.
+    """
+
+    file: Path
+    count: int
+    columns: Mapping[str, AnyArray]
+
+
+@contextmanager
+def file_faults(path: Path) -> Iterator[None]:
+    """Turn what the operating system says of a file into a DataError."""
+    try:
+        yield
+    except OSError as error:
+        raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise DataError(path, "", "does not fit into the memory") from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a whole file.
+
+    Raises:
+        DataError: it cannot be read.
+    """
+    with file_faults(path):
+        return path.read_bytes()
+
+
+def columns_of(records: AnyArray) -> dict[str, AnyArray]:
+    """Take a structured array apart into columns of native byte order; fields named `_` are padding."""
+    names = records.dtype.names or ()
+    return {
+        name: np.ascontiguousarray(column, column.dtype.newbyteorder("="))
+        for name in names
+        if not name.startswith("_") and (column := records[name]).dtype.names is None
+    }
+
+
+def unique_names(names: list[str]) -> list[str]:
+    """Give repeated names a number, since a structured array has no two fields of one name; `_` stays padding."""
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        unique.append(name if seen[name] == 1 else f"{name}~{seen[name]}")
+    return unique
+
+
+def check_count(path: Path, place: str, count: int) -> None:
+    """Refuse a number of points that no sweep has.
+
+    Raises:
+        DataError: it is negative or larger than `MOST_POINTS`.
+    """
+    if not 0 <= count <= MOST_POINTS:
+        raise DataError(path, place, f"{count} points; expected 0 to {MOST_POINTS}")

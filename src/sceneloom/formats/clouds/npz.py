@@ -1,0 +1,98 @@
+"""NPZ and NPY, the files of NumPy; pickled objects in them are refused, never run."""
+
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray
+from sceneloom.errors import DataError
+from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, file_faults
+from sceneloom.formats.clouds.layout import FieldLayout
+
+_LARGEST_ARRAY = 1 << 32
+_FAULTS = (
+    ValueError, KeyError, EOFError, TypeError, SyntaxError, RuntimeError, NotImplementedError, OverflowError,
+    IndexError, zipfile.BadZipFile, zlib.error, tokenize.TokenError, UserWarning,
+)  # fmt: skip
+"""What NumPy and the modules below it raise for files that are damaged, encrypted, or hold objects."""
+
+POSITION_NAMES = ("points", "positions", "xyz", "pos", "pts", "arr_0")
+"""Arrays of rows that hold x, y, z and perhaps more."""
+
+_PLAIN_COLUMNS = ("x", "y", "z", "intensity")
+
+
+def read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
+    """Read arrays by name; rows of several numbers are cut into columns by `layout`, by default x y z intensity.
+
+    Raises:
+        DataError: the file is damaged, holds objects, or its arrays do not have one length.
+    """
+    arrays = _arrays(path)
+    columns: dict[str, AnyArray] = {}
+    for name, array in arrays.items():
+        columns.update(_columns(path, name, array, layout))
+    if not columns:
+        raise DataError(
+            path, "", f"holds {', '.join(arrays) or 'nothing'}; expected arrays with a row per point"
+        )
+    lengths = {name: len(column) for name, column in columns.items()}
+    count = next((lengths[name] for name in (*_PLAIN_COLUMNS, *POSITION_NAMES) if name in lengths), None)
+    if count is None:
+        count = max(lengths.values())
+    check_count(path, "", count)
+    # arrays of other lengths say something of the file, not of its points
+    return Cloud(path, count, {name: column for name, column in columns.items() if len(column) == count})
+
+
+def _arrays(path: Path) -> dict[str, AnyArray]:
+    with file_faults(path):
+        if not path.stat().st_size:
+            raise DataError(path, "", "is empty; expected arrays of NumPy")
+        try:
+            loaded: Any = np.load(path, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                return {"points" if loaded.dtype.names is None else "": loaded}
+            with loaded:
+                _check_sizes(path, loaded.zip)
+                return {name: loaded[name] for name in loaded.files}
+        except _FAULTS as error:
+            objects = "allow_pickle" in str(error) or "pickle" in str(error).lower()
+            problem = (
+                "holds Python objects, which are never loaded" if objects else f"cannot be read: {error}"
+            )
+            raise DataError(path, "", f"{problem}; expected arrays of numbers") from error
+
+
+def _check_sizes(path: Path, archive: zipfile.ZipFile) -> None:
+    for entry in archive.infolist():
+        if entry.file_size > _LARGEST_ARRAY:
+            problem = f"unfolds to {entry.file_size} bytes; expected at most {_LARGEST_ARRAY}"
+            raise DataError(path, entry.filename, problem)
+
+
+def _columns(path: Path, name: str, array: AnyArray, layout: FieldLayout | None) -> dict[str, AnyArray]:
+    """Cut one array into columns; what is no array of numbers with a row per point is passed over."""
+    if not isinstance(array, np.ndarray):
+        raise DataError(path, name, "is no array; expected arrays of numbers")
+    if array.dtype.names is not None and array.ndim == 1:
+        return columns_of(array)
+    if array.dtype.kind not in "iufb" or array.ndim not in {1, 2}:
+        return {}
+    plain = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
+    if plain.ndim == 1 or name not in POSITION_NAMES:
+        return {name: plain[:, 0] if plain.ndim == 2 and plain.shape[1] == 1 else plain}
+    return _rows(path, name, plain, layout)
+
+
+def _rows(path: Path, name: str, rows: AnyArray, layout: FieldLayout | None) -> dict[str, AnyArray]:
+    names = _PLAIN_COLUMNS[: rows.shape[1]] if layout is None else layout.names
+    if rows.shape[1] != len(names) or rows.shape[1] < 3:
+        expected = "3 or 4 (x y z intensity)" if layout is None else f"{len(names)}: {' '.join(names)}"
+        problem = f"rows of {rows.shape[1]} numbers; expected {expected}; name them with `fields`"
+        raise DataError(path, name, problem)
+    return {column: np.ascontiguousarray(rows[:, k]) for k, column in enumerate(names) if column[0] != "_"}

@@ -1,0 +1,197 @@
+"""PCD, the files of the Point Cloud Library: text, binary, or binary and compressed.
+
+Source: "The PCD (Point Cloud Data) file format" of the Point Cloud Library's documentation, version 0.7.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray
+from sceneloom.errors import DataError
+from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, read_bytes, unique_names
+from sceneloom.formats.clouds.text_rows import parse_rows
+
+_LONGEST_HEADER = 1 << 16
+_LETTERS = {"F": "f", "I": "i", "U": "u"}
+_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_MOST_VALUES = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class PcdHeader:
+    """The head of a PCD file.
+
+    Attributes:
+        dtype: one point, packed, little-endian.
+        count: number of points.
+        data: "ascii", "binary" or "binary_compressed".
+        start: byte at which the points begin.
+        lines: lines of the head.
+    """
+
+    dtype: np.dtype[np.void]
+    count: int
+    data: str
+    start: int
+    lines: int
+
+
+def read_pcd(path: Path) -> Cloud:
+    """Read a PCD file; points that are not finite stay in it, `VIEWPOINT` is not applied.
+
+    Raises:
+        DataError: the head is wrong, or the points are not as many bytes or lines as it says.
+    """
+    content = read_bytes(path)
+    header = parse_header(path, content)
+    if header.count == 0 or header.dtype.itemsize == 0:
+        return Cloud(path, header.count, columns_of(np.zeros(header.count, header.dtype)))
+    return Cloud(path, header.count, _READERS[header.data](path, content, header))
+
+
+def parse_header(path: Path, content: bytes) -> PcdHeader:
+    """Parse the head of a PCD file.
+
+    Raises:
+        DataError: a line is missing or wrong.
+    """
+    entries, start, lines = _entries(path, content)
+    names = entries["FIELDS"]
+    sizes = _integers(path, entries, "SIZE", len(names))
+    counts = _integers(path, entries, "COUNT", len(names)) if "COUNT" in entries else [1] * len(names)
+    types = _sized(path, entries, "TYPE", len(names))
+    fields = []
+    for k, name in enumerate(unique_names(names)):
+        if types[k] not in _LETTERS or sizes[k] not in _SIZES[types[k]]:
+            problem = f"{types[k]}{sizes[k]} for {name!r}; expected F4 F8 I1 I2 I4 I8 U1 U2 U4 U8"
+            raise DataError(path, "TYPE, SIZE", problem)
+        if not 1 <= counts[k] <= _MOST_VALUES:
+            raise DataError(path, "COUNT", f"{counts[k]} for {name!r}; expected 1 to {_MOST_VALUES}")
+        shape = () if counts[k] == 1 else (counts[k],)
+        fields.append((name, f"<{_LETTERS[types[k]]}{sizes[k]}", shape))
+    data = " ".join(entries["DATA"]).lower()
+    if data not in _READERS:
+        raise DataError(path, "DATA", f"{data!r}; expected {', '.join(_READERS)}")
+    return PcdHeader(np.dtype(fields), _count(path, entries), data, start, lines)
+
+
+def _entries(path: Path, content: bytes) -> tuple[dict[str, list[str]], int, int]:
+    """Cut the head into its lines, up to and with `DATA`."""
+    entries: dict[str, list[str]] = {}
+    start, number = 0, 0
+    while "DATA" not in entries:
+        stop = content.find(b"\n", start, _LONGEST_HEADER)
+        if stop < 0:
+            problem = (
+                "the head breaks off without a line `DATA`"
+                if entries
+                else "does not begin as a PCD file does"
+            )
+            raise DataError(path, f"byte {start}", f"{problem}; expected lines {' '.join(_KEYS)}")
+        number += 1
+        words = content[start:stop].decode("latin-1").split()
+        start = stop + 1
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in (*_KEYS, "COLUMNS"):
+            raise DataError(path, f"line {number}", f"{words[0][:40]!r}; expected one of {' '.join(_KEYS)}")
+        entries["FIELDS" if words[0] == "COLUMNS" else words[0]] = words[1:]
+    for key in ("FIELDS", "SIZE", "TYPE"):
+        if key not in entries:
+            raise DataError(path, key, "missing in the head")
+    return entries, start, number
+
+
+def _sized(path: Path, entries: dict[str, list[str]], key: str, count: int) -> list[str]:
+    if len(entries[key]) != count:
+        raise DataError(path, key, f"{len(entries[key])} entries; expected {count}, one for each of FIELDS")
+    return entries[key]
+
+
+def _integers(path: Path, entries: dict[str, list[str]], key: str, count: int) -> list[int]:
+    return [_integer(path, key, word) for word in _sized(path, entries, key, count)]
+
+
+def _integer(path: Path, key: str, word: str) -> int:
+    if not (word.isascii() and word.isdigit() and len(word) < 20):
+        raise DataError(path, key, f"{word[:40]!r}; expected a whole number")
+    return int(word)
+
+
+def _count(path: Path, entries: dict[str, list[str]]) -> int:
+    """The number of points: `POINTS`, else width times height; both where they are given must agree."""
+    numbers = {
+        key: _integer(path, key, " ".join(entries[key]))
+        for key in ("WIDTH", "HEIGHT", "POINTS")
+        if key in entries
+    }
+    area = numbers["WIDTH"] * numbers.get("HEIGHT", 1) if "WIDTH" in numbers else None
+    count = numbers.get("POINTS", area)
+    if count is None:
+        raise DataError(path, "POINTS", "missing in the head, as is WIDTH")
+    if area is not None and area != count:
+        raise DataError(path, "POINTS", f"{count}; WIDTH times HEIGHT is {area}")
+    check_count(path, "POINTS", count)
+    return count
+
+
+def _read_text(path: Path, content: bytes, header: PcdHeader) -> dict[str, AnyArray]:
+    numbered = enumerate(content[header.start :].decode("latin-1").split("\n"), header.lines + 1)
+    lines = [(number, line) for number, line in numbered if line.strip()]
+    if len(lines) != header.count:
+        raise DataError(path, "", f"{len(lines)} lines of points; the head says {header.count}")
+    # latin-1 knows spaces that are none in ASCII; what is left of them does not parse
+    return columns_of(parse_rows(path, [line for _, line in lines], header.dtype, lines[0][0]))
+
+
+def _read_binary(path: Path, content: bytes, header: PcdHeader) -> dict[str, AnyArray]:
+    expected, found = header.count * header.dtype.itemsize, len(content) - header.start
+    if found < expected:
+        problem = (
+            f"{found} bytes of points; expected {expected}: "
+            f"{header.count} points of {header.dtype.itemsize} bytes; the file breaks off"
+        )
+        raise DataError(path, f"byte {header.start}", problem)
+    return columns_of(np.frombuffer(content, header.dtype, header.count, header.start))
+
+
+def _read_compressed(path: Path, content: bytes, header: PcdHeader) -> dict[str, AnyArray]:
+    """Unfold the columns, which stand one after another where they are compressed."""
+    from sceneloom.kernels.lzf import LARGEST_RATIO, unfold
+
+    place, body = f"byte {header.start}", header.start + 8
+    if len(content) < body:
+        raise DataError(path, place, f"{len(content) - header.start} bytes of points; the file breaks off")
+    packed_size, size = np.frombuffer(content, "<u4", 2, header.start).tolist()
+    if len(content) - body < packed_size:
+        problem = f"{len(content) - body} compressed bytes; expected {packed_size}; the file breaks off"
+        raise DataError(path, place, problem)
+    expected = header.count * header.dtype.itemsize
+    if size != expected or size > packed_size * LARGEST_RATIO:
+        problem = f"{packed_size} bytes that unfold to {size}; expected {expected} from {header.count} points"
+        raise DataError(path, place, problem)
+    unpacked = np.empty(size, np.uint8)
+    done = unfold(np.frombuffer(content, np.uint8, packed_size, body), unpacked)
+    if done != size:
+        raise DataError(
+            path, place, "the compressed points are damaged: they do not unfold to what the head says"
+        )
+    return _cut_columns(unpacked, header)
+
+
+def _cut_columns(unpacked: AnyArray, header: PcdHeader) -> dict[str, AnyArray]:
+    columns, start = {}, 0
+    for name in header.dtype.names or ():
+        kind = header.dtype[name]
+        stop = start + header.count * kind.itemsize
+        column = unpacked[start:stop].view(kind.base).reshape(header.count, *kind.shape)
+        if not name.startswith("_"):
+            columns[name] = column.astype(kind.base.newbyteorder("="))
+        start = stop
+    return columns
+
+
+_READERS = {"ascii": _read_text, "binary": _read_binary, "binary_compressed": _read_compressed}

@@ -9,6 +9,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.point_times import SOUND, TimesFound
 from sceneloom.scene import Identifier, LidarPoints
 from sceneloom.scene.types import NO_FIELDS
 
@@ -66,7 +67,8 @@ class FusedFrame:
         unposed: cameras whose picture lies beyond the reach of the trajectory.
         extrapolated: whether poses beyond the trajectory's ends were used.
         unfused: why the frame could not be fused, or None.
-        untimed: whether the times of its points were left out, being all the same and not of this sweep.
+        times: what the times of its points were; where they could not be taken as they are, `points` has them as they
+            were read, or none.
         extras: further fields of the frame, by name.
     """
 
@@ -80,5 +82,5 @@ class FusedFrame:
     unposed: tuple[Identifier, ...] = ()
     extrapolated: bool = False
     unfused: str | None = None
-    untimed: bool = False
+    times: TimesFound = SOUND
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)

@@ -15,6 +15,7 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.pairing import PictureQueue, all_reach
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
+from sceneloom.motion.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene import Identifier, LidarFrame, Picture
 from sceneloom.scene.pose_source import PoseSource
 
@@ -29,6 +30,13 @@ class _Lidar:
     period_ns: int
     received: int = 0
     lag_ns: int = 0
+    last_raw: RawTimes | None = None
+
+    def timed(self, frame: LidarFrame) -> tuple[LidarFrame, TimesFound]:
+        """Bring the times of the points onto the scene's clock, and say what they were."""
+        timed = timed_frame(frame, self.period_ns, previous=self.last_raw)
+        self.last_raw = timed.raw
+        return timed.frame, timed.found
 
     def note_lag(self, frame: LidarFrame, reference_ns: int) -> None:
         """Remember how much later than its own reference time the last sweep was stamped."""
@@ -56,7 +64,7 @@ class _Waiting:
     frame: LidarFrame
     reference_ns: int
     tolerance_ns: int
-    untimed: bool
+    times: TimesFound
 
 
 @dataclass(slots=True)
@@ -160,16 +168,14 @@ class FusionSystem:
     def _receive_frame(self, lidar_id: Identifier, frame: LidarFrame) -> None:
         lidar = self._lidars[lidar_id]
         tolerance_ns = self.configuration.pairing_tolerance_ns
-        untimed = _times_tell_nothing(frame, lidar.period_ns)
-        if untimed:
-            frame = replace(frame, points=replace(frame.points, timestamps_ns=None))
+        frame, times = lidar.timed(frame)
         waiting = _Waiting(
             lidar_id,
             lidar.received,
             frame,
             frame.reference_ns,
             lidar.period_ns if tolerance_ns is None else tolerance_ns,
-            untimed,
+            times,
         )
         self._waiting.append(waiting)
         lidar.received += 1
@@ -204,7 +210,7 @@ class FusionSystem:
             waiting.reference_ns,
             waiting.frame.points,
             extras=waiting.frame.extras,
-            untimed=waiting.untimed,
+            times=waiting.times,
         )
         lidar = self._lidars[waiting.lidar_id]
         source = lidar.source
@@ -268,11 +274,3 @@ class FusionSystem:
                 raise
             self.on_unreadable(error)
             return None
-
-
-def _times_tell_nothing(frame: LidarFrame, period_ns: int) -> bool:
-    """Whether all points bear one time that cannot be this sweep's: a format that wants times got some number."""
-    times = frame.points.timestamps_ns
-    if times is None or len(times) == 0 or times.min() != times.max():
-        return False
-    return abs(int(times[0]) - frame.timestamp_ns) > period_ns

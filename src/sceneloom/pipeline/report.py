@@ -7,7 +7,8 @@ import numpy as np
 
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.formats.loss import LossReport
-from sceneloom.scene import Identifier, Notice, NoticeKind
+from sceneloom.motion.point_time_notices import PointTimesTally
+from sceneloom.scene import Identifier, Notice
 
 
 class CameraReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -127,14 +128,14 @@ class FusionTally:
     extrapolated: int = 0
     points: int = 0
     coloured: int = 0
-    untimed: int = 0
+    times: PointTimesTally = field(default_factory=PointTimesTally)
     unfused: dict[str, int] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame) -> None:
         """Count one sweep."""
         self.frames += 1
         self.points += len(frame.points)
-        self.untimed += frame.untimed
+        self.times.add(frame.times)
         if frame.unfused is not None:
             reason = frame.unfused.split(":", maxsplit=1)[0]
             self.unfused[reason] = self.unfused.get(reason, 0) + 1
@@ -158,14 +159,7 @@ class FusionTally:
 
     def notices(self) -> tuple[Notice, ...]:
         """What had to be assumed about the sweeps."""
-        if self.untimed == 0:
-            return ()
-        message = (
-            "all points of a sweep bear one time, more than a sweep period away from the sweep's own; they were taken "
-            "as measured at the sweep's time, and their times were left out"
-        )
-        place, kind = "sensors[].frames[].points.timestamps", NoticeKind.ASSUMED
-        return (Notice(kind=kind, code="times-of-points", place=place, message=message, count=self.untimed),)
+        return self.times.notices()
 
     @property
     def coloured_percent(self) -> float:

@@ -10,6 +10,7 @@ from sceneloom.colouring import ALGORITHMS, FusedFrame
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.point_times import SOUND, PointTimes
 from sceneloom.scene import LidarFrame, LidarPoints, Picture, PosePath
 from sceneloom.scene.pose_source import PoseSource
 
@@ -214,10 +215,25 @@ def test_one_time_for_all_points_far_from_the_sweep_is_no_time() -> None:
     system.send("lidar", sweep(1100, LidarPoints(positions, timestamps_ns=zero + 1150)))
     system.flush()
     absent, flash = results(system)
-    assert (absent.untimed, absent.points.timestamps_ns, absent.timestamp_ns) == (True, None, 1000)
+    assert (absent.times.untimed, absent.points.timestamps_ns, absent.timestamp_ns) == (True, None, 1000)
     np.testing.assert_allclose(absent.points.positions[:, 0], 10.0)
-    assert not flash.untimed
+    assert flash.times == SOUND
     np.testing.assert_allclose(flash.points.positions[:, 0], 11.5)
+
+
+def test_points_whose_times_count_from_the_sweep_are_moved_by_their_own_times() -> None:
+    path = PosePath(
+        np.array([0, 5000], np.int64), np.array([[0.0, 0, 0], [50, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1))
+    )
+    system = system_with(path=path)
+    for stamp in (1000, 1100):
+        points = LidarPoints(np.zeros((2, 3), np.float32), timestamps_ns=np.array([0, 90], np.int64))
+        system.send("lidar", sweep(stamp, points))
+    system.flush()
+    for fused, stamp in zip(results(system), (1000, 1100), strict=True):
+        assert fused.times.kind is PointTimes.RELATIVE
+        np.testing.assert_array_equal(fused.points.timestamps_ns, [stamp, stamp + 90])
+        np.testing.assert_allclose(fused.points.positions[:, 0], [stamp / 100, (stamp + 90) / 100])
 
 
 def test_a_sweep_that_is_passed_over_keeps_its_number() -> None:

@@ -249,6 +249,30 @@ def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that
         assert scene.lidars[0].frames[0].points.timestamps_ns is None
 
 
+@pytest.mark.parametrize("microseconds", [False, True])
+def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_told(
+    drive: Scene, tmp_path: Path, microseconds: bool
+) -> None:
+    frames = drive.lidars[0].frames
+
+    def read(index: int) -> LidarFrame:
+        frame = frames[index]
+        times = frame.points.timestamps_ns // 1000 * 1000 - frame.timestamp_ns
+        times = times // 1000 if microseconds else times
+        return replace(frame, points=replace(frame.points, timestamps_ns=times))
+
+    fuse(drive, tmp_path / "sound.sfs")
+    told = fuse(
+        with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read)), tmp_path / "odd.sfs"
+    ).notices
+    code = "unit-of-point-times" if microseconds else "relative-point-times"
+    assert [(notice.code, notice.count) for notice in told] == [(code, 4)]
+    with sceneloom.open(tmp_path / "sound.sfs") as sound, sceneloom.open(tmp_path / "odd.sfs") as odd:
+        for one, other in zip(sound.lidars[0].frames, odd.lidars[0].frames, strict=True):
+            # a microsecond's rounding at 10 m/s
+            np.testing.assert_allclose(one.points.positions, other.points.positions, atol=2e-5)
+
+
 def test_a_picture_that_cannot_be_read_is_passed_over_in_every_output(drive: Scene, tmp_path: Path) -> None:
     pictures = drive.cameras[0].pictures
 

@@ -1,9 +1,9 @@
 """A scene seen from another origin of its world; the axes stay, so z stays up."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -92,13 +92,21 @@ def _moved_radar(sensor: RadarSensor, origin_world: Float64Array) -> RadarSensor
     return _moved_poses(sensor, origin_world)
 
 
-def _moved_frames(frames: LazyFrames[Cloud], origin_world: Float64Array) -> LazyFrames[Cloud]:
-    def read(index: int) -> Cloud:
-        frame = frames[index]
-        positions = _moved_points(frame.points.positions, origin_world)
+@dataclass(frozen=True, slots=True, eq=False)
+class _MovedFrames(Generic[Cloud]):
+    """Reads frames whose points are in the world, and moves them."""
+
+    frames: LazyFrames[Cloud]
+    origin_world: Float64Array
+
+    def __call__(self, index: int) -> Cloud:
+        frame = self.frames[index]
+        positions = _moved_points(frame.points.positions, self.origin_world)
         return replace(frame, points=replace(frame.points, positions=positions))
 
-    return LazyFrames(frames.timestamps_ns, read)
+
+def _moved_frames(frames: LazyFrames[Cloud], origin_world: Float64Array) -> LazyFrames[Cloud]:
+    return LazyFrames(frames.timestamps_ns, _MovedFrames(frames, origin_world))
 
 
 def _moved_points(positions: Float32Array, origin_world: Float64Array) -> Float32Array:

@@ -15,6 +15,16 @@ from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Kept:
+    """Gives a picture that is in memory; others cannot write into it."""
+
+    rgb: UInt8Array
+
+    def __call__(self) -> UInt8Array:
+        return read_only(self.rgb)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Picture:
     """One picture of a camera.
 
@@ -38,7 +48,7 @@ class Picture:
     def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "Picture":
         """Wrap a picture that is already in memory."""
         check_array("picture.rgb", rgb, (camera.height, camera.width, 3), np.uint8)
-        return cls(timestamp_ns, camera, read_only(rgb).view)
+        return cls(timestamp_ns, camera, _Kept(rgb))
 
     @property
     def rgb(self) -> UInt8Array:

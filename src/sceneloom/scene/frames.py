@@ -1,7 +1,8 @@
 """A sequence whose time stamps are known at once and whose contents are made when asked for."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Generic, TypeVar, overload
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 
@@ -10,8 +11,22 @@ from sceneloom.arrays import Int64Array, check_array, read_only
 Item_co = TypeVar("Item_co", covariant=True)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chosen(Generic[Item_co]):
+    """Reads some of the frames of another sequence: number `k` is its number `rows[k]`."""
+
+    read: Callable[[int], Item_co]
+    rows: range
+
+    def __call__(self, k: int) -> Item_co:
+        return self.read(self.rows[k])
+
+
 class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     """Frames of one sensor in the order of their time; nothing is read before it is asked for, nothing kept.
+
+    They can be pickled if the function that reads them can: let it be a method of an object that can, a `partial`
+    of a function of a module, or an instance with `__call__`; no lambda and no inner function.
 
     Attributes:
         timestamps_ns: (N,) int64 [ns], one per frame.
@@ -29,6 +44,9 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
         kept = tuple(items)
         return cls(np.asarray(timestamps_ns, dtype=np.int64).reshape(-1), kept.__getitem__)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return LazyFrames, (self.timestamps_ns, self._read)
+
     def __len__(self) -> int:
         return len(self.timestamps_ns)
 
@@ -38,8 +56,7 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     def __getitem__(self, index: slice) -> "LazyFrames[Item_co]": ...
     def __getitem__(self, index: int | slice) -> "Item_co | LazyFrames[Item_co]":
         if isinstance(index, slice):
-            chosen = range(len(self))[index]
-            return LazyFrames(self.timestamps_ns[index], lambda k: self._read(chosen[k]))
+            return LazyFrames(self.timestamps_ns[index], _Chosen(self._read, range(len(self))[index]))
         return self._read(range(len(self))[index])
 
     def __iter__(self) -> Iterator[Item_co]:

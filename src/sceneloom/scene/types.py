@@ -1,5 +1,6 @@
 """The closed sets of words and the common aliases of the scene model."""
 
+import copyreg
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
@@ -10,6 +11,18 @@ Identifier = str | int
 
 NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 """The extra fields of an object that has none."""
+
+
+def _unpickled(fields: dict[Any, Any]) -> Mapping[Any, Any]:
+    return MappingProxyType(fields)
+
+
+def _pickled(fields: "MappingProxyType[Any, Any]") -> tuple[Any, ...]:
+    return _unpickled, (dict(fields),)
+
+
+# The model's records hold read-only mappings and go to other processes, but Python cannot pickle such mappings.
+copyreg.pickle(MappingProxyType, _pickled)
 
 
 class SensorType(StrEnum):

@@ -1,7 +1,6 @@
 """The cameras of a recording: lens, mounting, pictures and poses brought together."""
 
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,12 +12,14 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.recording.calibration import Calibration, CameraCalibration
 from sceneloom.formats.recording.columns import CameraColumns, FrameColumns
 from sceneloom.formats.recording.frame_parameters import read_mount, read_parameters, read_texts
 from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lenses import lens
 from sceneloom.formats.recording.picture_files import (
+    OpenPictures,
     PictureFiles,
     choose_pictures,
     expected_names,
@@ -40,20 +41,22 @@ class CameraSources:
     Attributes:
         folder: the recording.
         data_path: `data.jsonl`.
+        data_file: the same, as it was when its lines were read.
         calibration: all of `calibration.json`.
         frames: the `frames` lines.
         ego_path: `world_from_ego` of the default trajectory, or None.
         ledger: takes notices and faults.
-        open_files: closes the files of the cameras that were built.
+        open_files: takes the pictures of the cameras that are built.
     """
 
     folder: Path
     data_path: Path
+    data_file: FileIdentity
     calibration: Calibration
     frames: FrameColumns
     ego_path: PosePath | None
     ledger: Ledger
-    open_files: ExitStack
+    open_files: OpenPictures
 
 
 def build_cameras(sources: CameraSources) -> list[CameraSensor]:
@@ -96,7 +99,7 @@ def _build(sources: CameraSources, index: int) -> list[CameraSensor]:
     reading_mount = partial(read_mount, path=sources.data_path, ledger=sources.ledger)
     lenses = read_texts(sources.frames, columns.rows, columns.parameters, read_lens, sources.ledger)
     mounts = read_texts(sources.frames, columns.rows, columns.mounts, reading_mount, sources.ledger)
-    table = build_table(index, camera, sources.frames, indices, lenses, mounts, sources.data_path)
+    table = build_table(index, camera, sources.frames, indices, lenses, mounts, sources.data_file)
     return [_sensor(sources, table, calibration, files)]
 
 
@@ -132,7 +135,7 @@ def _match_pictures(
         return None, none
     try:
         files = open_pictures(path)
-        sources.open_files.callback(files.close)
+        sources.open_files.add(files)
         choice = choose_pictures(np.asarray(sources.frames.numbers, np.int64), files.count)
     except DataError as error:
         ledger.fault("unreadable-videos", error)

@@ -22,6 +22,22 @@ _PICTURES = re.compile(
 PictureFiles = VideoReader | PngFolder
 
 
+class OpenPictures:
+    """The pictures that a scene holds open, to be closed together."""
+
+    def __init__(self) -> None:
+        self._files: list[PictureFiles] = []
+
+    def add(self, files: PictureFiles) -> None:
+        """Have one more closed."""
+        self._files.append(files)
+
+    def close(self) -> None:
+        """Close them all."""
+        for files in self._files:
+            files.close()
+
+
 def find_pictures(folder: Path, camera_index: int, ledger: Ledger) -> Path | None:
     """Find the video, or the folder of PNG pictures, of a camera; None where there is neither.
 

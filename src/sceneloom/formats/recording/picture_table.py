@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -13,6 +12,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
+from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.recording.columns import CameraColumns, FrameColumns, nanoseconds, time_order, view
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.line_shapes import FrameEntry
@@ -41,7 +41,7 @@ class PictureTable:
         lenses: lenses of single pictures.
         mounts: mountings of single pictures, `ego_from_camera`.
         missing: how many entries have no picture (`missingBitmap`).
-        data_path: `data.jsonl`.
+        data_file: `data.jsonl`, as it was when its lines were read.
     """
 
     OWN: ClassVar[int] = -1
@@ -59,7 +59,7 @@ class PictureTable:
     lenses: Mapping[int, Camera]
     mounts: Mapping[int, RigidTransform]
     missing: int
-    data_path: Path
+    data_file: FileIdentity
 
     def picture(self, k: int, *, files: PictureFiles | None) -> Picture:
         """Make picture `k`; a table with pictures has files.
@@ -86,13 +86,16 @@ class PictureTable:
 
     def _further_fields(self, offset: int) -> dict[str, Any]:
         """Read again what a line says beyond the columns: lists of features can be long, so they are not kept."""
+        self.data_file.check()
         try:
-            with self.data_path.open("rb") as file:
+            with self.data_file.path.open("rb") as file:
                 file.seek(offset)
                 line = msgspec.json.decode(file.readline())
             entry = next(entry for entry in line["frames"] if entry["cameraInd"] == self.camera_index)
         except (OSError, *DECODER_FAULTS, KeyError, TypeError, StopIteration) as error:
-            raise DataError(self.data_path, f"byte {offset}", "was changed after it was opened") from error
+            raise DataError(
+                self.data_file.name, f"byte {offset}", "was changed after it was opened"
+            ) from error
         further = {key: value for key, value in entry.items() if key not in _HELD_KEYS}
         beside = {key: value for key, value in line.items() if key not in {"frames", "number", "time"}}
         return {**further, "line": beside} if beside else further
@@ -109,7 +112,7 @@ def build_table(
     indices: Int64Array,
     lenses: Mapping[int, Camera],
     mounts: Mapping[int, RigidTransform],
-    data_path: Path,
+    data_file: FileIdentity,
 ) -> PictureTable:
     """Bring a camera's entries into the order of time; those without picture, lens or mounting are left out.
 
@@ -144,5 +147,5 @@ def build_table(
         lenses=lenses,
         mounts=mounts,
         missing=int(missing.sum()),
-        data_path=data_path,
+        data_file=data_file,
     )

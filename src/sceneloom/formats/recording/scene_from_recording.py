@@ -6,6 +6,7 @@ from types import MappingProxyType
 
 from sceneloom.arrays import read_only
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.recording.calibration import read_calibration
 from sceneloom.formats.recording.camera_building import CameraSources, build_cameras
 from sceneloom.formats.recording.columns import Columns, RecordingColumns
@@ -13,6 +14,7 @@ from sceneloom.formats.recording.further_contents import RecordingContents, furt
 from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lidar_building import build_lidars
 from sceneloom.formats.recording.lines import read_lines
+from sceneloom.formats.recording.picture_files import OpenPictures
 from sceneloom.formats.recording.trajectories import build_trajectories
 from sceneloom.scene import (
     GnssSensor,
@@ -62,18 +64,23 @@ def _open(folder: Path, altitude: str, ledger: Ledger) -> Scene:
         raise DataError(folder, "", "no such folder; expected a recording's folder")
     if not data_path.is_file():
         raise DataError(folder, "", f"holds no {DATA_FILE}; expected a recording's folder")
+    data_file = FileIdentity.of(data_path)
     columns = read_lines(data_path, ledger)
     calibration = read_calibration(folder, ledger)
     trajectories = build_trajectories(columns.poses, data_path, ledger)
     ego_path = _default_path(trajectories, data_path, ledger)
+    opened = OpenPictures()
     with ExitStack() as stack:
-        sources = CameraSources(folder, data_path, calibration, columns.frames, ego_path, ledger, stack)
+        stack.callback(opened.close)
+        sources = CameraSources(
+            folder, data_path, data_file, calibration, columns.frames, ego_path, ledger, opened
+        )
         lidars = build_lidars(folder, data_path, columns.lidars, calibration, ego_path, ledger)
         cameras = build_cameras(sources)
         ego_sensors = [*_imu(columns), *_gnss(columns)]
         contents = RecordingContents(folder, columns, calibration, trajectories)
         metadata = {"altitude": altitude, **further_contents(contents, ledger)}
-        return Scene(
+        scene = Scene(
             sensors=(*lidars, *cameras, *ego_sensors),
             trajectories=MappingProxyType(
                 {trajectory.name: trajectory for trajectory in trajectories.values()}
@@ -82,8 +89,10 @@ def _open(folder: Path, altitude: str, ledger: Ledger) -> Scene:
             source=str(folder),
             format="recording",
             notices=ledger.notices,
-            on_close=stack.pop_all().close,
+            on_close=opened.close,
         )
+        stack.pop_all()
+        return scene
 
 
 def _default_path(

@@ -1,8 +1,9 @@
 """Frame-exact reading of a video: any picture by its number; forward without seeking or decoding twice."""
 
+from pathlib import Path
 from threading import Lock
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from av.video.frame import VideoFrame
@@ -10,7 +11,9 @@ from av.video.reformatter import Interpolation, VideoReformatter
 
 from sceneloom.arrays import Float64Array, UInt8Array
 from sceneloom.errors import DataError
+from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.video.cursor import Cursor
+from sceneloom.formats.video.forking import rest_while_forking
 from sceneloom.formats.video.index import VideoIndex, read_index
 from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults, source_name
 
@@ -22,7 +25,8 @@ class VideoReader:
     """The pictures of one video, by number in the order in which they are shown.
 
     Nothing decoded is kept but the decoder's own state and the picture it gave last. Safe to share between
-    threads, which then take turns. Matrix and range of the colours are the stream's own; BT.601 and limited
+    threads, which then take turns. A pickled reader takes the list of pictures along and opens its file again in the
+    process that it comes to; of bytes in memory it takes the bytes. A forked process opens anew, too. Matrix and range of the colours are the stream's own; BT.601 and limited
     range where it names none. A rotation that the container asks players for is not applied: calibrations are
     made for the sensor's pixels.
 
@@ -32,8 +36,15 @@ class VideoReader:
         width, height: picture size [px].
     """
 
-    def __init__(self, source: VideoSource, *, name: str | None = None) -> None:
+    def __init__(
+        self, source: VideoSource, *, name: str | None = None, index: VideoIndex | None = None
+    ) -> None:
         """Open the container and read its head.
+
+        Args:
+            source: a file, its bytes, or a function that opens a seekable binary file anew each time.
+            name: what messages call the video, where the source is not a file.
+            index: the list of its pictures, where it is known already.
 
         Raises:
             DataError: there is no such file, it is no video, or it holds no video stream.
@@ -41,15 +52,46 @@ class VideoReader:
         self.name = source_name(source, name)
         self._source = source
         self._opened: OpenVideo | None = OpenVideo(source, self.name)
+        self._identity = FileIdentity.of(Path(source)) if isinstance(source, Path | str) else None
         decoder = self._opened.stream.codec_context
         self.codec: str = decoder.codec.canonical_name
         self.width, self.height = decoder.width, decoder.height
         rate = self._opened.stream.average_rate
         self._rate = float(rate) if rate else None
+        self._index = index
+        self._closed = False
+        self._begin()
+
+    def _begin(self) -> None:
+        """Make what no other process can have a part in."""
         self._cursor: Cursor | None = None
-        self._index: VideoIndex | None = None
         self._reformatter = VideoReformatter()
         self._lock = Lock()
+        rest_while_forking(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        source = self._source
+        kept = ("name", "codec", "width", "height", "_rate", "_index", "_identity", "_closed")
+        return {
+            **{name: getattr(self, name) for name in kept},
+            "_source": bytes(source) if isinstance(source, memoryview) else source,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._opened = None
+        self._begin()
+
+    def hold(self) -> None:
+        """Let no thread decode until `release`, and close the decoder: its threads and file must not be forked."""
+        self._lock.acquire()
+        if self._opened is not None:
+            self._opened.close()
+        self._opened = self._cursor = None
+
+    def release(self) -> None:
+        """Let threads decode again; the next picture opens the file anew."""
+        self._lock.release()
 
     @property
     def index(self) -> VideoIndex:
@@ -104,6 +146,7 @@ class VideoReader:
             if self._opened is not None:
                 self._opened.close()
             self._opened = self._cursor = None
+            self._closed = True
 
     def __enter__(self) -> Self:
         return self
@@ -115,6 +158,7 @@ class VideoReader:
 
     def _known_index(self) -> VideoIndex:
         if self._index is None:
+            self._check_unchanged()
             self._index = read_index(self._source, self.name)
         return self._index
 
@@ -143,13 +187,20 @@ class VideoReader:
 
     def _restart(self) -> Cursor:
         self._open_file().close()
-        self._opened = OpenVideo(self._source, self.name)
-        return Cursor(self._opened, self._known_index(), self.name)
+        self._opened = None
+        return Cursor(self._open_file(), self._known_index(), self.name)
 
     def _open_file(self) -> OpenVideo:
-        if self._opened is None:
+        if self._closed:
             raise DataError(self.name, "", "is closed")
+        if self._opened is None:
+            self._check_unchanged()
+            self._opened = OpenVideo(self._source, self.name)
         return self._opened
+
+    def _check_unchanged(self) -> None:
+        if self._identity is not None:
+            self._identity.check()
 
     def _convert(self, frame: VideoFrame, index: int) -> UInt8Array:
         place = f"picture {index}"

@@ -11,6 +11,7 @@ from sceneloom.scene.clouds import (
     RadarPoints,
     RadarSensor,
 )
+from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.notices import Notice, NoticeKind
@@ -21,6 +22,8 @@ from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorTy
 
 __all__ = [
     "Annotation",
+    "Boxes2D",
+    "Boxes3D",
     "CameraSensor",
     "Coordinates",
     "CuboidAnnotation",
@@ -46,6 +49,7 @@ __all__ = [
     "RadarPoints",
     "RadarSensor",
     "Scene",
+    "ScoreForm",
     "Sensor",
     "SensorType",
     "Trajectory",

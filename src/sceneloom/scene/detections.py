@@ -1,0 +1,218 @@
+"""What detectors report of one sweep or one picture: boxes in space and boxes in a picture."""
+
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import Float64Array, Int64Array, check_array, read_only
+from sceneloom.errors import ArrayError
+from sceneloom.geometry.boxes import box_corners
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.types import Identifier, PointsFrame
+
+
+class ScoreForm(StrEnum):
+    """What a detector's scores are."""
+
+    PROBABILITY = "probability"
+    """0 to 1: that the object exists."""
+    LOGIT = "logit"
+    """Any number, larger for surer; often a logarithm of odds, seldom a well calibrated one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes3D:
+    """The upright boxes that a detector reports at one time, best kept in the detector's own order.
+
+    Shapes are checked here; what the numbers are worth is judged by those who read or fuse them.
+
+    Attributes:
+        timestamp_ns: when the objects were there [ns]; of a sweep its reference time.
+        centers: (N, 3) float64 [m], middles of the boxes.
+        sizes_lwh: (N, 3) float64 [m], length, width and height.
+        yaws: (N,) float64 [rad], heading about the frame's z axis, counter-clockwise from its x axis.
+        scores: (N,) float64, in the form of `score_form`.
+        labels: N classes.
+        velocities: (N, 3) float64 [m/s] over ground, along the frame's axes, or None.
+        covariances: (N, 7, 7) float64 of center, size and yaw in this order [m², m rad, rad²], or None.
+        ids: (N,) int64, the detector's own numbers, or None.
+        frame: the frame of centers, yaws and velocities; of the sensor or the ego at `timestamp_ns`.
+        score_form: what the scores are.
+        sensor_id: the sensor of the detector, or None.
+
+    Raises:
+        ArrayError: shapes or dtypes are wrong, or there are more or fewer labels than boxes.
+
+    Source: tables 7 and 10 of DB34/T 4101-2022; direction = (cos yaw, sin yaw, 0), its speed is along it.
+    """
+
+    timestamp_ns: int
+    centers: Float64Array
+    sizes_lwh: Float64Array
+    yaws: Float64Array
+    scores: Float64Array
+    labels: tuple[str, ...]
+    velocities: Float64Array | None = None
+    covariances: Float64Array | None = None
+    ids: Int64Array | None = None
+    frame: PointsFrame = PointsFrame.SENSOR
+    score_form: ScoreForm = ScoreForm.PROBABILITY
+    sensor_id: Identifier | None = None
+
+    def __post_init__(self) -> None:
+        count = check_array("boxes.centers", self.centers, (None, 3), np.float64)
+        check_array("boxes.sizes_lwh", self.sizes_lwh, (count, 3), np.float64)
+        check_array("boxes.yaws", self.yaws, (count,), np.float64)
+        check_array("boxes.scores", self.scores, (count,), np.float64)
+        check_array("boxes.velocities", self.velocities, (count, 3), np.float64, optional=True)
+        check_array("boxes.covariances", self.covariances, (count, 7, 7), np.float64, optional=True)
+        check_array("boxes.ids", self.ids, (count,), np.int64, optional=True)
+        _check_labels(self.labels, count)
+        _freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+    @classmethod
+    def empty(
+        cls,
+        timestamp_ns: int,
+        *,
+        frame: PointsFrame = PointsFrame.SENSOR,
+        sensor_id: Identifier | None = None,
+    ) -> "Boxes3D":
+        """A sweep in which nothing was found."""
+        none = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+        return cls(timestamp_ns, *none, (), frame=frame, sensor_id=sensor_id)
+
+    @property
+    def directions(self) -> Float64Array:
+        """Where the objects head, (N, 3) float64, unit."""
+        return np.column_stack([np.cos(self.yaws), np.sin(self.yaws), np.zeros(len(self))])
+
+    @property
+    def speeds(self) -> Float64Array | None:
+        """Speed along the heading, (N,) float64 [m/s], negative for reversing; None without velocities."""
+        if self.velocities is None:
+            return None
+        speeds: Float64Array = (self.velocities * self.directions).sum(axis=1)
+        return speeds
+
+    @property
+    def corners(self) -> Float64Array:
+        """(N, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`."""
+        halves = self.yaws / 2
+        zero = np.zeros(len(self))
+        quaternions = np.column_stack([zero, zero, np.sin(halves), np.cos(halves)])
+        return box_corners(self.centers, self.sizes_lwh, quaternions)
+
+    def select(self, rows: ArrayLike) -> "Boxes3D":
+        """Keep some boxes: (M,) numbers of boxes, or (N,) bool."""
+        return _selected(self, rows)
+
+    def moved(self, b_from_a: RigidTransform, frame: PointsFrame) -> "Boxes3D":
+        """The same boxes in another frame, `b_from_a` taking points of their frame into it.
+
+        They stay upright there: of a frame that is tilted, the heading's horizontal part counts.
+        """
+        turned = b_from_a.rotate(self.directions)
+        covariances = self.covariances
+        if covariances is not None:
+            turn = np.eye(7)
+            turn[:3, :3] = b_from_a.rotation
+            covariances = turn @ covariances @ turn.T
+        return replace(
+            self,
+            centers=b_from_a.apply(self.centers),
+            yaws=np.arctan2(turned[:, 1], turned[:, 0]),
+            velocities=None if self.velocities is None else b_from_a.rotate(self.velocities),
+            covariances=covariances,
+            frame=frame,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes2D:
+    """The boxes that a detector reports in one picture.
+
+    Shapes are checked here; what the numbers are worth is judged by those who read or fuse them.
+
+    Attributes:
+        timestamp_ns: of the picture [ns].
+        corners_xyxy: (N, 4) float64 [px], left, top, right and bottom edge in the corner convention: the picture's
+            own corner is (0, 0), right and bottom are exclusive, so a box around one pixel is 1 wide.
+        scores: (N,) float64, in the form of `score_form`.
+        labels: N classes.
+        ids: (N,) int64, the detector's own numbers, or None.
+        score_form: what the scores are.
+        sensor_id: the camera, or None.
+
+    Raises:
+        ArrayError: shapes or dtypes are wrong, or there are more or fewer labels than boxes.
+
+    Source: table 8 of DB34/T 4101-2022, with edges that need not be whole numbers.
+    """
+
+    timestamp_ns: int
+    corners_xyxy: Float64Array
+    scores: Float64Array
+    labels: tuple[str, ...]
+    ids: Int64Array | None = None
+    score_form: ScoreForm = ScoreForm.PROBABILITY
+    sensor_id: Identifier | None = None
+
+    def __post_init__(self) -> None:
+        count = check_array("boxes.corners_xyxy", self.corners_xyxy, (None, 4), np.float64)
+        check_array("boxes.scores", self.scores, (count,), np.float64)
+        check_array("boxes.ids", self.ids, (count,), np.int64, optional=True)
+        _check_labels(self.labels, count)
+        _freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.corners_xyxy)
+
+    @classmethod
+    def empty(cls, timestamp_ns: int, *, sensor_id: Identifier | None = None) -> "Boxes2D":
+        """A picture in which nothing was found."""
+        return cls(timestamp_ns, np.zeros((0, 4)), np.zeros(0), (), sensor_id=sensor_id)
+
+    @property
+    def sizes_wh(self) -> Float64Array:
+        """Width and height of the boxes, (N, 2) float64 [px]."""
+        sizes: Float64Array = self.corners_xyxy[:, 2:] - self.corners_xyxy[:, :2]
+        return sizes
+
+    def select(self, rows: ArrayLike) -> "Boxes2D":
+        """Keep some boxes: (M,) numbers of boxes, or (N,) bool."""
+        return _selected(self, rows)
+
+
+Boxes = TypeVar("Boxes", Boxes3D, Boxes2D)
+
+
+def _check_labels(labels: tuple[str, ...], count: int) -> None:
+    if not isinstance(labels, tuple) or len(labels) != count:
+        raise ArrayError(
+            f"boxes.labels: {type(labels).__name__} of {len(labels)}; expected a tuple of {count}"
+        )
+
+
+def _freeze(boxes: Boxes3D | Boxes2D) -> None:
+    for f in fields(boxes):
+        value = getattr(boxes, f.name)
+        if isinstance(value, np.ndarray):
+            object.__setattr__(boxes, f.name, read_only(value))
+
+
+def _selected(boxes: Boxes, rows: ArrayLike) -> Boxes:
+    picked = np.asarray(rows)
+    chosen = np.arange(len(boxes))[picked if picked.dtype == np.bool_ else picked.astype(np.int64)]
+    kept: dict[str, Any] = {"labels": tuple(boxes.labels[k] for k in chosen.tolist())}
+    for f in fields(boxes):
+        value = getattr(boxes, f.name)
+        if isinstance(value, np.ndarray):
+            kept[f.name] = value[chosen]
+    return replace(boxes, **kept)

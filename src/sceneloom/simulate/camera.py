@@ -1,4 +1,4 @@
-"""A camera with a global shutter: one ray through the middle of every pixel, or a few of them."""
+"""A camera: one ray through the middle of every pixel, or a few of them, each from where the camera is at its time."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -7,16 +7,22 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import check_camera, unproject
-from sceneloom.errors import OptionError
+from sceneloom.cameras.models import check_camera, project, unproject
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Picture
+from sceneloom.scene.types import NO_FIELDS
+from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint
+from sceneloom.simulate.exposure import EXPOSURE_FIELD, Exposure, ExposureSpec
 from sceneloom.simulate.path import EgoPath, rotation_from_angles
 from sceneloom.simulate.street import Street
 
 _TILE = 16
 _REACH = 900.0
+_LONGEST_READOUT_NS = 100_000_000
+_LINE_ROUNDS = 4
+"""How often the line that sees a point is looked for: each guess is off by what the picture moves while the lines that
+the guess before was off by are read, so the second is within a line in traffic."""
 _EGO_FROM_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Axes of a camera that looks along the ego's x: right, down, forward."""
 
@@ -48,9 +54,13 @@ class CameraSpec:
         offset_ns: time of the picture after the start of the sweep [ns].
         supersampling: rays per pixel along each axis. 1: a pixel is the colour of the surface at its centre, exactly
             what the truth says; 2 or more: the mean over the pixel, which is prettier at outlines.
+        readout_ns: how long a rolling shutter takes from the first row to the last [ns]: row r of H is taken at
+            t + ((r + 0.5)/H - 0.5)·readout_ns, so that the picture's time t is that of its middle. 0: all at once.
+        left_to_right: the shutter rolls over the columns, from the left, in place of the rows from the top.
+        exposure: how the brightness changes; None: it does not.
 
     Raises:
-        OptionError: `supersampling` is not 1 to 8.
+        OptionError: `supersampling` is not 1 to 8, or `readout_ns` not 0 to 0.1 s.
         CalibrationError: the lens is unknown.
     """
 
@@ -60,21 +70,45 @@ class CameraSpec:
     )
     offset_ns: int = 50_000_000
     supersampling: int = 1
+    readout_ns: int = 0
+    left_to_right: bool = False
+    exposure: ExposureSpec | None = None
 
     def __post_init__(self) -> None:
         check_camera(self.camera)
-        if not 1 <= self.supersampling <= 8:
-            raise OptionError(f"camera.supersampling: {self.supersampling}; expected 1 to 8")
+        bounds = (
+            ("supersampling", self.supersampling, 1, 8),
+            ("readout_ns", self.readout_ns, 0, _LONGEST_READOUT_NS),
+        )
+        check_bounds("camera", bounds)
+
+    @property
+    def line_count(self) -> int:
+        """How many lines (rows or columns) the shutter takes one after the other; 1 where it takes all at once."""
+        if self.readout_ns == 0:
+            return 1
+        return self.camera.width if self.left_to_right else self.camera.height
+
+    def line_offsets_ns(self) -> Int64Array:
+        """When each line is taken, (L,) int64 [ns], after the picture's time.
+
+        Source: "One clock": row r of H at t + ((r + 0.5)/H - 0.5)·roll time, docs/CONVENTIONS.md.
+        """
+        share = (np.arange(self.line_count) + 0.5) / self.line_count - 0.5
+        offsets: Int64Array = np.rint(share * self.readout_ns).astype(np.int64)
+        return offsets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureTruth:
     """What a camera sees along the rays through the pixels' centres.
 
+    With a rolling shutter each line is as seen at the line's own time, from where the camera is then.
+
     Attributes:
         depths: (H, W) float32 [m], z in the camera frame, 0 for the sky and outside the lens.
         instances: (H, W) int32, 0 the ground, -1 the sky and outside the lens.
-        colors: (H, W, 3) uint8; equal to the picture where `supersampling` is 1.
+        colors: (H, W, 3) uint8; equal to the picture where `supersampling` is 1 and nothing changes the exposure.
     """
 
     depths: Float32Array
@@ -90,8 +124,9 @@ class RenderedCamera:
         spec: the device.
         street, path: what it sees and how it moves.
         timestamps_ns: (F,) int64 [ns], time of each picture.
-        rays: the rays through the pixels' centres.
+        rays: the rays through the pixels' centres; the pose of a ray is its line's.
         between: further sets of rays, for supersampling.
+        exposure: how the pictures' brightness changes; None: it does not.
     """
 
     spec: CameraSpec
@@ -100,29 +135,82 @@ class RenderedCamera:
     timestamps_ns: Int64Array
     rays: Rays
     between: tuple[Rays, ...]
+    exposure: Exposure | None = None
 
     @classmethod
     def of(
-        cls, spec: CameraSpec, street: Street, path: EgoPath, *, timestamps_ns: Int64Array
+        cls,
+        spec: CameraSpec,
+        street: Street,
+        path: EgoPath,
+        *,
+        timestamps_ns: Int64Array,
+        seed: int = 0,
+        number: int = 0,
     ) -> "RenderedCamera":
-        """Set up the rays of a picture."""
+        """Set up the rays of a picture, and draw the exposure of camera `number` of the drive."""
         steps = (np.arange(spec.supersampling) + 0.5) / spec.supersampling - 0.5
-        between = tuple(
-            _pixel_rays(spec.camera, du, dv) for dv in steps for du in steps if spec.supersampling > 1
+        between = tuple(_pixel_rays(spec, du, dv) for dv in steps for du in steps if spec.supersampling > 1)
+        exposure = (
+            None
+            if spec.exposure is None
+            else Exposure.of(spec.exposure, start_ns=path.start_ns, seed=seed, camera=number)
         )
-        return cls(spec, street, path, timestamps_ns, _pixel_rays(spec.camera, 0.0, 0.0), between)
+        return cls(spec, street, path, timestamps_ns, _pixel_rays(spec, 0.0, 0.0), between, exposure)
 
     def pose(self, k: int) -> RigidTransform:
-        """Exact `world_from_camera` of picture k."""
+        """Exact `world_from_camera` at the time of picture k."""
         ego = self.path.at(self.timestamps_ns[k : k + 1])
         return RigidTransform(ego.rotations[0], ego.positions[0]) @ self.spec.mount
 
+    def line_times_ns(self, k: int) -> Int64Array:
+        """When each line of picture k is taken, (L,) int64 [ns]; a single time where all are taken at once."""
+        times_ns: Int64Array = self.timestamps_ns[k] + self.spec.line_offsets_ns()
+        return times_ns
+
+    def line_poses(self, k: int) -> tuple[Float64Array, Float64Array]:
+        """Exact `world_from_camera` at each line's time: (L, 3, 3) rotations and (L, 3) positions [m]."""
+        if self.spec.line_count == 1:
+            pose = self.pose(k)
+            return pose.rotation[None].copy(), pose.translation[None].copy()
+        ego, mount = self.path.at(self.line_times_ns(k)), self.spec.mount
+        return ego.rotations @ mount.rotation, ego.positions + ego.rotations @ mount.translation
+
+    def lines_seeing(self, k: int, points_world: Float64Array) -> Int64Array:
+        """Find which line of picture k sees each standing point, (N,) int64; the middle one for points outside.
+
+        Args:
+            points_world: (N, 3) float64 [m].
+        """
+        count = self.spec.line_count
+        lines = np.full(len(points_world), count // 2, np.int64)
+        if count == 1:
+            return lines
+        rotations, origins = self.line_poses(k)
+        for _ in range(_LINE_ROUNDS):
+            in_camera = np.einsum("nji,nj->ni", rotations[lines], points_world - origins[lines])
+            pixels, inside = project(self.spec.camera, in_camera)
+            across = pixels[inside, 0 if self.spec.left_to_right else 1]
+            lines[inside] = np.clip(np.rint(across), 0, count - 1).astype(np.int64)
+        return lines
+
+    def gain(self, k: int) -> float:
+        """By what picture k is brighter than the bare colours, in its middle."""
+        return 1.0 if self.exposure is None else self.exposure.gain(int(self.timestamps_ns[k]))
+
     def picture(self, k: int) -> Picture:
         """Picture k, rendered when its pixels are asked for."""
-        return Picture(int(self.timestamps_ns[k]), self.spec.camera, partial(self.render, k))
+        exposure_ns = 0 if self.spec.exposure is None else self.spec.exposure.exposure_ns
+        extras = {EXPOSURE_FIELD: exposure_ns / 1e9} if exposure_ns else NO_FIELDS
+        return Picture(int(self.timestamps_ns[k]), self.spec.camera, partial(self.render, k), extras=extras)
 
     def render(self, k: int) -> UInt8Array:
-        """Render picture k, (H, W, 3) uint8."""
+        """Render picture k, (H, W, 3) uint8, with the camera's exposure."""
+        rgb = self._bare(k)
+        return rgb if self.exposure is None else self.exposure.applied(rgb, int(self.timestamps_ns[k]))
+
+    def _bare(self, k: int) -> UInt8Array:
+        """Picture k in the colours of what is there."""
         shape = (self.spec.camera.height, self.spec.camera.width, 3)
         if not self.between:
             return self._look(k, self.rays)[1].colors.reshape(shape)
@@ -142,21 +230,21 @@ class RenderedCamera:
         return PictureTruth(depths.reshape(shape), instances, look.colors.reshape(*shape, 3))
 
     def _look(self, k: int, rays: Rays) -> tuple[Hits, Paint]:
-        pose = self.pose(k)
-        rotations, origins = pose.rotation[None].copy(), pose.translation[None].copy()
+        rotations, origins = self.line_poses(k)
         angle = 1.0 / (max(1, self.spec.supersampling) * min(self.spec.camera.fx, self.spec.camera.fy))
-        times_ns = self.timestamps_ns[k : k + 1]
+        times_ns = self.line_times_ns(k)
         hits = cast(self.street, rays, rotations, origins, times_ns, reach=_REACH)
         return hits, paint(self.street, rays, rotations, origins, times_ns, hits, pixel_angle=angle)
 
 
-def _pixel_rays(camera: Camera, du: float, dv: float) -> Rays:
+def _pixel_rays(spec: CameraSpec, du: float, dv: float) -> Rays:
     """Rays through all pixels, (du, dv) beside their centres, bundled by tiles; slots count along the rows."""
+    camera = spec.camera
     v, u = (grid.ravel() for grid in np.mgrid[: camera.height, : camera.width])
-    pixels = np.column_stack([u + du, v + dv])
-    directions: Float64Array = unproject(camera, pixels)
-    tiles = v // _TILE * camera.width + u // _TILE
-    return Rays.bundled(directions, tiles.astype(np.int64))
+    directions: Float64Array = unproject(camera, np.column_stack([u + du, v + dv]))
+    tiles = (v // _TILE * camera.width + u // _TILE).astype(np.int64)
+    line = None if spec.line_count == 1 else (u if spec.left_to_right else v).astype(np.int64)
+    return Rays.bundled(directions, tiles, pose_of_ray=line)
 
 
 def edge_mask(truth: PictureTruth, *, within_px: int = 2) -> BoolArray:

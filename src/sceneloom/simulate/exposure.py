@@ -9,6 +9,9 @@ from sceneloom.errors import OptionError
 from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.randomness import Stream, generator_for
 
+EXPOSURE_FIELD = "exposureTimeSeconds"
+"""The recording format's word for how long a picture was exposed [s]."""
+
 _SECOND_WAVE = 0.382
 """The shorter of the two waves of the drift, as a share of `drift_period`: without a common measure with it."""
 

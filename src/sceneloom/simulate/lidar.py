@@ -25,7 +25,7 @@ from sceneloom.simulate.casting import (
 from sceneloom.simulate.mounts import sensor_mount
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.randomness import Stream, generator_for
-from sceneloom.simulate.shots import ScanSpec, Shots, directions_at, scan_bounds
+from sceneloom.simulate.shots import ScanSpec, Shots, directions_at, repeating, scan_bounds
 from sceneloom.simulate.street import Street
 
 _BUNDLE_COLUMNS, _BUNDLE_BEAMS = 16, 8
@@ -79,8 +79,7 @@ class LidarSpec:
         """Give the shots, which are the same in each turn."""
         offsets = np.arange(self.steps, dtype=np.int64) * self.period_ns // self.steps
         column, beam = (grid.ravel() for grid in np.mgrid[: self.steps, : self.beams])
-        shots = Shots(_rays(self, column, beam), offsets, column, beam.astype(np.uint16))
-        return lambda _: shots
+        return repeating(Shots(_rays(self, column, beam), offsets, column, beam.astype(np.uint16)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -26,6 +27,15 @@ class Shots:
     offsets_ns: Int64Array
     moments: Int64Array
     rings: UInt16Array | None
+
+
+def repeating(shots: Shots) -> Callable[[int], Shots]:
+    """Give the function that makes the same shots for each frame."""
+    return partial(_same, shots)
+
+
+def _same(shots: Shots, _: int) -> Shots:
+    return shots
 
 
 class ScanSpec(Protocol):

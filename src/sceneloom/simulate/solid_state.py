@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate.bounds import check_bounds, check_fan
 from sceneloom.simulate.casting import Rays, bundles_by_direction
 from sceneloom.simulate.mounts import sensor_mount
-from sceneloom.simulate.shots import Shots, directions_at, scan_bounds
+from sceneloom.simulate.shots import Shots, directions_at, repeating, scan_bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +63,7 @@ class Raster:
         directions = directions_at(self._azimuths()[across], self._elevations()[rows])
         rays = Rays.bundled(directions, bundles_by_direction(directions), pose_of_ray=moments)
         offsets = np.arange(len(row), dtype=np.int64) * period_ns // len(row)
-        shots = Shots(rays, offsets, moments, rows.astype(np.uint16))
-        return lambda _: shots
+        return repeating(Shots(rays, offsets, moments, rows.astype(np.uint16)))
 
     def _places(self) -> tuple[Int64Array, Int64Array]:
         """The row, from the lowest, and the column in its channel, from the left, that each moment looks at."""
@@ -128,14 +128,14 @@ class Rosette:
         """Give the function that makes the shots of a frame that starts so many ns after the first."""
         count = max(1, int(period_ns * self.shots_per_second / 1e9))
         offsets = np.floor(np.arange(count) * (1e9 / self.shots_per_second)).astype(np.int64)
-        moments = np.arange(count, dtype=np.int64)
+        return partial(self._shots, offsets)
 
-        def shots(elapsed_ns: int) -> Shots:
-            directions = self._directions(elapsed_ns + offsets)
-            rays = Rays.bundled(directions, bundles_by_direction(directions), pose_of_ray=moments)
-            return Shots(rays, offsets, moments, None)
-
-        return shots
+    def _shots(self, offsets_ns: Int64Array, elapsed_ns: int) -> Shots:
+        """The shots of a frame that starts so many ns after the first."""
+        moments = np.arange(len(offsets_ns), dtype=np.int64)
+        directions = self._directions(elapsed_ns + offsets_ns)
+        rays = Rays.bundled(directions, bundles_by_direction(directions), pose_of_ray=moments)
+        return Shots(rays, offsets_ns, moments, None)
 
     def _directions(self, elapsed_ns: Int64Array) -> Float64Array:
         """Where the beam points so long after the first frame's start, (N, 3)."""

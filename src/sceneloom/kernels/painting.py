@@ -6,7 +6,16 @@ import numpy as np
 from numba import njit, prange
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
-from sceneloom.kernels.raycast import BOX, CYLINDER, ELLIPSOID, GROUND, INNER, SKY, Int32Array
+from sceneloom.kernels.raycast import (
+    BOX,
+    CYLINDER,
+    ELLIPSOID,
+    GROUND,
+    INNER,
+    SKY,
+    Int32Array,
+    take_into_frame,
+)
 from sceneloom.kernels.textures import ALONG_X, ALONG_Y, ALONG_Z, SLANTED, band, bands, mix_palette, noise
 
 _SUN = (0.48, -0.56, 0.675)
@@ -200,7 +209,10 @@ def _paint_shape(
     maps: Float64Array, halves: Float64Array, patterns: UInt8Array, palettes: Float64Array, measures: Float64Array,
     salts: Int64Array, scratch: Float64Array, color: Float64Array,
 ) -> float:  # fmt: skip
-    """Write the colour of a shape's surface at (x, y, z) seen along (u, v, w); give the signed cosine of incidence."""
+    """Write the colour of a shape's bare surface at (x, y, z) seen along (u, v, w) and, in `scratch[1]`, its normal.
+
+    All in the frame that the shape's map starts from. Gives the signed cosine of incidence.
+    """
     m, half, kind = maps[hit], halves[hit], kinds[hit]
     unit, local, point, frame = scratch[0], scratch[1], scratch[2], scratch[3:6]
     for i in range(3):
@@ -227,10 +239,37 @@ def _paint_shape(
             + m[1, i] * half[1] * frame[0, 1]
             + m[2, i] * half[2] * frame[0, 2]
         )
-    light = bright * _sunlight(local[0], local[1], local[2])
     for i in range(3):
         base = palettes[hit, 0, i] * (1.0 - second - third)
-        color[i] = light * (base + palettes[hit, 1, i] * second + palettes[hit, 2, i] * third)
+        color[i] = bright * (base + palettes[hit, 1, i] * second + palettes[hit, 2, i] * third)
+    return float(facing)
+
+
+@njit(**INNER)
+def _paint_hit(
+    x: float, y: float, z: float, u: float, v: float, w: float, footprint: float, hit: int, column: int,
+    frames: Float64Array, pose: int, kinds: UInt8Array, maps: Float64Array, halves: Float64Array,
+    patterns: UInt8Array, palettes: Float64Array, measures: Float64Array, salts: Int64Array, scratch: Float64Array,
+    moved: Float64Array, color: Float64Array,
+) -> float:  # fmt: skip
+    """Write the colour in sunlight of a surface that stands still or moves; give the signed cosine of incidence."""
+    if column >= 0:
+        take_into_frame(frames[pose, column], x, y, z, u, v, w, moved)
+        x, y, z, u, v, w = moved[0], moved[1], moved[2], moved[3], moved[4], moved[5]
+    facing = _paint_shape(
+        x, y, z, u, v, w, footprint, hit, kinds, maps, halves, patterns, palettes, measures, salts, scratch, color
+    )  # fmt: skip
+    nx, ny, nz = scratch[1, 0], scratch[1, 1], scratch[1, 2]
+    if column >= 0:
+        f = frames[pose, column]
+        nx, ny, nz = (
+            f[0, 0] * nx + f[1, 0] * ny + f[2, 0] * nz,
+            f[0, 1] * nx + f[1, 1] * ny + f[2, 1] * nz,
+            f[0, 2] * nx + f[1, 2] * ny + f[2, 2] * nz,
+        )
+    light = _sunlight(nx, ny, nz)
+    for i in range(3):
+        color[i] *= light
     return float(facing)
 
 
@@ -239,12 +278,13 @@ def _paint_chunk(
     start: int, stop: int,
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
     slots: Int64Array, ranges: Float64Array, hits: Int32Array, kinds: UInt8Array, maps: Float64Array,
-    halves: Float64Array, patterns: UInt8Array, palettes: Float64Array, measures: Float64Array, salts: Int64Array,
-    road: Float32Array, corner: Float64Array, cell: float, ground_palette: Float64Array, pixel_angle: float,
-    colors: UInt8Array, facings: Float32Array,
+    frame_of_shape: Int32Array, frames: Float64Array, halves: Float64Array, patterns: UInt8Array,
+    palettes: Float64Array, measures: Float64Array, salts: Int64Array, road: Float32Array, corner: Float64Array,
+    cell: float, ground_palette: Float64Array, pixel_angle: float, colors: UInt8Array, facings: Float32Array,
 ) -> None:  # fmt: skip
     """Paint the rays from `start` to `stop`; the other arguments as in `paint_rays`."""
-    color, place, weights, scratch = np.empty(3), np.empty(4), np.empty(5), np.empty((6, 3))
+    color, place, weights = np.empty(3), np.empty(4), np.empty(5)
+    scratch, moved = np.empty((6, 3)), np.empty(6)
     for k in range(start, stop):
         r, origin, slot = rotations[pose_of_ray[k]], origins[pose_of_ray[k]], slots[k]
         u = r[0, 0] * directions[k, 0] + r[0, 1] * directions[k, 1] + r[0, 2] * directions[k, 2]
@@ -258,25 +298,10 @@ def _paint_chunk(
             _paint_ground(x, y, u, v, w, footprint, road, corner, cell, ground_palette, place, weights, color)
             facing = w
         else:
-            facing = _paint_shape(
-                x,
-                y,
-                z,
-                u,
-                v,
-                w,
-                footprint,
-                hit,
-                kinds,
-                maps,
-                halves,
-                patterns,
-                palettes,
-                measures,
-                salts,
-                scratch,
-                color,
-            )
+            facing = _paint_hit(
+                x, y, z, u, v, w, footprint, hit, frame_of_shape[hit], frames, pose_of_ray[k],
+                kinds, maps, halves, patterns, palettes, measures, salts, scratch, moved, color,
+            )  # fmt: skip
         facings[slot] = abs(facing)
         haze = 0.0
         if t > _HAZE_START and pixel_angle > 0.0:
@@ -287,8 +312,8 @@ def _paint_chunk(
 
 @njit(
     "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], int32[::1], "
-    "uint8[::1], float64[:,:,::1], float64[:,::1], uint8[::1], float64[:,:,::1], float64[:,::1], int64[::1], "
-    "float32[:,:,::1], float64[::1], float64, float64[:,::1], float64, uint8[:,::1], float32[::1])",
+    "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], uint8[::1], float64[:,:,::1], "
+    "float64[:,::1], int64[::1], float32[:,:,::1], float64[::1], float64, float64[:,::1], float64, uint8[:,::1], float32[::1])",
     parallel=True,
     nogil=True,
     cache=True,
@@ -297,14 +322,14 @@ def _paint_chunk(
 def paint_rays(
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
     slots: Int64Array, ranges: Float64Array, hits: Int32Array, kinds: UInt8Array, maps: Float64Array,
-    halves: Float64Array, patterns: UInt8Array, palettes: Float64Array, measures: Float64Array, salts: Int64Array,
-    road: Float32Array, corner: Float64Array, cell: float, ground_palette: Float64Array, pixel_angle: float,
-    colors: UInt8Array, facings: Float32Array,
+    frame_of_shape: Int32Array, frames: Float64Array, halves: Float64Array, patterns: UInt8Array,
+    palettes: Float64Array, measures: Float64Array, salts: Int64Array, road: Float32Array, corner: Float64Array,
+    cell: float, ground_palette: Float64Array, pixel_angle: float, colors: UInt8Array, facings: Float32Array,
 ) -> None:  # fmt: skip
     """Give the colour that each ray brings back and how squarely it meets the surface.
 
     Args:
-        directions, pose_of_ray, rotations, origins, slots, kinds, maps: as in `trace_rays`.
+        directions, pose_of_ray, rotations, origins, slots, kinds, maps, frame_of_shape, frames: as in `trace_rays`.
         ranges, hits: (slots,) what `trace_rays` found.
         halves: (P, 3) float64 [m], half sizes along each body's axes.
         patterns: (P,) uint8.
@@ -323,6 +348,6 @@ def paint_rays(
         _paint_chunk(
             4096 * chunk, min(len(slots), 4096 * chunk + 4096),
             directions, pose_of_ray, rotations, origins, slots, ranges, hits,
-            kinds, maps, halves, patterns, palettes, measures, salts,
+            kinds, maps, frame_of_shape, frames, halves, patterns, palettes, measures, salts,
             road, corner, cell, ground_palette, pixel_angle, colors, facings,
         )  # fmt: skip

@@ -6,6 +6,9 @@ directions of unit length it is the range in metres.
 
 Rays come in bundles of neighbours (a tile of pixels, a patch of laser shots). For each bundle the shapes outside its
 cone are dropped and the rest sorted by distance, so a ray meets a handful of shapes instead of all.
+
+What moves has a frame for each pose of the sensor: its rays are taken into the frame as it lies at that time, and its
+bounding spheres hold it at all of them.
 """
 
 import math
@@ -96,7 +99,36 @@ def _enter_unit_body(
 
 
 @njit(**INNER)
-def _cull(
+def meet_shape(
+    kind: int, m: Float64Array, x: float, y: float, z: float, u: float, v: float, w: float, reach: float
+) -> float:
+    """Range at which the ray from (x, y, z) along (u, v, w) enters the shape of a map (3, 4), or `reach`."""
+    return float(
+        _enter_unit_body(
+            kind,
+            m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3],
+            m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3],
+            m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3],
+            m[0, 0] * u + m[0, 1] * v + m[0, 2] * w,
+            m[1, 0] * u + m[1, 1] * v + m[1, 2] * w,
+            m[2, 0] * u + m[2, 1] * v + m[2, 2] * w,
+            reach,
+        )
+    )
+
+
+@njit(**INNER)
+def take_into_frame(
+    frame: Float64Array, x: float, y: float, z: float, u: float, v: float, w: float, own: Float64Array
+) -> None:
+    """Write a world point and a direction in the coordinates of a frame (3, 4) into `own` (6,)."""
+    for i in range(3):
+        own[i] = frame[i, 0] * x + frame[i, 1] * y + frame[i, 2] * z + frame[i, 3]
+        own[3 + i] = frame[i, 0] * u + frame[i, 1] * v + frame[i, 2] * w
+
+
+@njit(**INNER)
+def cull(
     axis: Float64Array, cosine: float, anchor: Float64Array, spread: float, spheres: Float64Array,
     candidates: Int32Array, reach: float, chosen: Int32Array, nears: Float64Array,
 ) -> int:  # fmt: skip
@@ -126,7 +158,7 @@ def _cull(
 
 
 @njit(**INNER)
-def _bundle_cone(
+def bundle_cone(
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
     start: int, stop: int, rays: Float64Array, axis: Float64Array,
 ) -> tuple[float, float]:  # fmt: skip
@@ -155,16 +187,15 @@ def _bundle_cone(
 @njit(**INNER)
 def _trace_bundle(
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
-    start: int, stop: int, slots: Int64Array, kinds: UInt8Array, maps: Float64Array, spheres: Float64Array,
-    candidates: Int32Array, reach: float, ranges: Float64Array, hits: Int32Array,
+    start: int, stop: int, slots: Int64Array, kinds: UInt8Array, maps: Float64Array, frame_of_shape: Int32Array,
+    frames: Float64Array, spheres: Float64Array, candidates: Int32Array, reach: float, ranges: Float64Array,
+    hits: Int32Array,
 ) -> None:  # fmt: skip
     """Trace the rays from `start` to `stop`, which share one cone; arguments as in `trace_rays`."""
-    rays, axis = np.empty((stop - start, 3)), np.empty(3)
-    cosine, spread = _bundle_cone(directions, pose_of_ray, rotations, origins, start, stop, rays, axis)
+    rays, axis, own = np.empty((stop - start, 3)), np.empty(3), np.empty(6)
+    cosine, spread = bundle_cone(directions, pose_of_ray, rotations, origins, start, stop, rays, axis)
     chosen, nears = np.empty(len(candidates), np.int32), np.empty(len(candidates))
-    count = _cull(
-        axis, cosine, origins[pose_of_ray[start]], spread, spheres, candidates, reach, chosen, nears
-    )
+    count = cull(axis, cosine, origins[pose_of_ray[start]], spread, spheres, candidates, reach, chosen, nears)
     for k in range(start, stop):
         x, y, z = origins[pose_of_ray[k], 0], origins[pose_of_ray[k], 1], origins[pose_of_ray[k], 2]
         u, v, w = rays[k - start, 0], rays[k - start, 1], rays[k - start, 2]
@@ -174,17 +205,13 @@ def _trace_bundle(
         for c in range(count):
             if nears[c] > best:
                 break
-            m = maps[chosen[c]]
-            t = _enter_unit_body(
-                kinds[chosen[c]],
-                m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3],
-                m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3],
-                m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3],
-                m[0, 0] * u + m[0, 1] * v + m[0, 2] * w,
-                m[1, 0] * u + m[1, 1] * v + m[1, 2] * w,
-                m[2, 0] * u + m[2, 1] * v + m[2, 2] * w,
-                best,
-            )
+            if frame_of_shape[chosen[c]] < 0:
+                t = meet_shape(kinds[chosen[c]], maps[chosen[c]], x, y, z, u, v, w, best)
+            else:
+                take_into_frame(frames[pose_of_ray[k], frame_of_shape[chosen[c]]], x, y, z, u, v, w, own)
+                t = meet_shape(
+                    kinds[chosen[c]], maps[chosen[c]], own[0], own[1], own[2], own[3], own[4], own[5], best
+                )
             if t < best:
                 best, hit = t, chosen[c]
         ranges[slots[k]] = best if hit != SKY else 0.0
@@ -193,7 +220,8 @@ def _trace_bundle(
 
 @njit(
     "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], "
-    "uint8[::1], float64[:,:,::1], float64[:,::1], int32[::1], float64, float64[::1], int32[::1])",
+    "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], int32[::1], float64, "
+    "float64[::1], int32[::1])",
     parallel=True,
     nogil=True,
     cache=True,
@@ -201,8 +229,9 @@ def _trace_bundle(
 )
 def trace_rays(
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
-    bundle_starts: Int64Array, slots: Int64Array, kinds: UInt8Array, maps: Float64Array, spheres: Float64Array,
-    candidates: Int32Array, reach: float, ranges: Float64Array, hits: Int32Array,
+    bundle_starts: Int64Array, slots: Int64Array, kinds: UInt8Array, maps: Float64Array, frame_of_shape: Int32Array,
+    frames: Float64Array, spheres: Float64Array, candidates: Int32Array, reach: float, ranges: Float64Array,
+    hits: Int32Array,
 ) -> None:  # fmt: skip
     """Find what each ray meets first.
 
@@ -214,8 +243,11 @@ def trace_rays(
         bundle_starts: (B + 1,) int64, the first ray of each bundle and N.
         slots: (N,) int64, where the answer of a ray goes.
         kinds: (P,) uint8, the unit body of each shape.
-        maps: (P, 3, 4) float64, world to the space of the unit body.
-        spheres: (P, 4) float64 [m], centre and radius of a ball around each shape, world frame.
+        maps: (P, 3, 4) float64, world, or the frame of what moves, to the space of the unit body.
+        frame_of_shape: (P,) int32, the column of `frames` that a shape moves with, -1 where it stands still.
+        frames: (M, F, 3, 4) float64 `frame_from_world` at the time of each pose.
+        spheres: (P, 4) float64 [m], centre and radius of a ball around each shape, world frame; around all its
+            places where it moves.
         candidates: (C,) int32, the shapes to look at.
         reach: rays end here [m].
         ranges: (slots,) float64 [m], written: range of the first hit, 0 where there is none.
@@ -226,5 +258,5 @@ def trace_rays(
     for bundle in prange(len(bundle_starts) - 1):
         _trace_bundle(
             directions, pose_of_ray, rotations, origins, bundle_starts[bundle], bundle_starts[bundle + 1], slots,
-            kinds, maps, spheres, candidates, reach, ranges, hits,
+            kinds, maps, frame_of_shape, frames, spheres, candidates, reach, ranges, hits,
         )  # fmt: skip

@@ -145,6 +145,6 @@ def _check_possible(sensor: Sensor, wrong: SensorFaults) -> None:
     strange = sorted(wrong.named - possible)
     if strange:
         raise OptionError(
-            f"faults of sensor {sensor.id!r}: {', '.join(strange)}; a {sensor.type} can have "
+            f"faults of sensor {sensor.id!r}: {', '.join(strange)}; a sensor of type {sensor.type} can have "
             f"{', '.join(sorted(possible)) or 'none'}"
         )

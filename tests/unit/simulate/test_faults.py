@@ -1,0 +1,311 @@
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project
+from sceneloom.errors import OptionError
+from sceneloom.simulate import (
+    CameraSpec,
+    Faults,
+    LidarSpec,
+    PointTimes,
+    SensorFaults,
+    camera_mount,
+    plant,
+    simulate_street,
+)
+
+SWEEP_NS = 100_000_000
+START_NS = 1_000_000_000
+LENS = Camera("pinhole", 160, 120, 150.0, 150.0, 79.5, 59.5)
+
+
+@pytest.fixture(scope="module")
+def right():
+    """A drive of twelve sweeps without faults."""
+    lidar = LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
+    return simulate_street(4, frames=12, lidar=lidar, cameras=(CameraSpec(LENS, camera_mount()),))
+
+
+def planted(drive, sensor_id, *, seed=0, **wrong):
+    """The drive with faults of one sensor."""
+    return plant(drive, Faults({sensor_id: SensorFaults(**wrong)}, seed=seed))
+
+
+def test_a_drive_without_faults_says_so(right):
+    assert dict(right.faults.sensors) == {}
+    same = plant(right, Faults())
+    assert same.scene.sensors == right.scene.sensors
+
+
+@pytest.mark.parametrize("sensor_id", ["lidar", "camera0"])
+def test_the_stated_mounting_is_off_by_the_planted_error_and_the_truth_is_not(right, sensor_id):
+    drive = planted(right, sensor_id, rotation_deg=(0.4, -1.5, 0.7), shift=(0.02, -0.05, 0.11))
+    assert drive.truth is right.truth
+    stated, true = drive.scene.sensor(sensor_id), right.scene.sensor(sensor_id)
+    error = np.linalg.inv(true.mount.matrix) @ stated.mount.matrix
+    np.testing.assert_allclose(
+        Rotation.from_matrix(error[:3, :3]).as_rotvec(degrees=True), [0.4, -1.5, 0.7], atol=1e-9
+    )
+    np.testing.assert_allclose(error[:3, 3], [0.02, -0.05, 0.11], atol=1e-12)
+    for k in (0, -1):
+        world_from_true, world_from_stated = (
+            (Rotation.from_quat(sensor.poses.quaternions_xyzw[k].copy()), sensor.poses.positions[k])
+            for sensor in (true, stated)
+        )
+        np.testing.assert_allclose(
+            world_from_stated[0].as_matrix(), world_from_true[0].as_matrix() @ error[:3, :3], atol=1e-9
+        )
+        np.testing.assert_allclose(
+            world_from_stated[1] - world_from_true[1], world_from_true[0].apply(error[:3, 3]), atol=1e-9
+        )
+
+
+def test_points_miss_their_pixels_by_what_a_turned_camera_explains(right):
+    drive = planted(right, "camera0", rotation_deg=(0.0, 1.0, 0.0))
+    clean = drive.truth.clean_points_world(5).positions_world
+    ego = drive.truth.path.at(right.scene.cameras[0].pictures.timestamps_ns[5:6])
+    in_ego = (clean - ego.positions[0]) @ ego.rotations[0]
+    camera = drive.scene.cameras[0]
+    pixels, inside = project(LENS, camera.mount.inverse().apply(in_ego))
+    exact, exactly_inside = project(LENS, drive.truth.world_from_camera("camera0", 5).inverse().apply(clean))
+    both = inside & exactly_inside
+    assert both.sum() > 50
+    # A turn by 1 degree about the downward axis moves what lies at the angle a off the axis from f tan(a) to
+    # f tan(a - 1 degree): 2.6 px in the middle of the picture.
+    angle = np.arctan((exact[both, 0] - LENS.cx) / LENS.fx)
+    np.testing.assert_allclose(
+        pixels[both, 0] - LENS.cx, LENS.fx * np.tan(angle - np.radians(1.0)), atol=1e-6
+    )
+    middle = np.abs(exact[both, 0] - LENS.cx) < 15
+    assert np.abs(exact[both, 0] - pixels[both, 0])[middle] == pytest.approx(2.62, abs=0.05)
+
+
+def test_a_turned_inertial_unit_measures_gravity_askew(right):
+    drive = planted(right, "imu", rotation_deg=(10.0, 0.0, 0.0))
+    stated, true = (d.scene.sensor("imu").streams["accelerometer"].values for d in (drive, right))
+    # The frame is stated as turned by 10 degrees about x against where the unit is: it hangs 10 degrees the other way.
+    np.testing.assert_allclose(
+        stated, Rotation.from_euler("x", 10, degrees=True).apply(true.copy()), atol=1e-12
+    )
+    np.testing.assert_allclose(np.linalg.norm(stated, axis=1), np.linalg.norm(true, axis=1))
+
+
+@pytest.mark.parametrize("sensor_id", ["lidar", "camera0", "gnss", "imu"])
+def test_stamps_are_late_by_the_offset_and_drift_by_the_skew(right, sensor_id):
+    drive = planted(right, sensor_id, time_offset_ns=30_000_000, clock_skew_ppm=200.0)
+    said, true = (times_of(d.scene.sensor(sensor_id)) for d in (drive, right))
+    assert len(said) == len(true)
+    expected = true + 30_000_000 + (true - true[0]) * 200e-6
+    np.testing.assert_allclose(said - expected, 0.0, atol=0.51)  # whole nanoseconds
+
+
+def times_of(sensor):
+    """The stamps of a sensor of any kind."""
+    if hasattr(sensor, "streams"):
+        return sensor.streams["gyroscope"].timestamps_ns
+    frames = getattr(sensor, "frames", getattr(sensor, "pictures", sensor))
+    return frames.timestamps_ns
+
+
+def test_point_times_follow_the_clock_of_their_sensor(right):
+    drive = planted(right, "lidar", time_offset_ns=-7_000, clock_skew_ppm=-1000.0)
+    said, true = drive.scene.lidars[0].frames[9], right.scene.lidars[0].frames[9]
+    expected = true.points.timestamps_ns - 7_000 - (true.points.timestamps_ns - START_NS) * 1e-3
+    np.testing.assert_allclose(said.points.timestamps_ns - expected, 0.0, atol=0.51)
+    assert said.timestamp_ns == drive.scene.lidars[0].frames.timestamps_ns[9]
+    np.testing.assert_array_equal(said.points.positions, true.points.positions)
+
+
+def test_an_offset_of_a_sweep_pairs_each_sweep_with_the_picture_after(right):
+    drive = planted(right, "lidar", time_offset_ns=SWEEP_NS)
+    for scene, shift in ((right.scene, 0), (drive.scene, 1)):
+        pictures = scene.cameras[0].pictures.timestamps_ns
+        nearest = [
+            int(np.abs(pictures - scene.lidars[0].frames[k].reference_ns).argmin()) for k in range(4, 7)
+        ]
+        assert nearest == [4 + shift, 5 + shift, 6 + shift]
+
+
+def test_listed_frames_are_lost_and_the_others_are_what_they_were(right):
+    drive = planted(right, "lidar", lost_frames=(2, 3, 11))
+    kept = [0, 1, 4, 5, 6, 7, 8, 9, 10]
+    assert drive.true_frames["lidar"].tolist() == kept
+    assert len(drive.scene.lidars[0].frames) == 9
+    for j, k in enumerate(kept):
+        said, true = drive.scene.lidars[0].frames[j], right.scene.lidars[0].frames[k]
+        assert said.timestamp_ns == true.timestamp_ns
+        np.testing.assert_array_equal(said.points.positions, true.points.positions)
+    assert len(drive.scene.cameras[0].pictures) == 12
+
+
+def test_a_share_is_lost_at_random_by_seed_and_by_sensor(right):
+    lost = Faults({"imu": SensorFaults(lost_share=0.3), "gnss": SensorFaults(lost_share=0.3)}, seed=2)
+    drive, other = plant(right, lost), plant(right, replace(lost, seed=3))
+    count = len(right.scene.sensor("imu").streams["gyroscope"])
+    kept = len(drive.scene.sensor("imu").streams["gyroscope"])
+    # A binomial of some 330 samples: four standard deviations are 10 %.
+    assert kept / count == pytest.approx(0.7, abs=0.1)
+    assert drive.true_frames["imu"].tolist() == plant(right, lost).true_frames["imu"].tolist()
+    assert drive.true_frames["imu"].tolist() != other.true_frames["imu"].tolist()
+    alone = planted(right, "gnss", lost_share=0.3, seed=2)
+    assert alone.true_frames["gnss"].tolist() == drive.true_frames["gnss"].tolist()
+    streams = drive.scene.sensor("imu").streams
+    np.testing.assert_array_equal(streams["gyroscope"].timestamps_ns, streams["accelerometer"].timestamps_ns)
+
+
+def test_no_frame_comes_in_a_drop_out(right):
+    gap = (START_NS + 3 * SWEEP_NS, START_NS + 6 * SWEEP_NS)
+    for sensor_id, missing in (("lidar", [3, 4, 5]), ("camera0", [3, 4, 5])):
+        drive = planted(right, sensor_id, drop_outs=(gap,))
+        assert sorted(set(range(12)) - set(drive.true_frames[sensor_id].tolist())) == missing
+    times = planted(right, "imu", drop_outs=(gap,)).scene.sensor("imu").streams["gyroscope"].timestamps_ns
+    assert not ((times >= gap[0]) & (times < gap[1])).any()
+    assert np.diff(times).max() >= gap[1] - gap[0]
+
+
+def test_a_blind_lidar_gives_sweeps_without_points_and_a_blind_camera_black_pictures(right):
+    blind = SensorFaults(blind=((START_NS + SWEEP_NS, START_NS + 2 * SWEEP_NS),))
+    drive = plant(right, Faults({"lidar": blind, "camera0": blind}))
+    lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
+    assert [len(lidar.frames[k].points) > 0 for k in range(3)] == [True, False, True]
+    assert lidar.frames[1].points.timestamps_ns.shape == lidar.frames[1].points.rings.shape == (0,)
+    assert lidar.frames[1].reference_ns == START_NS + SWEEP_NS
+    assert [bool(camera.pictures[k].rgb.any()) for k in range(3)] == [True, False, True]
+    assert camera.pictures[1].rgb.shape == (120, 160, 3)
+    assert len(drive.truth.clean_points_world(1).ranges) > 100
+
+
+def test_a_stuck_sensor_repeats_itself_under_new_stamps(right):
+    interval = (START_NS + 2 * SWEEP_NS, START_NS + 5 * SWEEP_NS)
+    drive = planted(right, "lidar", stuck=(interval,))
+    assert drive.true_frames["lidar"].tolist() == [0, 1, 2, 2, 2, 5, 6, 7, 8, 9, 10, 11]
+    first, last = drive.scene.lidars[0].frames[2], drive.scene.lidars[0].frames[4]
+    np.testing.assert_array_equal(first.points.positions, last.points.positions)
+    assert last.timestamp_ns - first.timestamp_ns == 2 * SWEEP_NS
+    np.testing.assert_array_equal(last.points.timestamps_ns - first.points.timestamps_ns, 2 * SWEEP_NS)
+    values = planted(right, "imu", stuck=(interval,)).scene.sensor("imu").streams["gyroscope"]
+    inside = (values.timestamps_ns >= interval[0]) & (values.timestamps_ns < interval[1])
+    assert len(np.unique(values.values[inside], axis=0)) == 1
+    assert len(np.unique(values.values, axis=0)) == (~inside).sum() + 1
+
+
+def test_swapped_sweeps_come_out_of_order_with_their_own_stamps(right):
+    drive = planted(right, "lidar", swapped=((4, 5), (8, 10)))
+    order = [0, 1, 2, 3, 5, 4, 6, 7, 10, 9, 8, 11]
+    frames = drive.scene.lidars[0].frames
+    np.testing.assert_array_equal(frames.timestamps_ns, START_NS + SWEEP_NS * np.array(order))
+    assert drive.true_frames["lidar"].tolist() == order
+    np.testing.assert_array_equal(
+        frames[8].points.positions, right.scene.lidars[0].frames[10].points.positions
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        (PointTimes.MISSING, lambda times, stamp: None),
+        (PointTimes.ZERO, lambda times, stamp: 0 * times),
+        (PointTimes.FRAME, lambda times, stamp: 0 * times + stamp),
+        (PointTimes.RELATIVE, lambda times, stamp: times - stamp),
+        (PointTimes.MICROSECONDS, lambda times, stamp: times // 1000),
+        (PointTimes.RELATIVE_MICROSECONDS, lambda times, stamp: (times - stamp) // 1000),
+        (PointTimes.STRETCHED, lambda times, stamp: stamp + 1000 * (times - stamp)),
+    ],
+)
+def test_point_times_are_wrong_as_asked_for(right, kind, expected):
+    said = planted(right, "lidar", point_times=kind).scene.lidars[0].frames[3]
+    true = right.scene.lidars[0].frames[3]
+    assert said.timestamp_ns == true.timestamp_ns
+    answer = expected(true.points.timestamps_ns, true.timestamp_ns)
+    if answer is None:
+        assert said.points.timestamps_ns is None
+    else:
+        np.testing.assert_array_equal(said.points.timestamps_ns, answer)
+
+
+def test_intensities_are_scaled_and_stay_within_a_byte(right):
+    said = planted(right, "lidar", intensity_scale=3.3).scene.lidars[0].frames[0].points.intensities
+    true = right.scene.lidars[0].frames[0].points.intensities
+    assert (true > 80).any()
+    np.testing.assert_array_equal(said, [min(255, round(3.3 * int(value))) for value in true])
+
+
+def test_the_stated_lens_is_longer_and_the_picture_the_same(right):
+    drive = planted(right, "camera0", focal_scale=1.02)
+    camera = drive.scene.cameras[0]
+    assert (camera.camera.fx, camera.camera.fy) == pytest.approx((153.0, 153.0))
+    assert camera.pictures[0].camera == camera.camera
+    assert camera.mount is right.scene.cameras[0].mount
+    np.testing.assert_array_equal(camera.pictures[0].rgb, right.scene.cameras[0].pictures[0].rgb)
+
+
+def test_faults_can_be_given_with_the_drive_and_do_not_depend_on_the_order_of_reading(right):
+    faults = Faults(
+        {"lidar": SensorFaults(lost_share=0.4, time_offset_ns=5, blind=((0, START_NS + SWEEP_NS),))}
+    )
+    lidar = LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
+    drive = simulate_street(4, frames=12, lidar=lidar, cameras=(), faults=faults)
+    same = plant(right, faults)
+    assert drive.faults is faults
+    frames, others = drive.scene.lidars[0].frames, same.scene.lidars[0].frames
+    assert 0 < len(frames) < 12
+    for k in reversed(range(len(frames))):
+        np.testing.assert_array_equal(frames[k].points.positions, others[k].points.positions)
+        np.testing.assert_array_equal(frames[k].points.timestamps_ns, others[k].points.timestamps_ns)
+
+
+def test_what_reads_faulty_frames_can_be_pickled_where_the_frames_can(right):
+    from sceneloom.scene import LazyFrames
+    from sceneloom.simulate.faulty_frames import Clock, FaultyClouds, FramePlan
+
+    kept = right.scene.lidars[0].frames
+    wrong, clock = SensorFaults(lost_frames=(1,), time_offset_ns=9), Clock(0, 9, 0.0)
+    plan = FramePlan.of(wrong, kept.timestamps_ns[:3], clock, seed=0, key=0)
+    in_memory = LazyFrames.of([kept[0], kept[1], kept[2]], kept.timestamps_ns[:3].tolist())
+    reader = FaultyClouds(in_memory, plan, clock, wrong)
+    again = pickle.loads(pickle.dumps(reader))
+    np.testing.assert_array_equal(again(1).points.timestamps_ns, kept[2].points.timestamps_ns + 9)
+
+
+@pytest.mark.parametrize(
+    ("sensor_id", "wrong", "message"),
+    [
+        ("lidar7", {}, "no sensor 'lidar7'; it has 'lidar', 'camera0', 'imu', 'gnss'"),
+        ("lidar", {"focal_scale": 1.1}, "focal_scale; a sensor of type lidar can have"),
+        ("camera0", {"point_times": PointTimes.ZERO}, "point_times; a sensor of type camera can have"),
+        ("camera0", {"intensity_scale": 2.0}, "intensity_scale"),
+        ("imu", {"shift": (0.0, 0.0, 1.0)}, "shift; a sensor of type imu can have"),
+        ("gnss", {"blind": ((0, 1),)}, "blind"),
+        ("lidar", {"lost_frames": (12,)}, "frame 12; expected 0 to 11"),
+        ("lidar", {"swapped": ((-1, 3),)}, "frame -1"),
+    ],
+)
+def test_faults_that_mean_nothing_are_refused(right, sensor_id, wrong, message):
+    with pytest.raises(OptionError, match=message):
+        planted(right, sensor_id, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"lost_share": 1.5}, "lost_share: 1.5; expected 0 to 1"),
+        ({"rotation_deg": (0.0, float("nan"), 0.0)}, "rotation_deg"),
+        ({"blind": ((5, 5),)}, "blind"),
+        ({"swapped": ((1, 2), (2, 3))}, "swapped"),
+        ({"focal_scale": 0.0}, "focal_scale"),
+        ({"clock_skew_ppm": 1e6}, "clock_skew_ppm"),
+    ],
+)
+def test_numbers_out_of_bounds_are_refused(wrong, message):
+    with pytest.raises(OptionError, match=message):
+        SensorFaults(**wrong)
+
+
+def test_faults_are_planted_once(right):
+    with pytest.raises(OptionError, match="faults already"):
+        planted(planted(right, "lidar", lost_frames=(1,)), "camera0", lost_frames=(1,))

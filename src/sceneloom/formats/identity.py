@@ -31,7 +31,7 @@ class FileIdentity:
         Raises:
             OSError: it cannot be looked at.
         """
-        status = os.stat(path if descriptor is None else descriptor)
+        status = path.stat() if descriptor is None else os.fstat(descriptor)
         return cls(str(path), path.absolute(), status.st_size, status.st_mtime_ns)
 
     def check(self) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
+from sceneloom.formats.identity import FileIdentity
 
 HEADER_LIMIT = 1 << 30
 """Longest header that is read [bytes]: beyond it the text alone would fill the memory of a large machine."""
@@ -66,6 +67,7 @@ class Container:
 
     Attributes:
         file: its name, for messages.
+        identity: how to tell it from a file that takes its place.
         header: the decoded header without `$items`; arrays stand in their places as read-only views.
 
     Raises:
@@ -75,7 +77,7 @@ class Container:
     def __init__(self, path: Path) -> None:
         """Map the file and decode its header."""
         self.file = str(path)
-        self._mapped = _map_file(path)
+        self._mapped, self.identity = _map_file(path)
         self.closed = False
         self._on_close: list[Callable[[], None]] = []
         self._start = _header_stop(self._mapped, self.file)
@@ -198,12 +200,13 @@ def _step(node: Any, key: Any) -> Any:
     return node[index] if isinstance(node, list) and index is not None and index < len(node) else None
 
 
-def _map_file(path: Path) -> mmap.mmap:
+def _map_file(path: Path) -> tuple[mmap.mmap, FileIdentity]:
     try:
         if path.exists() and not path.is_file():
             raise DataError(path, "", "not a file; expected a Sensor Fusion Scene file")
         with path.open("rb") as file:
-            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            identity = FileIdentity.of(path, descriptor=file.fileno())
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), identity
     except ValueError:
         raise DataError(path, "", "is empty; expected a JSON header") from None
     except OSError as error:

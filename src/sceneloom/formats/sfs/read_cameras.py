@@ -8,6 +8,7 @@ import numpy as np
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
+from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
 from sceneloom.formats.sfs.picture_notes import PictureNotes, camera_of, exposure_ns, lens_of, numbers_of
 from sceneloom.formats.sfs.poses import times_of
@@ -38,14 +39,16 @@ def read_camera(source: Source, values: Record, place: Place, faults: Faults) ->
     if inner:
         return None
     extras = {**rest_of(values), **_further(intrinsics), **content.further}
-    return _sensor(values["id"], lens, content, own, {**moving, "extras": extras})
+    pictures = _pictures(source, content, own, exposure_ns(extras, 0), place)
+    return CameraSensor(
+        values["id"], lens, pictures, video=content.video, fps=content.fps, **moving, extras=extras
+    )
 
 
-def _sensor(
-    identifier: str | int, lens: Camera, content: PictureContent, own: PictureNotes, fields: Record
-) -> CameraSensor:
+def _pictures(
+    source: Source, content: PictureContent, own: PictureNotes, usual: int, place: Place
+) -> LazyFrames[Picture]:
     """Join pictures, their own lenses and mountings, and the times of their middles."""
-    usual = exposure_ns(fields["extras"], 0)
     own_fields = content.own_fields or tuple(own.extras(k) for k in range(len(content.starts_ns)))
     exposures = np.array([exposure_ns(extra, usual) for extra in own_fields], np.int64)
     middles_ns = content.starts_ns + exposures // 2
@@ -55,9 +58,7 @@ def _sensor(
         extras = {**picture.extras, **own.extras(index)}
         return replace(picture, timestamp_ns=int(middles_ns[index]), mount=own.mount(index), extras=extras)
 
-    return CameraSensor(
-        identifier, lens, LazyFrames(middles_ns, read), video=content.video, fps=content.fps, **fields
-    )
+    return LazyFrames(middles_ns, source.parts.keep(format_keys((*place, "pictures")), read))
 
 
 def _content(source: Source, values: Record, lens: Camera, place: Place) -> PictureContent:

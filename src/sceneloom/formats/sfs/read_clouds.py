@@ -188,7 +188,7 @@ def _frame_reader(
         extras = {name: value for name, value in frame.items() if name not in {"timestamp", "points"}}
         return make(frame["timestamp"], frame["points"], times_ns, extras)
 
-    return read
+    return source.parts.keep(format_keys((*place, "frames")), read)
 
 
 def _point_times(

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from threading import Lock
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -20,6 +19,7 @@ from sceneloom.scene.types import NO_FIELDS
 
 if TYPE_CHECKING:
     from sceneloom.formats.video import VideoReader
+    from sceneloom.formats.video.index import VideoIndex
 
 _LARGEST_PICTURE = 1 << 28
 """Pictures of more pixels are refused: a damaged head can claim any size."""
@@ -60,19 +60,22 @@ def video_content(
 ) -> PictureContent:
     """Give the pictures of a `video` record; the video is opened when its first picture is asked for."""
     content: AnyArray = video["content"]
-    player = _Player(source.container, content.data, format_keys((*place, "content")))
+    where = format_keys((*place, "content"))
+    player = _Player(source.container, content.data, where)
+    source.parts.videos[where] = player
+    rgb, open_file = source.parts.keep(where, player.rgb), source.parts.keep(f"{where}: file", player.open)
     starts = starts_ns.tolist()
 
     def read(index: int, camera: Camera) -> Picture:
         size = player.size()
         lens = camera if size == (camera.width, camera.height) else camera.resized(*size)
-        return Picture(starts[index], lens, partial(player.rgb, index))
+        return Picture(starts[index], lens, partial(rgb, index))
 
     further = {name: value for name, value in video.items() if name not in {"timestamps", "content", "fps"}}
     return PictureContent(
         starts_ns,
         read,
-        VideoContent(player.open, video_codec(content.data)),
+        VideoContent(open_file, video_codec(content.data)),
         None if video.get("fps") is None else float(video["fps"]),
         {"video": further} if further else NO_FIELDS,
     )
@@ -81,16 +84,16 @@ def video_content(
 def image_content(source: Source, images: list[Mapping[str, Any]], place: Place) -> PictureContent:
     """Give the pictures of an `images` list."""
     container = source.container
+    rgb = source.parts.keep(format_keys(place), partial(_decode_image, container, images, place))
     own = tuple({k: v for k, v in image.items() if k not in {"timestamp", "content"}} for image in images)
 
     def read(index: int, camera: Camera) -> Picture:
-        where = format_keys((*place, index, "content"))
-        container.check_open(where)
+        container.check_open(format_keys((*place, index, "content")))
         content: AnyArray = images[index]["content"]
         return Picture(
             images[index]["timestamp"],
             _lens_for(content, camera),
-            partial(_decode_jpeg, container, content, where),
+            partial(rgb, index),
             extras=own[index],
             encoded=content.tobytes,
         )
@@ -110,10 +113,17 @@ def _lens_for(content: AnyArray, camera: Camera) -> Camera:
     return camera if (width, height) == (camera.width, camera.height) else camera.resized(width, height)
 
 
+def _decode_image(
+    container: Container, images: list[Mapping[str, Any]], place: Place, index: int
+) -> UInt8Array:
+    where = format_keys((*place, index, "content"))
+    container.check_open(where)
+    return _decode_jpeg(container, images[index]["content"], where)
+
+
 def _decode_jpeg(container: Container, content: AnyArray, place: str) -> UInt8Array:
     from simplejpeg import decode_jpeg, decode_jpeg_header
 
-    container.check_open(place)
     try:
         height, width = decode_jpeg_header(content.data)[:2]
         if width * height > _LARGEST_PICTURE:
@@ -125,12 +135,18 @@ def _decode_jpeg(container: Container, content: AnyArray, place: str) -> UInt8Ar
 
 
 class _Player:
-    """Opens a video at its first use and keeps it open."""
+    """Opens a video at its first use and keeps it open.
+
+    It has no lock, which a fork could leave locked for good: two threads may both open the video, and one wins.
+
+    Attributes:
+        index: the list of its pictures, None until it is known.
+    """
 
     def __init__(self, container: Container, content: memoryview, place: str) -> None:
         self._container, self._content, self._place = container, content, place
         self._reader: VideoReader | None = None
-        self._lock = Lock()
+        self.index: VideoIndex | None = None
         container.on_close(self._close)
 
     def open(self) -> Any:
@@ -152,19 +168,22 @@ class _Player:
 
     def rgb(self, index: int) -> UInt8Array:
         """Decode one picture."""
-        return self._opened().rgb(index)
+        reader = self._opened()
+        if self.index is None:
+            self.index = reader.index
+        return reader.rgb(index)
 
     def _opened(self) -> "VideoReader":
-        from sceneloom.formats.video import open_video
+        from sceneloom.formats.video import VideoReader
 
         self._container.check_open(self._place)
-        with self._lock:
-            if self._reader is None:
-                self._reader = open_video(self._content, name=f"{self._container.file}: {self._place}")
-            return self._reader
+        reader = self._reader
+        if reader is None:
+            name = f"{self._container.file}: {self._place}"
+            reader = self._reader = VideoReader(self._content, name=name, index=self.index)
+        return reader
 
     def _close(self) -> None:
-        with self._lock:
-            if self._reader is not None:
-                self._reader.close()
-            self._reader = None
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.close()

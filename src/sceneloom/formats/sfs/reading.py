@@ -1,6 +1,7 @@
 """Reading a file into a scene: root fields, clock, sensors, annotations, our metadata."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -11,6 +12,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.sfs.container import Container
 from sceneloom.formats.sfs.exactness import restore_exact_attributes
 from sceneloom.formats.sfs.fields import SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
+from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.garbage import collector_paused
 from sceneloom.formats.sfs.read_annotations import read_annotations
 from sceneloom.formats.sfs.read_cameras import read_camera
@@ -80,17 +82,34 @@ def read_scene(path: Path, options: ReadingOptions) -> Scene:
         raise DataError(path, "", str(error).removeprefix(f"{path}: ")) from None
 
 
-def _scene(container: Container, options: ReadingOptions) -> Scene:
-    header = container.header
+def _parts_again(options: ReadingOptions, path: Path) -> FileParts:
+    """Open a file again for what a scene of it reads; annotations and the like are in the scene already."""
+    with collector_paused():
+        source, ours, _ = _source(Container(path), options)
+        _all_sensors(source, ours)
+    return source.parts
+
+
+def _source(container: Container, options: ReadingOptions) -> tuple[Source, dict[str, Any], dict[str, Any]]:
+    """Begin with a file: what its readers share, our metadata and the free ones."""
     _check_version(container)
-    metadata, ours = _metadata(container)
-    clock = _clock(container, ours)
-    source = Source(container, clock, options)
-    ours = _read_ours(source, ours)
-    sensors = (
-        *_sensors(source, header.get("sensors"), ("sensors",)),
+    metadata, raw = _metadata(container)
+    parts = FileParts(container, partial(_parts_again, options))
+    source = Source(container, parts, _clock(container, raw), options)
+    return source, _read_ours(source, raw), metadata
+
+
+def _all_sensors(source: Source, ours: dict[str, Any]) -> tuple[Sensor, ...]:
+    return (
+        *_sensors(source, source.container.header.get("sensors"), ("sensors",)),
         *_sensors(source, ours.get("sensors"), ("metadata", OURS, "sensors")),
     )
+
+
+def _scene(container: Container, options: ReadingOptions) -> Scene:
+    header = container.header
+    source, ours, metadata = _source(container, options)
+    sensors = _all_sensors(source, ours)
     annotations = (
         *read_annotations(source, header.get("annotations"), ("annotations",)),
         *read_annotations(source, ours.get("annotations"), ("metadata", OURS, "annotations")),
@@ -112,12 +131,12 @@ def _scene(container: Container, options: ReadingOptions) -> Scene:
         trajectories=trajectories,
         attributes=attributes,
         metadata={**metadata, **({OURS: kept} if kept else {})},
-        time_offset_ns=clock.offset_ns,
+        time_offset_ns=source.clock.offset_ns,
         source=container.file,
         format="sfs",
         notices=tuple(source.notices),
         extras={name: value for name, value in header.items() if name not in _ROOT},
-        on_close=container.close,
+        on_close=source.parts.close,
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.sfs.container import Container, format_keys
+from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.records import Fault, Faults, Place, RecordReader
 from sceneloom.formats.sfs.times import FileClock
 from sceneloom.geometry.euler import ORDERS, AngleUnit
@@ -46,6 +47,7 @@ class Source:
 
     Attributes:
         container: the open file.
+        parts: what the scene keeps of it.
         clock: of the file.
         options: of the caller.
         notices: collected on the way.
@@ -53,6 +55,7 @@ class Source:
     """
 
     container: Container
+    parts: FileParts
     clock: FileClock
     options: ReadingOptions
     notices: list[Notice] = field(default_factory=list)

@@ -9,27 +9,24 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
-    CameraSensor,
     CuboidAnnotation,
     CuboidPath,
     Identifier,
-    LazyFrames,
-    LidarSensor,
-    PosePath,
     Scene,
     Trajectory,
 )
-from sceneloom.scene.pose_source import PoseSource
-from sceneloom.simulate.camera import CameraSpec, RenderedCamera, camera_mount
+from sceneloom.simulate.camera import CameraSpec, camera_mount
 from sceneloom.simulate.faults import Faults
 from sceneloom.simulate.inertial import ImuSpec, imu_sensor, imu_truth
-from sceneloom.simulate.lidar import LidarSpec, ScanningLidar
+from sceneloom.simulate.lidar import LidarSpec
 from sceneloom.simulate.path import PathSpec, plan_path
 from sceneloom.simulate.planting import plant_in_scene
+from sceneloom.simulate.radar import RadarSpec
 from sceneloom.simulate.randomness import Stream, generator_for
+from sceneloom.simulate.rig import Rig, scene_sensors
 from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
+from sceneloom.simulate.shots import ScanSpec
 from sceneloom.simulate.street import StreetObject, build_street
 from sceneloom.simulate.traffic import TrafficSpec
 from sceneloom.simulate.truth import Truth
@@ -40,8 +37,6 @@ TRAJECTORY = "groundTruth"
 ANNOTATED = frozenset({"car", "bin", "tree", "pole"})
 """Classes of objects that get a box in the scene's annotations; `Truth.objects` knows all."""
 
-_MARGIN_NS = 200_000_000
-"""How far trajectory, IMU and GNSS reach beyond the first and the last sweep."""
 _IMU_SHIFT_NS = 1_300_000
 """Keeps the IMU's stamps from falling on those of other sensors, as two clocks would."""
 
@@ -67,8 +62,10 @@ def simulate_street(
     seed: int = 0,
     *,
     frames: int = 30,
-    lidar: LidarSpec | None = None,
+    lidar: ScanSpec | None = None,
+    lidars: Sequence[ScanSpec] | None = None,
     cameras: Sequence[CameraSpec] | None = None,
+    radars: Sequence[RadarSpec] = (),
     imu: ImuSpec | None = None,
     gnss: GnssSpec | None = None,
     path: PathSpec | None = None,
@@ -81,9 +78,12 @@ def simulate_street(
 
     Args:
         seed: another number is another street, another way and other noise.
-        frames: lidar sweeps; each camera takes one picture in each.
-        lidar: the lidar, by default 64 beams and 1800 steps at 10 Hz on the roof.
+        frames: sweeps of the (first) lidar; each camera takes one picture in each.
+        lidar: the lidar, a `LidarSpec` or a `SolidStateSpec`; by default 64 beams and 1800 steps at 10 Hz on the roof.
+        lidars: several in its place; the further ones have as many sweeps as begin before the first has ended its
+            last. A single lidar's id is "lidar", of several they are "lidar0", "lidar1", …
         cameras: by default one of 1242x375 pixels, looking ahead; ids are "camera0", "camera1", …
+        radars: none by default; ids are "radar0", "radar1", …
         imu, gnss: the inertial unit and the satellite receiver.
         path: how the ego drives: speeds, turns, stops.
         traffic: what moves besides the ego; None for nothing.
@@ -102,14 +102,21 @@ def simulate_street(
         raise OptionError(f"seed {seed}; expected a number that is not negative")
     if frames < 1 or not 10.0 <= trajectory_hz <= 10_000.0:
         raise OptionError(f"{frames} frames at {trajectory_hz} poses a second; expected >= 1, 10 to 10000")
-    lidar, imu, gnss = lidar or LidarSpec(), imu or ImuSpec(), gnss or GnssSpec()
-    specs = (CameraSpec(),) if cameras is None else tuple(cameras)
-    starts = start_ns + lidar.period_ns * np.arange(frames, dtype=np.int64)
-    span_ns = _span(starts, lidar, specs)
+    if lidar is not None and lidars is not None:
+        raise OptionError("lidar and lidars: both are given; expected one of them")
+    imu, gnss = imu or ImuSpec(), gnss or GnssSpec()
+    rig = Rig.of(
+        (lidar or LidarSpec(),) if lidars is None else tuple(lidars),
+        (CameraSpec(),) if cameras is None else tuple(cameras),
+        tuple(radars),
+        frames=frames,
+        start_ns=start_ns,
+    )
+    span_ns = rig.span_ns
     way = plan_path(
         generator_for(seed, Stream.PATH),
         start_ns=start_ns,
-        duration=(span_ns[1] - start_ns) * 1e-9,
+        duration=(rig.way_span_ns[1] - start_ns) * 1e-9,
         spec=path,
     )
     street = build_street(generator_for(seed, Stream.STREET), way)
@@ -117,11 +124,9 @@ def simulate_street(
     truth = Truth(
         street,
         way,
-        ScanningLidar.of(lidar, street, way, seed=seed, timestamps_ns=starts),
-        {
-            f"camera{index}": RenderedCamera.of(spec, street, way, timestamps_ns=starts + spec.offset_ns)
-            for index, spec in enumerate(specs)
-        },
+        rig.place_lidars(street, way, seed=seed),
+        rig.place_cameras(street, way, seed=seed),
+        rig.place_radars(street, way, seed=seed),
         inertial,
     )
     sensors = (
@@ -165,16 +170,6 @@ def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
     )
 
 
-def _span(starts_ns: Int64Array, lidar: LidarSpec, cameras: Sequence[CameraSpec]) -> tuple[int, int]:
-    """First and last time that any sensor needs [ns], with a margin."""
-    offsets = [0, lidar.period_ns, *(spec.offset_ns for spec in cameras)]
-    if min(offsets) < -lidar.period_ns or max(offsets) > 2 * lidar.period_ns:
-        raise OptionError(
-            f"camera offsets {offsets[2:]} ns; expected within one sweep ({lidar.period_ns} ns)"
-        )
-    return int(starts_ns[0]) + min(offsets) - _MARGIN_NS, int(starts_ns[-1]) + max(offsets) + _MARGIN_NS
-
-
 def _stamps(span_ns: tuple[int, int], rate_hz: float) -> Int64Array:
     """Times at a constant rate over a span, (N,) int64 [ns]."""
     count = int((span_ns[1] - span_ns[0]) * 1e-9 * rate_hz) + 2
@@ -184,22 +179,11 @@ def _stamps(span_ns: tuple[int, int], rate_hz: float) -> Int64Array:
 
 def _scene(seed: int, truth: Truth, others: tuple[Any, ...], stamps_ns: Int64Array) -> Scene:
     ego = truth.path.poses(stamps_ns)
-    lidar = truth.lidar
-    sensors = (
-        LidarSensor(
-            "lidar",
-            LazyFrames(lidar.timestamps_ns, lidar.frame),
-            poses=_mounted(ego, lidar.spec.mount),
-            mount=lidar.spec.mount,
-            model="simulated",
-        ),
-        *(_camera_sensor(name, camera, ego) for name, camera in truth.cameras.items()),
-        *others,
-    )
+    sensors = (*scene_sensors(truth.lidars, truth.cameras, truth.radars, ego), *others)
     trajectory = Trajectory(TRAJECTORY, ego.timestamps_ns, ego.positions, ego.quaternions_xyzw)
     return Scene(
         sensors,
-        annotations=_annotations(truth.objects, int(lidar.timestamps_ns[0])),
+        annotations=_annotations(truth.objects, int(truth.lidar.timestamps_ns[0])),
         trajectories={TRAJECTORY: trajectory},
         metadata=_metadata(seed),
         source=f"simulated street {seed}",
@@ -209,24 +193,6 @@ def _scene(seed: int, truth: Truth, others: tuple[Any, ...], stamps_ns: Int64Arr
 
 def _metadata(seed: int) -> Mapping[str, Any]:
     return {"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz", "seed": seed}}
-
-
-def _camera_sensor(name: str, camera: RenderedCamera, ego: PosePath) -> CameraSensor:
-    times = camera.timestamps_ns
-    return CameraSensor(
-        name,
-        camera.spec.camera,
-        LazyFrames(times, camera.picture),
-        poses=_mounted(ego, camera.spec.mount),
-        mount=camera.spec.mount,
-        fps=1e9 / float(times[1] - times[0]) if len(times) > 1 else None,
-    )
-
-
-def _mounted(ego: PosePath, mount: RigidTransform) -> PosePath:
-    """`world_from_sensor` at the trajectory's own times."""
-    poses = PoseSource(ego, mount).at(ego.timestamps_ns)
-    return PosePath(ego.timestamps_ns, poses.positions, poses.quaternions_xyzw)
 
 
 def _annotations(objects: Sequence[StreetObject], timestamp_ns: int) -> tuple[CuboidAnnotation, ...]:

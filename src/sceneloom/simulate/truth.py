@@ -15,6 +15,7 @@ from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
 from sceneloom.simulate.inertial import ImuTruth
 from sceneloom.simulate.lidar import ScanningLidar, Sweep
 from sceneloom.simulate.path import EgoPath
+from sceneloom.simulate.radar import SimulatedRadar
 from sceneloom.simulate.street import Street, StreetObject
 
 _BEYOND = 1.0
@@ -47,16 +48,23 @@ class Truth:
     Attributes:
         street: everything that stands still.
         path: the ego's way as a curve.
-        lidar: the lidar with its noise apart.
+        lidars: the lidars by id, with their noise apart.
         cameras: the cameras by id.
+        radars: the radars by id, with their noise apart.
         imu: the inertial unit's signals without errors, and its bias.
     """
 
     street: Street
     path: EgoPath
-    lidar: ScanningLidar
+    lidars: Mapping[str, ScanningLidar]
     cameras: Mapping[str, RenderedCamera]
+    radars: Mapping[str, SimulatedRadar]
     imu: ImuTruth
+
+    @property
+    def lidar(self) -> ScanningLidar:
+        """The first lidar."""
+        return next(iter(self.lidars.values()))
 
     @property
     def objects(self) -> tuple[StreetObject, ...]:
@@ -68,7 +76,7 @@ class Truth:
         return self.path.poses(timestamps_ns)
 
     def world_from_camera(self, camera_id: str, k: int) -> RigidTransform:
-        """Exact pose of a camera at its picture k."""
+        """Exact pose of a camera at the time of its picture k; of a rolling shutter, that of its middle."""
         return self._camera(camera_id).pose(k)
 
     def picture(self, camera_id: str, k: int) -> PictureTruth:
@@ -88,8 +96,12 @@ class Truth:
         return self.picture(camera_id, k).instances
 
     def colors(self, camera_id: str, k: int) -> UInt8Array:
-        """Colour along the ray through each pixel's centre, (H, W, 3) uint8."""
+        """Colour along the ray through each pixel's centre, (H, W, 3) uint8, whatever the exposure was."""
         return self.picture(camera_id, k).colors
+
+    def exposure(self, camera_id: str, k: int) -> float:
+        """By what picture k is brighter than the true colours, in its middle; 1.0 where nothing changes it."""
+        return self._camera(camera_id).gain(k)
 
     def edges(self, camera_id: str, k: int, *, within_px: int = 2) -> BoolArray:
         """Which pixels lie near an outline, (H, W) bool; `edge_mask` says what an outline is."""
@@ -98,7 +110,7 @@ class Truth:
     def visible(
         self, camera_id: str, k: int, points_world: ArrayLike, *, tolerance: float = 0.01
     ) -> BoolArray:
-        """Say for each surface point whether nothing stands between it and the camera.
+        """Say for each surface point whether nothing stands between it and the camera, when its line is taken.
 
         Whether it falls into the picture is another question.
 
@@ -109,25 +121,41 @@ class Truth:
         Returns:
             (N,) bool.
         """
-        camera = self._camera(camera_id)
-        origin, times_ns = camera.pose(k).translation, camera.timestamps_ns[k : k + 1]
-        apart = np.asarray(points_world, np.float64).reshape(-1, 3) - origin
+        camera, points = self._camera(camera_id), np.asarray(points_world, np.float64).reshape(-1, 3)
+        lines, (_, origins) = camera.lines_seeing(k, points), camera.line_poses(k)
+        apart = points - origins[lines]
         distances = np.linalg.norm(apart, axis=1)
         directions = apart / np.maximum(1e-12, distances)[:, None]
-        rays = Rays.bundled(directions, bundles_by_direction(directions))
+        rays = Rays.bundled(directions, bundles_by_direction(directions), pose_of_ray=lines)
         reach = float(distances.max(initial=0.0)) + _BEYOND
-        hits = cast(self.street, rays, np.eye(3)[None], origin[None].copy(), times_ns, reach=reach)
+        upright = np.tile(np.eye(3), (len(origins), 1, 1))
+        hits = cast(self.street, rays, upright, origins, camera.line_times_ns(k), reach=reach)
         free: BoolArray = (hits.ranges == 0.0) | (hits.ranges > distances - tolerance)
         return free
 
-    def sweep(self, k: int) -> Sweep:
-        """Sweep k of the lidar with everything that is known about it."""
-        return self.lidar.sweep(k)
+    def sweep(self, k: int, lidar_id: str | None = None) -> Sweep:
+        """Sweep k of a lidar, by default the first, with everything that is known about it.
 
-    def clean_points_world(self, k: int) -> CleanPoints:
-        """Where the points of lidar frame k come from, without noise."""
-        sweep = self.lidar.sweep(k)
+        Raises:
+            OptionError: there is no such lidar.
+        """
+        return self._lidar(lidar_id).sweep(k)
+
+    def clean_points_world(self, k: int, lidar_id: str | None = None) -> CleanPoints:
+        """Where the points of frame k of a lidar, by default the first, come from, without noise.
+
+        Raises:
+            OptionError: there is no such lidar.
+        """
+        sweep = self.sweep(k, lidar_id)
         return CleanPoints(sweep.points_world, sweep.instances, sweep.colors, sweep.ranges, sweep.velocities)
+
+    def _lidar(self, lidar_id: str | None) -> ScanningLidar:
+        if lidar_id is None:
+            return self.lidar
+        if lidar_id not in self.lidars:
+            raise OptionError(f"lidar {lidar_id!r}; expected one of {', '.join(map(repr, self.lidars))}")
+        return self.lidars[lidar_id]
 
     def _camera(self, camera_id: str) -> RenderedCamera:
         if camera_id not in self.cameras:

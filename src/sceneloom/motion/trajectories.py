@@ -6,7 +6,9 @@ from sceneloom.scene import PosePath, Scene, Trajectory
 from sceneloom.scene.ego import EgoMotion
 
 IDENTITY = "identity"
-RESERVED = ("gnss", "lidar")
+LIDAR = "lidar"
+IMU = "imu"
+RESERVED = ("gnss", LIDAR, IMU)
 
 
 def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | None = None) -> EgoMotion:

@@ -1,0 +1,70 @@
+"""The way of the ego that a scene is placed by: recorded, or found from what the lidar saw."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from sceneloom.errors import PoseError
+from sceneloom.motion.trajectories import IMU, LIDAR, choose_trajectory
+from sceneloom.scene import LidarSensor, Notice, NoticeKind, PointsFrame, Scene
+from sceneloom.scene.ego import EgoMotion
+
+Progress = Callable[[int, int], None]
+"""Told after each sweep: how many are done, how many there are."""
+
+
+def find_ego_motion(
+    scene: Scene,
+    *,
+    name: str | None = None,
+    heading: str | None = None,
+    progress: Progress | None = None,
+    lenient: bool = False,
+) -> EgoMotion:
+    """Take a recorded way of the ego, or find it from the lidar's sweeps.
+
+    Args:
+        name: a name out of `scene.trajectories`; "identity" for an ego that stands still; "lidar" to find the way from
+            the sweeps; None for the scene's default trajectory, and for "lidar" where it has none.
+        heading: "motion" to derive orientations from positions where a trajectory has none.
+        progress: told after each sweep, where the way is found from the sweeps.
+        lenient: pass over sweeps that cannot be read.
+
+    Raises:
+        OptionError: the name or the heading is unknown.
+        PoseError: the scene has neither a trajectory nor a lidar to find one from, or the trajectory has no
+            orientations, or the way cannot be found from what is named.
+        DataError: a sweep cannot be read.
+    """
+    if name == IMU and name not in scene.trajectories:
+        raise PoseError(
+            f"{scene.source}: an IMU alone tells how the ego turned, but not where it was; it serves "
+            "`sceneloom edit deskew --trajectory imu` only"
+        )
+    by_default = name is None and not scene.trajectories and bool(placeable_lidars(scene))
+    if by_default or (name == LIDAR and name not in scene.trajectories):
+        return _from_lidar(scene, by_default=by_default, progress=progress, lenient=lenient)
+    return choose_trajectory(scene, name=name, heading=heading)
+
+
+def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:
+    """The lidars whose points are not in the world yet, so that they tell how the ego moved."""
+    return tuple(
+        lidar
+        for lidar in scene.lidars
+        if lidar.points_frame is not PointsFrame.WORLD and len(lidar.frames) > 0
+    )
+
+
+def _from_lidar(scene: Scene, *, by_default: bool, progress: Progress | None, lenient: bool) -> EgoMotion:
+    from sceneloom.motion.odometry import lidar_odometry
+
+    run = lidar_odometry(scene, progress=progress, lenient=lenient)
+    notices = (_assumed(scene), *run.notices) if by_default else tuple(run.notices)
+    return replace(EgoMotion.of(run.trajectory), notices=notices)
+
+
+def _assumed(scene: Scene) -> Notice:
+    message = (
+        "no trajectory in it; the way of the ego was found from the lidar's sweeps (`--trajectory lidar`)"
+    )
+    return Notice(kind=NoticeKind.ASSUMED, code="trajectory-from-lidar", place=scene.source, message=message)

@@ -16,12 +16,12 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import filling
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.fusion import FusionConfiguration
-from sceneloom.pipeline.play import Skips, build_system, play, scene_period_ns
+from sceneloom.pipeline.play import Skips, build_system, play
 from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally
 from sceneloom.pipeline.sinks import DepthSink, PictureSink, SceneSink, Sink, lidar_folders, names_of
 from sceneloom.pipeline.woven import Woven, output_scene, weave
 from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
-from sceneloom.scene.span import time_span
+from sceneloom.scene.span import scene_period_ns, time_span
 
 Progress = Callable[[int, int], None]
 """Told after each sweep: how many are done, how many there are."""

@@ -4,17 +4,13 @@ import heapq
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, Picture, Scene
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sensor_sources import lidar_place, points_source, sensor_source
-
-NOMINAL_PERIOD_NS = 100_000_000
-"""The sweep period of a lidar with a single frame, or all of one time: 10 Hz, the commonest."""
+from sceneloom.scene.span import scene_period_ns, sweep_period_ns
 
 
 @dataclass(slots=True)
@@ -30,18 +26,6 @@ class Skips:
     def add(self, error: DataError) -> None:
         """Note a frame that could not be read."""
         self.reasons[str(error)] = None
-
-
-def sweep_period_ns(lidar: LidarSensor) -> int:
-    """The median time from sweep to sweep [ns]; the nominal one where the stamps tell none."""
-    times = lidar.frames.timestamps_ns
-    median_ns = int(np.median(np.diff(times))) if len(times) > 1 else 0
-    return median_ns if median_ns > 0 else NOMINAL_PERIOD_NS
-
-
-def scene_period_ns(scene: Scene) -> int:
-    """The longest sweep period of the scene's lidars [ns]: how far poses may be extrapolated."""
-    return max((sweep_period_ns(lidar) for lidar in scene.lidars), default=NOMINAL_PERIOD_NS)
 
 
 def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration) -> FusionSystem:

@@ -1,4 +1,4 @@
-"""When a scene begins and ends."""
+"""When a scene begins and ends, and how long its sweeps take."""
 
 import numpy as np
 
@@ -7,6 +7,21 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import ImuSensor, OdometrySensor
 from sceneloom.scene.scene import Scene, Sensor
+
+NOMINAL_PERIOD_NS = 100_000_000
+"""The sweep period of a lidar with a single frame, or all of one time: 10 Hz, the commonest."""
+
+
+def sweep_period_ns(lidar: LidarSensor) -> int:
+    """The median time from sweep to sweep [ns]; the nominal one where the stamps tell none."""
+    times = lidar.frames.timestamps_ns
+    median_ns = int(np.median(np.diff(times))) if len(times) > 1 else 0
+    return median_ns if median_ns > 0 else NOMINAL_PERIOD_NS
+
+
+def scene_period_ns(scene: Scene) -> int:
+    """The longest sweep period of the scene's lidars [ns]: how far poses may be extrapolated."""
+    return max((sweep_period_ns(lidar) for lidar in scene.lidars), default=NOMINAL_PERIOD_NS)
 
 
 def frame_times(sensor: Sensor) -> Int64Array:

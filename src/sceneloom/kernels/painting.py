@@ -313,7 +313,8 @@ def _paint_chunk(
 @njit(
     "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], int32[::1], "
     "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], uint8[::1], float64[:,:,::1], "
-    "float64[:,::1], int64[::1], float32[:,:,::1], float64[::1], float64, float64[:,::1], float64, uint8[:,::1], float32[::1])",
+    "float64[:,::1], int64[::1], float32[:,:,::1], float64[::1], float64, float64[:,::1], float64, "
+    "uint8[:,::1], float32[::1])",
     parallel=True,
     nogil=True,
     cache=True,

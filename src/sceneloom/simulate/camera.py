@@ -234,7 +234,7 @@ class RenderedCamera:
         angle = 1.0 / (max(1, self.spec.supersampling) * min(self.spec.camera.fx, self.spec.camera.fy))
         times_ns = self.line_times_ns(k)
         hits = cast(self.street, rays, rotations, origins, times_ns, reach=_REACH)
-        return hits, paint(self.street, rays, rotations, origins, times_ns, hits, pixel_angle=angle)
+        return hits, paint(self.street, rays, rotations, origins, hits, pixel_angle=angle)
 
 
 def _pixel_rays(spec: CameraSpec, du: float, dv: float) -> Rays:

@@ -69,16 +69,34 @@ class Rays:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Moving:
+    """What moves near a sensor, at each of its poses.
+
+    Attributes:
+        frame_of_shape: (P,) int32, for each body of the street the column of `frames`, -1 where it stands still or is
+            too far away.
+        frames: (M, F, 3, 4) float64 `frame_from_world`.
+        spheres: (P, 4) float64 [m], balls that hold the bodies at all of the poses' times; None where nothing moves.
+    """
+
+    frame_of_shape: AnyArray
+    frames: Float64Array
+    spheres: Float64Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Hits:
     """What rays met, one answer per slot.
 
     Attributes:
         ranges: (S,) float64 [m], 0 where nothing was met.
-        shapes: (S,) int32, number of the shape, or `GROUND` or `SKY` of the ray caster.
+        shapes: (S,) int32, number of the shape among the street's bodies, or `GROUND` or `SKY` of the ray caster.
+        moving: where what moves was at the times of the rays.
     """
 
     ranges: Float64Array
     shapes: AnyArray
+    moving: Moving
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,11 +131,14 @@ def cast(
     """
     ranges = np.zeros(rays.slot_count)
     shapes = np.full(rays.slot_count, SKY, np.int32)
-    spheres = street.shapes.spheres
+    bodies = street.bodies
     middle = origins.mean(axis=0)
     spread = float(np.linalg.norm(origins - middle, axis=1).max())
+    moving = _moving(street, middle, times_ns, within=reach + spread)
+    spheres = bodies.spheres if moving.spheres is None else moving.spheres
     apart = np.linalg.norm(spheres[:, :3] - middle, axis=1)
-    candidates = np.flatnonzero(apart < reach + spread + spheres[:, 3]).astype(np.int32)
+    standing = np.arange(len(bodies)) < len(street.shapes)
+    within = (apart < reach + spread + spheres[:, 3]) & (standing | (moving.frame_of_shape >= 0))
     trace_rays(
         rays.directions,
         rays.pose_of_ray,
@@ -125,17 +146,31 @@ def cast(
         np.ascontiguousarray(origins, np.float64),
         rays.bundle_starts,
         rays.slots,
-        street.shapes.kinds,
-        street.shapes.maps,
-        np.full(len(street.shapes), -1, np.int32),
-        np.zeros((len(origins), 0, 3, 4)),
+        bodies.kinds,
+        bodies.maps,
+        moving.frame_of_shape,
+        moving.frames,
         spheres,
-        candidates,
+        np.flatnonzero(within).astype(np.int32),
         float(reach),
         ranges,
         shapes,
     )
-    return Hits(ranges, shapes)
+    return Hits(ranges, shapes, moving)
+
+
+def _moving(street: Street, middle: Float64Array, times_ns: Int64Array, *, within: float) -> Moving:
+    """Find what moves within a distance [m] of a point (3,), and where it is at (M,) times."""
+    movers, still = street.movers, np.full(len(street.bodies), -1, np.int32)
+    near = movers.near(middle, times_ns, within=within)
+    if not len(near):
+        return Moving(still, np.zeros((len(times_ns), 0, 3, 4)))
+    parts = np.flatnonzero(np.isin(movers.mover_of_part, near))
+    shapes, balls = movers.spheres(parts, times_ns)
+    frame_of_shape, spheres = still, street.bodies.spheres.copy()
+    frame_of_shape[len(street.shapes) + shapes] = np.searchsorted(parts, movers.part_of_shape[shapes])
+    spheres[len(street.shapes) + shapes] = balls
+    return Moving(frame_of_shape, np.ascontiguousarray(movers.frames_from_world(parts, times_ns)), spheres)
 
 
 def paint(
@@ -143,20 +178,19 @@ def paint(
     rays: Rays,
     rotations: Float64Array,
     origins: Float64Array,
-    times_ns: Int64Array,
     hits: Hits,
     *,
     pixel_angle: float = 0.0,
 ) -> Paint:
-    """Colour what the rays met, with the poses and times that they were cast with.
+    """Colour what the rays met, with the poses that they were cast with.
 
     Args:
-        rotations, origins, times_ns: as in `cast`.
+        rotations, origins: as in `cast`; what moves stays where `hits` found it.
         pixel_angle: width of a ray [rad], 0 for the bare surface.
     """
     colors = np.zeros((rays.slot_count, 3), np.uint8)
     facings = np.zeros(rays.slot_count, np.float32)
-    shapes = street.shapes
+    shapes = street.bodies
     paint_rays(
         rays.directions,
         rays.pose_of_ray,
@@ -167,8 +201,8 @@ def paint(
         hits.shapes,
         shapes.kinds,
         shapes.maps,
-        np.full(len(shapes), -1, np.int32),
-        np.zeros((len(origins), 0, 3, 4)),
+        hits.moving.frame_of_shape,
+        hits.moving.frames,
         shapes.halves,
         shapes.patterns,
         shapes.palettes,
@@ -187,7 +221,7 @@ def paint(
 
 def instances_of(street: Street, hits: Hits) -> AnyArray:
     """Give the instance number of each hit, (S,) int32."""
-    numbers = np.append(street.shapes.instances, [SKY_INSTANCE, GROUND_INSTANCE]).astype(np.int32)
+    numbers = np.append(street.bodies.instances, [SKY_INSTANCE, GROUND_INSTANCE]).astype(np.int32)
     # The ray caster's SKY and GROUND are -2 and -1, so they index the two entries at the end.
     return numbers[hits.shapes]
 
@@ -202,12 +236,19 @@ def velocities_of(
         points_world: (N, 3) float64 [m], where the rays ended.
         times_ns: (N,) int64 [ns], when.
     """
-    return np.zeros((len(shapes), 3))
+    velocities = np.zeros((len(shapes), 3))
+    first = len(street.shapes)
+    moving = np.flatnonzero(shapes >= first)
+    if len(moving):
+        velocities[moving] = street.movers.point_velocities(
+            shapes[moving] - first, points_world[moving], times_ns[moving]
+        )
+    return velocities
 
 
 def reflectivities_of(street: Street, hits: Hits) -> Float64Array:
     """Give the reflectivity of each hit's material, (S,) float64, 0 for the sky."""
-    values: Float64Array = np.append(street.shapes.reflectivities, [0.0, ground.GRAIN])[hits.shapes]
+    values: Float64Array = np.append(street.bodies.reflectivities, [0.0, ground.GRAIN])[hits.shapes]
     return values
 
 

@@ -156,7 +156,7 @@ class ScanningLidar:
         times_ns = self.timestamps_ns[k] + shots.offsets_ns
         rotations, origins = self._poses(times_ns)
         hits = cast(self.street, shots.rays, rotations, origins, times_ns, reach=self.spec.max_range)
-        look = paint(self.street, shots.rays, rotations, origins, times_ns, hits)
+        look = paint(self.street, shots.rays, rotations, origins, hits)
         noise, kept = self._noise(k, hits)
         moments = shots.moments[kept]
         ranges, directions = hits.ranges[kept], shots.rays.spread()[kept]

@@ -1,7 +1,6 @@
 """The ego's way: a curve that can be differentiated exactly, so that every sensor's truth is a formula."""
 
 from dataclasses import dataclass
-from math import comb, factorial
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -10,9 +9,9 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rotations import quaternion_from_matrix
 from sceneloom.scene import PosePath
+from sceneloom.simulate.splines import BASIS, DEGREE
 from sceneloom.simulate.warp import Stop, TimeWarp
 
-_DEGREE = 5
 _LEAD = 16.0
 """Seconds by which the curve goes on before and after the drive: the street is built along all of it."""
 _AHEAD = 6.0
@@ -56,22 +55,6 @@ class PathSpec:
             if not low <= value <= high:
                 raise OptionError(f"path.{name}: {value}; expected {low} to {high}")
         TimeWarp.of(self.stops, ramp=self.ramp)
-
-
-def _basis_rows() -> Float64Array:
-    """Coefficients (6, 6) of the uniform quintic B-spline: row j weighs control point i + j, powers ascending.
-
-    Source: Schoenberg 1946: N(x) = 1/5! Σ (-1)^k C(6, k) max(x - k, 0)^5.
-    """
-    rows = np.zeros((_DEGREE + 1, _DEGREE + 1))
-    for j in range(_DEGREE + 1):
-        for k in range(_DEGREE - j + 1):
-            power = polynomial.polypow([_DEGREE - j - k, 1.0], _DEGREE)
-            rows[j] += (-1) ** k * comb(_DEGREE + 1, k) / factorial(_DEGREE) * power
-    return rows
-
-
-_BASIS = _basis_rows()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +111,7 @@ class EgoPath:
     @property
     def reach(self) -> tuple[float, float]:
         """First and last parameter at which the curve is defined: seconds of a drive without stops."""
-        pieces = len(self.control_points) - _DEGREE
+        pieces = len(self.control_points) - DEGREE
         return self.first_knot, self.first_knot + pieces * self.knot_step
 
     def at(self, timestamps_ns: Int64Array) -> EgoStates:
@@ -173,10 +156,10 @@ class EgoPath:
     def _plane(self, seconds: Float64Array, order: int) -> Float64Array:
         """The horizontal position or one of its derivatives, (M, 2)."""
         along = (np.asarray(seconds, np.float64) - self.first_knot) / self.knot_step
-        piece = np.clip(np.floor(along).astype(np.int64), 0, len(self.control_points) - _DEGREE - 1)
-        coefficients = polynomial.polyder(_BASIS, order, axis=1) / self.knot_step**order
+        piece = np.clip(np.floor(along).astype(np.int64), 0, len(self.control_points) - DEGREE - 1)
+        coefficients = polynomial.polyder(BASIS, order, axis=1) / self.knot_step**order
         weights = polynomial.polyval(along - piece, coefficients.T)
-        control = self.control_points[piece[:, None] + np.arange(_DEGREE + 1)]
+        control = self.control_points[piece[:, None] + np.arange(DEGREE + 1)]
         plane: Float64Array = np.einsum("jm,mji->mi", weights, control)
         return plane
 

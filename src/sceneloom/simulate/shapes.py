@@ -1,7 +1,7 @@
 """Convex shapes with a material, and many of them packed for the ray caster."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
 import numpy as np
@@ -137,3 +137,12 @@ class PackedShapes:
 
     def __len__(self) -> int:
         return len(self.kinds)
+
+    def joined(self, others: "PackedShapes") -> "PackedShapes":
+        """These shapes, then others."""
+        return PackedShapes(
+            *(
+                np.concatenate([getattr(self, part.name), getattr(others, part.name)])
+                for part in fields(PackedShapes)
+            )
+        )

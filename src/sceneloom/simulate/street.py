@@ -7,6 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.simulate.ground import GroundMap, Lane
+from sceneloom.simulate.movers import NO_MOVERS, Movers
 from sceneloom.simulate.objects import (
     Design,
     design_bin,
@@ -48,11 +49,18 @@ class Street:
         objects: what stands on the ground, by instance number - 1.
         shapes: their bodies.
         ground: the map of the plane z = 0.
+        movers: what moves.
+        bodies: the shapes of the objects, then those of the movers: what the numbers of hits mean.
     """
 
     objects: tuple[StreetObject, ...]
     shapes: PackedShapes
     ground: GroundMap
+    movers: Movers = NO_MOVERS
+    bodies: PackedShapes = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bodies", self.shapes.joined(self.movers.shapes))
 
 
 @dataclass(frozen=True, slots=True)

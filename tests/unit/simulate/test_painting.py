@@ -29,8 +29,8 @@ def _noise(x, y, salt, width):
 
 def look(street, origin, directions, *, pixel_angle=0.0, reach=300.0):
     rays = Rays.bundled(directions, bundles_by_direction(directions))
-    poses = np.eye(3)[None], np.asarray(origin, np.float64)[None], np.zeros(1, np.int64)
-    hits = cast(street, rays, *poses, reach=reach)
+    poses = np.eye(3)[None], np.asarray(origin, np.float64)[None]
+    hits = cast(street, rays, *poses, np.zeros(1, np.int64), reach=reach)
     return hits, paint(street, rays, *poses, hits, pixel_angle=pixel_angle)
 
 

@@ -1,0 +1,162 @@
+"""How the ego turned, from its IMU alone; how fast it went, no IMU tells."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import PoseError
+from sceneloom.geometry.rotations import (
+    multiply_quaternions,
+    normalise_quaternion,
+    quaternion_from_rotation_vector,
+)
+from sceneloom.motion.standing import Standing, find_standing
+from sceneloom.scene import ImuSensor, Notice, NoticeKind, PosePath, Scene, VectorSamples
+from sceneloom.scene.ego import EgoMotion
+
+GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
+"""Streams of an IMU, in the words of the recording format."""
+
+MISSING_SAMPLES = 5
+"""So many sample intervals without a sample are a gap: what the ego did then is not known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialMotion:
+    """The turning of the ego.
+
+    Attributes:
+        ego: `world_from_ego` under the name "imu": its axes at the first sample are the world's, and its position
+            stays at the origin, since an IMU does not tell it.
+        gaps_ns: (G, 2) int64 [ns], between which samples are missing.
+        bias: (3,) float64 [rad/s], what the gyroscope told while the ego stood, taken off; None where it never did.
+    """
+
+    ego: EgoMotion
+    gaps_ns: Int64Array
+    bias: Float64Array | None
+
+    def is_known(self, first_ns: int, last_ns: int) -> bool:
+        """Whether no gap lies between two times."""
+        return not bool(((self.gaps_ns[:, 0] < last_ns) & (self.gaps_ns[:, 1] > first_ns)).any())
+
+
+def imu_motion(scene: Scene) -> InertialMotion:
+    """Integrate the turn rates of the scene's first IMU with a gyroscope; the IMU's frame is the ego's.
+
+    Raises:
+        PoseError: there is no IMU, or none with two turn rates or more.
+    """
+    imu, rates = _rates_of(scene)
+    times, values, left_out = _usable(rates)
+    place = f"{scene.source}: sensors[{imu.id}].streams.{GYROSCOPE}"
+    if len(times) < 2:
+        raise PoseError(
+            f"{place}: {len(times)} usable samples; expected two or more to tell how the ego turned"
+        )
+    standing = _standing(imu, times, values)
+    bias = None if standing is None else standing.rate
+    turning = integrate_rates(times, values if bias is None else values - bias)
+    gaps_ns = _gaps(times)
+    notices = [_rotation_only(place), _bias_notice(place, standing)]
+    if left_out:
+        message = "samples that are no numbers, or not later than the one before, were left out"
+        notices.append(_notice(NoticeKind.REPAIRED, "imu-samples", place, message, left_out))
+    if len(gaps_ns):
+        message = (
+            f"at least {MISSING_SAMPLES} samples in a row are missing; sweeps in such a gap stay as they are"
+        )
+        notices.append(_notice(NoticeKind.SKIPPED, "imu-gaps", place, message, len(gaps_ns)))
+    path = PosePath(times, np.zeros((len(times), 3)), turning)
+    return InertialMotion(EgoMotion("imu", path, notices=tuple(notices)), gaps_ns, bias)
+
+
+def integrate_rates(timestamps_ns: Int64Array, rates: Float64Array) -> Float64Array:
+    """Give the orientation at each sample, relative to that at the first.
+
+    Between two samples the rate is taken to change evenly. The rotation over that time is then the exponential of the
+    mean rate times the time, and of half the commutator that two rates about different axes leave (coning).
+
+    Args:
+        timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 1.
+        rates: (N, 3) float64 [rad/s], in the frame that turns.
+
+    Returns:
+        (N, 4) float64 unit quaternions xyzw, `first_from_body`.
+
+    Source: Magnus 1954, second term for a linear rate: h²/12 ω₀ × ω₁, error O(h⁵); the same is the coning correction
+    of Savage 1998, "Strapdown Inertial Navigation Integration Algorithm Design, Part 1", section III.
+    """
+    seconds = np.diff(timestamps_ns)[:, None] * 1e-9
+    before, after = rates[:-1], rates[1:]
+    vectors = 0.5 * seconds * (before + after) + seconds**2 / 12.0 * np.cross(before, after)
+    turns = np.vstack([[[0.0, 0.0, 0.0, 1.0]], quaternion_from_rotation_vector(vectors)])
+    return _running_product(turns)
+
+
+def _running_product(turns: Float64Array) -> Float64Array:
+    """Products of the first 1, 2, … N of (N, 4) quaternions: all blocks side by side, then block after block."""
+    length = int(np.ceil(np.sqrt(len(turns))))
+    blocks = np.tile([0.0, 0.0, 0.0, 1.0], (-(-len(turns) // length) * length, 1))
+    blocks[: len(turns)] = turns
+    blocks = blocks.reshape(-1, length, 4)
+    for column in range(1, length):
+        blocks[:, column] = multiply_quaternions(blocks[:, column - 1], blocks[:, column])
+    for row in range(1, len(blocks)):
+        blocks[row] = multiply_quaternions(blocks[row - 1, -1], blocks[row])
+    return normalise_quaternion(blocks.reshape(-1, 4)[: len(turns)])
+
+
+def _rates_of(scene: Scene) -> tuple[ImuSensor, VectorSamples]:
+    imus = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)]
+    for imu in imus:
+        if GYROSCOPE in imu.streams:
+            return imu, imu.streams[GYROSCOPE]
+    if not imus:
+        raise PoseError(f"{scene.source}: no IMU in it; expected one to tell how the ego turned")
+    streams = [name for imu in imus for name in imu.streams]
+    raise PoseError(f"{scene.source}: the IMU has no {GYROSCOPE}; it has: {', '.join(streams) or 'nothing'}")
+
+
+def _usable(samples: VectorSamples) -> tuple[Int64Array, Float64Array, int]:
+    """Samples in the order of their times, without those that are no numbers or of a time that was there before."""
+    usable = np.flatnonzero(np.isfinite(samples.values[:, :3]).all(axis=1))
+    times, first = np.unique(samples.timestamps_ns[usable], return_index=True)
+    return times, samples.values[usable[first], :3], len(samples) - len(times)
+
+
+def _gaps(times_ns: Int64Array) -> Int64Array:
+    steps = np.diff(times_ns)
+    holes = np.flatnonzero(steps > (MISSING_SAMPLES + 0.5) * np.median(steps))
+    return np.stack([times_ns[holes], times_ns[holes + 1]], axis=1)
+
+
+def _standing(imu: ImuSensor, times_ns: Int64Array, rates: Float64Array) -> Standing | None:
+    if ACCELEROMETER not in imu.streams:
+        return None
+    force_times, forces, _ = _usable(imu.streams[ACCELEROMETER])
+    return find_standing(times_ns, rates, force_times, forces)
+
+
+def _rotation_only(place: str) -> Notice:
+    message = (
+        "an IMU alone tells how the ego turned, not how fast it went: of the motion during a sweep only the turning "
+        "is undone"
+    )
+    return _notice(NoticeKind.ASSUMED, "rotation-only", place, message)
+
+
+def _bias_notice(place: str, standing: Standing | None) -> Notice:
+    if standing is None:
+        message = "the ego was never seen to stand, so the gyroscope's bias is not known and was left in"
+        return _notice(NoticeKind.ASSUMED, "gyroscope-bias-unknown", place, message)
+    rate = ", ".join(f"{value:.5f}" for value in standing.rate)
+    message = (
+        f"the ego stood for {standing.seconds:.1f} s; the rate then, {rate} rad/s, was taken off as the bias"
+    )
+    return _notice(NoticeKind.REPAIRED, "gyroscope-bias", place, message)
+
+
+def _notice(kind: NoticeKind, code: str, place: str, message: str, count: int = 1) -> Notice:
+    return Notice(kind=kind, code=code, place=place, message=message, count=count)

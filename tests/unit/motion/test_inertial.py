@@ -1,0 +1,180 @@
+"""How the ego turned by its gyroscope, against scipy and the simulator's truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.errors import PoseError
+from sceneloom.geometry.rotations import angle_between
+from sceneloom.motion.inertial import imu_motion, integrate_rates
+from sceneloom.motion.standing import find_standing
+from sceneloom.scene import ImuSensor, NoticeKind, Scene, VectorSamples
+from sceneloom.simulate import simulate_street
+from sceneloom.simulate.inertial import ImuSpec
+from sceneloom.simulate.path import PathSpec
+from sceneloom.simulate.warp import Stop
+
+SECOND = 1_000_000_000
+
+
+def swinging_rates(seconds: np.ndarray) -> np.ndarray:
+    """A vehicle that turns, rolls and pitches at once, about axes that change."""
+    return np.stack(
+        [0.4 * np.sin(7 * seconds), 0.3 * np.cos(5 * seconds + 1), 0.6 + 0.5 * np.sin(2 * seconds)], axis=1
+    )
+
+
+def finely_integrated(stop: float, rate_hz: int) -> Rotation:
+    """The product of many tiny rotations, each with the rate in its middle."""
+    middles = (np.arange(int(stop * rate_hz)) + 0.5) / rate_hz
+    turned = Rotation.identity()
+    for chunk in np.array_split(middles, len(middles) // 50):
+        product = Rotation.identity()
+        for turn in Rotation.from_rotvec(swinging_rates(chunk) / rate_hz):
+            product = product * turn
+        turned = turned * product
+    return turned
+
+
+def test_the_integral_of_a_swinging_motion_is_that_of_tiny_steps() -> None:
+    seconds = np.arange(0, 401) / 200.0
+    turning = integrate_rates((seconds * SECOND).astype(np.int64), swinging_rates(seconds))
+    true = finely_integrated(2.0, 20_000)
+    apart = (Rotation.from_quat(turning[-1]).inv() * true).magnitude()
+    # the trapezoid's error over 2 s at 200 Hz is some h² |ω''| t / 12 = 2e-4; a wrong order of turns gives 1e-1
+    assert apart < 3e-4
+    np.testing.assert_allclose(np.linalg.norm(turning, axis=1), 1.0, atol=1e-12)
+
+
+def test_coning_is_not_lost() -> None:
+    """While the rate changes evenly from one axis to another, the turns do not simply add up."""
+    rates = np.array([[2.0, 0, 0.3], [0, 2.0, 0.3]])
+    turned = Rotation.from_quat(integrate_rates(np.array([0, SECOND // 5]), rates)[1])
+    true = Rotation.identity()
+    for fraction in (np.arange(2000) + 0.5) / 2000:
+        true = true * Rotation.from_rotvec((rates[0] + fraction * (rates[1] - rates[0])) * 0.2 / 2000)
+    missed = (Rotation.from_rotvec(0.2 * rates.mean(axis=0)).inv() * true).magnitude()
+    assert missed > 0.01
+    assert (turned.inv() * true).magnitude() < missed / 20  # what is left is of the third order
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 16, 17])
+def test_any_number_of_samples_is_integrated_in_order(count: int) -> None:
+    rates = np.random.default_rng(count).normal(size=(count, 3))
+    turning = integrate_rates(np.arange(count) * SECOND // 10, rates)
+    expected = Rotation.identity()
+    for k in range(count):
+        if k:
+            mean, cross = 0.5 * (rates[k - 1] + rates[k]), np.cross(rates[k - 1], rates[k])
+            expected = expected * Rotation.from_rotvec(0.1 * mean + 0.01 / 12 * cross)
+        assert (Rotation.from_quat(turning[k]).inv() * expected).magnitude() < 1e-12
+
+
+def test_a_simulated_drive_turns_as_it_truly_did_but_for_bias_and_noise() -> None:
+    drive = simulate_street(3, frames=20, cameras=(), imu=ImuSpec(gyroscope_bias_sigma=0.0))
+    motion = imu_motion(drive.scene)
+    times = motion.ego.path.timestamps_ns
+    true = drive.truth.world_from_ego(times).quaternions_xyzw
+    found = Rotation.from_quat(true[0]) * Rotation.from_quat(motion.ego.path.quaternions_xyzw)
+    # 2.4 s of white noise of 1e-4 rad/s/√Hz on three axes: 1e-4 √2.4 √3 = 2.7e-4 rad; four times that
+    assert angle_between(found.as_quat(), true).max() < 1.1e-3
+    assert motion.bias is None
+    assert [notice.code for notice in motion.ego.notices] == ["rotation-only", "gyroscope-bias-unknown"]
+
+
+def test_the_bias_is_found_while_the_ego_stands_and_only_then() -> None:
+    spec = ImuSpec(gyroscope_bias_sigma=0.01)
+    path = PathSpec(stops=(Stop(4.0, 5.0),))
+    drive = simulate_street(1, frames=120, cameras=(), imu=spec, path=path)
+    motion = imu_motion(drive.scene)
+    assert motion.bias is not None
+    # 1e-4 rad/s/√Hz over 3 s: 6e-5 rad/s; five times that
+    np.testing.assert_allclose(motion.bias, drive.truth.imu.gyroscope_bias, atol=3e-4)
+    told = next(notice for notice in motion.ego.notices if notice.code == "gyroscope-bias")
+    assert told.kind is NoticeKind.REPAIRED
+
+
+def standing_signals(seconds: float = 4.0, rate_hz: int = 100) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng, count = np.random.default_rng(0), int(seconds * rate_hz)
+    times = np.arange(count) * SECOND // rate_hz
+    rates = np.array([0.01, -0.004, 0.002]) + 0.001 * rng.normal(size=(count, 3))
+    forces = np.array([0.1, 0.2, 9.8]) + 0.01 * rng.normal(size=(count, 3))
+    return times, rates, forces
+
+
+def test_an_ego_that_stands_is_seen_to_stand() -> None:
+    times, rates, forces = standing_signals()
+    standing = find_standing(times, rates, times, forces)
+    assert standing is not None
+    assert standing.seconds == 4.0
+    np.testing.assert_allclose(standing.rate, [0.01, -0.004, 0.002], atol=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("turn", "sway", "shake"),
+    [(0.1, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.2)],
+    ids=["turn", "sway", "shake"],
+)
+def test_an_ego_that_turns_evenly_sways_or_shakes_does_not_stand(
+    turn: float, sway: float, shake: float
+) -> None:
+    times, rates, forces = standing_signals()
+    swing = np.sin(times * 1e-9 * 12)[:, None] * np.ones(3)
+    moved = rates + [0, 0, turn] + sway * swing
+    assert find_standing(times, moved, times, forces + shake * swing) is None
+
+
+def test_few_samples_or_none_tell_of_no_standing() -> None:
+    times, rates, forces = standing_signals(rate_hz=5)
+    assert find_standing(times, rates, times, forces) is None
+    none = np.zeros(0, np.int64), np.zeros((0, 3))
+    assert find_standing(*none, *none) is None
+    many = standing_signals()
+    assert find_standing(many[0], many[1], *none) is None
+
+
+def imu_scene(times_ns: np.ndarray, rates: np.ndarray) -> Scene:
+    return Scene((ImuSensor("imu", {"gyroscope": VectorSamples(times_ns, rates)}),), source="drive")
+
+
+def test_gaps_are_found_and_told() -> None:
+    times = np.delete(np.arange(100) * 10_000_000, np.r_[30:34, 60:66])
+    motion = imu_motion(imu_scene(times, np.zeros((90, 3))))
+    assert motion.gaps_ns.tolist() == [[590_000_000, 660_000_000]]
+    assert not motion.is_known(550_000_000, 600_000_000)
+    assert not motion.is_known(600_000_000, 610_000_000)
+    assert motion.is_known(500_000_000, 590_000_000)
+    assert motion.is_known(250_000_000, 400_000_000)
+    assert ("imu-gaps", 1) in [(notice.code, notice.count) for notice in motion.ego.notices]
+
+
+def test_samples_out_of_order_or_without_a_number_do_no_harm() -> None:
+    seconds = np.arange(0, 201) / 100.0
+    times, rates = (seconds * SECOND).astype(np.int64), swinging_rates(seconds)
+    sound = imu_motion(imu_scene(times, rates)).ego.path
+    order = np.random.default_rng(0).permutation(201)
+    times, rates = (
+        np.append(times[order], [55, times[7]]),
+        np.vstack([rates[order], [[np.nan] * 3, [9.0] * 3]]),
+    )
+    motion = imu_motion(imu_scene(times, rates))
+    np.testing.assert_array_equal(motion.ego.path.quaternions_xyzw, sound.quaternions_xyzw)
+    assert ("imu-samples", 2) in [(notice.code, notice.count) for notice in motion.ego.notices]
+
+
+def test_what_is_missing_is_named() -> None:
+    empty = VectorSamples(np.zeros(0, np.int64), np.zeros((0, 3)))
+    with pytest.raises(PoseError, match="no IMU"):
+        imu_motion(Scene((), source="drive"))
+    with pytest.raises(PoseError, match="no gyroscope; it has: accelerometer"):
+        imu_motion(Scene((ImuSensor("imu", {"accelerometer": empty}),)))
+    with pytest.raises(PoseError, match="0 usable samples"):
+        imu_motion(Scene((ImuSensor("imu", {"gyroscope": empty}),)))
+
+
+def test_the_first_imu_with_a_gyroscope_counts() -> None:
+    scene = imu_scene(np.arange(3) * 10, np.zeros((3, 3)))
+    other = ImuSensor("thermometer", {})
+    assert len(imu_motion(replace(scene, sensors=(other, *scene.sensors))).ego.path.timestamps_ns) == 3

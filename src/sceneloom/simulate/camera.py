@@ -1,11 +1,11 @@
 """A camera: one ray through the middle of every pixel, or a few of them, each from where the camera is at its time."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import check_camera, project, unproject
 from sceneloom.geometry.rigid import RigidTransform
@@ -177,7 +177,7 @@ class RenderedCamera:
         return ego.rotations @ mount.rotation, ego.positions + ego.rotations @ mount.translation
 
     def lines_seeing(self, k: int, points_world: Float64Array) -> Int64Array:
-        """Find which line of picture k sees each standing point, (N,) int64; the middle one for points outside.
+        """Find which line of picture k sees each standing point, (N,) int64; the middle one for points far outside.
 
         Args:
             points_world: (N, 3) float64 [m].
@@ -187,10 +187,11 @@ class RenderedCamera:
         if count == 1:
             return lines
         rotations, origins = self.line_poses(k)
+        wider, border = _with_border(self.spec.camera)
         for _ in range(_LINE_ROUNDS):
             in_camera = np.einsum("nji,nj->ni", rotations[lines], points_world - origins[lines])
-            pixels, inside = project(self.spec.camera, in_camera)
-            across = pixels[inside, 0 if self.spec.left_to_right else 1]
+            pixels, inside = project(wider, in_camera)
+            across = pixels[inside, 0 if self.spec.left_to_right else 1] - border
             lines[inside] = np.clip(np.rint(across), 0, count - 1).astype(np.int64)
         return lines
 
@@ -247,45 +248,17 @@ def _pixel_rays(spec: CameraSpec, du: float, dv: float) -> Rays:
     return Rays.bundled(directions, tiles, pose_of_ray=line)
 
 
-def edge_mask(truth: PictureTruth, *, within_px: int = 2) -> BoolArray:
-    """Mark the pixels near an outline.
+def _with_border(camera: Camera) -> tuple[Camera, int]:
+    """The lens of a picture with a border all around, and how wide that is [px].
 
-    An outline lies between two neighbouring pixels that show different objects, or depths that differ by more than
-    a plane could explain: 5 % of the depth and more than double the step on either side.
-
-    Args:
-        within_px: how far from an outline pixels are still marked, along rows, columns and diagonals.
-
-    Returns:
-        (H, W) bool.
+    A point that moves into the picture while it is read lies outside at some lines' times.
     """
-    edges = np.zeros(truth.depths.shape, np.bool_)
-    for axis in (0, 1):
-        instances, depths = (np.moveaxis(array, axis, 0) for array in (truth.instances, truth.depths))
-        view = np.moveaxis(edges, axis, 0)
-        change = (instances[1:] != instances[:-1]) | _jumps(depths.astype(np.float64))
-        view[1:] |= change
-        view[:-1] |= change
-    return _grown(edges, within_px - 1)
-
-
-def _jumps(depths: Float64Array) -> BoolArray:
-    """Where the depth leaps between rows, (H - 1, W)."""
-    steps = np.abs(np.diff(depths, axis=0))
-    beside = np.zeros_like(steps)
-    beside[1:] = steps[:-1]
-    beside[:-1] = np.maximum(beside[:-1], steps[1:])
-    leaps: BoolArray = (steps > 0.05 * np.minimum(depths[1:], depths[:-1])) & (steps > 2.0 * beside)
-    return leaps
-
-
-def _grown(mask: BoolArray, by_px: int) -> BoolArray:
-    """The mask and all pixels at most `by_px` rows and columns from it."""
-    grown = mask
-    for axis in (0, 1):
-        source = grown.copy()
-        for step in range(1, by_px + 1):
-            view, old = np.moveaxis(grown, axis, 0), np.moveaxis(source, axis, 0)
-            view[step:] |= old[:-step]
-            view[:-step] |= old[step:]
-    return grown
+    border = max(camera.width, camera.height) // 2
+    wider = replace(
+        camera,
+        width=camera.width + 2 * border,
+        height=camera.height + 2 * border,
+        cx=camera.cx + border,
+        cy=camera.cy + border,
+    )
+    return wider, border

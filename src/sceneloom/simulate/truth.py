@@ -10,8 +10,9 @@ from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, In
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PosePath
-from sceneloom.simulate.camera import PictureTruth, RenderedCamera, edge_mask
+from sceneloom.simulate.camera import PictureTruth, RenderedCamera
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
+from sceneloom.simulate.edges import edge_mask
 from sceneloom.simulate.inertial import ImuTruth
 from sceneloom.simulate.lidar import ScanningLidar, Sweep
 from sceneloom.simulate.path import EgoPath

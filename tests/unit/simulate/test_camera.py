@@ -8,7 +8,8 @@ from scipy import ndimage
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.simulate import CameraSpec, PictureTruth, camera_mount
-from sceneloom.simulate.camera import RenderedCamera, edge_mask
+from sceneloom.simulate.camera import RenderedCamera
+from sceneloom.simulate.edges import edge_mask
 from sceneloom.simulate.shapes import Material, Pattern
 
 PINHOLE = Camera("pinhole", 120, 80, 100.0, 110.0, 59.5, 38.0)

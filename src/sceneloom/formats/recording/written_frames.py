@@ -16,6 +16,8 @@ from sceneloom.scene import CameraSensor, Picture
 _DEFAULT_PERIOD_NS = 100_000_000
 _OWN_EXTRAS = {"file_seconds", "number", "line_seconds", "line"}
 """Extras of a picture that its line is made from anew."""
+_FORMATS_WORDS = {"exposureTimeSeconds"}
+"""Extras that mean the same whatever a scene was read from: words of the recording format that the model took over."""
 
 
 def group_pictures(stamps: Sequence[Int64Array]) -> Int64Array:
@@ -121,11 +123,11 @@ class FrameLines:
         further = {key: value for key, value in picture.extras.items() if key not in _OWN_EXTRAS}
         if self._keep_extras:
             return further
-        for name in further:
+        for name in [name for name in further if name not in _FORMATS_WORDS]:
             self._lose(
                 f"sensors[{self._sensors[index].id}].pictures[].{name}", "left out: the format has none", 1
             )
-        return {}
+        return {name: value for name, value in further.items() if name in _FORMATS_WORDS}
 
     def _lose(self, field: str, what: str, count: int) -> None:
         self.losses.append(Loss(field=field, what=what, count=count))

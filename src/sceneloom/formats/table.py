@@ -14,6 +14,7 @@ FORMATS: Mapping[str, str] = MappingProxyType(
     {
         "sfs": "sceneloom.formats.sfs:FORMAT",
         "recording": "sceneloom.formats.recording:FORMAT",
+        "rig": "sceneloom.formats.rig:FORMAT",
     }
 )
 """Name of each format and the `module:object` that implements it."""

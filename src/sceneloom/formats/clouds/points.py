@@ -129,7 +129,7 @@ def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock) -> ReadPoi
         if name not in cloud.columns:
             raise DataError(cloud.file, name, f"no such column for {role}; the file has {_names(cloud)}")
     positions = _positions(cloud, roles)
-    kept: BoolArray = np.isfinite(positions).all(axis=1) & positions.any(axis=1)
+    kept: BoolArray = np.logical_and(np.isfinite(positions).all(axis=1), positions.any(axis=1))
     chosen: Any = slice(None) if kept.all() else kept
     columns = {name: column[chosen] for name, column in cloud.columns.items()}
     intensities, clipped = None, 0

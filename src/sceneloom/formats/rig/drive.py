@@ -1,0 +1,71 @@
+"""What the sensors of a manifest are built with."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.recording.trajectories import poses_along
+from sceneloom.formats.rig.manifest import Manifest
+from sceneloom.formats.rig.records import Record
+from sceneloom.formats.rig.roots import Root, open_root
+from sceneloom.formats.rig.times import TimeSource
+from sceneloom.formats.rig.transforms import FrameTree
+from sceneloom.formats.rig.videos import VideoFile
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import PosePath
+
+
+def own_frame(record: Record) -> str:
+    """The name of a sensor's own frame."""
+    return str(record["frame"] if "frame" in record else record["id"])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """A manifest while its scene is made.
+
+    Attributes:
+        manifest: the records.
+        tree: the frames.
+        ego_path: `world_from_ego` of the default trajectory, or None.
+        ledger: takes notices, and faults in a lenient reading.
+        videos: those that were opened; the scene closes them.
+    """
+
+    manifest: Manifest
+    tree: FrameTree
+    ego_path: PosePath | None
+    ledger: Ledger
+    videos: list[VideoFile] = field(default_factory=list)
+
+    def root(self, record: Record, place: str) -> Root:
+        """The folder of a sensor's files.
+
+        Raises:
+            DataError: there is no such folder.
+        """
+        return open_root(
+            self.manifest.path, [record.get("root"), self.manifest.record.get("root")], f"{place}.root"
+        )
+
+    def time_source(self, record: Record, place: str) -> TimeSource:
+        """What the stamps of a sensor are read with."""
+        root = self.root(record, place)
+        offset_ns = int(record.get("time_offset_s", 0))
+        return TimeSource(
+            record.get("times", {}), f"{place}.times", self.manifest.path, root, offset_ns, self.ledger
+        )
+
+    def mount(self, record: Record) -> RigidTransform:
+        """`ego_from_frame` of a sensor's own frame.
+
+        Raises:
+            CalibrationError: no transforms lead there.
+        """
+        return self.tree.ego_from(own_frame(record))
+
+    def poses(self, mount: RigidTransform, timestamps_ns: Int64Array) -> PosePath | None:
+        """`world_from_sensor` at those of the times that the default trajectory covers."""
+        return poses_along(self.ego_path, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)

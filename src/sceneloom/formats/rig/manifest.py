@@ -1,0 +1,111 @@
+"""A `rig.toml` as records: parsed, and checked by the table of fields."""
+
+import tomllib
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+from sceneloom.errors import DataError
+from sceneloom.formats.rig.faults import Faults
+from sceneloom.formats.rig.records import Record, read_record
+
+MANIFEST = "rig.toml"
+"""Name of the manifest in a folder."""
+
+_LARGEST_MANIFEST = 16_000_000
+_LARGEST_EXPONENT = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """A manifest that the table of fields finds nothing wrong with.
+
+    Attributes:
+        path: the file.
+        record: its fields.
+    """
+
+    path: Path
+    record: Record
+
+    @property
+    def ego(self) -> str:
+        """The frame that moves through the world."""
+        return str(self.record.get("ego", "base"))
+
+    def records(self, name: str) -> list[tuple[str, Record]]:
+        """The tables of a list, each with its place."""
+        return [(f"{name}[{k}]", record) for k, record in enumerate(self.record.get(name, []))]
+
+
+def manifest_path(path: Path) -> Path:
+    """The manifest of a folder, or the file itself."""
+    return path / MANIFEST if path.is_dir() else path
+
+
+def looks_like_manifest(path: Path) -> bool:
+    """Say whether a path is a folder with a `rig.toml`, that file, or another TOML file with sensors in it."""
+    manifest = manifest_path(path)
+    if not manifest.is_file() or manifest.suffix.lower() != ".toml":
+        return False
+    if manifest.name == MANIFEST:
+        return True
+    try:
+        return "sensors" in _parse(manifest)
+    except DataError:
+        return False
+
+
+def read_manifest(path: Path) -> Manifest:
+    """Read a manifest.
+
+    Raises:
+        DataError: the file cannot be read, is no TOML, or has faults; all of them are told at once.
+    """
+    raw = _parse(path)
+    faults = Faults(path)
+    record = read_record(raw, "rig", "", faults)
+    _check_ids(record, faults)
+    faults.raise_all()
+    return Manifest(path, record)
+
+
+def _check_ids(record: Record, faults: Faults) -> None:
+    for name, key in (("sensors", "id"), ("trajectories", "name")):
+        seen: dict[str, int] = {}
+        for k, inner in enumerate(record.get(name, [])):
+            identifier = inner.get(key)
+            if identifier in seen:
+                faults.add(f"{name}[{k}].{key}", f"{identifier!r} is also that of {name}[{seen[identifier]}]")
+            elif identifier is not None:
+                seen[identifier] = k
+    if record.get("sensors") == []:
+        faults.add("sensors", "an empty list; expected at least one `[[sensors]]`")
+
+
+def _parse(path: Path) -> Record:
+    try:
+        size = path.stat().st_size
+        if size > _LARGEST_MANIFEST:
+            raise DataError(path, "", f"{size} bytes; expected a manifest of at most {_LARGEST_MANIFEST}")
+        text = path.read_bytes().decode("utf-8-sig")
+        return tomllib.loads(text.replace("\r\n", "\n"), parse_float=_decimal)
+    except OSError as error:
+        raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise DataError(path, f"byte {error.start}", "is no UTF-8 text; expected TOML") from error
+    except (ValueError, RecursionError) as error:
+        raise DataError(path, "", f"is no TOML: {error}") from error
+
+
+def _decimal(text: str) -> Decimal:
+    """Keep all digits of a number, so that no time is rounded; numbers beyond all reason are infinite or zero."""
+    try:
+        number = Decimal(text)
+    except InvalidOperation:
+        return Decimal("Infinity")
+    if not number.is_finite() or number == 0:
+        return number
+    if abs(number.adjusted()) <= _LARGEST_EXPONENT:
+        return number
+    return Decimal("Infinity") if number.adjusted() > 0 else Decimal(0)

@@ -1,0 +1,105 @@
+"""A video as the pictures of a camera: opened when it is first needed, by each process for itself."""
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from threading import Lock
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array, UInt8Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError
+from sceneloom.formats.video import VideoReader, open_video
+from sceneloom.scene import Picture, VideoContent
+
+
+class VideoFile:
+    """A video by its path; what decodes it is not carried along to other processes.
+
+    Attributes:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open nothing yet."""
+        self.path = path
+        self._closed = False
+        self._reader: VideoReader | None = None
+        self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "closed": self._closed}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.path, self._closed = state["path"], state["closed"]
+        self._reader, self._lock = None, Lock()
+
+    def reader(self) -> VideoReader:
+        """The open video.
+
+        Raises:
+            DataError: it cannot be read as one, or was closed.
+        """
+        with self._lock:
+            if self._closed:
+                raise DataError(self.path, "", "is closed")
+            if self._reader is None:
+                self._reader = open_video(self.path)
+            return self._reader
+
+    def rgb(self, index: int) -> UInt8Array:
+        """Decode one picture."""
+        return self.reader().rgb(index)
+
+    def container_ns(self) -> Int64Array:
+        """The times that the video has itself, (N,) int64 [ns], rounded from its ticks once each.
+
+        Raises:
+            DataError: it has none.
+        """
+        index = self.reader().index
+        if not index.timed:
+            raise DataError(self.path, "", "has no times of its own; give them with csv, lines or rate_hz")
+        ticks, base = index.pts.tolist(), index.time_base * 10**9
+        return np.array([round(tick * base) for tick in ticks], np.int64)
+
+    def open_binary(self) -> BinaryIO:
+        """Open the video's bytes."""
+        return self.path.open("rb")
+
+    def content(self, chosen: Int64Array) -> VideoContent:
+        """The video for those who copy it, with the pictures that are used of it."""
+        reader = self.reader()
+        whole = np.array_equal(chosen, np.arange(reader.count))
+        return VideoContent(self.open_binary, reader.codec, None if whole else tuple(chosen.tolist()))
+
+    def close(self) -> None:
+        """Release the file; no picture can be read afterwards."""
+        with self._lock:
+            self._closed = True
+            if self._reader is not None:
+                self._reader.close()
+            self._reader = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoPictures:
+    """Makes the pictures of one camera from a video.
+
+    Attributes:
+        video: the file.
+        chosen: (N,) int64, number of each picture in the video.
+        timestamps_ns: (N,) int64 [ns].
+        camera: the lens of all.
+    """
+
+    video: VideoFile
+    chosen: Int64Array
+    timestamps_ns: Int64Array
+    camera: Camera
+
+    def __call__(self, k: int) -> Picture:
+        """Make picture `k` without decoding it."""
+        return Picture(int(self.timestamps_ns[k]), self.camera, partial(self.video.rgb, int(self.chosen[k])))

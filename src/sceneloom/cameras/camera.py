@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from sceneloom.arrays import Float64Array
 from sceneloom.errors import CalibrationError
 
 
@@ -38,6 +41,11 @@ class Camera:
             raise CalibrationError(f"camera numbers {numbers}; expected finite ones")
         if self.fx <= 0 or self.fy <= 0:
             raise CalibrationError(f"focal lengths {self.fx}, {self.fy}; expected positive numbers of pixels")
+
+    @property
+    def matrix(self) -> Float64Array:
+        """The calibration matrix K, (3, 3) float64 [px]: takes (x/z, y/z, 1) to (u, v, 1), without distortion."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same lens for pictures of another size: c' = (c + 0.5) s - 0.5 along each axis."""

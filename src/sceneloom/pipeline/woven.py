@@ -27,7 +27,7 @@ from sceneloom.scene import (
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.part import chosen_interval, cut_scene
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.scene.sensor_sources import must_be_placed, needs_ego, sensor_source
 from sceneloom.scene.span import frame_times
 
 EGO_ID = "ego"
@@ -68,7 +68,7 @@ def weave(
     """
     _check_order(scene)
     part = cut_scene(scene, start=start, stop=stop)
-    if not _needs_ego(scene):
+    if not needs_ego(scene):
         if trajectory is not None:
             raise OptionError(
                 f"{scene.source}: its points and sensors are placed in the world already; a trajectory cannot be chosen"
@@ -94,7 +94,7 @@ def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identif
     sources = {
         sensor.id: sensor_source(woven.scene, sensor, woven.ego, reach_ns=reach_ns)
         for sensor in _lidars_and_cameras(woven.scene)
-        if _must_be_placed(sensor) or (isinstance(sensor, LidarSensor) and sensor.poses is not None)
+        if must_be_placed(sensor) or (isinstance(sensor, LidarSensor) and sensor.poses is not None)
     }
     sensors = [_output_sensor(sensor, sources) for sensor in woven.scene.sensors]
     if woven.ego is not None and not _is_told(woven.ego.path, woven.scene):
@@ -117,24 +117,8 @@ def _check_order(scene: Scene) -> None:
             raise DataError(scene.source, place, problem)
 
 
-def _needs_ego(scene: Scene) -> bool:
-    """Whether something must still be placed: a sensor without poses, or points that ride on the ego."""
-    unposed = any(sensor.poses is None and _must_be_placed(sensor) for sensor in _lidars_and_cameras(scene))
-    riding = any(
-        lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
-    )
-    return unposed or riding
-
-
 def _lidars_and_cameras(scene: Scene) -> list[LidarSensor | CameraSensor]:
     return [*scene.cameras, *scene.lidars]
-
-
-def _must_be_placed(sensor: LidarSensor | CameraSensor) -> bool:
-    """Whether fusing takes the sensor's place: not of points in the world, nor of a camera without pictures."""
-    if isinstance(sensor, CameraSensor):
-        return len(sensor.pictures) > 0
-    return sensor.points_frame is not PointsFrame.WORLD
 
 
 def _is_told(path: PosePath, scene: Scene) -> bool:

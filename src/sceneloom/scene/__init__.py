@@ -17,11 +17,15 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, Vector
 from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.plain import PlainSensor
 from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
+from sceneloom.scene.sample import Sample
+from sceneloom.scene.sample_boxes import Boxes
+from sceneloom.scene.samples import Samples
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
 
 __all__ = [
     "Annotation",
+    "Boxes",
     "Boxes2D",
     "Boxes3D",
     "CameraSensor",
@@ -48,6 +52,8 @@ __all__ = [
     "RadarFrame",
     "RadarPoints",
     "RadarSensor",
+    "Sample",
+    "Samples",
     "Scene",
     "ScoreForm",
     "Sensor",

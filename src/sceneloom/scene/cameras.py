@@ -1,7 +1,7 @@
 """Cameras and their pictures."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -54,6 +54,14 @@ class Picture:
     def rgb(self) -> UInt8Array:
         """The picture, (height, width, 3) uint8, decoded now; keep it if you need it twice."""
         return self.decode()
+
+    def loaded(self) -> "Picture":
+        """The same picture, decoded now and kept in memory.
+
+        Raises:
+            DataError: it cannot be decoded.
+        """
+        return self if isinstance(self.decode, _Kept) else replace(self, decode=_Kept(self.decode()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,9 +1,9 @@
 """The scene: every sensor of a drive on one clock and in one frame tree."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from sceneloom.errors import OptionError
 from sceneloom.scene.annotations import Annotation
@@ -14,6 +14,10 @@ from sceneloom.scene.notices import Notice
 from sceneloom.scene.plain import PlainSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS, Identifier
+
+if TYPE_CHECKING:
+    from sceneloom.scene.ego import EgoMotion
+    from sceneloom.scene.samples import Samples
 
 Sensor = (
     LidarSensor
@@ -97,6 +101,46 @@ class Scene:
                 return sensor
         known = ", ".join(repr(sensor.id) for sensor in self.sensors)
         raise OptionError(f"{self.source}: no sensor {sensor_id!r}; it has {known}")
+
+    def samples(
+        self,
+        *,
+        reference: Identifier = "lidar",
+        cameras: Identifier | Iterable[Identifier] = "all",
+        lidars: Identifier | Iterable[Identifier] | None = None,
+        radars: Identifier | Iterable[Identifier] = (),
+        trajectory: "str | EgoMotion | None" = None,
+        tolerance_ns: int | None = None,
+    ) -> "Samples":
+        """Give synchronised sets of frames with poses and calibrations: one for each frame of a sensor, by number.
+
+        Frames belong to the moment of a sweep (its reference time) or of a picture: the nearest one in time of each
+        sensor, the earlier one of two equally near.
+
+        Args:
+            reference: the lidar or camera whose frames are counted, by its id; "lidar" and "camera" are the first ones.
+            cameras: whose pictures a sample holds: "all", an id, or several; () for none.
+            lidars: the same for further lidars. None: the reference; the first lidar where that is a camera.
+            radars: the same for radars.
+            trajectory: name of the ego's way, "identity" for an ego that stands still, the way itself, or None for the
+                default. Without any, poses in the world are not known, mountings are.
+            tolerance_ns: how far from the moment a frame may be [ns]; None for one sweep period.
+
+        Raises:
+            OptionError: there is no such sensor or trajectory, or the tolerance is negative.
+            PoseError: the named trajectory has no orientations.
+        """
+        from sceneloom.scene.samples import samples_of
+
+        return samples_of(
+            self,
+            reference=reference,
+            cameras=cameras,
+            lidars=lidars,
+            radars=radars,
+            trajectory=trajectory,
+            tolerance_ns=tolerance_ns,
+        )
 
     @property
     def lidars(self) -> tuple[LidarSensor, ...]:

@@ -6,7 +6,7 @@ from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.pose_source import PoseSource
@@ -14,10 +14,30 @@ from sceneloom.scene.poses import PosePath
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, PointsFrame
 
+Posed = LidarSensor | RadarSensor | CameraSensor
+"""Sensors that are somewhere."""
 
-def sensor_source(
-    scene: Scene, sensor: LidarSensor | CameraSensor, ego: EgoMotion | None, *, reach_ns: int
-) -> PoseSource:
+
+def needs_ego(scene: Scene) -> bool:
+    """Whether the ego's way has to tell where something was: a sensor without poses, or points that ride on the ego."""
+    riding = any(
+        lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
+    )
+    return riding or any(sensor.poses is None and must_be_placed(sensor) for sensor in _fused(scene))
+
+
+def must_be_placed(sensor: LidarSensor | CameraSensor) -> bool:
+    """Whether fusing takes the sensor's place: not of points in the world, nor of a camera without pictures."""
+    if isinstance(sensor, CameraSensor):
+        return len(sensor.pictures) > 0
+    return sensor.points_frame is not PointsFrame.WORLD
+
+
+def _fused(scene: Scene) -> list[LidarSensor | CameraSensor]:
+    return [*scene.cameras, *scene.lidars]
+
+
+def sensor_source(scene: Scene, sensor: Posed, ego: EgoMotion | None, *, reach_ns: int) -> PoseSource:
     """Give `world_from_sensor` over time, from the ego's way and the mounting, else from the sensor's own poses.
 
     Raises:
@@ -65,9 +85,7 @@ def lidar_place(
         return None
 
 
-def _source_on_ego(
-    scene: Scene, sensor: LidarSensor | CameraSensor, ego: EgoMotion | None, reach_ns: int
-) -> PoseSource:
+def _source_on_ego(scene: Scene, sensor: Posed, ego: EgoMotion | None, reach_ns: int) -> PoseSource:
     """Compose poses relative to the ego with the ego's way, at the times of both."""
     path, relative = _ego_path(scene, sensor, ego), sensor.poses
     if relative is None:
@@ -90,7 +108,7 @@ def _source_on_ego(
     return PoseSource(composed, RigidTransform.identity(), reach_ns, own=True)
 
 
-def _ego_path(scene: Scene, sensor: LidarSensor | CameraSensor, ego: EgoMotion | None) -> PosePath:
+def _ego_path(scene: Scene, sensor: Posed, ego: EgoMotion | None) -> PosePath:
     """The ego that a sensor in ego coordinates refers to: its parent odometry, the chosen way, or the only odometry.
 
     Source: READING of "GPSSensor" in docs/CONVENTIONS.md.

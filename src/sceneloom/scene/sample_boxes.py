@@ -1,0 +1,114 @@
+"""The boxes of a scene at a moment."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, check_array
+from sceneloom.geometry.euler import rotation_from_cuboid_angles
+from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from sceneloom.scene.annotations import CuboidAnnotation
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes:
+    """The objects that are there at a moment, one row each.
+
+    Attributes:
+        ids: ids of their annotations.
+        labels: their classes, None where not said.
+        centers_world: (B, 3) float64 [m].
+        sizes_lwh: (B, 3) float64 [m], length, width, height.
+        quaternions_xyzw: (B, 4) float64, `world_from_box`.
+    """
+
+    ids: tuple[Identifier, ...]
+    labels: tuple[str | None, ...]
+    centers_world: Float64Array
+    sizes_lwh: Float64Array
+    quaternions_xyzw: Float64Array
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        check_array("boxes.centers_world", self.centers_world, (count, 3), np.float64)
+        check_array("boxes.sizes_lwh", self.sizes_lwh, (count, 3), np.float64)
+        check_array("boxes.quaternions_xyzw", self.quaternions_xyzw, (count, 4), np.float64)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def rotations_world(self) -> Float64Array:
+        """(B, 3, 3) float64 `world_from_box`: the columns are the boxes' forward, left and up."""
+        return matrix_from_quaternion(self.quaternions_xyzw)
+
+    @property
+    def yaws_world(self) -> Float64Array:
+        """(B,) float64 [rad], direction of the boxes' forward axis, counter-clockwise from the world's x."""
+        forward = self.rotations_world[:, :, 0]
+        yaws: Float64Array = np.arctan2(forward[:, 1], forward[:, 0])
+        return yaws
+
+
+class BoxTable:
+    """All boxes of a scene with their ways, to be asked for a moment."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Collect the boxes; unit and order of their angles are those that the scene's metadata name."""
+        found = [
+            a for a in scene.annotations if isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns)
+        ]
+        self._annotations = found
+        named: Any = scene.metadata.get("sceneloom")
+        ours = named if isinstance(named, Mapping) else {}
+        self._unit, self._order = ours.get("euler_unit", "degrees"), ours.get("euler_order", "xyz")
+
+    @cached_property
+    def _paths(self) -> tuple[Int64Array, Float64Array, Int64Array, Int64Array]:
+        """Stamps and rows of all paths one after the other, and where each path begins and ends."""
+        paths = [annotation.path for annotation in self._annotations]
+        lengths = np.array([len(path.timestamps_ns) for path in paths], np.int64)
+        stops = np.cumsum(lengths)
+        stamps = np.concatenate([path.timestamps_ns for path in paths])
+        return stamps, np.concatenate([path.values for path in paths]), stops - lengths, stops
+
+    def at(self, time_ns: int) -> Boxes:
+        """Give the boxes that are there at a time [ns].
+
+        A box is there from its first stamp to its last, a stationary one always. Between two stamps centre and size
+        go straight and the rotation turns the shorter way.
+
+        Raises:
+            OptionError: unit or order of the angles is none of those known.
+
+        Source: READING of "paths" in docs/CONVENTIONS.md.
+        """
+        if not self._annotations:
+            return Boxes((), (), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)))
+        stamps, values, starts, stops = self._paths
+        stationary = np.array([bool(annotation.stationary) for annotation in self._annotations])
+        there = np.flatnonzero(((stamps[starts] <= time_ns) & (time_ns <= stamps[stops - 1])) | stationary)
+        passed = np.add.reduceat((stamps <= time_ns).astype(np.int64), starts)[there]
+        last = stops[there] - 1
+        before = np.clip(starts[there] + passed - 1, starts[there], last)
+        after = np.minimum(before + 1, last)
+        span = np.maximum(stamps[after] - stamps[before], 1)
+        share = np.clip((time_ns - stamps[before]) / span, 0.0, 1.0)
+        rows = values[before, :6] + share[:, None] * (values[after, :6] - values[before, :6])
+        chosen = [self._annotations[k] for k in there.tolist()]
+        return Boxes(
+            tuple(annotation.id for annotation in chosen),
+            tuple(annotation.label for annotation in chosen),
+            np.ascontiguousarray(rows[:, 3:]),
+            np.ascontiguousarray(rows[:, :3]),
+            slerp(self._turns(values[before, 6:]), self._turns(values[after, 6:]), share),
+        )
+
+    def _turns(self, angles_rpy: Float64Array) -> Float64Array:
+        matrices = rotation_from_cuboid_angles(angles_rpy, unit=self._unit, order=self._order)
+        return quaternion_from_matrix(matrices)

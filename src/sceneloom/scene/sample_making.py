@@ -1,0 +1,144 @@
+"""Making a sample: find the frames that belong to a moment, and where their sensors were."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.nearest import FramesByStamp, SweepsByReference
+from sceneloom.scene.sample import Sample
+from sceneloom.scene.sample_boxes import BoxTable
+from sceneloom.scene.sample_places import Place, Pose, choose_ego, place_of_points, places_of, poses_at
+from sceneloom.scene.sample_selection import Selection
+from sceneloom.scene.sensor_sources import Posed
+from sceneloom.scene.span import sweep_period_ns
+from sceneloom.scene.types import Identifier
+
+Finder = SweepsByReference | FramesByStamp[Any]
+
+_NO_POINTS = Place(None, "there is no sweep")
+
+
+@dataclass(slots=True)
+class _Found:
+    """What was found for a moment, by id of the sensor; the frames are of the class that the sensor gives."""
+
+    frames: dict[Identifier, Any] = field(default_factory=dict)
+    times_ns: dict[Identifier, int] = field(default_factory=dict)
+    missing: dict[Identifier, str] = field(default_factory=dict)
+
+    def add(self, sensor_id: Identifier, answer: tuple[Any, int] | str) -> None:
+        if isinstance(answer, str):
+            self.missing[sensor_id] = answer
+        else:
+            self.frames[sensor_id], self.times_ns[sensor_id] = answer
+
+
+class SampleMaker:
+    """Makes the samples of a selection; a pickled one begins anew with the same selection.
+
+    Attributes:
+        selection: what each sample holds.
+        count: how many samples there are.
+        trajectory: name of the ego's way that poses come from, or None.
+    """
+
+    def __init__(self, selection: Selection) -> None:
+        """Prepare what all samples share; no frame is read.
+
+        Raises:
+            OptionError: there is no such trajectory.
+            PoseError: it has no orientations.
+        """
+        self.selection = selection
+        scene, reference = selection.scene, selection.reference
+        frames = reference.frames if isinstance(reference, LidarSensor) else reference.pictures
+        self.count = len(frames)
+        ego = choose_ego(scene, selection.trajectory)
+        self.trajectory = None if ego is None else ego.name
+        self._finders: dict[Identifier, Finder] = {
+            **{lidar.id: _sweeps(lidar) for lidar in selection.lidars},
+            **{camera.id: FramesByStamp(camera.pictures) for camera in selection.cameras},
+            **{radar.id: FramesByStamp(radar.frames) for radar in selection.radars},
+        }
+        sensors: list[Posed] = [*selection.lidars, *selection.cameras, *selection.radars]
+        self._places = places_of(scene, sensors, ego)
+        self._points = place_of_points(scene, selection.lidars[0], ego) if selection.lidars else _NO_POINTS
+        self._boxes = BoxTable(scene)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return SampleMaker, (self.selection,)
+
+    def make(self, index: int) -> Sample:
+        """Make the sample of the reference sensor's frame `index`.
+
+        Raises:
+            DataError: a frame cannot be read.
+        """
+        reference_id = self.selection.reference.id
+        found = _Found()
+        found.add(reference_id, self._finders[reference_id].read(index))
+        moment_ns = found.times_ns[reference_id]
+        for sensor_id, finder in self._finders.items():
+            if sensor_id != reference_id:
+                found.add(sensor_id, finder.find(moment_ns, self.selection.tolerance_ns))
+        return self._sample(index, moment_ns, found)
+
+    def _sample(self, index: int, moment_ns: int, found: _Found) -> Sample:
+        selection, frames = self.selection, found.frames
+        places = self._places_for(frames)
+        poses, points = self._poses(places, found.times_ns)
+        return Sample(
+            index=index,
+            timestamp_ns=moment_ns,
+            reference_id=selection.reference.id,
+            lidar_id=selection.lidars[0].id if selection.lidars else None,
+            sweeps={lidar.id: frames.get(lidar.id) for lidar in selection.lidars},
+            pictures={camera.id: frames.get(camera.id) for camera in selection.cameras},
+            radar_frames={radar.id: frames.get(radar.id) for radar in selection.radars},
+            cameras={camera.id: _lens(camera, frames.get(camera.id)) for camera in selection.cameras},
+            times_ns=found.times_ns,
+            world_from_sensor={key: pose.world_from_sensor for key, pose in poses.items()},
+            ego_from_sensor={key: place.mount for key, place in places.items()},
+            world_from_points=points.world_from_sensor,
+            ego_from_points=self._points.mount,
+            missing=found.missing,
+            unposed={key: pose.problem for key, pose in poses.items() if pose.problem},
+            extrapolated=tuple(key for key, pose in poses.items() if pose.extrapolated),
+            find_boxes=partial(self._boxes.at, moment_ns),
+        )
+
+    def _places_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, Place]:
+        """The sensors' places, of cameras those of pictures that have a mounting of their own."""
+        places = dict(self._places)
+        for sensor_id, frame in frames.items():
+            if isinstance(frame, Picture) and frame.mount is not None:
+                place = places[sensor_id]
+                source = None if place.source is None else place.source.mounted(frame.mount)
+                places[sensor_id] = replace(place, source=source, mount=frame.mount)
+        return places
+
+    def _poses(
+        self, places: Mapping[Identifier, Place], times_ns: Mapping[Identifier, int]
+    ) -> tuple[dict[Identifier, Pose], Pose]:
+        """Poses of the sensors, each at the time of its frame, and that of the stored points."""
+        asked = [(places[key], time_ns) for key, time_ns in times_ns.items()]
+        lidars = self.selection.lidars
+        swept_ns = times_ns.get(lidars[0].id) if lidars else None
+        if swept_ns is None:
+            poses, points = poses_at(asked), Pose(None, _NO_POINTS.problem)
+        else:
+            *poses, points = poses_at([*asked, (self._points, swept_ns)])
+        known = dict(zip(times_ns, poses, strict=True))
+        return {key: known.get(key, Pose(None, "it has no frame in this sample")) for key in places}, points
+
+
+def _sweeps(lidar: LidarSensor) -> SweepsByReference:
+    return SweepsByReference(lidar.frames, sweep_period_ns(lidar))
+
+
+def _lens(camera: CameraSensor, picture: Picture | None) -> Camera:
+    return camera.camera if picture is None else picture.camera

@@ -1,0 +1,145 @@
+"""Where the sensors of a sample were: the poses of several sensors, each at a time of its own."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry.interpolation import EXTRAPOLATED, OUT_OF_REACH
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.sensor_sources import Posed, needs_ego, points_source, sensor_source
+from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame
+
+IDENTITY = "identity"
+"""The trajectory of an ego that stands still."""
+
+WORLD = PoseSource(PosePath.identity(), RigidTransform.identity())
+"""Where points are that are in the world already."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where something is, as far as it is known.
+
+    Attributes:
+        source: its pose in the world over time, or None.
+        problem: why there is none.
+        mount: `ego_from_sensor` where it is rigid and known, or None.
+    """
+
+    source: PoseSource | None
+    problem: str = ""
+    mount: RigidTransform | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """A pose at a time, as far as it is known.
+
+    Attributes:
+        world_from_sensor: the pose, or None.
+        problem: why there is none.
+        extrapolated: whether the time lies beyond the trajectory's ends.
+    """
+
+    world_from_sensor: RigidTransform | None
+    problem: str = ""
+    extrapolated: bool = False
+
+
+def choose_ego(scene: Scene, trajectory: str | EgoMotion | None) -> EgoMotion | None:
+    """Take the way of the ego by name, or the scene's default one; None where poses need none, or there is none.
+
+    Raises:
+        OptionError: there is none of that name, or everything is placed in the world already.
+        PoseError: the named one has no orientations.
+    """
+    if not needs_ego(scene):
+        if trajectory is not None:
+            raise OptionError(
+                f"{scene.source}: its points and sensors are placed in the world already; a trajectory cannot be chosen"
+            )
+        return None
+    if isinstance(trajectory, EgoMotion):
+        return trajectory
+    if trajectory is None:
+        default = next(iter(scene.trajectories.values()), None)
+        return None if default is None or default.quaternions_xyzw is None else EgoMotion.of(default)
+    if trajectory in scene.trajectories:
+        return EgoMotion.of(scene.trajectories[trajectory])
+    if trajectory == IDENTITY:
+        return EgoMotion(IDENTITY, PosePath.identity())
+    choices = ", ".join([*scene.trajectories, IDENTITY])
+    raise OptionError(f"{scene.source}: no trajectory {trajectory!r}; there are: {choices}")
+
+
+def places_of(scene: Scene, sensors: Iterable[Posed], ego: EgoMotion | None) -> Mapping[Identifier, Place]:
+    """Give the places of sensors by id; a sensor of which nothing is known has a place that says why."""
+    return {sensor.id: _place(scene, sensor, ego) for sensor in sensors}
+
+
+def place_of_points(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None) -> Place:
+    """Give what takes a lidar's points as stored into the world, and into the ego's frame where that is rigid."""
+    mounts = {PointsFrame.SENSOR: _static_mount(lidar), PointsFrame.EGO: RigidTransform.identity()}
+    mount = mounts.get(lidar.points_frame)
+    try:
+        source = points_source(scene, lidar, ego, reach_ns=scene_period_ns(scene))
+    except PoseError as error:
+        return Place(None, str(error), mount)
+    return Place(source or WORLD, "", mount)
+
+
+def poses_at(places: Sequence[tuple[Place, int]]) -> list[Pose]:
+    """Give the pose of each place at its time [ns]; places on one path are interpolated in one go."""
+    poses = [Pose(None, place.problem) for place, _ in places]
+    by_path: dict[int, list[int]] = {}
+    for row, (place, _) in enumerate(places):
+        if place.source is not None:
+            by_path.setdefault(id(place.source.path), []).append(row)
+    for rows in by_path.values():
+        sources = [source for row in rows if (source := places[row][0].source) is not None]
+        times = np.array([places[row][1] for row in rows], np.int64)
+        body = sources[0].path.interpolate(times, reach_ns=sources[0].reach_ns)
+        turns = matrix_from_quaternion(np.nan_to_num(body.quaternions_xyzw, nan=0.5))
+        for k, (row, source) in enumerate(zip(rows, sources, strict=True)):
+            if body.coverage[k] == OUT_OF_REACH:
+                poses[row] = Pose(None, _beyond(source.path, int(times[k])))
+                continue
+            moved = RigidTransform(
+                turns[k] @ source.mount.rotation, turns[k] @ source.mount.translation + body.positions[k]
+            )
+            poses[row] = Pose(moved, extrapolated=bool(body.coverage[k] == EXTRAPOLATED))
+    return poses
+
+
+def _place(scene: Scene, sensor: Posed, ego: EgoMotion | None) -> Place:
+    mount = _static_mount(sensor)
+    try:
+        return Place(sensor_source(scene, sensor, ego, reach_ns=scene_period_ns(scene)), "", mount)
+    except PoseError as error:
+        if mount is None:
+            return Place(None, str(error), mount)
+    problem = f"{scene.source}: no trajectory with orientations, so that it is not known where the ego was"
+    return Place(None, problem, mount)
+
+
+def _static_mount(sensor: Posed) -> RigidTransform | None:
+    """The mounting on the ego, said as such or as the one pose of a sensor in ego coordinates."""
+    if sensor.mount is not None:
+        return sensor.mount
+    if sensor.poses is None or sensor.coordinates is not Coordinates.EGO or len(sensor.poses.positions) != 1:
+        return None
+    return RigidTransform.from_quaternion(sensor.poses.positions[0], sensor.poses.quaternions_xyzw[0])
+
+
+def _beyond(path: PosePath, time_ns: int) -> str:
+    away_ns = max(path.start_ns - time_ns, time_ns - path.stop_ns)
+    return f"{away_ns / 1e9:.3f} s beyond the ends of the trajectory"

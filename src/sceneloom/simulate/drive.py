@@ -28,7 +28,7 @@ from sceneloom.simulate.rig import Rig, scene_sensors
 from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
 from sceneloom.simulate.shots import ScanSpec
 from sceneloom.simulate.street import StreetObject, build_street
-from sceneloom.simulate.traffic import TrafficSpec
+from sceneloom.simulate.traffic import TrafficSpec, plan_traffic
 from sceneloom.simulate.truth import Truth
 
 TRAJECTORY = "groundTruth"
@@ -120,6 +120,9 @@ def simulate_street(
         spec=path,
     )
     street = build_street(generator_for(seed, Stream.STREET), way)
+    if traffic is not None:
+        movers = plan_traffic(generator_for(seed, Stream.TRAFFIC), traffic, way, street, span_ns=span_ns)
+        street = replace(street, movers=movers)
     inertial = imu_truth(imu, way, _stamps(span_ns, imu.rate_hz) + _IMU_SHIFT_NS, seed=seed)
     truth = Truth(
         street,

@@ -28,12 +28,14 @@ class Lane:
         headings: (L,) float64 [rad].
         curvatures: (L,) float64 [1/m].
         along: (L,) float64 [m], arc length, 0 where the drive begins.
+        parameters: (L,) float64 [s], of the path's curve.
     """
 
     points: Float64Array
     headings: Float64Array
     curvatures: Float64Array
     along: Float64Array
+    parameters: Float64Array
 
     @classmethod
     def of(cls, path: EgoPath) -> "Lane":
@@ -51,6 +53,7 @@ class Lane:
             np.unwrap(np.arctan2(vy, vx)),
             (vx * ay - vy * ax) / np.hypot(vx, vy) ** 3,
             even - np.interp(0.0, fine, length),
+            seconds,
         )
 
     def place(self, along: float, left: float) -> tuple[float, float, float]:

@@ -15,6 +15,7 @@ class Stream(IntEnum):
     ACCELEROMETER = 3
     GYROSCOPE = 4
     GNSS = 5
+    TRAFFIC = 6
     FAULTS = 20
     DETECTIONS_3D = 21
     DETECTIONS_2D = 22

@@ -36,6 +36,7 @@ WRAPPERS = {
     "av": {"formats", "simulate"},
     "simplejpeg": {"formats"},
     "PIL": {"formats", "pictures", "simulate"},
+    "small_gicp": {"motion"},
     "scipy": {"motion", "tracking", "calibrate", "detections", "evaluate"},
     "click": {"cli"},
     "rich": {"cli"},
@@ -90,7 +91,7 @@ def test_every_third_party_that_is_imported_is_declared(modules, project):
     declared = tomllib.loads((project / "pyproject.toml").read_text("utf-8"))["project"]
     requirements = [*declared["dependencies"], *chain(*declared["optional-dependencies"].values())]
     names = {requirement.split(">")[0].split("=")[0].split("[")[0] for requirement in requirements}
-    distributions = {"PIL": "pillow"}
+    distributions = {"PIL": "pillow", "small_gicp": "small-gicp"}
     imported = {name.split(".")[0] for m in modules for name, _ in m.imports}
     foreign = imported - set(sys.stdlib_module_names) - {"sceneloom"}
     assert {distributions.get(name, name) for name in foreign} <= names

@@ -1,0 +1,234 @@
+"""How a sweep fits onto a map of surfaces, and what would make it fit better, while the lidar moves."""
+
+import math
+
+import numba
+import numpy as np
+from numba import float64, int32, int64, types
+
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array
+from sceneloom.kernels.surface_map import INNER, find_cube, first_place, pack_key
+
+_READ_F64_1D = types.Array(float64, 1, "C", readonly=True)
+_READ_F64_2D = types.Array(float64, 2, "C", readonly=True)
+
+
+@numba.njit(int64(_READ_F64_2D, float64, int64[::1]), cache=True, nogil=True)
+def thin_points(points: Float64Array, leaf: float, chosen: Int64Array) -> int:
+    """Choose one point of each cube of side `leaf` [m]: the first that fell into it.
+
+    Args:
+        points: (N, 3) [m], finite.
+        chosen: (N,) the chosen points' numbers are written here, ascending.
+
+    Returns:
+        How many were chosen.
+    """
+    length = 1024
+    while length < 2 * points.shape[0]:
+        length *= 2
+    mask, count = length - 1, 0
+    taken = np.full(length, -1, np.int64)
+    for i in range(points.shape[0]):
+        key = pack_key(
+            math.floor(points[i, 0] / leaf),
+            math.floor(points[i, 1] / leaf),
+            math.floor(points[i, 2] / leaf),
+        )
+        place = first_place(key, mask)
+        while taken[place] >= 0 and taken[place] != key:
+            place = (place + 1) & mask
+        if taken[place] < 0:
+            taken[place] = key
+            chosen[count] = i
+            count += 1
+    return count
+
+
+@numba.njit(types.void(_READ_F64_1D, float64[:, ::1]), **INNER)
+def _turn(rotation_vector: Float64Array, matrix: Float64Array) -> None:
+    """Write the rotation matrix of a rotation vector. Source: Rodrigues 1840."""
+    x, y, z = rotation_vector[0], rotation_vector[1], rotation_vector[2]
+    angle2 = x * x + y * y + z * z
+    if angle2 < 1e-12:
+        a, b = 1.0, 0.5
+    else:
+        angle = math.sqrt(angle2)
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+    matrix[0, 0], matrix[0, 1], matrix[0, 2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    matrix[1, 0], matrix[1, 1], matrix[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+
+
+@numba.njit(
+    types.void(
+        _READ_F64_2D, _READ_F64_1D, _READ_F64_2D, _READ_F64_1D, _READ_F64_1D, _READ_F64_1D, float64[:, ::1],
+        float64[:, ::1],
+    ),
+    cache=True,
+    nogil=True,
+)  # fmt: skip
+def move_points(
+    points_ego: Float64Array,
+    seconds: Float64Array,
+    rotation: Float64Array,
+    position: Float64Array,
+    turn_rate: Float64Array,
+    velocity: Float64Array,
+    points_world: Float64Array,
+    arms: Float64Array,
+) -> None:
+    """Take points of a turning, moving ego into the world, each at its own time.
+
+    p_world(t) = position + t v + t²/2 (ω × v) + Exp(t ω) R p_ego: a constant velocity in the ego's own frame, to the
+    second order in t.
+
+    Args:
+        points_ego: (N, 3) [m].
+        seconds: (N,) time of each point after the pose's.
+        rotation, position: (3, 3) and (3,) [m], `world_from_ego`.
+        turn_rate, velocity: (3,) [rad/s] and [m/s], world axes, at the pose's time.
+        points_world: (N, 3), written here.
+        arms: (N, 3), written here: from the ego to the points, world axes.
+    """
+    turned, step = np.empty((3, 3)), np.empty(3)
+    cx = turn_rate[1] * velocity[2] - turn_rate[2] * velocity[1]
+    cy = turn_rate[2] * velocity[0] - turn_rate[0] * velocity[2]
+    cz = turn_rate[0] * velocity[1] - turn_rate[1] * velocity[0]
+    last = math.nan
+    for i in range(points_ego.shape[0]):
+        t = seconds[i]
+        if t != last:
+            for k in range(3):
+                step[k] = t * turn_rate[k]
+            _turn(step, turned)
+            last = t
+        px, py, pz = points_ego[i, 0], points_ego[i, 1], points_ego[i, 2]
+        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
+        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
+        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
+        ax = turned[0, 0] * x + turned[0, 1] * y + turned[0, 2] * z
+        ay = turned[1, 0] * x + turned[1, 1] * y + turned[1, 2] * z
+        az = turned[2, 0] * x + turned[2, 1] * y + turned[2, 2] * z
+        arms[i, 0], arms[i, 1], arms[i, 2] = ax, ay, az
+        half = 0.5 * t * t
+        points_world[i, 0] = position[0] + t * velocity[0] + half * cx + ax
+        points_world[i, 1] = position[1] + t * velocity[1] + half * cy + ay
+        points_world[i, 2] = position[2] + t * velocity[2] + half * cz + az
+
+
+@numba.njit(int64(float64, float64, float64, float64, int32[::1], int64[::1], float64[:, ::1]), **INNER)
+def _nearest_surface(
+    x: float, y: float, z: float, leaf: float, table: AnyArray, keys: Int64Array, surfaces: Float64Array
+) -> int:
+    """The surface with the nearest mean of the eight cubes around a place, at most a cube's side away, or -1."""
+    ix, iy, iz = math.floor(x / leaf - 0.5), math.floor(y / leaf - 0.5), math.floor(z / leaf - 0.5)
+    best, nearest = -1, leaf * leaf
+    for k in range(8):
+        key = pack_key(ix + (k & 1), iy + ((k >> 1) & 1), iz + (k >> 2))
+        cube = find_cube(key, table, keys)
+        if cube < 0:
+            continue
+        s = surfaces[cube]
+        if s[3] + s[6] + s[8] == 0.0:
+            continue
+        dx, dy, dz = x - s[0], y - s[1], z - s[2]
+        squared = dx * dx + dy * dy + dz * dz
+        if squared < nearest:
+            best, nearest = cube, squared
+    return best
+
+
+@numba.njit(types.void(float64[:, :, ::1]), **INNER)
+def _mirror(matrices: Float64Array) -> None:
+    """Fill the lower halves of symmetric matrices."""
+    for k in range(matrices.shape[0]):
+        for r in range(6):
+            for c in range(r):
+                matrices[k, r, c] = matrices[k, c, r]
+
+
+@numba.njit(
+    types.void(
+        _READ_F64_2D, _READ_F64_2D, _READ_F64_1D, float64, float64, int32[::1], int64[::1], float64[:, ::1],
+        float64[:, :, ::1], float64[:, ::1], float64[::1],
+    ),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)  # fmt: skip
+def accumulate_normal_equations(
+    points_world: Float64Array,
+    arms: Float64Array,
+    seconds: Float64Array,
+    leaf: float,
+    scale: float,
+    table: AnyArray,
+    keys: Int64Array,
+    surfaces: Float64Array,
+    information: Float64Array,
+    gradient: Float64Array,
+    sums: Float64Array,
+) -> None:
+    """Sum what each point says about a small turn and shift of the ego, and about their rates.
+
+    A point belongs to the nearest surface (by its mean) of the eight cubes around it. Its residual r = q - mean has the
+    squared length s² = rᵀ W r in standard deviations, and the weight of Geman and McClure, (1 + s² / scale²)^-2.
+
+    Args:
+        points_world, arms, seconds: as `move_points` gives them.
+        leaf: side of a cube [m].
+        scale: residuals of this many standard deviations lose most of their weight.
+        table, keys, surfaces: the map.
+        information: (3, 6, 6) written here: Σ w Jᵀ W J, the same times t, and times t², for a turn, then a shift.
+        gradient: (2, 6) written here: Σ w Jᵀ W r, and the same times t.
+        sums: (4,) written here: points with a surface, Σ w, Σ w s², points with s < scale.
+
+    Source: Black and Rangarajan 1996 for the weight.
+    """
+    information[:] = 0.0
+    gradient[:] = 0.0
+    sums[:] = 0.0
+    j = np.empty((3, 6))
+    wj = np.empty((3, 6))
+    j[:] = 0.0
+    j[0, 3] = j[1, 4] = j[2, 5] = 1.0
+    inverse2 = 1.0 / (scale * scale)
+    for i in range(points_world.shape[0]):
+        x, y, z = points_world[i, 0], points_world[i, 1], points_world[i, 2]
+        best = _nearest_surface(x, y, z, leaf, table, keys, surfaces)
+        if best < 0:
+            continue
+        s = surfaces[best]
+        dx, dy, dz = x - s[0], y - s[1], z - s[2]
+        rx = s[3] * dx + s[4] * dy + s[5] * dz
+        ry = s[4] * dx + s[6] * dy + s[7] * dz
+        rz = s[5] * dx + s[7] * dy + s[8] * dz
+        squared = dx * rx + dy * ry + dz * rz
+        sums[0] += 1.0
+        if squared * inverse2 < 1.0:
+            sums[3] += 1.0
+        w = 1.0 / (1.0 + squared * inverse2)
+        w *= w
+        sums[1] += w
+        sums[2] += w * squared
+        ax, ay, az = arms[i, 0], arms[i, 1], arms[i, 2]
+        # -[a]x, so that a turn about the world's axes moves the point by turn x arm
+        j[0, 1], j[0, 2] = az, -ay
+        j[1, 0], j[1, 2] = -az, ax
+        j[2, 0], j[2, 1] = ay, -ax
+        for c in range(6):
+            wj[0, c] = w * (s[3] * j[0, c] + s[4] * j[1, c] + s[5] * j[2, c])
+            wj[1, c] = w * (s[4] * j[0, c] + s[6] * j[1, c] + s[7] * j[2, c])
+            wj[2, c] = w * (s[5] * j[0, c] + s[7] * j[1, c] + s[8] * j[2, c])
+        t = seconds[i]
+        for r in range(6):
+            g = w * (j[0, r] * rx + j[1, r] * ry + j[2, r] * rz)
+            gradient[0, r] += g
+            gradient[1, r] += t * g
+            for c in range(r, 6):
+                h = j[0, r] * wj[0, c] + j[1, r] * wj[1, c] + j[2, r] * wj[2, c]
+                information[0, r, c] += h
+                information[1, r, c] += t * h
+                information[2, r, c] += t * t * h
+    _mirror(information)

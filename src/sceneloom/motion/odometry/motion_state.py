@@ -1,0 +1,102 @@
+"""Where the ego is, how it moves, how sure that is, and how all three go on in time."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.geometry.rotations import (
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+)
+
+TURN, SHIFT, TURN_RATE, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+"""Places of the four errors in a covariance of the state."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionState:
+    """The ego's pose and motion at one time.
+
+    Attributes:
+        timestamp_ns: [ns].
+        rotation: (3, 3) `world_from_ego`.
+        position: (3,) [m], world frame.
+        turn_rate: (3,) [rad/s], world axes.
+        velocity: (3,) [m/s], world axes.
+        covariance: (12, 12) of a small turn, a small shift, and changes of the turn rate and the velocity, all along
+            the world's axes.
+    """
+
+    timestamp_ns: int
+    rotation: Float64Array
+    position: Float64Array
+    turn_rate: Float64Array
+    velocity: Float64Array
+    covariance: Float64Array
+
+    def at(self, timestamp_ns: int) -> tuple[Float64Array, Float64Array]:
+        """Rotation and position at another time, at constant velocity and turn rate in the ego's own frame."""
+        dt = (timestamp_ns - self.timestamp_ns) * 1e-9
+        turned = turn_matrix(self.turn_rate * dt)
+        bend = 0.5 * dt * dt * np.cross(self.turn_rate, self.velocity)
+        return turned @ self.rotation, self.position + dt * self.velocity + bend
+
+    def predicted(self, timestamp_ns: int, acceleration: float, turn_acceleration: float) -> "MotionState":
+        """The state at a later time, with what accelerations of the given size add to its uncertainty.
+
+        Source: Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, piecewise constant white acceleration.
+        """
+        dt = (timestamp_ns - self.timestamp_ns) * 1e-9
+        rotation, position = self.at(timestamp_ns)
+        turned = turn_matrix(self.turn_rate * dt)
+        step = np.eye(12)
+        step[TURN, TURN_RATE] = step[SHIFT, VELOCITY] = dt * np.eye(3)
+        noise = np.zeros((12, 12))
+        for value, rate, size in ((TURN, TURN_RATE, turn_acceleration), (SHIFT, VELOCITY, acceleration)):
+            gain = np.array([0.5 * dt * dt, dt])[:, None] * size
+            for a, first in enumerate((value, rate)):
+                for b, second in enumerate((value, rate)):
+                    noise[first, second] = float(gain[a, 0] * gain[b, 0]) * np.eye(3)
+        return MotionState(
+            timestamp_ns,
+            rotation,
+            position,
+            self.turn_rate,
+            turned @ self.velocity,
+            step @ self.covariance @ step.T + noise,
+        )
+
+    def changed(self, step: Float64Array) -> "MotionState":
+        """The state after small changes, (12,)."""
+        rotation = turn_matrix(step[TURN]) @ self.rotation
+        return replace(
+            self,
+            rotation=rotation,
+            position=self.position + step[SHIFT],
+            turn_rate=self.turn_rate + step[TURN_RATE],
+            velocity=self.velocity + step[VELOCITY],
+        )
+
+    def minus(self, other: "MotionState") -> Float64Array:
+        """The changes, (12,), that lead from another state to this one."""
+        return np.concatenate(
+            [
+                turn_vector(self.rotation @ other.rotation.T),
+                self.position - other.position,
+                self.turn_rate - other.turn_rate,
+                self.velocity - other.velocity,
+            ]
+        )
+
+
+def turn_matrix(rotation_vector: Float64Array) -> Float64Array:
+    """The (3, 3) rotation about a (3,) vector by its length [rad]."""
+    return matrix_from_quaternion(quaternion_from_rotation_vector(rotation_vector))
+
+
+def turn_vector(rotation: Float64Array) -> Float64Array:
+    """The (3,) rotation vector of a (3, 3) rotation."""
+    return rotation_vector_from_quaternion(quaternion_from_matrix(rotation))

@@ -1,0 +1,118 @@
+"""A scene's trajectory from its lidars."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+from sceneloom.errors import PoseError
+from sceneloom.motion.odometry.configuration import OdometryConfiguration
+from sceneloom.motion.odometry.knots import trajectory_of
+from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
+from sceneloom.motion.odometry.scene_sweeps import SceneSweeps
+from sceneloom.scene import Notice, NoticeKind, Scene, Trajectory
+
+NAME = "lidar"
+"""The trajectory's name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryRun:
+    """What lidar odometry made of a scene.
+
+    Attributes:
+        trajectory: `world_from_ego` under the name "lidar", from the first point's time to the last one's, with
+            covariances; the world is the ego's first pose.
+        notices: what was assumed, repaired or left out.
+    """
+
+    trajectory: Trajectory
+    notices: tuple[Notice, ...]
+
+
+def lidar_odometry(
+    scene: Scene,
+    *,
+    configuration: OdometryConfiguration | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    lenient: bool = False,
+) -> OdometryRun:
+    """Find the ego's way through a scene from its lidar sweeps.
+
+    Args:
+        configuration: settings; the defaults hold for everything.
+        progress: told after each cloud how many are done and how many there are.
+        lenient: leave sweeps out that cannot be read, with a notice.
+
+    Raises:
+        PoseError: the scene has no lidar sweeps, their points are in the world already, or none has returns.
+        DataError: a sweep cannot be read, and this is not lenient.
+    """
+    sweeps = SceneSweeps.of(scene, lenient=lenient)
+    odometry = LidarOdometry(configuration)
+    estimates: list[PoseEstimate] = []
+    late = 0
+    for done, cloud in enumerate(sweeps.clouds(), start=1):
+        estimate = odometry.add(cloud.timestamp_ns, cloud.positions_ego, cloud.timestamps_ns)
+        if estimate is None:
+            late += 1
+        else:
+            _append(estimates, estimate)
+        if progress is not None:
+            progress(done, len(sweeps))
+    if not any(estimate.outcome in _BEGINNINGS for estimate in estimates):
+        raise PoseError(
+            f"{scene.source}: none of {len(sweeps)} lidar sweeps has enough returns to go by; "
+            "choose another trajectory with `--trajectory NAME`"
+        )
+    counts = Counter(estimate.outcome for estimate in estimates)
+    return OdometryRun(
+        trajectory_of(NAME, estimates), (*sweeps.finished_notices(), *_remarks(counts, late, scene.source))
+    )
+
+
+def _append(estimates: list[PoseEstimate], estimate: PoseEstimate) -> None:
+    """Add an estimate; what it tells about the sweep that the map began with replaces what was not known then."""
+    if estimate.first_state is not None:
+        begun_at = max(k for k, earlier in enumerate(estimates) if earlier.outcome in _BEGINNINGS)
+        estimates[begun_at] = replace(estimates[begun_at], state=estimate.first_state)
+    estimates.append(estimate)
+
+
+_BEGINNINGS = (Outcome.STARTED, Outcome.RESTARTED)
+
+_REMARKS: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
+    {
+        Outcome.TOO_FEW: (
+            "odometry-too-few-points",
+            "sweeps with too few usable points: their poses go on with the motion before, and their covariances grow",
+        ),
+        Outcome.MISFIT: (
+            "odometry-misfit",
+            "sweeps that do not fit onto the map: their poses go on with the motion before, and their covariances grow",
+        ),
+        Outcome.RESTARTED: (
+            "odometry-restarted",
+            "a gap in time or many misfits: new map begun where the motion before leads, with grown covariances",
+        ),
+    }
+)
+"""Code and message of the notice about each outcome that is not a fit."""
+
+
+def _remarks(counts: Counter[Outcome], late: int, place: str) -> list[Notice]:
+    notices = [
+        Notice(kind=NoticeKind.ASSUMED, code=code, place=place, message=message, count=counts[outcome])
+        for outcome, (code, message) in _REMARKS.items()
+        if counts[outcome]
+    ]
+    if late:
+        message = (
+            "sweeps whose middle is not later than that of the sweep before were left out of the odometry"
+        )
+        notices.append(
+            Notice(
+                kind=NoticeKind.SKIPPED, code="odometry-late-sweep", place=place, message=message, count=late
+            )
+        )
+    return notices

@@ -1,6 +1,10 @@
 """The analytic scene factory: made-up drives with exact answers, the test bench of everything else."""
 
 from sceneloom.simulate.camera import CameraSpec, PictureTruth, camera_mount
+from sceneloom.simulate.detections import SimulatedDetections
+from sceneloom.simulate.detections_2d import detect_2d
+from sceneloom.simulate.detections_3d import detect_3d
+from sceneloom.simulate.detectors import ClassSpec, Detector2dSpec, Detector3dSpec, MissSpec
 from sceneloom.simulate.drive import SimulatedDrive, demo_drive, plant, simulate_street
 from sceneloom.simulate.exposure import ExposureSpec
 from sceneloom.simulate.faults import Faults, PointTimes, SensorFaults
@@ -10,6 +14,7 @@ from sceneloom.simulate.mounts import sensor_mount
 from sceneloom.simulate.path import PathSpec
 from sceneloom.simulate.radar import RadarSpec, RadarTruth
 from sceneloom.simulate.satellite import GnssSpec
+from sceneloom.simulate.scores import ScoreSpec
 from sceneloom.simulate.solid_state import Raster, Rosette, SolidStateSpec
 from sceneloom.simulate.traffic import TrafficSpec
 from sceneloom.simulate.truth import CleanPoints, Truth
@@ -17,12 +22,16 @@ from sceneloom.simulate.warp import Stop
 
 __all__ = [
     "CameraSpec",
+    "ClassSpec",
     "CleanPoints",
+    "Detector2dSpec",
+    "Detector3dSpec",
     "ExposureSpec",
     "Faults",
     "GnssSpec",
     "ImuSpec",
     "LidarSpec",
+    "MissSpec",
     "PathSpec",
     "PictureTruth",
     "PointTimes",
@@ -30,7 +39,9 @@ __all__ = [
     "RadarTruth",
     "Raster",
     "Rosette",
+    "ScoreSpec",
     "SensorFaults",
+    "SimulatedDetections",
     "SimulatedDrive",
     "SolidStateSpec",
     "Stop",
@@ -38,6 +49,8 @@ __all__ = [
     "Truth",
     "camera_mount",
     "demo_drive",
+    "detect_2d",
+    "detect_3d",
     "plant",
     "sensor_mount",
     "simulate_street",

@@ -45,7 +45,7 @@ class ScoreSpec:
         OptionError: a number is out of bounds.
     """
 
-    concentration: float = 1.0
+    concentration: float = 2.0
     form: ScoreForm = ScoreForm.PROBABILITY
     logit_scale: float = 1.0
     logit_shift: float = 0.0

@@ -1,0 +1,264 @@
+"""A detector of objects in pictures, made up: its errors have known sizes, its scores known meanings."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project_unbounded, unproject
+from sceneloom.errors import OptionError
+from sceneloom.geometry.boxes import EDGES
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Boxes2D, Boxes3D, CameraSensor, Identifier
+from sceneloom.simulate.camera import PictureTruth
+from sceneloom.simulate.detections import (
+    FALSE,
+    FALSE_HEIGHTS,
+    FALSE_WITHIN,
+    Draft,
+    SimulatedDetections,
+    chosen_frames,
+    frame_generator,
+    true_frame,
+    with_scores,
+)
+from sceneloom.simulate.detectors import Detector2dSpec
+from sceneloom.simulate.drive import SimulatedDrive
+from sceneloom.simulate.randomness import Stream
+from sceneloom.simulate.sightings import objects_at, occlusions_from
+
+_NEAR = 0.05
+"""Of a box beside the camera, what lies farther ahead than this is projected [m]."""
+_ALONG_EDGES = 25
+"""Points on each edge of a projected box: lenses bend edges."""
+_TRIES, _OVERLAP = 12, 0.2
+"""So many places are tried for a false box until it overlaps no object by more than this, intersection over union."""
+_SMALLEST_PX = 1.0
+
+Pose = tuple[RigidTransform, Camera]
+"""`world_from_camera`, and the lens."""
+
+
+def detect_2d(
+    drive: SimulatedDrive,
+    camera_id: Identifier | None = None,
+    spec: Detector2dSpec | None = None,
+    *,
+    frames: Iterable[int] | None = None,
+) -> list[SimulatedDetections[Boxes2D]]:
+    """Detect objects in the pictures of a camera, as the sensor got them: planted faults are in the answer.
+
+    Args:
+        drive: whose pictures.
+        camera_id: by default the first camera.
+        spec: the detector.
+        frames: numbers of pictures of the scene, by default all. Errors of a picture do not depend on the others,
+            scores do, since they are calibrated over the pictures that are asked for.
+
+    Returns:
+        One report per picture.
+
+    Raises:
+        OptionError: there is no such camera or picture.
+    """
+    spec = spec or Detector2dSpec()
+    if camera_id is None and not drive.scene.cameras:
+        raise OptionError(f"{drive.scene.source}: has no camera")
+    camera = drive.scene.cameras[0] if camera_id is None else drive.scene.sensor(camera_id)
+    if not isinstance(camera, CameraSensor):
+        raise OptionError(f"sensor {camera_id!r} is of type {camera.type}; expected a camera")
+    drafts = [_draft(drive, spec, camera, index) for index in chosen_frames(len(camera.pictures), frames)]
+    return with_scores(drafts, spec.scores, repeated=spec.repeated)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """What one picture shows.
+
+    Attributes:
+        said_ns: its stamp [ns].
+        objects: boxes of the objects in it, in the world.
+        instances: (M,) int64, which they are.
+        corners_xyxy: (M, 4) float64 [px], where they are in the picture.
+        pixels: (M,) float64, how many show them.
+        occlusions: (M,) float64, how much of them is hidden.
+        clutter: (C, 3) float64: column, row [px] and depth [m] of pixels that show other things.
+        lens: of the camera.
+    """
+
+    said_ns: int
+    objects: Boxes3D
+    instances: Int64Array
+    corners_xyxy: Float64Array
+    pixels: Float64Array
+    occlusions: Float64Array
+    clutter: Float64Array
+    lens: Camera
+
+
+def _look(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> _Look:
+    truth, number = drive.truth, true_frame(drive, camera.id, index)
+    rendered = truth.cameras[str(camera.id)]
+    time_ns, pose = int(rendered.timestamps_ns[number]), rendered.pose(number)
+    lens = rendered.spec.camera
+    objects, instances = objects_at(truth.street, time_ns, spec.classes)
+    picture = rendered.truth(number)
+    shown = np.full_like(picture.instances, -1) if _is_black(drive, camera, index) else picture.instances
+    seen, extents, pixels = _extents(shown, instances)
+    objects, instances = objects.select(seen), instances[seen]
+    if spec.amodal:
+        extents = _projected(objects, pose, lens, extents)
+    return _Look(
+        int(camera.pictures.timestamps_ns[index]),
+        objects,
+        instances,
+        extents,
+        pixels,
+        occlusions_from(truth.street, pose.translation, objects, instances),
+        _clutter(picture, shown, instances, (pose, lens)),
+        lens,
+    )
+
+
+def _is_black(drive: SimulatedDrive, camera: CameraSensor, index: int) -> bool:
+    wrong = drive.faults.sensors.get(camera.id)
+    return wrong is not None and bool(wrong.blind) and not camera.pictures[index].rgb.any()
+
+
+def _extents(shown: AnyArray, instances: Int64Array) -> tuple[Int64Array, Float64Array, Float64Array]:
+    """Which of some instances a picture shows, and the edges (M, 4) and number (M,) of their pixels."""
+    rows, columns = np.nonzero(np.isin(shown, instances))
+    met, which = np.unique(shown[rows, columns], return_inverse=True)
+    edges = np.empty((len(met), 4))
+    edges[:, :2], edges[:, 2:] = np.inf, -np.inf
+    for axis, places in enumerate((columns, rows)):
+        np.minimum.at(edges[:, axis], which, places)
+        np.maximum.at(edges[:, axis + 2], which, places + 1)
+    seen = np.flatnonzero(np.isin(instances, met))
+    own = np.searchsorted(met, instances[seen])
+    return seen, edges[own], np.bincount(which, minlength=len(met)).astype(np.float64)[own]
+
+
+def _projected(
+    objects: Boxes3D, world_from_camera: RigidTransform, lens: Camera, extents: Float64Array
+) -> Float64Array:
+    """Edges (M, 4) of the projected boxes, clipped to the picture; of a box out of the lens, what is seen of it."""
+    steps = np.linspace(0.0, 1.0, _ALONG_EDGES)[:, None]
+    corners = world_from_camera.inverse().apply(objects.corners)
+    boxes = extents.copy()
+    for k in range(len(corners)):
+        starts, stops = _ahead(corners[k])
+        lines = starts + steps[:, None] * (stops - starts)
+        pixels = project_unbounded(lens, lines.reshape(-1, 3)) + 0.5
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+        if len(pixels):
+            boxes[k] = *pixels.min(axis=0), *pixels.max(axis=0)
+    return _within(boxes, lens)
+
+
+def _ahead(corners: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """The parts of a box's edges that lie ahead of the camera: where they start and stop, (E, 3) each."""
+    first, last = np.array(EDGES).T
+    deeper = corners[first, 2] > corners[last, 2]
+    near, far = (corners[np.where(deeper, a, b)] for a, b in ((last, first), (first, last)))
+    reaching = far[:, 2] > _NEAR
+    near, far = near[reaching], far[reaching]
+    share = np.clip((_NEAR - near[:, 2]) / np.maximum(1e-12, far[:, 2] - near[:, 2]), 0.0, 1.0)[:, None]
+    return near + share * (far - near), far
+
+
+def _within(boxes: Float64Array, lens: Camera) -> Float64Array:
+    """Boxes cut off at the edges of the picture."""
+    size = np.array([lens.width, lens.height] * 2, np.float64)
+    cut: Float64Array = np.clip(boxes, 0.0, size)
+    return cut
+
+
+def _clutter(picture: PictureTruth, shown: AnyArray, instances: Int64Array, look: Pose) -> Float64Array:
+    """Some of the pixels that show other things than the objects at their height: column, row, depth, (C, 3)."""
+    world_from_camera, lens = look
+    other = (shown > 0) & ~np.isin(shown, instances) & (picture.depths < FALSE_WITHIN)
+    rows, columns = (places[:: max(1, int(other.sum()) // 4000)] for places in np.nonzero(other))
+    depths = picture.depths[rows, columns].astype(np.float64)
+    rays = unproject(lens, np.column_stack([columns, rows]))
+    heights = world_from_camera.apply(rays * (depths / rays[:, 2])[:, None])[:, 2]
+    low = (heights > FALSE_HEIGHTS[0]) & (heights < FALSE_HEIGHTS[1])
+    return np.column_stack([columns[low], rows[low], depths[low]])
+
+
+def _draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> Draft[Boxes2D]:
+    """Everything about a picture but the scores."""
+    look = _look(drive, spec, camera, index)
+    labels = look.objects.labels
+    halves = np.array([spec.classes[label].half_evidence for label in labels])
+    chances = spec.misses.chances(look.pixels, look.occlusions, halves)
+    number = true_frame(drive, camera.id, index)
+    generator = frame_generator(Stream.DETECTIONS_2D, spec.seed, camera.id, number)
+    found = np.flatnonzero(generator.random(len(labels)) < chances)
+    again = found[generator.random(len(found)) < spec.repeated]
+    rows = np.concatenate([found, again])
+    rates = {label: own.false_rate if len(look.clutter) else 0.0 for label, own in spec.classes.items()}
+    false, false_labels = _false_boxes(generator, spec, look, rates)
+    boxes = Boxes2D(
+        look.said_ns,
+        _with_errors(generator, spec, look.lens, np.concatenate([look.corners_xyxy[rows], false])),
+        np.zeros(len(rows) + len(false)),
+        (*(labels[k] for k in rows), *false_labels),
+        sensor_id=camera.id,
+    )
+    report = SimulatedDetections(
+        boxes,
+        np.concatenate([look.instances[rows], np.full(len(false), FALSE)]),
+        (np.arange(len(boxes)) >= len(found)) & (np.arange(len(boxes)) < len(rows)),
+        Boxes2D(
+            look.objects.timestamp_ns, look.corners_xyxy, np.ones(len(labels)), labels, sensor_id=camera.id
+        ),
+        look.instances,
+        look.pixels,
+        look.occlusions,
+        chances,
+    )
+    return Draft(report, rates, generator)
+
+
+def _with_errors(
+    generator: np.random.Generator, spec: Detector2dSpec, lens: Camera, exact: Float64Array
+) -> Float64Array:
+    """Exact boxes (N, 4) with the detector's errors: in the picture, and no smaller than a pixel."""
+    sizes = exact[:, 2:] - exact[:, :2]
+    sigmas = spec.corner_sigma_px + spec.corner_sigma_share * np.tile(sizes, 2)
+    edges = _within(exact + sigmas * generator.standard_normal(exact.shape), lens)
+    low, high = np.minimum(edges[:, :2], edges[:, 2:]), np.maximum(edges[:, :2], edges[:, 2:])
+    low = np.minimum(low, np.array([lens.width, lens.height]) - _SMALLEST_PX)
+    return np.column_stack([low, np.maximum(high, low + _SMALLEST_PX)])
+
+
+def _false_boxes(
+    generator: np.random.Generator, spec: Detector2dSpec, look: _Look, rates: Mapping[str, float]
+) -> tuple[Float64Array, list[str]]:
+    """Boxes as large as an object of their class would be, around pixels that show something else."""
+    counts = {label: int(generator.poisson(rate)) for label, rate in rates.items()}
+    labels = [label for label, count in counts.items() for _ in range(count)]
+    boxes = np.empty((len(labels), 4))
+    for k, label in enumerate(labels):
+        length, width, height = spec.classes[label].size_lwh
+        for _ in range(_TRIES):
+            column, row, depth = look.clutter[generator.integers(len(look.clutter))]
+            half = look.lens.fx / depth * generator.uniform(width, max(width, length)) / 2
+            tall = look.lens.fy / depth * height * np.exp(0.1 * generator.standard_normal()) / 2
+            edges = np.array([[column - half, row - tall, column + half, row + tall]]) + 0.5
+            boxes[k] = _within(edges, look.lens)[0]
+            if _overlaps(boxes[k], look.corners_xyxy).max(initial=0.0) < _OVERLAP:
+                break
+    return boxes, labels
+
+
+def _overlaps(box: Float64Array, others: Float64Array) -> Float64Array:
+    """Intersection over union of a box with others, (N,)."""
+    shared = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
+    shared_area = np.maximum(0.0, shared).prod(axis=1)
+    areas = (others[:, 2:] - others[:, :2]).prod(axis=1) + (box[2:] - box[:2]).prod()
+    overlaps: Float64Array = shared_area / np.maximum(1e-9, areas - shared_area)
+    return overlaps

@@ -1,0 +1,178 @@
+"""What simulated detectors look for, how well they see it, and how much they miss and make up."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.errors import OptionError
+from sceneloom.simulate.scores import ScoreSpec
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassSpec:
+    """How a detector does on one class.
+
+    Attributes:
+        half_evidence: points on an object in plain view (pixels, for a detector of pictures) with which half of such
+            objects are found.
+        false_rate: expected number of false boxes in a sweep or picture.
+        size_lwh: mean size of false boxes [m].
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    half_evidence: float
+    false_rate: float
+    size_lwh: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if not (self.half_evidence > 0.0 and 0.0 <= self.false_rate <= 100.0 and min(self.size_lwh) > 0.0):
+            raise OptionError(f"detector: {self}; expected positive numbers, false_rate 0 to 100")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissSpec:
+    """What a detector misses: chance = recall / (1 + exp(-z)), z = steepness ln(evidence / half) - hiding occlusion.
+
+    Attributes:
+        recall: chance to find what is seen best.
+        steepness: how fast the chance grows with the logarithm of the evidence.
+        hiding: how much an object is harder to find of which nothing but a sliver is seen.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    recall: float = 0.98
+    steepness: float = 2.0
+    hiding: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.recall <= 1.0 and self.steepness >= 0.0 and self.hiding >= 0.0):
+            raise OptionError(f"detector: {self}; expected recall above 0 to 1, no number below 0")
+
+    def chances(self, evidence: Float64Array, occlusions: Float64Array, half: Float64Array) -> Float64Array:
+        """Chance of each object to be found, (N,) float64; 0 without evidence."""
+        seen = evidence > 0
+        exponent = self.steepness * np.log(np.where(seen, evidence, 1.0) / half) - self.hiding * occlusions
+        chances: Float64Array = np.where(seen, self.recall / (1.0 + np.exp(-exponent)), 0.0)
+        return chances
+
+
+CLASSES_3D: Mapping[str, ClassSpec] = MappingProxyType(
+    {
+        "car": ClassSpec(half_evidence=8.0, false_rate=0.6, size_lwh=(4.2, 1.8, 1.5)),
+        "pedestrian": ClassSpec(half_evidence=6.0, false_rate=0.6, size_lwh=(0.7, 0.6, 1.75)),
+        "cyclist": ClassSpec(half_evidence=6.0, false_rate=0.3, size_lwh=(1.8, 0.6, 1.75)),
+    }
+)
+"""A fair detector, counted in lidar points."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detector3dSpec:
+    """A detector in lidar sweeps.
+
+    Every deviation is for an object of many points near the lidar. It grows by
+    (1 + range / `range_scale`) · √(1 + `few_points` / points).
+
+    Attributes:
+        classes: what it looks for.
+        misses: what it does not find.
+        center_sigmas: deviation of the middle [m] along the object's length, width and height.
+        size_sigmas: deviation of length, width and height [m]; no size falls under a fifth of the true one.
+        yaw_sigma_deg: deviation of the heading [deg].
+        range_scale: range at which deviations have doubled [m].
+        few_points: so many points make deviations √2 times larger.
+        flip_share: share of boxes that head backwards.
+        velocity_sigma: deviation of each level component of the velocity [m/s], whatever the range; None for a
+            detector that gives none.
+        repeated: share of found objects that are reported twice.
+        covariances: whether the boxes tell their true covariances.
+        scores: how sure it says it is.
+        seed: another number makes other errors.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    classes: Mapping[str, ClassSpec] = field(default_factory=lambda: CLASSES_3D)
+    misses: MissSpec = field(default_factory=MissSpec)
+    center_sigmas: tuple[float, float, float] = (0.10, 0.06, 0.04)
+    size_sigmas: tuple[float, float, float] = (0.12, 0.05, 0.05)
+    yaw_sigma_deg: float = 1.5
+    range_scale: float = 60.0
+    few_points: float = 30.0
+    flip_share: float = 0.02
+    velocity_sigma: float | None = None
+    repeated: float = 0.0
+    covariances: bool = False
+    scores: ScoreSpec = field(default_factory=ScoreSpec)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        deviations = (*self.center_sigmas, *self.size_sigmas, self.yaw_sigma_deg, self.velocity_sigma or 0.0)
+        if not (
+            min(deviations) >= 0.0 and self.few_points >= 0.0 and self.range_scale > 0.0 and self.seed >= 0
+        ):
+            raise OptionError(f"detector: {self}; expected no number below 0")
+        if not (0.0 <= self.flip_share <= 1.0 and 0.0 <= self.repeated <= 1.0):
+            raise OptionError(
+                f"detector: flip_share {self.flip_share}, repeated {self.repeated}; expected 0 to 1"
+            )
+
+    def growth(self, ranges: Float64Array, points: Float64Array) -> Float64Array:
+        """Factor on all deviations, (N,) float64, for objects at ranges [m] with numbers of points on them."""
+        growth: Float64Array = (1.0 + ranges / self.range_scale) * np.sqrt(
+            1.0 + self.few_points / np.maximum(1.0, points)
+        )
+        return growth
+
+
+CLASSES_2D: Mapping[str, ClassSpec] = MappingProxyType(
+    {
+        "car": ClassSpec(half_evidence=150.0, false_rate=0.3, size_lwh=(4.2, 1.8, 1.5)),
+        "pedestrian": ClassSpec(half_evidence=120.0, false_rate=0.3, size_lwh=(0.7, 0.6, 1.75)),
+        "cyclist": ClassSpec(half_evidence=150.0, false_rate=0.15, size_lwh=(1.8, 0.6, 1.75)),
+    }
+)
+"""A fair detector, counted in pixels."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detector2dSpec:
+    """A detector in pictures.
+
+    Attributes:
+        classes: what it looks for.
+        misses: what it does not find.
+        amodal: its boxes are those of whole objects, hidden parts included: the projected box in space, which is a
+            little larger than the object. Else they hold what is to be seen. Both end where the picture does.
+        corner_sigma_px: deviation of each edge of a box [px].
+        corner_sigma_share: added to it, a share of the box's width (height).
+        repeated: share of found objects that are reported twice.
+        scores: how sure it says it is.
+        seed: another number makes other errors.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    classes: Mapping[str, ClassSpec] = field(default_factory=lambda: CLASSES_2D)
+    misses: MissSpec = field(default_factory=MissSpec)
+    amodal: bool = False
+    corner_sigma_px: float = 0.8
+    corner_sigma_share: float = 0.015
+    repeated: float = 0.0
+    scores: ScoreSpec = field(default_factory=ScoreSpec)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (self.corner_sigma_px >= 0.0 and self.corner_sigma_share >= 0.0 and self.seed >= 0):
+            raise OptionError(f"detector: {self}; expected no number below 0")
+        if not 0.0 <= self.repeated <= 1.0:
+            raise OptionError(f"detector: repeated {self.repeated}; expected 0 to 1")

@@ -5,10 +5,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PointsFrame, SensorType
 from sceneloom.simulate import LidarSpec, RadarSpec, sensor_mount, simulate_street
+from sceneloom.simulate.ground import GroundMap, Lane
+from sceneloom.simulate.movers import Mover, MovingDesign, Part, pack_movers
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.radar import FALSE_ALARM, SimulatedRadar
+from sceneloom.simulate.shapes import PackedShapes, Shape, ShapeKind
+from sceneloom.simulate.street import Street
 
 EXACT = RadarSpec(
     mount=sensor_mount(position=(3.0, 1.0, 0.7), yaw_deg=20.0),
@@ -85,6 +90,64 @@ def test_speeds_are_the_change_of_the_ranges_in_turns_too_with_the_lever_arm(rad
         turning += abs(ego.angular_rates[0, 2]) > 0.15
         assert len(truth.speeds) > 20
     assert turning > 2
+
+
+@pytest.fixture(scope="module")
+def passing(moving_path, box):
+    """A radar on an ego at 8 m/s; a car-sized box ahead moves at (-3, 2) m/s and turns by 0.5 rad/s."""
+    body = box([0.0, 0.0, 0.8], [2.2, 0.9, 0.8])
+    body = Shape(
+        ShapeKind.BOX, RigidTransform(np.eye(3), np.array([0.0, 0.0, 0.8])), body.half, body.material
+    )
+    seconds = 0.5 * np.arange(-10.0, 20.0)
+    curve = np.column_stack([40.0 - 3.0 * seconds, -2.0 + 2.0 * seconds, 0.5 * seconds, np.zeros(30)])
+    size = (4.4, 1.8, 1.6)
+    movers = pack_movers(
+        [Mover(1, "car", size, -(10**10), 10**10, stands=False)],
+        [MovingDesign("car", (Part((body,)),), size)],
+        curve[None],
+        start_ns=0,
+        first_knot=-4.0,
+        knot_step=0.5,
+    )
+    ground = GroundMap.of(Lane.of(moving_path))
+    street = Street((), PackedShapes.of([], []), ground, movers)
+    spec = replace(EXACT, detections_per_object=30.0, ground_clutter=5.0)
+    return SimulatedRadar(spec, street, moving_path, 0, 0, 100_000_000 * np.arange(15, dtype=np.int64))
+
+
+def test_what_moves_has_the_radial_speed_of_its_own_motion_against_the_radars(passing):
+    nanosecond, step = 1e-9, 1_000_000
+    found = 0
+    for k in range(15):
+        truth = passing.frame_truth(k)
+        own = truth.positions_world[truth.instances == 1]
+        middle = truth.timestamp_ns * nanosecond
+        ranges = []
+        for moment in (-step * nanosecond, step * nanosecond):
+            turned = Rotation.from_euler("z", 0.5 * moment)
+            center = np.array([40.0, -2.0, 0.0]) + (middle + moment) * np.array([-3.0, 2.0, 0.0])
+            before = np.array([40.0, -2.0, 0.0]) + middle * np.array([-3.0, 2.0, 0.0])
+            moved = turned.apply(own - before) + center if len(own) else own
+            radar = [SPEED * (middle + moment) + 3.0, 1.0, 0.7]
+            ranges.append(np.linalg.norm(moved - radar, axis=1))
+        speeds = (ranges[1] - ranges[0]) / (2 * step * nanosecond)
+        # Of the central difference over 1 ms: below 1e-6 m/s beyond 5 m.
+        np.testing.assert_allclose(truth.speeds[truth.instances == 1], speeds, atol=1e-5)
+        ground = truth.instances == 0
+        np.testing.assert_allclose(truth.ground_speeds[ground], 0.0, atol=1e-12)
+        found += len(own)
+    assert found > 150
+
+
+def test_the_part_of_the_speed_over_ground_is_that_of_the_target(passing):
+    truth = passing.frame_truth(0)
+    car = truth.instances == 1
+    in_world = passing.pose(0).rotate(truth.directions[car])
+    away = truth.positions_world[car] - [40.0, -2.0, 0.0]
+    velocities = np.array([-3.0, 2.0, 0.0]) + np.cross([0.0, 0.0, 0.5], away)
+    np.testing.assert_allclose(truth.ground_speeds[car], (velocities * in_world).sum(axis=1), atol=1e-9)
+    assert np.abs(truth.ground_speeds[car]).min() > 0.5
 
 
 def test_positions_in_the_radars_frame_are_those_in_the_world(radar_drive):

@@ -9,8 +9,9 @@ from sceneloom.arrays import FloatArray, Int64Array
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.motion.point_times import USUAL_PERIOD_NS, RawTimes, timed_frame
+from sceneloom.motion.point_times import RawTimes, timed_frame
 from sceneloom.scene import LidarFrame, LidarSensor, Notice, NoticeKind, PointsFrame, Scene
+from sceneloom.scene.span import NOMINAL_PERIOD_NS
 
 _SAME_PERIOD = 0.75
 """Sweeps that begin within this part of a period of one another belong together."""
@@ -194,7 +195,7 @@ def _ego_from_points(lidar: LidarSensor) -> RigidTransform | None:
 
 def _period_ns(lidar: LidarSensor) -> int:
     steps = np.diff(np.unique(lidar.frames.timestamps_ns))
-    return int(np.median(steps)) if len(steps) else USUAL_PERIOD_NS
+    return int(np.median(steps)) if len(steps) else NOMINAL_PERIOD_NS
 
 
 def _grouped(sources: list[_Source], notices: list[Notice]) -> list[list[tuple[int, int]]]:

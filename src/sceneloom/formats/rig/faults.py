@@ -6,7 +6,10 @@ from contextlib import contextmanager
 from sceneloom.errors import DataError, SceneloomError
 
 SHOWN = 20
-"""Faults that an error lists."""
+"""Lines that an error lists."""
+
+FILL_IN = "still to be filled in"
+"""How the problem begins where a template's `nan` still stands."""
 
 
 class Faults:
@@ -47,10 +50,22 @@ class Faults:
         if len(self._errors) == 1:
             raise self._errors[0]
         if self._errors:
-            lines = [_told(error, self.file) for error in self._errors[:SHOWN]]
-            if len(self._errors) > SHOWN:
-                lines.append(f"… and {len(self._errors) - SHOWN} more")
+            lines = [
+                _told(error, self.file) for error in self._errors if not error.problem.startswith(FILL_IN)
+            ]
+            lines += self._to_fill_in()
+            if len(lines) > SHOWN:
+                lines[SHOWN:] = [f"… and {len(lines) - SHOWN} lines more"]
             raise DataError(self.file, "", "\n  ".join([f"{len(self._errors)} faults", *lines]))
+
+    def _to_fill_in(self) -> list[str]:
+        """One line per sensor for all that a template left open."""
+        open_fields: dict[str, list[str]] = {}
+        for error in self._errors:
+            if error.problem.startswith(FILL_IN):
+                part, _, name = error.place.partition(".")
+                open_fields.setdefault(part, []).append(name)
+        return [f"{part}: {FILL_IN}: {', '.join(names)}" for part, names in open_fields.items()]
 
 
 def _told(error: DataError, file: object) -> str:

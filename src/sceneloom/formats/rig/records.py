@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.formats.rig.faults import Faults
+from sceneloom.formats.rig.faults import FILL_IN, Faults
 from sceneloom.formats.rig.fields import RECORDS, SENSOR_TYPES, Field, Kind, fields_of, inner_records
 
 Record = dict[str, Any]
 """A record as read: values by name, absent ones left out."""
 
-FILL_IN = "still to be filled in"
 _FARTHEST_S = Decimal("9.2e9")
 _LARGEST = 1e15
 

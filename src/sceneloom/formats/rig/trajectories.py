@@ -190,7 +190,7 @@ def _of_ego(path: Path, poses: Poses, frame: str, frame_from_ego: RigidTransform
     if poses.quaternions_xyzw is None:
         distance = float(np.linalg.norm(frame_from_ego.translation))
         if distance > 0:
-            message = f"positions of frame {frame!r}, without orientations, are taken for the ego's, {distance:.3g} m off"
+            message = f"positions of frame {frame!r}, without orientations, are taken for the ego, {distance:.3g} m off"
             ledger.note(NoticeKind.ASSUMED, "lever-arm-ignored", str(path), message)
         return poses
     return Poses(

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import partial
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -13,7 +13,37 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import Picture
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
 from sceneloom.scene.sample_boxes import Boxes
+from sceneloom.scene.sample_places import SamplePoses
 from sceneloom.scene.types import Identifier
+
+Value = TypeVar("Value")
+
+
+class Once(Generic[Value]):
+    """Works something out when it is first called, and then keeps it; pickled, it is what was worked out."""
+
+    def __init__(self, work_out: Callable[[], Value]) -> None:
+        """Take the work."""
+        self._work_out = work_out
+
+    def __call__(self) -> Value:
+        """Give the result."""
+        return self._result
+
+    @cached_property
+    def _result(self) -> Value:
+        return self._work_out()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _finished, (self(),)
+
+
+def _finished(result: Value) -> Once[Value]:
+    return Once(partial(_itself, result))
+
+
+def _itself(result: Value) -> Value:
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,8 +51,8 @@ class Sample:
     """What several sensors measured about one moment.
 
     Every sensor that was asked for is a key of the mappings. Where it has no frame near enough, or its pose is not
-    known, the value is None and `missing` or `unposed` says why. Pictures are decoded when their `rgb` is asked for.
-    A sample that is pickled takes its pixels and boxes along, so that whoever gets it needs no file.
+    known, the value is None, and `missing` or `unposed` says why. Pictures are decoded when their `rgb` is asked for.
+    A sample that is pickled takes pixels, poses and boxes along, so that whoever gets it needs no file.
 
     Attributes:
         index: number of the reference sensor's frame.
@@ -34,14 +64,9 @@ class Sample:
         radar_frames: by id of the radar.
         cameras: the lens by id of the camera: that of the picture, where there is one.
         times_ns: time of each frame that is there, by id [ns]; of sweeps their reference time.
-        world_from_sensor: the pose of each sensor at the time of its frame, by id.
-        ego_from_sensor: its rigid mounting on the ego, by id.
-        world_from_points: takes the positions of `sweep`, as they are stored, into the world.
-        ego_from_points: takes them into the ego's frame at the time of the sweep; None where they are in the world.
         missing: why a frame is not there, by id.
-        unposed: why a pose is not known, by id.
-        extrapolated: sensors whose pose continues the trajectory beyond its ends.
-        find_boxes: gives the boxes.
+        find_poses: works out where the sensors were.
+        find_boxes: works out the boxes.
     """
 
     index: int
@@ -53,13 +78,8 @@ class Sample:
     radar_frames: Mapping[Identifier, RadarFrame | None]
     cameras: Mapping[Identifier, Camera]
     times_ns: Mapping[Identifier, int]
-    world_from_sensor: Mapping[Identifier, RigidTransform | None]
-    ego_from_sensor: Mapping[Identifier, RigidTransform | None]
-    world_from_points: RigidTransform | None
-    ego_from_points: RigidTransform | None
     missing: Mapping[Identifier, str]
-    unposed: Mapping[Identifier, str]
-    extrapolated: tuple[Identifier, ...]
+    find_poses: Callable[[], SamplePoses]
     find_boxes: Callable[[], Boxes]
 
     @property
@@ -69,12 +89,22 @@ class Sample:
 
     @property
     def boxes(self) -> Boxes:
-        """The scene's boxes at the sample's moment, interpolated now.
+        """The scene's boxes at the sample's moment, interpolated when first asked for.
 
         Raises:
             OptionError: unit or order of their angles is none of those known.
         """
         return self.find_boxes()
+
+    @property
+    def poses(self) -> SamplePoses:
+        """Where the sensors were, each at the time of its frame; interpolated when first asked for."""
+        return self.find_poses()
+
+    @property
+    def unposed(self) -> Mapping[Identifier, str]:
+        """Why the pose of a sensor in the world is not known, by id."""
+        return self.poses.unposed
 
     @property
     def time_differences_ns(self) -> dict[Identifier, int]:
@@ -84,12 +114,12 @@ class Sample:
     @property
     def world_from_lidar(self) -> RigidTransform | None:
         """Pose of the lidar of `sweep` at the sweep's reference time."""
-        return None if self.lidar_id is None else self.world_from_sensor[self.lidar_id]
+        return None if self.lidar_id is None else self.poses.world_from_sensor[self.lidar_id]
 
     @property
     def world_from_camera(self) -> dict[Identifier, RigidTransform | None]:
         """Pose of each camera at the time of its picture, by id."""
-        return {camera_id: self.world_from_sensor[camera_id] for camera_id in self.pictures}
+        return {camera_id: self.poses.world_from_sensor[camera_id] for camera_id in self.pictures}
 
     @property
     def camera_from_lidar(self) -> dict[Identifier, RigidTransform | None]:
@@ -98,13 +128,13 @@ class Sample:
         The ego's motion between the two times is in it. Without a trajectory (`unposed` says so) only the mountings
         are, which is right for an ego that stands still.
         """
-        ego_from_lidar = None if self.lidar_id is None else self.ego_from_sensor[self.lidar_id]
-        return self._into_cameras(self.world_from_lidar, ego_from_lidar)
+        poses, lidar_id = self.poses, self.lidar_id
+        return {key: None if lidar_id is None else poses.into(key, lidar_id) for key in self.pictures}
 
     @property
     def camera_from_points(self) -> dict[Identifier, RigidTransform | None]:
         """The same for the positions of `sweep` as they are stored, whichever frame that is, by id of the camera."""
-        return self._into_cameras(self.world_from_points, self.ego_from_points)
+        return {camera_id: self.poses.into(camera_id, None) for camera_id in self.pictures}
 
     def arrays(self) -> dict[str, np.ndarray[Any, Any]]:
         """Give all of it as plain arrays by name, of the same names and dtypes for every sample of a scene.
@@ -119,33 +149,10 @@ class Sample:
 
         return arrays_of(self)
 
-    def _into_cameras(
-        self, world_from_body: RigidTransform | None, ego_from_body: RigidTransform | None
-    ) -> dict[Identifier, RigidTransform | None]:
-        return {
-            camera_id: self._into(camera_id, world_from_body, ego_from_body) for camera_id in self.pictures
-        }
-
-    def _into(
-        self,
-        camera_id: Identifier,
-        world_from_body: RigidTransform | None,
-        ego_from_body: RigidTransform | None,
-    ) -> RigidTransform | None:
-        world_from_camera = self.world_from_sensor[camera_id]
-        if world_from_camera is not None and world_from_body is not None:
-            return world_from_camera.inverse() @ world_from_body
-        ego_from_camera = self.ego_from_sensor[camera_id]
-        if ego_from_camera is not None and ego_from_body is not None:
-            return ego_from_camera.inverse() @ ego_from_body
-        return None
-
     def __reduce__(self) -> tuple[Any, ...]:
-        loaded = {
-            "pictures": {key: _with_pixels(picture) for key, picture in self.pictures.items()},
-            "find_boxes": partial(_itself, self.boxes),
-        }
-        return Sample, tuple(loaded.get(field.name, getattr(self, field.name)) for field in fields(self))
+        pictures = {camera_id: _with_pixels(picture) for camera_id, picture in self.pictures.items()}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Sample, tuple({**values, "pictures": pictures}.values())
 
 
 def _with_pixels(picture: Picture | None) -> Picture | None:
@@ -154,7 +161,3 @@ def _with_pixels(picture: Picture | None) -> Picture | None:
         return None if picture is None else picture.loaded()
     except DataError:
         return picture
-
-
-def _itself(boxes: Boxes) -> Boxes:
-    return boxes

@@ -31,12 +31,12 @@ def arrays_of(sample: Sample) -> dict[str, np.ndarray[Any, Any]]:
         arrays.update(_cloud(radar_id, frame, _RADAR_ARRAYS))
     for camera_id, picture in sample.pictures.items():
         arrays.update(_picture(sample, camera_id, picture))
-    for sensor_id, world_from_sensor in sample.world_from_sensor.items():
+    for sensor_id, world_from_sensor in sample.poses.world_from_sensor.items():
         arrays[f"{sensor_id}.found"] = np.array(sensor_id in sample.times_ns)
         arrays[f"{sensor_id}.time_ns"] = np.array(sample.times_ns.get(sensor_id, sample.timestamp_ns))
         arrays[f"{sensor_id}.world_from_sensor"] = _matrix(world_from_sensor)
     if sample.lidar_id is not None:
-        arrays[f"{sample.lidar_id}.world_from_points"] = _matrix(sample.world_from_points)
+        arrays[f"{sample.lidar_id}.world_from_points"] = _matrix(sample.poses.world_from_points)
         for camera_id, transform in sample.camera_from_lidar.items():
             arrays[f"{camera_id}.camera_from_lidar"] = _matrix(transform)
         for camera_id, transform in sample.camera_from_points.items():

@@ -9,9 +9,17 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.scene.cameras import CameraSensor, Picture
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.nearest import FramesByStamp, SweepsByReference
-from sceneloom.scene.sample import Sample
+from sceneloom.scene.sample import Once, Sample
 from sceneloom.scene.sample_boxes import BoxTable
-from sceneloom.scene.sample_places import Place, Pose, choose_ego, place_of_points, places_of, poses_at
+from sceneloom.scene.sample_places import (
+    Place,
+    Pose,
+    SamplePoses,
+    choose_ego,
+    place_of_points,
+    places_of,
+    poses_at,
+)
 from sceneloom.scene.sample_selection import Selection
 from sceneloom.scene.sensor_sources import Posed
 from sceneloom.scene.span import sweep_period_ns
@@ -89,8 +97,6 @@ class SampleMaker:
 
     def _sample(self, index: int, moment_ns: int, found: _Found) -> Sample:
         selection, frames = self.selection, found.frames
-        places = self._places_for(frames)
-        poses, points = self._poses(places, found.times_ns)
         return Sample(
             index=index,
             timestamp_ns=moment_ns,
@@ -101,14 +107,9 @@ class SampleMaker:
             radar_frames={radar.id: frames.get(radar.id) for radar in selection.radars},
             cameras={camera.id: _lens(camera, frames.get(camera.id)) for camera in selection.cameras},
             times_ns=found.times_ns,
-            world_from_sensor={key: pose.world_from_sensor for key, pose in poses.items()},
-            ego_from_sensor={key: place.mount for key, place in places.items()},
-            world_from_points=points.world_from_sensor,
-            ego_from_points=self._points.mount,
             missing=found.missing,
-            unposed={key: pose.problem for key, pose in poses.items() if pose.problem},
-            extrapolated=tuple(key for key, pose in poses.items() if pose.extrapolated),
-            find_boxes=partial(self._boxes.at, moment_ns),
+            find_poses=Once(partial(self._poses, frames, found.times_ns)),
+            find_boxes=Once(partial(self._boxes.at, moment_ns)),
         )
 
     def _places_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, Place]:
@@ -121,19 +122,26 @@ class SampleMaker:
                 places[sensor_id] = replace(place, source=source, mount=frame.mount)
         return places
 
-    def _poses(
-        self, places: Mapping[Identifier, Place], times_ns: Mapping[Identifier, int]
-    ) -> tuple[dict[Identifier, Pose], Pose]:
+    def _poses(self, frames: Mapping[Identifier, Any], times_ns: Mapping[Identifier, int]) -> SamplePoses:
         """Poses of the sensors, each at the time of its frame, and that of the stored points."""
+        places = self._places_for(frames)
         asked = [(places[key], time_ns) for key, time_ns in times_ns.items()]
         lidars = self.selection.lidars
         swept_ns = times_ns.get(lidars[0].id) if lidars else None
-        if swept_ns is None:
-            poses, points = poses_at(asked), Pose(None, _NO_POINTS.problem)
-        else:
-            *poses, points = poses_at([*asked, (self._points, swept_ns)])
-        known = dict(zip(times_ns, poses, strict=True))
-        return {key: known.get(key, Pose(None, "it has no frame in this sample")) for key in places}, points
+        if swept_ns is not None:
+            asked.append((self._points, swept_ns))
+        poses = poses_at(asked)
+        points = Pose(None) if swept_ns is None else poses.pop()
+        found = {key: Pose(None, "it has no frame in this sample") for key in places}
+        found |= dict(zip(times_ns, poses, strict=True))
+        return SamplePoses(
+            world_from_sensor={key: pose.world_from_sensor for key, pose in found.items()},
+            ego_from_sensor={key: place.mount for key, place in places.items()},
+            world_from_points=points.world_from_sensor,
+            ego_from_points=self._points.mount,
+            unposed={key: pose.problem for key, pose in found.items() if pose.problem},
+            extrapolated=tuple(key for key, pose in found.items() if pose.extrapolated),
+        )
 
 
 def _sweeps(lidar: LidarSensor) -> SweepsByReference:

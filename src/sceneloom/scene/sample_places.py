@@ -55,6 +55,45 @@ class Pose:
     extrapolated: bool = False
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SamplePoses:
+    """Where the sensors of a sample were.
+
+    Attributes:
+        world_from_sensor: the pose of each sensor at the time of its frame, by id; None where it is not known.
+        ego_from_sensor: its rigid mounting on the ego, by id; None where there is none.
+        world_from_points: takes the positions of the sweep, as they are stored, into the world; None where not known.
+        ego_from_points: takes them into the ego's frame at the time of the sweep; None where they are in the world.
+        unposed: why a pose in the world is not known, by id.
+        extrapolated: sensors whose pose continues the trajectory beyond its ends.
+    """
+
+    world_from_sensor: Mapping[Identifier, RigidTransform | None]
+    ego_from_sensor: Mapping[Identifier, RigidTransform | None]
+    world_from_points: RigidTransform | None
+    ego_from_points: RigidTransform | None
+    unposed: Mapping[Identifier, str]
+    extrapolated: tuple[Identifier, ...]
+
+    def into(self, sensor_id: Identifier, body_id: Identifier | None) -> RigidTransform | None:
+        """Give `sensor_from_body`, each at its own time; `body_id` None: of the points of the sweep as stored.
+
+        Where a pose in the world is not known it comes from the mountings alone.
+        """
+        world_from_body, ego_from_body = self.world_from_points, self.ego_from_points
+        if body_id is not None:
+            world_from_body, ego_from_body = self.world_from_sensor[body_id], self.ego_from_sensor[body_id]
+        world_from_sensor, ego_from_sensor = (
+            self.world_from_sensor[sensor_id],
+            self.ego_from_sensor[sensor_id],
+        )
+        if world_from_sensor is not None and world_from_body is not None:
+            return world_from_sensor.inverse() @ world_from_body
+        if ego_from_sensor is not None and ego_from_body is not None:
+            return ego_from_sensor.inverse() @ ego_from_body
+        return None
+
+
 def choose_ego(scene: Scene, trajectory: str | EgoMotion | None) -> EgoMotion | None:
     """Take the way of the ego by name, or the scene's default one; None where poses need none, or there is none.
 

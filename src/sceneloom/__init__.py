@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sceneloom.formats.sfs import SceneWriter
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
-    from sceneloom.pipeline import convert, fuse, iter_fused
+    from sceneloom.pipeline import convert, deskew, fuse, iter_fused
     from sceneloom.scene import PosePath, Scene
     from sceneloom.simulate import simulate_street
 
@@ -31,6 +31,7 @@ __all__ = [
     "SceneloomError",
     "__version__",
     "convert",
+    "deskew",
     "fuse",
     "iter_fused",
     "open",
@@ -43,6 +44,7 @@ _ON_FIRST_USE = {
     "Scene": ("sceneloom.scene", "Scene"),
     "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),
     "convert": ("sceneloom.pipeline", "convert"),
+    "deskew": ("sceneloom.pipeline", "deskew"),
     "fuse": ("sceneloom.pipeline", "fuse"),
     "iter_fused": ("sceneloom.pipeline", "iter_fused"),
     "open": ("sceneloom.formats.table", "open_scene"),

@@ -14,9 +14,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.scene.clouds import LidarFrame
-
-USUAL_PERIOD_NS = 100_000_000
-"""The sweep period where none is known: 10 Hz, the commonest."""
+from sceneloom.scene.span import NOMINAL_PERIOD_NS
 
 NEAR_PERIODS = 2
 """A stamp so many periods before the first point or after the last one is the sweep's own in any convention."""
@@ -129,7 +127,7 @@ def timed_frame(frame: LidarFrame, period_ns: int, *, previous: RawTimes | None 
         return TimedFrame(frame, TimesFound(PointTimes.ABSENT))
     if len(times) == 0:
         return TimedFrame(frame)
-    sweep = _Sweep.of(times, frame.timestamp_ns, period_ns if period_ns > 0 else USUAL_PERIOD_NS, previous)
+    sweep = _Sweep.of(times, frame.timestamp_ns, period_ns if period_ns > 0 else NOMINAL_PERIOD_NS, previous)
     raw = RawTimes(frame.timestamp_ns, sweep.first_ns)
     found = sweep.judged()
     if found.untimed:

@@ -1,15 +1,19 @@
 """The main job: read, weave into one world, fuse, write."""
 
 from sceneloom.pipeline.convert import ConversionReport, convert
+from sceneloom.pipeline.deskew import DeskewReport, deskew, deskewed_scene
 from sceneloom.pipeline.fuse import FusionOutputs, fuse, iter_fused
 from sceneloom.pipeline.report import CameraReport, FusionReport
 
 __all__ = [
     "CameraReport",
     "ConversionReport",
+    "DeskewReport",
     "FusionOutputs",
     "FusionReport",
     "convert",
+    "deskew",
+    "deskewed_scene",
     "fuse",
     "iter_fused",
 ]

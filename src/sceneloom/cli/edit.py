@@ -1,0 +1,131 @@
+"""`sceneloom edit` and its verbs: a drive in, the same drive with one thing changed out."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import (
+    print_json,
+    print_lines,
+    print_losses,
+    print_notices,
+    progress_bar,
+    several,
+)
+
+if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
+    from sceneloom.pipeline.deskew import DeskewReport
+    from sceneloom.scene import Identifier, Scene
+
+
+@click.group()
+def edit() -> None:
+    """Change one thing of a drive, and write the drive anew."""
+
+
+@edit.command()
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The .sfs file or folder to write."
+)
+@click.option(
+    "--trajectory",
+    metavar="NAME",
+    help="The ego's way to deskew by; `lidar`: found from the sweeps; `imu`: only the turning that the IMU tells. "
+    "[default: the drive's first, else `lidar`]",
+)
+@click.option(
+    "--heading",
+    type=click.Choice(["motion"]),
+    help="Derive orientations where the trajectory has positions only.",
+)
+@click.option(
+    "--at",
+    type=click.Choice(["start", "middle", "end"]),
+    default="middle",
+    show_default=True,
+    help="The moment of each sweep that its points are brought to.",
+)
+@click.option("--lidar", metavar="ID", help="The only lidar to deskew. [default: all]")
+@click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp.")
+@click.option("--stop", type=float, metavar="S", help="End before S seconds after it.")
+@options.writing_scenes
+@options.reading
+@options.printing
+def deskew(
+    path: Path,
+    output: Path,
+    trajectory: str | None,
+    heading: str | None,
+    at: str,
+    lidar: str | None,
+    start: float | None,
+    stop: float | None,
+    overwrite: bool,
+    profile: str | None,
+    time_unit: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **reading: Any,
+) -> None:
+    """Undo the motion during each lidar sweep: points stay in their sensor, as if measured all at one time."""
+    from sceneloom.formats import open_scene
+    from sceneloom.formats.output import check_output
+    from sceneloom.pipeline import deskew as deskew_scene
+
+    check_output(output, overwrite=overwrite)
+    with (
+        open_scene(path, **options.said(**reading)) as scene,
+        progress_bar("deskewing", quiet=quiet) as progress,
+    ):
+        report = deskew_scene(
+            scene,
+            output,
+            trajectory=trajectory,
+            heading=heading,
+            at=at,
+            lidar=_sensor_id(scene, lidar),
+            start=start,
+            stop=stop,
+            lenient=reading["lenient"],
+            progress=progress,
+            overwrite=overwrite,
+            **options.said(profile=profile, time_unit=time_unit),
+        )
+    if as_json:
+        print_json(report)
+    else:
+        _print_deskewing(report, quiet=quiet, verbose=verbose)
+
+
+def _sensor_id(scene: "Scene", said: str | None) -> "Identifier | None":
+    """The id as the scene has it: `7` may be a number there."""
+    ids = [sensor.id for sensor in scene.sensors]
+    return next((found for found in ids if said not in ids and str(found) == said), said)
+
+
+def _print_deskewing(report: "DeskewReport", *, quiet: bool, verbose: bool) -> None:
+    way = "the lidars' own poses" if report.trajectory is None else f"trajectory {report.trajectory}"
+    click.echo(
+        f"deskewed {report.deskewed} of {several(report.sweeps, 'sweep')} by {way} to the {report.at} of each, "
+        f"in {report.seconds:.1f} s"
+    )
+    click.echo(
+        f"{several(report.points, 'point')} moved by {report.mean_shift:.3f} m on average, "
+        f"by {report.max_shift:.3f} m at most"
+    )
+    if report.extrapolated:
+        sweeps = several(report.extrapolated, "sweep")
+        click.echo(f"{sweeps} used poses beyond the trajectory's ends, by at most one sweep period")
+    for reason, count in report.left.items():
+        click.echo(f"{several(count, 'sweep')} left as measured: {reason}")
+    if report.skipped:
+        click.echo(f"{several(len(report.skipped), 'unreadable sweep')} skipped")
+    click.echo(f"scene: {report.output}")
+    if not quiet:
+        print_lines([f"skipped: {reason}" for reason in report.skipped], verbose=verbose)
+        print_notices(report.notices, verbose=verbose)
+        print_losses(report.losses, verbose=verbose)

@@ -1,0 +1,353 @@
+"""Deskewing as a step: against the simulator's truth, through files, and what it says when it cannot."""
+
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError, OutputError, PoseError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.one_moment import LEFT_SKEWED, MEASURED
+from sceneloom.pipeline import deskew, deskewed_scene, iter_fused
+from sceneloom.scene import (
+    Coordinates,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarSensor,
+    OdometrySensor,
+    PointsFrame,
+    Scene,
+    VectorSamples,
+)
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.simulate import LidarSpec, SimulatedDrive, simulate_street
+from sceneloom.simulate.inertial import ImuSpec
+
+SWEEPS = 4
+
+
+@pytest.fixture(scope="module")
+def drive() -> SimulatedDrive:
+    """A turning drive without noise of range, so that what is left is what deskewing left."""
+    lidar = LidarSpec(beams=16, steps=180, range_sigma=0.0)
+    return simulate_street(2, frames=SWEEPS, lidar=lidar, cameras=(), imu=ImuSpec(gyroscope_bias_sigma=0.0))
+
+
+def with_lidar(scene: Scene, **changes: object) -> Scene:
+    return replace(
+        scene,
+        sensors=tuple(
+            replace(sensor, **changes) if isinstance(sensor, LidarSensor) else sensor
+            for sensor in scene.sensors
+        ),
+    )
+
+
+def _edited(frames: LazyFrames[LidarFrame], edit: Callable[[LidarFrame], LidarFrame], k: int) -> LidarFrame:
+    return edit(frames[k])
+
+
+def with_frames(scene: Scene, edit: Callable[[LidarFrame], LidarFrame]) -> Scene:
+    frames = scene.lidars[0].frames
+    return with_lidar(scene, frames=LazyFrames(frames.timestamps_ns, partial(_edited, frames, edit)))
+
+
+def without_times(frame: LidarFrame) -> LidarFrame:
+    return replace(frame, points=replace(frame.points, timestamps_ns=None))
+
+
+def errors(drive: SimulatedDrive, frames: LazyFrames[LidarFrame]) -> np.ndarray:
+    """How far the points of all sweeps are from where they truly were, seen from the lidar at the frame's time."""
+    apart = []
+    for k, frame in enumerate(frames):
+        ego = drive.truth.world_from_ego(np.array([frame.timestamp_ns]))
+        at = PoseSource(ego, drive.scene.lidars[0].mount).at(ego.timestamps_ns)
+        world_from_lidar = RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
+        true = drive.truth.clean_points_world(k).positions_world
+        apart.append(np.linalg.norm(world_from_lidar.apply(frame.points.positions) - true, axis=1))
+    return np.concatenate(apart)
+
+
+@pytest.mark.parametrize("at", ["start", "middle", "end"])
+def test_points_are_where_they_would_have_been_measured_at_that_moment(
+    drive: SimulatedDrive, at: str
+) -> None:
+    frames = deskewed_scene(drive.scene, at=at).lidars[0].frames
+    # float32 at 100 m, and a trajectory of 100 poses a second between which the way is straight
+    assert errors(drive, frames).max() < 2e-3
+    for stamp, frame, measured in zip(
+        frames.timestamps_ns, frames, drive.scene.lidars[0].frames, strict=True
+    ):
+        times = measured.points.timestamps_ns
+        moment = {"start": times.min(), "middle": np.median(times), "end": times.max()}[at]
+        assert frame.timestamp_ns == stamp
+        # one offset for all sweeps, in whole microseconds; the directions that hit nothing differ from sweep to sweep
+        assert abs(stamp - moment) < 2_000_000
+        np.testing.assert_array_equal(frame.points.timestamps_ns, np.full(len(times), stamp))
+        np.testing.assert_array_equal(frame.points.extras[MEASURED], times)
+
+
+def test_an_imu_alone_undoes_the_turning(drive: SimulatedDrive) -> None:
+    moved = errors(drive, deskewed_scene(drive.scene, trajectory="imu").lidars[0].frames)
+    still = errors(drive, deskewed_scene(drive.scene, trajectory="identity").lidars[0].frames)
+    # what is left is the way of half a sweep at most, 0.5 m at 10 m/s, however far the point
+    assert moved.max() < 0.55
+    assert still.max() > 2 * moved.max()
+    assert np.mean(still) > 1.1 * np.mean(moved)
+
+
+def test_points_in_the_egos_frame_stay_in_it(drive: SimulatedDrive) -> None:
+    mount = drive.scene.lidars[0].mount
+
+    def on_ego(frame: LidarFrame) -> LidarFrame:
+        positions = mount.apply(frame.points.positions).astype(np.float32)
+        return replace(frame, points=replace(frame.points, positions=positions))
+
+    scene = with_lidar(with_frames(drive.scene, on_ego), points_frame=PointsFrame.EGO)
+    in_sensor, in_ego = (deskewed_scene(s).lidars[0].frames[1].points.positions for s in (drive.scene, scene))
+    np.testing.assert_allclose(mount.apply(in_sensor), in_ego, atol=5e-5)
+
+
+def test_a_lidar_with_poses_of_its_own_needs_no_trajectory(drive: SimulatedDrive) -> None:
+    scene = replace(with_lidar(drive.scene, mount=None), trajectories={})
+    # own poses are of the trajectory's times: between them the lidar's way is as straight as the ego's
+    assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 3e-3
+    with pytest.raises(PoseError, match="how lidar 'lidar' is mounted"):
+        deskewed_scene(scene, trajectory="imu")
+    with pytest.raises(PoseError, match="how lidar 'lidar' is mounted"):
+        deskewed_scene(scene, trajectory="identity")
+
+
+def test_a_deskewed_scene_fuses_to_the_same_world_as_the_measured_one(drive: SimulatedDrive) -> None:
+    for deskewed, measured in zip(
+        iter_fused(deskewed_scene(drive.scene)), iter_fused(drive.scene), strict=True
+    ):
+        # two roundings to float32 at 100 m
+        np.testing.assert_allclose(deskewed.points.positions, measured.points.positions, atol=5e-5)
+
+
+@pytest.mark.parametrize("name", ["drive.sfs", "drive"])
+def test_the_step_writes_scene_files_and_recordings(drive: SimulatedDrive, tmp_path: Path, name: str) -> None:
+    calls: list[tuple[int, int]] = []
+    report = deskew(drive.scene, tmp_path / name, progress=lambda done, total: calls.append((done, total)))
+    assert (report.sweeps, report.deskewed, report.left, report.trajectory) == (
+        SWEEPS,
+        SWEEPS,
+        {},
+        "groundTruth",
+    )
+    assert calls == [(k, SWEEPS) for k in range(1, SWEEPS + 1)]
+    shifts = np.concatenate(
+        [
+            np.linalg.norm(after.points.positions - before.points.positions, axis=1)
+            for after, before in zip(
+                deskewed_scene(drive.scene).lidars[0].frames, drive.scene.lidars[0].frames, strict=True
+            )
+        ]
+    )
+    np.testing.assert_allclose(
+        [report.mean_shift, report.max_shift], [shifts.mean(), shifts.max()], rtol=1e-5
+    )
+    assert report.points == len(shifts)
+    with sceneloom.open(tmp_path / name) as scene:
+        assert errors(drive, scene.lidars[0].frames).max() < 2e-3
+        for fused, measured in zip(iter_fused(scene), iter_fused(drive.scene), strict=True):
+            assert fused.times.kind == "absolute"
+            np.testing.assert_allclose(fused.points.positions, measured.points.positions, atol=1e-4)
+
+
+def test_a_scene_file_keeps_when_each_point_was_measured_and_how_it_was_deskewed(
+    drive: SimulatedDrive, tmp_path: Path
+) -> None:
+    deskew(drive.scene, tmp_path / "drive.sfs", at="end", trajectory="imu")
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        entry = {"lidars": ["lidar"], "trajectory": "imu", "at": "end", "source": drive.scene.source}
+        assert scene.metadata["sceneloom"]["deskew"] == [entry]
+        measured = drive.scene.lidars[0].frames[2].points.timestamps_ns
+        np.testing.assert_array_equal(scene.lidars[0].frames[2].points.extras[MEASURED], measured)
+        with pytest.raises(OptionError, match="deskewed before, by imu at the end"):
+            deskewed_scene(scene)
+
+
+def test_a_recording_says_that_it_loses_the_measured_times_and_is_not_moved_again(
+    drive: SimulatedDrive, tmp_path: Path
+) -> None:
+    report = deskew(drive.scene, tmp_path / "once")
+    assert any(MEASURED in loss.field for loss in report.losses)
+    with sceneloom.open(tmp_path / "once") as scene:
+        again = deskew(scene, tmp_path / "twice")
+        assert (again.deskewed, again.left) == (0, {"all points of one time": SWEEPS})
+    with sceneloom.open(tmp_path / "once") as once, sceneloom.open(tmp_path / "twice") as twice:
+        for before, after in zip(once.lidars[0].frames, twice.lidars[0].frames, strict=True):
+            np.testing.assert_array_equal(before.points.positions, after.points.positions)
+            assert before.timestamp_ns == after.timestamp_ns
+
+
+def test_sweeps_beyond_the_trajectory_stay_as_measured_and_are_counted(
+    drive: SimulatedDrive, tmp_path: Path
+) -> None:
+    way = drive.scene.trajectories["groundTruth"]
+    rows = way.timestamps_ns < int(drive.scene.lidars[0].frames.timestamps_ns[1]) + 20_000_000
+    short = replace(
+        way,
+        timestamps_ns=way.timestamps_ns[rows],
+        positions=way.positions[rows],
+        quaternions_xyzw=way.quaternions_xyzw[rows],
+    )
+    scene = replace(drive.scene, trajectories={"short": short})
+    report = deskew(scene, tmp_path / "drive.sfs")
+    # it ends soon after the first sweep; the end of the second lies within one sweep period beyond it
+    assert (report.deskewed, report.extrapolated) == (2, 1)
+    assert report.left == {"beyond the trajectory": 2}
+    with sceneloom.open(tmp_path / "drive.sfs") as written:
+        left, measured = written.lidars[0].frames[3], drive.scene.lidars[0].frames[3]
+        assert left.extras[LEFT_SKEWED] == "beyond the trajectory"
+        np.testing.assert_array_equal(left.points.positions, measured.points.positions)
+        assert np.abs(left.points.timestamps_ns - measured.points.timestamps_ns).max() <= 500
+
+
+def test_sweeps_in_a_gap_of_the_imu_stay_as_measured(drive: SimulatedDrive) -> None:
+    imu = next(sensor for sensor in drive.scene.sensors if isinstance(sensor, ImuSensor))
+    rates, second = imu.streams["gyroscope"], int(drive.scene.lidars[0].frames.timestamps_ns[1])
+    kept = np.abs(rates.timestamps_ns - second - 50_000_000) > 30_000_000
+    holed = replace(imu, streams={"gyroscope": VectorSamples(rates.timestamps_ns[kept], rates.values[kept])})
+    sensors = tuple(holed if sensor is imu else sensor for sensor in drive.scene.sensors)
+    frames = deskewed_scene(replace(drive.scene, sensors=sensors), trajectory="imu").lidars[0].frames
+    reasons = [frame.extras.get(LEFT_SKEWED) for frame in frames]
+    assert reasons == [None, "in a gap of the measured motion", None, None]
+
+
+def test_points_without_times_stay_as_they_are_and_that_is_counted(
+    drive: SimulatedDrive, tmp_path: Path
+) -> None:
+    report = deskew(with_frames(drive.scene, without_times), tmp_path / "drive")
+    assert (report.deskewed, report.left) == (0, {"no times of the points": SWEEPS})
+
+
+def test_point_times_from_zero_are_understood_and_told(drive: SimulatedDrive, tmp_path: Path) -> None:
+    def relative(frame: LidarFrame) -> LidarFrame:
+        times = frame.points.timestamps_ns - frame.timestamp_ns
+        return replace(frame, points=replace(frame.points, timestamps_ns=times))
+
+    scene = with_frames(drive.scene, relative)
+    report = deskew(scene, tmp_path / "drive.sfs")
+    assert [(notice.code, notice.count) for notice in report.notices] == [("relative-point-times", SWEEPS)]
+    assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 2e-3
+
+
+def test_empty_sweeps_pass(drive: SimulatedDrive, tmp_path: Path) -> None:
+    def emptied(frame: LidarFrame) -> LidarFrame:
+        points = frame.points
+        chosen = slice(0 if frame.timestamp_ns == drive.scene.lidars[0].frames.timestamps_ns[1] else None)
+        cut = {
+            name: None if getattr(points, name) is None else getattr(points, name)[chosen]
+            for name in ("positions", "intensities", "timestamps_ns", "rings")
+        }
+        return replace(frame, points=replace(points, **cut))
+
+    report = deskew(with_frames(drive.scene, emptied), tmp_path / "drive.sfs")
+    assert (report.deskewed, report.left) == (SWEEPS - 1, {"no points": 1})
+
+
+def test_sweeps_in_any_order_are_deskewed_each_by_itself(drive: SimulatedDrive) -> None:
+    frames, order = drive.scene.lidars[0].frames, [2, 0, 3, 1]
+    mixed = LazyFrames.of([frames[k] for k in order], frames.timestamps_ns[order].tolist())
+    sound = deskewed_scene(drive.scene, at="start").lidars[0].frames
+    for k, frame in zip(
+        order, deskewed_scene(with_lidar(drive.scene, frames=mixed), at="start").lidars[0].frames, strict=True
+    ):
+        np.testing.assert_array_equal(frame.points.positions, sound[k].points.positions)
+
+
+def broken_at(frame: LidarFrame, stamp_ns: int) -> LidarFrame:
+    if frame.timestamp_ns == stamp_ns:
+        raise DataError("drive", "lidar/000001.bin", "no such file")
+    return frame
+
+
+def test_an_unreadable_sweep_is_left_out_only_when_asked(drive: SimulatedDrive, tmp_path: Path) -> None:
+    second = int(drive.scene.lidars[0].frames.timestamps_ns[1])
+    scene = with_frames(drive.scene, partial(broken_at, stamp_ns=second))
+    with pytest.raises(DataError, match=r"000001\.bin"):
+        deskew(scene, tmp_path / "strict.sfs")
+    assert not list(tmp_path.iterdir())
+    report = deskew(scene, tmp_path / "drive.sfs", lenient=True)
+    assert (report.sweeps, report.deskewed, len(report.skipped)) == (SWEEPS, SWEEPS - 1, 1)
+    with sceneloom.open(tmp_path / "drive.sfs") as written:
+        assert len(written.lidars[0].frames) == SWEEPS - 1
+
+
+def test_a_part_is_deskewed_as_it_is_in_the_whole(drive: SimulatedDrive, tmp_path: Path) -> None:
+    # the first time stamp is that of the trajectory's margin, 0.2 s before the first sweep
+    report = deskew(drive.scene, tmp_path / "drive.sfs", trajectory="imu", start=0.25, stop=0.45)
+    assert (report.sweeps, report.deskewed) == (2, 2)
+    whole = deskewed_scene(drive.scene, trajectory="imu").lidars[0].frames
+    with sceneloom.open(tmp_path / "drive.sfs") as written:
+        # the moment may differ by what few sweeps tell of it
+        np.testing.assert_allclose(
+            written.lidars[0].frames[0].points.positions, whole[1].points.positions, atol=2e-2
+        )
+
+
+def test_deskewed_sweeps_go_to_other_processes(drive: SimulatedDrive) -> None:
+    source = LazyFrames.of(
+        list(drive.scene.lidars[0].frames), drive.scene.lidars[0].frames.timestamps_ns.tolist()
+    )
+    frames = deskewed_scene(with_lidar(drive.scene, frames=source)).lidars[0].frames
+    again = pickle.loads(pickle.dumps(frames))
+    np.testing.assert_array_equal(again[2].points.positions, frames[2].points.positions)
+
+
+def test_what_cannot_be_followed_is_refused_with_the_reason(drive: SimulatedDrive, tmp_path: Path) -> None:
+    scene = drive.scene
+    in_world = with_lidar(scene, points_frame=PointsFrame.WORLD)
+    unmounted = with_lidar(scene, mount=None, poses=None)
+    no_imu = replace(scene, sensors=scene.lidars)
+    cases: list[tuple[Scene, dict[str, object], type[Exception], str]] = [
+        (scene, {"at": "noon"}, OptionError, "expected one of start, middle, end"),
+        (scene, {"trajectory": "vio"}, OptionError, "no trajectory 'vio'"),
+        (scene, {"lidar": "lidar7"}, OptionError, "no sensor 'lidar7'"),
+        (scene, {"lidar": "imu"}, OptionError, "is a imu; expected a lidar"),
+        (in_world, {}, OptionError, "in the world already"),
+        (unmounted, {}, PoseError, "not known where sensor 'lidar' is"),
+        (unmounted, {"trajectory": "imu"}, PoseError, "how lidar 'lidar' is mounted"),
+        (no_imu, {"trajectory": "imu"}, PoseError, "no IMU in it"),
+        (replace(scene, sensors=scene.sensors[1:]), {}, DataError, "no lidar in it"),
+    ]
+    for given, options, kind, message in cases:
+        with pytest.raises(kind, match=message):
+            deskew(given, tmp_path / "drive.sfs", **options)
+    (tmp_path / "drive.sfs").touch()
+    with pytest.raises(OutputError, match="exists already"):
+        deskew(scene, tmp_path / "drive.sfs")
+
+
+def test_a_second_lidar_can_be_deskewed_later(drive: SimulatedDrive, tmp_path: Path) -> None:
+    second = replace(drive.scene.lidars[0], id="rear")
+    scene = replace(drive.scene, sensors=(*drive.scene.sensors, second))
+    once = deskewed_scene(scene, lidar="rear")
+    assert once.lidars[0].frames[0].points.extras.get(MEASURED) is None
+    twice = deskewed_scene(once, lidar="lidar", at="end")
+    assert [entry["lidars"] for entry in twice.metadata["sceneloom"]["deskew"]] == [["rear"], ["lidar"]]
+    np.testing.assert_array_equal(
+        twice.lidars[1].frames[1].points.positions, deskewed_scene(scene).lidars[1].frames[1].points.positions
+    )
+
+
+def test_poses_in_ego_coordinates_are_followed(drive: SimulatedDrive) -> None:
+    """A scene file's own way: the lidar's standing pose on an odometry sensor."""
+    lidar, way = drive.scene.lidars[0], drive.scene.trajectories["groundTruth"]
+    standing = replace(
+        lidar.poses.identity(),
+        positions=lidar.mount.translation[None],
+        quaternions_xyzw=lidar.mount.quaternion_xyzw[None],
+    )
+    scene = with_lidar(drive.scene, mount=None, poses=standing, coordinates=Coordinates.EGO)
+    scene = replace(scene, sensors=(*scene.sensors, OdometrySensor("ego", way.poses)))
+    assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 2e-3

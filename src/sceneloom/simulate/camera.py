@@ -12,7 +12,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Picture
 from sceneloom.scene.types import NO_FIELDS
 from sceneloom.simulate.bounds import check_bounds
-from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint
+from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint, silhouettes
 from sceneloom.simulate.exposure import EXPOSURE_FIELD, Exposure, ExposureSpec
 from sceneloom.simulate.path import EgoPath, rotation_from_angles
 from sceneloom.simulate.street import Street
@@ -229,6 +229,12 @@ class RenderedCamera:
         depths[self.rays.slots] = hits.ranges[self.rays.slots] * self.rays.directions[:, 2]
         instances = instances_of(self.street, hits).reshape(shape)
         return PictureTruth(depths.reshape(shape), instances, look.colors.reshape(*shape, 3))
+
+    def silhouettes(self, k: int) -> Int64Array:
+        """Count the pixels of picture k that each object would fill if it were alone, by instance number - 1."""
+        rotations, origins = self.line_poses(k)
+        times_ns = self.line_times_ns(k)
+        return silhouettes(self.street, self.rays, rotations, origins, times_ns, reach=_REACH)
 
     def _look(self, k: int, rays: Rays) -> tuple[Hits, Paint]:
         rotations, origins = self.line_poses(k)

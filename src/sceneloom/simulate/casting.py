@@ -7,11 +7,15 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.kernels.painting import paint_rays
 from sceneloom.kernels.raycast import SKY, trace_rays
+from sceneloom.kernels.silhouettes import count_silhouettes
 from sceneloom.simulate import ground
 from sceneloom.simulate.street import Street
 
 SKY_INSTANCE, GROUND_INSTANCE = -1, 0
 """What instance pictures say where there is no object."""
+
+_WORKERS = 16
+"""Rows that count at the same time."""
 
 _BLOCK, _SHARES = 64, 8
 """Bundles are dealt out in blocks (a row of tiles or so) to this many shares, so that threads finish together."""
@@ -70,18 +74,20 @@ class Rays:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moving:
-    """What moves near a sensor, at each of its poses.
+    """What is near a sensor, and where it is at each of its poses if it moves.
 
     Attributes:
         frame_of_shape: (P,) int32, for each body of the street the column of `frames`, -1 where it stands still or is
             too far away.
         frames: (M, F, 3, 4) float64 `frame_from_world`.
-        spheres: (P, 4) float64 [m], balls that hold the bodies at all of the poses' times; None where nothing moves.
+        spheres: (P, 4) float64 [m], balls that hold the bodies at all of the poses' times.
+        candidates: (C,) int32, the bodies that are near enough.
     """
 
     frame_of_shape: AnyArray
     frames: Float64Array
-    spheres: Float64Array | None = None
+    spheres: Float64Array
+    candidates: AnyArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,13 +138,7 @@ def cast(
     ranges = np.zeros(rays.slot_count)
     shapes = np.full(rays.slot_count, SKY, np.int32)
     bodies = street.bodies
-    middle = origins.mean(axis=0)
-    spread = float(np.linalg.norm(origins - middle, axis=1).max())
-    moving = _moving(street, middle, times_ns, within=reach + spread)
-    spheres = bodies.spheres if moving.spheres is None else moving.spheres
-    apart = np.linalg.norm(spheres[:, :3] - middle, axis=1)
-    standing = np.arange(len(bodies)) < len(street.shapes)
-    within = (apart < reach + spread + spheres[:, 3]) & (standing | (moving.frame_of_shape >= 0))
+    moving = _moving(street, origins, times_ns, reach=reach)
     trace_rays(
         rays.directions,
         rays.pose_of_ray,
@@ -150,8 +150,8 @@ def cast(
         bodies.maps,
         moving.frame_of_shape,
         moving.frames,
-        spheres,
-        np.flatnonzero(within).astype(np.int32),
+        moving.spheres,
+        moving.candidates,
         float(reach),
         ranges,
         shapes,
@@ -159,18 +159,66 @@ def cast(
     return Hits(ranges, shapes, moving)
 
 
-def _moving(street: Street, middle: Float64Array, times_ns: Int64Array, *, within: float) -> Moving:
-    """Find what moves within a distance [m] of a point (3,), and where it is at (M,) times."""
-    movers, still = street.movers, np.full(len(street.bodies), -1, np.int32)
+def silhouettes(
+    street: Street,
+    rays: Rays,
+    rotations: Float64Array,
+    origins: Float64Array,
+    times_ns: Int64Array,
+    *,
+    reach: float,
+) -> Int64Array:
+    """Count for each object, whatever stands or moves, the rays that would meet it if it were alone.
+
+    Args:
+        rotations, origins, times_ns, reach: as in `cast`.
+
+    Returns:
+        (I,) int64, by instance number - 1.
+    """
+    bodies = street.bodies
+    moving = _moving(street, origins, times_ns, reach=reach)
+    counts = np.zeros((_WORKERS, len(street.objects) + len(street.movers)), np.int64)
+    count_silhouettes(
+        rays.directions,
+        rays.pose_of_ray,
+        np.ascontiguousarray(rotations, np.float64),
+        np.ascontiguousarray(origins, np.float64),
+        rays.bundle_starts,
+        bodies.kinds,
+        bodies.maps,
+        (bodies.instances - 1).astype(np.int32),
+        moving.frame_of_shape,
+        moving.frames,
+        moving.spheres,
+        moving.candidates,
+        float(reach),
+        counts,
+    )
+    totals: Int64Array = counts.sum(axis=0)
+    return totals
+
+
+def _moving(street: Street, origins: Float64Array, times_ns: Int64Array, *, reach: float) -> Moving:
+    """Find what rays of a length can meet from origins (M, 3) at (M,) times, and where what moves is then."""
+    middle = origins.mean(axis=0)
+    within = reach + float(np.linalg.norm(origins - middle, axis=1).max())
+    movers, first = street.movers, len(street.shapes)
+    frame_of_shape = np.full(len(street.bodies), -1, np.int32)
+    frames, spheres = np.zeros((len(times_ns), 0, 3, 4)), street.bodies.spheres
+    candidates = np.flatnonzero(
+        np.linalg.norm(spheres[:first, :3] - middle, axis=1) < within + spheres[:first, 3]
+    )
     near = movers.near(middle, times_ns, within=within)
-    if not len(near):
-        return Moving(still, np.zeros((len(times_ns), 0, 3, 4)))
-    parts = np.flatnonzero(np.isin(movers.mover_of_part, near))
-    shapes, balls = movers.spheres(parts, times_ns)
-    frame_of_shape, spheres = still, street.bodies.spheres.copy()
-    frame_of_shape[len(street.shapes) + shapes] = np.searchsorted(parts, movers.part_of_shape[shapes])
-    spheres[len(street.shapes) + shapes] = balls
-    return Moving(frame_of_shape, np.ascontiguousarray(movers.frames_from_world(parts, times_ns)), spheres)
+    if len(near):
+        parts = np.flatnonzero(np.isin(movers.mover_of_part, near))
+        shapes, balls = movers.spheres(parts, times_ns)
+        frame_of_shape[first + shapes] = np.searchsorted(parts, movers.part_of_shape[shapes])
+        frames = np.ascontiguousarray(movers.frames_from_world(parts, times_ns))
+        spheres = spheres.copy()
+        spheres[first + shapes] = balls
+        candidates = np.concatenate([candidates, first + shapes])
+    return Moving(frame_of_shape, frames, spheres, candidates.astype(np.int32))
 
 
 def paint(

@@ -10,12 +10,11 @@ from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
-    CuboidAnnotation,
-    CuboidPath,
     Identifier,
     Scene,
     Trajectory,
 )
+from sceneloom.simulate.boxes import annotations_of
 from sceneloom.simulate.camera import CameraSpec, camera_mount
 from sceneloom.simulate.faults import Faults
 from sceneloom.simulate.inertial import ImuSpec, imu_sensor, imu_truth
@@ -27,7 +26,7 @@ from sceneloom.simulate.randomness import Stream, generator_for
 from sceneloom.simulate.rig import Rig, scene_sensors
 from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
 from sceneloom.simulate.shots import ScanSpec
-from sceneloom.simulate.street import StreetObject, build_street
+from sceneloom.simulate.street import build_street
 from sceneloom.simulate.traffic import TrafficSpec, plan_traffic
 from sceneloom.simulate.truth import Truth
 
@@ -121,7 +120,10 @@ def simulate_street(
     )
     street = build_street(generator_for(seed, Stream.STREET), way)
     if traffic is not None:
-        movers = plan_traffic(generator_for(seed, Stream.TRAFFIC), traffic, way, street, span_ns=span_ns)
+        # For a second more than needed: a further sensor, which measures a little longer, changes nobody's way.
+        first_ns, last_ns = rig.way_span_ns
+        moving_ns = first_ns, max(last_ns + 1_000_000_000, span_ns[1])
+        movers = plan_traffic(generator_for(seed, Stream.TRAFFIC), traffic, way, street, span_ns=moving_ns)
         street = replace(street, movers=movers)
     inertial = imu_truth(imu, way, _stamps(span_ns, imu.rate_hz) + _IMU_SHIFT_NS, seed=seed)
     truth = Truth(
@@ -186,7 +188,7 @@ def _scene(seed: int, truth: Truth, others: tuple[Any, ...], stamps_ns: Int64Arr
     trajectory = Trajectory(TRAJECTORY, ego.timestamps_ns, ego.positions, ego.quaternions_xyzw)
     return Scene(
         sensors,
-        annotations=_annotations(truth.objects, int(truth.lidar.timestamps_ns[0])),
+        annotations=annotations_of(truth.street, ANNOTATED, start_ns=int(truth.lidar.timestamps_ns[0])),
         trajectories={TRAJECTORY: trajectory},
         metadata=_metadata(seed),
         source=f"simulated street {seed}",
@@ -196,20 +198,3 @@ def _scene(seed: int, truth: Truth, others: tuple[Any, ...], stamps_ns: Int64Arr
 
 def _metadata(seed: int) -> Mapping[str, Any]:
     return {"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz", "seed": seed}}
-
-
-def _annotations(objects: Sequence[StreetObject], timestamp_ns: int) -> tuple[CuboidAnnotation, ...]:
-    """A standing box for each object of an annotated class; angles in degrees."""
-    return tuple(
-        CuboidAnnotation(
-            f"{thing.label}-{thing.instance}",
-            CuboidPath(
-                np.array([timestamp_ns], np.int64),
-                np.array([[*thing.size_lwh, *thing.center_world, 0.0, 0.0, np.degrees(thing.yaw)]]),
-            ),
-            label=thing.label,
-            stationary=True,
-        )
-        for thing in objects
-        if thing.label in ANNOTATED
-    )

@@ -10,11 +10,13 @@ from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, In
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PosePath
+from sceneloom.simulate.boxes import BoxTruth, boxes_of
 from sceneloom.simulate.camera import PictureTruth, RenderedCamera
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
 from sceneloom.simulate.edges import edge_mask
 from sceneloom.simulate.inertial import ImuTruth
 from sceneloom.simulate.lidar import ScanningLidar, Sweep
+from sceneloom.simulate.movers import Mover
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.radar import SimulatedRadar
 from sceneloom.simulate.street import Street, StreetObject
@@ -43,11 +45,32 @@ class CleanPoints:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OcclusionTruth:
+    """What hides objects in a picture; those that no pixel's centre would show are left out.
+
+    Attributes:
+        instances: (I,) int64, rising.
+        visible_px: (I,) int64, pixels whose centres show the object.
+        alone_px: (I,) int64, pixels that would show it if nothing else were there.
+    """
+
+    instances: Int64Array
+    visible_px: Int64Array
+    alone_px: Int64Array
+
+    @property
+    def hidden(self) -> Float64Array:
+        """Which share of each object is hidden, (I,) float64, 0 to 1."""
+        shares: Float64Array = 1.0 - self.visible_px / self.alone_px
+        return shares
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Truth:
     """What is exactly so in a simulated drive. Pictures are rendered when asked for, nothing is kept.
 
     Attributes:
-        street: everything that stands still.
+        street: everything that stands in it and that moves.
         path: the ego's way as a curve.
         lidars: the lidars by id, with their noise apart.
         cameras: the cameras by id.
@@ -71,6 +94,15 @@ class Truth:
     def objects(self) -> tuple[StreetObject, ...]:
         """What stands in the street; object k has instance number k + 1."""
         return self.street.objects
+
+    @property
+    def movers(self) -> tuple[Mover, ...]:
+        """What moves; instance numbers go on after those of the objects."""
+        return self.street.movers.things
+
+    def boxes(self, timestamps_ns: ArrayLike) -> BoxTruth:
+        """Boxes and velocities of all that stands and moves, at (T,) times [ns]."""
+        return boxes_of(self.street, np.asarray(timestamps_ns, np.int64))
 
     def world_from_ego(self, timestamps_ns: Int64Array) -> PosePath:
         """Exact ego poses at strictly increasing times [ns]."""
@@ -107,6 +139,15 @@ class Truth:
     def edges(self, camera_id: str, k: int, *, within_px: int = 2) -> BoolArray:
         """Which pixels lie near an outline, (H, W) bool; `edge_mask` says what an outline is."""
         return edge_mask(self.picture(camera_id, k), within_px=within_px)
+
+    def occlusion(self, camera_id: str, k: int) -> OcclusionTruth:
+        """How much of each object picture k shows, and how much it would show if nothing stood before it."""
+        camera = self._camera(camera_id)
+        alone = camera.silhouettes(k)
+        shown = self.instances(camera_id, k)
+        visible = np.bincount(shown[shown > 0], minlength=len(alone) + 1)[1:]
+        inside = np.flatnonzero(alone)
+        return OcclusionTruth(inside + 1, visible[inside], alone[inside])
 
     def visible(
         self, camera_id: str, k: int, points_world: ArrayLike, *, tolerance: float = 0.01

@@ -108,7 +108,8 @@ def with_scores(
             np.flatnonzero(labels == label),
             chances,
             sum(draft.false_rates.get(str(label), 0.0) for draft in drafts),
-            repeated,
+            repeated=repeated,
+            likeness=spec.likeness,
         )
         for label in np.unique(labels)
     }
@@ -130,8 +131,8 @@ class _Pool:
     true_shares: Float64Array
 
     @classmethod
-    def of(cls, numbers: Int64Array, chances: Float64Array, false_count: float, repeated: float) -> "_Pool":
-        looks = deal_out(chances[numbers], false_count, repeated=repeated)
+    def of(cls, numbers: Int64Array, chances: Float64Array, false_count: float, **how: float) -> "_Pool":
+        looks = deal_out(chances[numbers], false_count, **how)
         return cls(np.cumsum(looks.false_shares), numbers, looks.true_shares)
 
     def of_objects(self, numbers: Int64Array) -> Float64Array:

@@ -142,10 +142,10 @@ def _is_blind(drive: SimulatedDrive, lidar: LidarSensor, index: int) -> bool:
 def _clear(points_world: Float64Array, objects: Boxes3D) -> Float64Array:
     """Some hundred of the points at most: at the height of objects, but away from them."""
     low = points_world[(points_world[:, 2] > FALSE_HEIGHTS[0]) & (points_world[:, 2] < FALSE_HEIGHTS[1])]
-    some = low[:: max(1, len(low) // 800)]
-    apart = np.linalg.norm(some[:, None, :2] - objects.centers[:, :2], axis=2)
-    far = apart > _CLEAR + np.linalg.norm(objects.sizes_lwh[:, :2], axis=1) / 2
-    clear: Float64Array = some[far.all(axis=1)]
+    some = low[:: max(1, len(low) // 500)]
+    apart = some[:, None, :2] - objects.centers[:, :2]
+    room = _CLEAR + np.linalg.norm(objects.sizes_lwh[:, :2], axis=1) / 2
+    clear: Float64Array = some[((apart**2).sum(axis=2) > room**2).all(axis=1)]
     return clear
 
 

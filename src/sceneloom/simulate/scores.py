@@ -25,9 +25,6 @@ from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.errors import OptionError
 from sceneloom.scene.detections import ScoreForm
 
-_LEAST_LENT = 0.05
-"""What an object that is always found lends to false boxes, against 1 + this for one that is never found."""
-
 _SMALLEST = 1e-9
 """Scores keep this far from 0 and 1, so that their logits are finite."""
 
@@ -38,6 +35,8 @@ class ScoreSpec:
 
     Attributes:
         concentration: κ above 0; the larger, the less a score tells true from false.
+        likeness: above 0; how much the false boxes look like objects that are easy to find: a sure one draws this
+            share of them, against 1 + this for one that is never found.
         form: probabilities, or logits: ln(s / (1 - s)).
         logit_scale, logit_shift: logits come as scale · logit + shift; any but 1 and 0 are not calibrated.
 
@@ -46,16 +45,16 @@ class ScoreSpec:
     """
 
     concentration: float = 2.0
+    likeness: float = 0.2
     form: ScoreForm = ScoreForm.PROBABILITY
     logit_scale: float = 1.0
     logit_shift: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (0.01 <= self.concentration <= 1e4 and 0.0 < self.logit_scale <= 1e3):
-            raise OptionError(
-                f"scores: concentration {self.concentration}, logit_scale {self.logit_scale}; "
-                "expected 0.01 to 10000, above 0 to 1000"
-            )
+        bounds = (("concentration", 0.01, 1e4), ("likeness", 1e-3, 1e3), ("logit_scale", 1e-3, 1e3))
+        for name, low, high in bounds:
+            if not low <= getattr(self, name) <= high:
+                raise OptionError(f"scores.{name}: {getattr(self, name)}; expected {low:g} to {high:g}")
         if self.form is ScoreForm.PROBABILITY and (self.logit_scale, self.logit_shift) != (1.0, 0.0):
             raise OptionError(
                 "scores: logit_scale and logit_shift are for logits; set form to ScoreForm.LOGIT"
@@ -74,15 +73,18 @@ class LooksLike(NamedTuple):
     false_shares: Float64Array
 
 
-def deal_out(chances: Float64Array, false_count: float, *, repeated: float = 0.0) -> LooksLike:
+def deal_out(
+    chances: Float64Array, false_count: float, *, repeated: float = 0.0, likeness: float = 0.2
+) -> LooksLike:
     """Deal the expected false boxes of a class out to its objects.
 
     Args:
         chances: (M,) float64, in (0, 1]: chance of each object in each frame to be found.
         false_count: how many false boxes are expected in all these frames.
         repeated: how many duplicates a true box has.
+        likeness: as in `ScoreSpec`.
     """
-    lent = 1.0 + _LEAST_LENT - chances
+    lent = 1.0 + likeness - chances
     false_shares = lent / max(float(lent.sum()), _SMALLEST)
     true_shares = chances / (chances * (1.0 + repeated) + false_count * false_shares)
     return LooksLike(true_shares, false_shares)

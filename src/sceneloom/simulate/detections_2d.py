@@ -109,7 +109,7 @@ def _look(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, ind
     seen, extents, pixels = _extents(shown, instances)
     objects, instances = objects.select(seen), instances[seen]
     if spec.amodal:
-        extents = _projected(objects, pose, lens, extents)
+        extents = projected_boxes(objects, pose, lens, extents)
     return _Look(
         int(camera.pictures.timestamps_ns[index]),
         objects,
@@ -141,7 +141,7 @@ def _extents(shown: AnyArray, instances: Int64Array) -> tuple[Int64Array, Float6
     return seen, edges[own], np.bincount(which, minlength=len(met)).astype(np.float64)[own]
 
 
-def _projected(
+def projected_boxes(
     objects: Boxes3D, world_from_camera: RigidTransform, lens: Camera, extents: Float64Array
 ) -> Float64Array:
     """Edges (M, 4) of the projected boxes, clipped to the picture; of a box out of the lens, what is seen of it."""

@@ -17,11 +17,13 @@ class Faults:
 
     Attributes:
         file: the manifest, for messages.
+        labels: what people call the parts, by place ("sensors[1]").
     """
 
     def __init__(self, file: object) -> None:
         """Begin without faults."""
         self.file = file
+        self.labels: dict[str, str] = {}
         self._errors: list[DataError] = []
 
     def add(self, place: str, problem: str) -> None:
@@ -50,10 +52,8 @@ class Faults:
         if len(self._errors) == 1:
             raise self._errors[0]
         if self._errors:
-            lines = [
-                _told(error, self.file) for error in self._errors if not error.problem.startswith(FILL_IN)
-            ]
-            lines += self._to_fill_in()
+            said = [error for error in self._errors if not error.problem.startswith(FILL_IN)]
+            lines = [*map(self._told, said), *self._to_fill_in()]
             if len(lines) > SHOWN:
                 lines[SHOWN:] = [f"… and {len(lines) - SHOWN} lines more"]
             raise DataError(self.file, "", "\n  ".join([f"{len(self._errors)} faults", *lines]))
@@ -65,11 +65,15 @@ class Faults:
             if error.problem.startswith(FILL_IN):
                 part, _, name = error.place.partition(".")
                 open_fields.setdefault(part, []).append(name)
-        return [f"{part}: {FILL_IN}: {', '.join(names)}" for part, names in open_fields.items()]
+        return [
+            f"{self._labelled(part)}: {FILL_IN}: {', '.join(names)}" for part, names in open_fields.items()
+        ]
 
+    def _labelled(self, place: str) -> str:
+        part, dot, rest = place.partition(".")
+        return f"{part} ({self.labels[part]}){dot}{rest}" if part in self.labels else place
 
-def _told(error: DataError, file: object) -> str:
-    parts = (
-        (error.place, error.problem) if error.file == str(file) else (error.file, error.place, error.problem)
-    )
-    return ": ".join(filter(None, parts))
+    def _told(self, error: DataError) -> str:
+        if error.file == str(self.file):
+            return ": ".join(filter(None, (self._labelled(error.place), error.problem)))
+        return str(error)

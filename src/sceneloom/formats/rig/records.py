@@ -212,6 +212,10 @@ def _read_list(value: Any, field: Field, place: str, faults: Faults) -> list[Rec
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         raise FieldError(f"{_found(value)}; expected {field.kind.value}: one `[[{field.name}]]` each")
     read = _read_sensor if field.record == "sensor" else read_record
+    for k, item in enumerate(value):
+        label = item.get("id", item.get("name"))
+        if isinstance(label, str):
+            faults.labels[f"{place}[{k}]"] = label
     return [read(item, field.record, f"{place}[{k}]", faults) for k, item in enumerate(value)]
 
 

@@ -134,7 +134,7 @@ def _groups(root: Path, files: Sequence[Path]) -> Iterator[_Group]:
         prefix = "" if place == "." else f"{place}/"
         if len(shapes) == 1 or len(shapes) > _MOST_SHAPES:
             alike = [path for paths in shapes.values() for path in paths]
-            name = _own_name(folder, root) if prefix else _longest_word([*shapes][0], suffix)
+            name = _own_name(folder, root) if prefix else _longest_word(next(iter(shapes)), suffix)
             yield _Group(folder, f"{prefix}*{suffix}", _plain(name), tuple(alike))
             continue
         for shape, paths in shapes.items():

@@ -211,13 +211,11 @@ def _moving(street: Street, origins: Float64Array, times_ns: Int64Array, *, reac
     )
     near = movers.near(middle, times_ns, within=within)
     if len(near):
-        parts = np.flatnonzero(np.isin(movers.mover_of_part, near))
-        shapes, balls = movers.spheres(parts, times_ns)
-        frame_of_shape[first + shapes] = np.searchsorted(parts, movers.part_of_shape[shapes])
-        frames = np.ascontiguousarray(movers.frames_from_world(parts, times_ns))
-        spheres = spheres.copy()
-        spheres[first + shapes] = balls
-        candidates = np.concatenate([candidates, first + shapes])
+        placed = movers.placed(near, times_ns)
+        frames, spheres = placed.frames, spheres.copy()
+        frame_of_shape[first + placed.shapes] = placed.frame_of_shape
+        spheres[first + placed.shapes] = placed.spheres
+        candidates = np.concatenate([candidates, first + placed.shapes])
     return Moving(frame_of_shape, frames, spheres, candidates.astype(np.int32))
 
 

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
+from sceneloom.kernels.part_frames import place_parts
 from sceneloom.simulate.shapes import PackedShapes, Shape
-from sceneloom.simulate.splines import spline_derivatives
-
-_FAR = 1e7
-"""Where rays are taken to in the frame of something that is not there [m]: no ray reaches back."""
+from sceneloom.simulate.splines import spline_derivatives, spline_grid
 
 _FASTEST = 40.0
 """No mover is faster [m/s]."""
@@ -142,9 +140,9 @@ class Movers:
 
         Beyond the drive, and where a mover is not in the street, the numbers are only continuous.
         """
-        seconds = (np.asarray(times_ns, np.int64) - self.start_ns) * 1e-9
-        along = np.asarray((seconds - self.first_knot) / self.knot_step, np.float64)
-        values, rates = spline_derivatives(self.control_points, np.asarray(which), along, orders=2)
+        values, rates = spline_derivatives(
+            self.control_points, np.asarray(which), self._along(times_ns), orders=2
+        )
         values = values + self.anchors[which]
         rates = rates / self.knot_step
         level = np.zeros(values.shape[:-1])
@@ -168,44 +166,48 @@ class Movers:
         close = np.linalg.norm((middle.positions - point)[:, :2], axis=1) < reach
         return np.flatnonzero(close & (spans[:, 0] <= last) & (spans[:, 1] >= first))
 
-    def frames_from_world(self, parts: Int64Array, times_ns: Int64Array) -> Float64Array:
-        """Give `part_from_world` of (F,) parts at (M,) times, (M, F, 3, 4) float64.
+    def placed(self, which: Int64Array, times_ns: Int64Array) -> "PlacedMovers":
+        """Place the bodies of (K,) movers, given in order, at (M,) times."""
+        columns = np.full(len(self), -1, np.int32)
+        columns[which] = np.arange(len(which), dtype=np.int32)
+        parts = np.flatnonzero(columns[self.mover_of_part] >= 0)
+        mover_of_part = columns[self.mover_of_part[parts]]
+        states = spline_grid(self.control_points[which], self._along(times_ns)) + self.anchors[which]
+        there = self.present(which[None, :], times_ns[:, None])
+        frames = np.empty((len(times_ns), len(parts), 3, 4))
+        place_parts(
+            states, there, mover_of_part, self.hinges[parts], self.swings[parts], self.leads[parts], frames
+        )
+        part_columns = np.full(len(self.mover_of_part), -1, np.int32)
+        part_columns[parts] = np.arange(len(parts), dtype=np.int32)
+        part_of_shape = part_columns[self.part_of_shape]
+        shapes = np.flatnonzero(part_of_shape >= 0)
+        balls = self._balls(shapes, states.min(axis=0), states.max(axis=0), columns)
+        return PlacedMovers(frames, shapes, part_of_shape[shapes], balls)
 
-        Where a part is not in the street its frame lies out of reach of any ray.
-        """
-        which = self.mover_of_part[parts]
-        states = self.states(which[None, :], times_ns[:, None])
-        frames = _from_world(states)
-        swinging = np.flatnonzero(self.swings[parts] != 0.0)
-        if len(swinging):
-            own = parts[swinging]
-            angles = self.swings[own] * np.sin(states.gaits[:, swinging] + self.leads[own])
-            frames[:, swinging] = _swung_back(angles, self.hinges[own]) @ _square(frames[:, swinging])
-        frames[~self.present(which[None, :], times_ns[:, None])] = _NOWHERE
-        return frames
+    def _along(self, times_ns: Int64Array) -> Float64Array:
+        """Knot numbers of times."""
+        seconds = (np.asarray(times_ns, np.int64) - self.start_ns) * 1e-9
+        return np.asarray((seconds - self.first_knot) / self.knot_step, np.float64)
 
-    def spheres(self, parts: Int64Array, times_ns: Int64Array) -> tuple[Int64Array, Float64Array]:
-        """Give the shapes of (F,) parts, (Q,) int64, and balls (Q, 4) that hold each at all of (M,) times."""
-        shapes = np.flatnonzero(np.isin(self.part_of_shape, parts))
+    def _balls(
+        self, shapes: Int64Array, low: Float64Array, high: Float64Array, columns: AnyArray
+    ) -> Float64Array:
+        """Balls (Q, 4) that hold shapes while x, y, yaw and gait of their movers lie between (K, 4) and (K, 4)."""
         part = self.part_of_shape[shapes]
-        which, back = np.unique(self.mover_of_part[part], return_inverse=True)
-        states = self.states(which[None, :], times_ns[:, None])
-        low, high = states.positions.min(axis=0), states.positions.max(axis=0)
-        turned_low, turned_high = states.yaws.min(axis=0), states.yaws.max(axis=0)
-        yaw = (0.5 * (turned_low + turned_high))[back]
-        local = self.shapes.spheres[shapes]
-        swinging = self.swings[part] != 0.0
-        # A swinging shape stays in the ball about its hinge, where turning does not move it.
+        column = columns[self.mover_of_part[part]]
+        middle, spread = (0.5 * (low + high))[column], (0.5 * (high - low))[column]
+        local, swinging = self.shapes.spheres[shapes], self.swings[part] != 0.0
+        # A swinging shape stays in the ball about its hinge that it lies in at rest.
         arm = np.linalg.norm(local[:, :3] - self.hinges[part], axis=1)
         centers = np.where(swinging[:, None], self.hinges[part], local[:, :3])
-        radii = local[:, 3] + np.where(swinging, arm, 0.0)
         x, y = centers[:, 0], centers[:, 1]
-        moved = np.column_stack(
-            [np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y, centers[:, 2]]
+        cosine, sine = np.cos(middle[:, 2]), np.sin(middle[:, 2])
+        radii = local[:, 3] + np.where(swinging, arm, 0.0)
+        radii = radii + np.hypot(spread[:, 0], spread[:, 1]) + np.hypot(x, y) * spread[:, 2]
+        return np.column_stack(
+            [middle[:, 0] + cosine * x - sine * y, middle[:, 1] + sine * x + cosine * y, centers[:, 2], radii]
         )
-        slack = 0.5 * np.linalg.norm(high - low, axis=1)[back]
-        slack = slack + np.hypot(x, y) * 0.5 * (turned_high - turned_low)[back]
-        return shapes, np.column_stack([moved + 0.5 * (low + high)[back], radii + slack])
 
     def point_velocities(
         self, shapes: Int64Array, points_world: Float64Array, times_ns: Int64Array
@@ -226,37 +228,21 @@ class Movers:
         return velocities
 
 
-_NOWHERE = np.array([[1.0, 0.0, 0.0, _FAR], [0.0, 1.0, 0.0, _FAR], [0.0, 0.0, 1.0, _FAR]])
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedMovers:
+    """Bodies of some movers at M times.
 
+    Attributes:
+        frames: (M, F, 3, 4) float64 `part_from_world`; out of reach of any ray while it is not in the street.
+        shapes: (Q,) int64, which of the movers' shapes.
+        frame_of_shape: (Q,) int32, the column of `frames` that each moves with.
+        spheres: (Q, 4) float64 [m], balls that hold each at all the times.
+    """
 
-def _from_world(states: MoverStates) -> Float64Array:
-    """`mover_from_world` of any number of states, (*S, 3, 4)."""
-    cosine, sine = np.cos(states.yaws), np.sin(states.yaws)
-    x, y = states.positions[..., 0], states.positions[..., 1]
-    frames = np.zeros((*states.yaws.shape, 3, 4))
-    frames[..., 0, 0], frames[..., 0, 1], frames[..., 0, 3] = cosine, sine, -(cosine * x + sine * y)
-    frames[..., 1, 0], frames[..., 1, 1], frames[..., 1, 3] = -sine, cosine, sine * x - cosine * y
-    frames[..., 2, 2] = 1.0
-    return frames
-
-
-def _swung_back(angles: Float64Array, hinges: Float64Array) -> Float64Array:
-    """`part_from_mover` of parts that have swung forwards by angles (M, F) about hinges (F, 3), (M, F, 3, 4)."""
-    cosine, sine = np.cos(angles), np.sin(angles)
-    x, z = hinges[:, 0], hinges[:, 2]
-    frames = np.zeros((*angles.shape, 3, 4))
-    frames[..., 0, 0], frames[..., 0, 2] = cosine, sine
-    frames[..., 2, 0], frames[..., 2, 2] = -sine, cosine
-    frames[..., 1, 1] = 1.0
-    frames[..., 0, 3] = x - cosine * x - sine * z
-    frames[..., 2, 3] = z + sine * x - cosine * z
-    return frames
-
-
-def _square(frames: Float64Array) -> Float64Array:
-    """Frames (*S, 3, 4) with their last row, (*S, 4, 4)."""
-    last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*frames.shape[:-2], 1, 4))
-    return np.concatenate([frames, last], axis=-2)
+    frames: Float64Array
+    shapes: Int64Array
+    frame_of_shape: AnyArray
+    spheres: Float64Array
 
 
 def pack_movers(

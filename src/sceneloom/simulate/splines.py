@@ -51,6 +51,19 @@ def spline_derivatives(
     return tuple(answers)
 
 
+def spline_grid(control_points: Float64Array, along: Float64Array) -> Float64Array:
+    """Give all of K splines (K, N, C) at all of M knot numbers (M,), (M, K, C) float64, as `spline_derivatives`."""
+    splines, count, channels = control_points.shape
+    piece = np.clip(np.floor(along).astype(np.int64), 0, count - DEGREE - 1)
+    weights = polynomial.polyval(along - piece, BASIS.T).T
+    values = np.empty((len(along), splines, channels))
+    for first in np.unique(piece):
+        rows = piece == first
+        control = np.moveaxis(control_points[:, first : first + DEGREE + 1], 1, 0).reshape(DEGREE + 1, -1)
+        values[rows] = (weights[rows] @ control).reshape(-1, splines, channels)
+    return values
+
+
 def control_points_through(samples: Float64Array) -> Float64Array:
     """Give control points (..., N, C) of splines that pass samples (..., N, C) at the knots to fourth order.
 

@@ -94,16 +94,28 @@ class Rig:
     def span_ns(self) -> tuple[int, int]:
         """First and last time that any sensor needs [ns], with a margin."""
         first, last = self.way_span_ns
-        ends = [self._frame_starts(spec)[-1:] + spec.period_ns for spec in self.lidars.values()]
-        ends += [self._frame_starts(spec)[-1:] for spec in self.radars.values()]
+        ends = [self.frame_starts_ns(spec)[-1:] + spec.period_ns for spec in self.lidars.values()]
+        ends += [self.frame_starts_ns(spec)[-1:] for spec in self.radars.values()]
         latest = np.concatenate(ends).max(initial=last - _MARGIN_NS)
         return first, int(latest) + _MARGIN_NS
+
+    def frame_starts_ns(self, spec: ScanSpec | RadarSpec) -> Int64Array:
+        """Starts of all frames of a device that begin within the drive, (F,) int64 [ns].
+
+        The first lidar has one in each of its periods.
+        """
+        length_ns = self.frames * self.period_ns
+        count = max(0, -(-(length_ns - spec.offset_ns) // spec.period_ns))
+        starts: Int64Array = (
+            self.start_ns + spec.offset_ns + spec.period_ns * np.arange(count, dtype=np.int64)
+        )
+        return starts
 
     def place_lidars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, ScanningLidar]:
         """Put the lidars on their way."""
         return {
             name: ScanningLidar.of(
-                spec, street, path, seed=seed, timestamps_ns=self._frame_starts(spec), number=number
+                spec, street, path, seed=seed, timestamps_ns=self.frame_starts_ns(spec), number=number
             )
             for number, (name, spec) in enumerate(self.lidars.items())
         }
@@ -125,21 +137,9 @@ class Rig:
     def place_radars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, SimulatedRadar]:
         """Put the radars on their way."""
         return {
-            name: SimulatedRadar(spec, street, path, seed, number, self._frame_starts(spec))
+            name: SimulatedRadar(spec, street, path, seed, number, self.frame_starts_ns(spec))
             for number, (name, spec) in enumerate(self.radars.items())
         }
-
-    def _frame_starts(self, spec: ScanSpec | RadarSpec) -> Int64Array:
-        """Starts of all frames of a device that begin within the drive, (F,) int64 [ns].
-
-        The first lidar has one in each of its periods.
-        """
-        length_ns = self.frames * self.period_ns
-        count = max(0, -(-(length_ns - spec.offset_ns) // spec.period_ns))
-        starts: Int64Array = (
-            self.start_ns + spec.offset_ns + spec.period_ns * np.arange(count, dtype=np.int64)
-        )
-        return starts
 
     def _check(self) -> None:
         offsets = [spec.offset_ns for spec in self.cameras.values()]

@@ -48,7 +48,7 @@ class Raster:
             ("rows", self.rows, 1, 65535),
             ("columns", self.columns, 1, 65535),
             ("channels", self.channels, 1, 64),
-            ("interleave", self.interleave, 1, self.rows),
+            ("interleave", self.interleave, 1, 65535),
         )
         check_bounds("raster", counts)
         check_fan("raster", "azimuth_deg", self.azimuth_deg, 180.0)

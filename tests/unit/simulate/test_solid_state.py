@@ -159,7 +159,7 @@ def test_mounts_of_lidars_and_radars_look_along_x_turned_left_and_down():
     ("make", "wrong"),
     [
         (Raster, {"rows": 0}),
-        (Raster, {"interleave": 500}),
+        (Raster, {"interleave": 0}),
         (Raster, {"azimuth_deg": (10.0, -10.0)}),
         (Raster, {"elevation_deg": (0.0, 91.0)}),
         (Rosette, {"fov_deg": 0.0}),

@@ -27,7 +27,7 @@ from sceneloom.simulate.detections import (
 from sceneloom.simulate.detectors import Detector2dSpec
 from sceneloom.simulate.drive import SimulatedDrive
 from sceneloom.simulate.randomness import Stream
-from sceneloom.simulate.sightings import objects_at, occlusions_from
+from sceneloom.simulate.sightings import hidden_shares, objects_at
 
 _NEAR = 0.05
 """Of a box beside the camera, what lies farther ahead than this is projected [m]."""
@@ -116,7 +116,7 @@ def _look(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, ind
         instances,
         extents,
         pixels,
-        occlusions_from(truth.street, pose.translation, objects, instances),
+        hidden_shares(pixels, rendered.silhouettes(number), instances),
         _clutter(picture, shown, instances, (pose, lens)),
         lens,
     )

@@ -25,7 +25,7 @@ from sceneloom.simulate.detections import (
 from sceneloom.simulate.detectors import Detector3dSpec
 from sceneloom.simulate.drive import SimulatedDrive
 from sceneloom.simulate.randomness import Stream
-from sceneloom.simulate.sightings import objects_at, occlusions_from
+from sceneloom.simulate.sightings import hidden_shares, objects_at
 
 _CLEAR = 2.5
 """How far from the middle of any object of the classes they are begun [m], beside its half diagonal."""
@@ -85,6 +85,7 @@ class _Look:
         objects: boxes of the objects with points on them, world frame, stamped with the true time.
         instances: (M,) int64, which they are.
         points: (M,) float64, how many points are on them.
+        occlusions: (M,) float64, how much of them is hidden.
         clutter_world: (C, 3) float64 [m], points on other things, where a false box may begin.
         points_world: (N, 3) float64 [m], all points.
     """
@@ -95,6 +96,7 @@ class _Look:
     objects: Boxes3D
     instances: Int64Array
     points: Float64Array
+    occlusions: Float64Array
     clutter_world: Float64Array
     points_world: Float64Array
 
@@ -113,7 +115,8 @@ class _Look:
 
 def _look(drive: SimulatedDrive, spec: Detector3dSpec, lidar: LidarSensor, index: int) -> _Look:
     number = true_frame(drive, lidar.id, index)
-    sweep = drive.truth.sweep(number, str(lidar.id))
+    device = drive.truth.lidars[str(lidar.id)]
+    sweep = device.sweep(number)
     time_ns = sweep.frame.reference_ns
     ego = drive.truth.path.at(np.array([time_ns], np.int64))
     world_from_ego = RigidTransform(ego.rotations[0], ego.positions[0])
@@ -121,14 +124,18 @@ def _look(drive: SimulatedDrive, spec: Detector3dSpec, lidar: LidarSensor, index
     rows = np.arange(0 if _is_blind(drive, lidar, index) else len(sweep.instances))
     met, counts = np.unique(sweep.instances[rows], return_counts=True)
     seen = np.isin(instances, met)
+    objects_seen, instances_seen = objects.select(seen), instances[seen]
+    points = counts[np.searchsorted(met, instances_seen)].astype(np.float64)
+    arrived = points / max(1e-9, 1.0 - device.spec.drop_rate)
     other = rows[(sweep.instances[rows] > 0) & ~np.isin(sweep.instances[rows], instances)]
     return _Look(
         int(lidar.frames.timestamps_ns[index]) + time_ns - sweep.frame.timestamp_ns,
         world_from_ego,
-        world_from_ego @ drive.truth.lidars[str(lidar.id)].spec.mount,
-        objects.select(seen),
-        instances[seen],
-        counts[np.searchsorted(met, instances[seen])].astype(np.float64),
+        world_from_ego @ device.spec.mount,
+        objects_seen,
+        instances_seen,
+        points,
+        hidden_shares(arrived, device.silhouettes(number), instances_seen),
         _clear(sweep.points_world[other[sweep.ranges[other] < FALSE_WITHIN]], objects),
         sweep.points_world[rows],
     )
@@ -155,9 +162,8 @@ def _draft(
     """Everything about a sweep but the scores."""
     look = _look(drive, spec, lidar, index)
     objects = look.objects
-    occlusions = occlusions_from(drive.truth.street, look.origin, objects, look.instances)
     halves = np.array([spec.classes[label].half_evidence for label in objects.labels])
-    chances = spec.misses.chances(look.points, occlusions, halves)
+    chances = spec.misses.chances(look.points, look.occlusions, halves)
     number = true_frame(drive, lidar.id, index)
     generator = frame_generator(Stream.DETECTIONS_3D, spec.seed, lidar.id, number)
     found = np.flatnonzero(generator.random(len(objects)) < chances)
@@ -175,7 +181,7 @@ def _draft(
         look.placed(objects, boxes_frame),
         look.instances,
         look.points,
-        occlusions,
+        look.occlusions,
         chances,
     )
     return Draft(report, rates, generator)

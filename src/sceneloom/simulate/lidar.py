@@ -20,6 +20,7 @@ from sceneloom.simulate.casting import (
     instances_of,
     paint,
     reflectivities_of,
+    silhouettes,
     velocities_of,
 )
 from sceneloom.simulate.mounts import sensor_mount
@@ -179,6 +180,13 @@ class ScanningLidar:
             look.colors[kept],
             velocities_of(self.street, hits.shapes[kept], ends, times_ns[moments]),
         )
+
+    def silhouettes(self, k: int) -> Int64Array:
+        """Count the shots of sweep k that each object would meet if it were alone, by instance number - 1."""
+        shots = self.shots(k)
+        times_ns = self.timestamps_ns[k] + shots.offsets_ns
+        rotations, origins = self._poses(times_ns)
+        return silhouettes(self.street, shots.rays, rotations, origins, times_ns, reach=self.spec.max_range)
 
     def _poses(self, timestamps_ns: Int64Array) -> tuple[Float64Array, Float64Array]:
         """`world_from_lidar` at each time: (M, 3, 3) rotations and (M, 3) positions."""

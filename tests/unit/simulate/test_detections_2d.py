@@ -143,6 +143,14 @@ def test_the_box_of_an_object_beside_the_camera_reaches_the_border_and_stays_fin
     assert box == pytest.approx([0.0, 96.0, 159.5 - 190 * 2 / 5 + 0.5, 200.0])
 
 
+def test_occlusion_is_what_the_truth_of_the_picture_says(drive, reports):
+    truth = drive.truth.occlusion("camera0", 30)
+    shares = dict(zip(truth.instances.tolist(), truth.hidden.tolist(), strict=True))
+    expected = [shares[int(instance)] for instance in reports[30].truth_instances]
+    assert reports[30].occlusions.tolist() == pytest.approx(expected)
+    assert max(expected) > 0.1
+
+
 def test_objects_are_missed_as_often_as_their_pixels_say(fair):
     pixels, occlusions = (
         np.concatenate([getattr(report, name) for report in fair]) for name in ("evidence", "occlusions")

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from sceneloom.errors import OptionError
 from sceneloom.geometry.boxes import points_in_box
-from sceneloom.scene import Boxes3D, PointsFrame, ScoreForm
+from sceneloom.scene import PointsFrame, ScoreForm
 from sceneloom.simulate import (
     ClassSpec,
     Detector3dSpec,
@@ -21,7 +21,7 @@ from sceneloom.simulate import (
     simulate_street,
 )
 from sceneloom.simulate.detections import FALSE
-from sceneloom.simulate.sightings import occlusions_from
+from sceneloom.simulate.shapes import PackedShapes
 
 CARS = {"car": ClassSpec(half_evidence=8.0, false_rate=1.5, size_lwh=(4.2, 1.8, 1.5))}
 SHARP = {"car": ClassSpec(half_evidence=1e-6, false_rate=0.0, size_lwh=(4.2, 1.8, 1.5))}
@@ -272,27 +272,17 @@ def test_boxes_are_of_the_reference_time_of_their_sweep(drive, reports):
     assert reports[3].boxes.timestamp_ns == frame.reference_ns != frame.timestamp_ns
 
 
-@pytest.mark.parametrize(("hidden", "expected"), [(0.0, 0.0), (0.5, 0.5), (1.0, 1.0)])
-def test_the_occlusion_of_a_box_behind_a_wall_is_the_hidden_share(
-    standing_path, street_of, box, hidden, expected
-):
-    thing = box((20.0, 0.0, 1.0), (1.0, 2.0, 1.0))
-    # Seen from the origin, a wall at half the way hides what is left of its right end, which is drawn to the left.
-    edge = 1.3 - hidden * 2.6
-    wall = box((10.0, edge + 5.0, 1.0), (0.1, 5.0, 3.0))
-    street = street_of([thing, wall], standing_path)
-    boxes = Boxes3D(
-        0,
-        np.array([[20.0, 0.0, 1.0]]),
-        np.array([[2.0, 4.0, 2.0]]),
-        np.zeros(1),
-        np.ones(1),
-        ("car",),
-        frame=PointsFrame.WORLD,
-    )
-    found = occlusions_from(street, np.array([0.0, 0.0, 1.0]), boxes, np.array([1]))
-    # One of the five columns of lines of sight is a fifth.
-    assert found == pytest.approx([expected], abs=0.21)
+def test_occlusion_is_the_share_of_points_that_others_take(drive, reports):
+    lidar, street = drive.truth.lidar, drive.truth.street
+    hidden = 0
+    for j, instance in enumerate(reports[20].truth_instances):
+        own = street.shapes.instances == instance
+        shapes = PackedShapes(*(getattr(street.shapes, f.name)[own] for f in fields(PackedShapes)))
+        alone = replace(lidar, street=replace(street, shapes=shapes)).sweep(20)
+        expected = 1 - reports[20].evidence[j] / (alone.instances == instance).sum()
+        assert reports[20].occlusions[j] == pytest.approx(expected)
+        hidden += expected > 0.2
+    assert 0 < hidden < len(reports[20].truth)
 
 
 @pytest.mark.parametrize(

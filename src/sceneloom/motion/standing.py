@@ -18,7 +18,7 @@ QUIET_RATE = 0.005
 QUIET_FORCE = 0.05
 """Its specific forces deviate by less on each axis [m/s²]; those of a car that rolls by more than that."""
 
-LARGEST_BIAS = 0.03
+LARGEST_BIAS = 0.06
 """A mean rate beyond it is a turn, however even [rad/s]."""
 
 
@@ -61,6 +61,10 @@ def find_standing(
     inside = (force_windows >= 0) & (force_windows < count)
     _, quiet_forces = _statistics(force_windows[inside], forces[inside], count, QUIET_FORCE)
     stood = quiet & quiet_forces & (np.abs(mean) < LARGEST_BIAS).all(axis=1)
+    if not stood.any():
+        return None
+    # a bias is the same each time, a turn so even that it looks like one is not
+    stood &= (np.abs(mean - np.median(mean[stood], axis=0)) < QUIET_RATE).all(axis=1)
     if not stood.any():
         return None
     return Standing(rates[stood[rate_windows]].mean(axis=0), float(stood.sum()) * WINDOW_NS * 1e-9)

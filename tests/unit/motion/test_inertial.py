@@ -178,3 +178,12 @@ def test_the_first_imu_with_a_gyroscope_counts() -> None:
     scene = imu_scene(np.arange(3) * 10, np.zeros((3, 3)))
     other = ImuSensor("thermometer", {})
     assert len(imu_motion(replace(scene, sensors=(other, *scene.sensors))).ego.path.timestamps_ns) == 3
+
+
+def test_a_quiet_turn_among_stops_is_no_bias() -> None:
+    times, rates, forces = standing_signals(6.0)
+    rates[200:300, 2] += 0.03
+    standing = find_standing(times, rates, times, forces)
+    assert standing is not None
+    assert standing.seconds == 5.0
+    np.testing.assert_allclose(standing.rate, [0.01, -0.004, 0.002], atol=3e-4)

@@ -1,0 +1,352 @@
+"""Synchronised sets: which frames they hold, and where everything was, against scipy and by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError, OptionError, PoseError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CameraSensor,
+    Coordinates,
+    CuboidAnnotation,
+    CuboidPath,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Picture,
+    PointsFrame,
+    PosePath,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+    Scene,
+    Trajectory,
+)
+from sceneloom.scene.ego import EgoMotion
+
+LENS = Camera("brown_conrady", 4, 3, 2.0, 2.5, 1.5, 1.0, (0.1, 0.02))
+MS = 1_000_000
+SWEEPS_NS = np.array([0, 100, 200, 300], np.int64) * MS
+PICTURES_NS = np.array([40, 75, 160, 370], np.int64) * MS
+WAY_NS = np.arange(0, 420, 30, dtype=np.int64) * MS
+TURNS = Rotation.from_rotvec(np.linspace([0, 0, 0], [0.1, -0.2, 1.1], len(WAY_NS)))
+PLACES = np.column_stack([np.cos(WAY_NS / 2e8), np.sin(WAY_NS / 2e8), WAY_NS / 1e9])
+EGO_FROM_LIDAR = (Rotation.from_euler("zyx", [20, 3, -2], degrees=True), np.array([0.1, 0.2, 1.8]))
+EGO_FROM_CAMERA = (Rotation.from_euler("zyx", [-90, 5, -85], degrees=True), np.array([1.5, 0.0, 1.2]))
+# composing in another order than scipy rounds the last digits
+EXACT = 1e-12
+
+
+def transform(pose):
+    return RigidTransform(pose[0].as_matrix(), pose[1])
+
+
+def matrix(rotation, position):
+    whole = np.eye(4)
+    whole[:3, :3], whole[:3, 3] = rotation.as_matrix(), position
+    return whole
+
+
+def world_from_ego(time_ns):
+    place = [np.interp(time_ns, WAY_NS, PLACES[:, axis]) for axis in range(3)]
+    return matrix(Slerp(WAY_NS / 1e6, TURNS)(time_ns / 1e6), place)
+
+
+def sweep(start_ns, middle_ns=50 * MS):
+    """Three points around the middle of a sweep."""
+    times = start_ns + np.array([0, middle_ns, 99 * MS], np.int64)
+    positions = np.arange(9, dtype=np.float32).reshape(3, 3)
+    return LidarFrame(
+        int(start_ns), LidarPoints(positions, np.array([1, 2, 3], np.uint8), timestamps_ns=times)
+    )
+
+
+def lidar(sensor_id="lidar", **fields):
+    frames = LazyFrames.of([sweep(start) for start in SWEEPS_NS.tolist()], SWEEPS_NS)
+    return replace(LidarSensor(sensor_id, frames, mount=transform(EGO_FROM_LIDAR)), **fields)
+
+
+def camera(sensor_id="camera0", stamps=PICTURES_NS, **fields):
+    pictures = [Picture.of(t, LENS, np.full((3, 4, 3), k, np.uint8)) for k, t in enumerate(stamps.tolist())]
+    frames = LazyFrames.of(pictures, stamps)
+    return replace(CameraSensor(sensor_id, LENS, frames, mount=transform(EGO_FROM_CAMERA)), **fields)
+
+
+def drive(*sensors, **fields):
+    way = Trajectory("groundTruth", WAY_NS, PLACES, TURNS.as_quat())
+    fields = {"trajectories": {"groundTruth": way}, **fields}
+    return Scene(sensors or (lidar(), camera()), **fields)
+
+
+def test_a_sample_holds_the_picture_nearest_to_the_middle_of_its_sweep():
+    samples = drive().samples()
+    assert len(samples) == 4
+    middles = (SWEEPS_NS + 50 * MS).tolist()
+    assert [sample.timestamp_ns for sample in samples] == middles
+    found = [sample.pictures["camera0"] for sample in samples]
+    # 370 ms is nearer to the last sweep's 350 ms than the tolerance, a sweep period; 250 ms has 160 ms at 90 ms
+    assert [picture.timestamp_ns // MS for picture in found] == [40, 160, 160, 370]
+    assert samples[0].time_differences_ns == {"lidar": 0, "camera0": -10 * MS}
+    assert samples[0].missing == {}
+    np.testing.assert_array_equal(samples[3].pictures["camera0"].rgb, 3)
+
+
+def test_a_picture_beyond_the_tolerance_is_missing_and_the_sample_says_how_far_it_is():
+    sample = drive().samples(tolerance_ns=89 * MS)[2]
+    assert sample.pictures == {"camera0": None}
+    assert sample.missing["camera0"] == "its nearest frame is 0.090 s away; expected at most 0.089 s"
+    assert sample.cameras == {"camera0": LENS}
+    assert sample.world_from_camera == {"camera0": None}
+    assert "no frame" in sample.unposed["camera0"]
+    assert drive().samples(tolerance_ns=90 * MS)[2].missing == {}
+
+
+def test_poses_are_those_of_each_sensor_at_its_own_time():
+    sample = drive().samples()[1]
+    world_from_lidar = world_from_ego(150 * MS) @ matrix(*EGO_FROM_LIDAR)
+    world_from_camera = world_from_ego(160 * MS) @ matrix(*EGO_FROM_CAMERA)
+    np.testing.assert_allclose(sample.world_from_lidar.matrix, world_from_lidar, atol=EXACT)
+    np.testing.assert_allclose(sample.world_from_camera["camera0"].matrix, world_from_camera, atol=EXACT)
+    expected = np.linalg.inv(world_from_camera) @ world_from_lidar
+    np.testing.assert_allclose(sample.camera_from_lidar["camera0"].matrix, expected, atol=EXACT)
+    np.testing.assert_allclose(sample.camera_from_points["camera0"].matrix, expected, atol=EXACT)
+    assert sample.unposed == {}
+    assert drive().samples().trajectory == "groundTruth"
+
+
+def test_without_a_trajectory_the_mountings_alone_join_lidar_and_camera():
+    sample = drive(trajectories={}).samples()[1]
+    assert sample.world_from_lidar is None
+    assert "no trajectory" in sample.unposed["lidar"]
+    assert "no trajectory" in sample.unposed["camera0"]
+    expected = np.linalg.inv(matrix(*EGO_FROM_CAMERA)) @ matrix(*EGO_FROM_LIDAR)
+    np.testing.assert_allclose(sample.camera_from_lidar["camera0"].matrix, expected, atol=EXACT)
+    still = drive(trajectories={}).samples(trajectory="identity")[1]
+    np.testing.assert_allclose(still.world_from_lidar.matrix, matrix(*EGO_FROM_LIDAR), atol=EXACT)
+    np.testing.assert_allclose(still.camera_from_lidar["camera0"].matrix, expected, atol=EXACT)
+
+
+def test_points_in_the_ego_frame_take_the_ego_s_pose_and_keep_the_lidar_s():
+    sample = drive(lidar(points_frame=PointsFrame.EGO), camera()).samples()[1]
+    np.testing.assert_allclose(sample.poses.world_from_points.matrix, world_from_ego(150 * MS), atol=EXACT)
+    world_from_camera = world_from_ego(160 * MS) @ matrix(*EGO_FROM_CAMERA)
+    expected = np.linalg.inv(world_from_camera) @ world_from_ego(150 * MS)
+    np.testing.assert_allclose(sample.camera_from_points["camera0"].matrix, expected, atol=EXACT)
+    expected = expected @ matrix(*EGO_FROM_LIDAR)
+    np.testing.assert_allclose(sample.camera_from_lidar["camera0"].matrix, expected, atol=EXACT)
+
+
+def posed(pose, times=WAY_NS):
+    """`world_from_sensor` at some times."""
+    whole = np.array([world_from_ego(t) @ matrix(*pose) for t in times])
+    return PosePath(times, whole[:, :3, 3].copy(), Rotation.from_matrix(whole[:, :3, :3]).as_quat())
+
+
+def test_points_in_the_world_stay_there_and_no_trajectory_can_be_chosen_for_them():
+    world = {"coordinates": Coordinates.WORLD, "mount": None}
+    sensors = (
+        lidar(points_frame=PointsFrame.WORLD, **world),
+        camera(poses=posed(EGO_FROM_CAMERA), **world),
+    )
+    sample = drive(*sensors).samples()[1]
+    np.testing.assert_allclose(sample.poses.world_from_points.matrix, np.eye(4), atol=EXACT)
+    path = posed(EGO_FROM_CAMERA)
+    place = [np.interp(160 * MS, WAY_NS, path.positions[:, axis]) for axis in range(3)]
+    turn = Slerp(WAY_NS / 1e6, Rotation.from_quat(path.quaternions_xyzw))(160.0)
+    expected = np.linalg.inv(matrix(turn, place))
+    np.testing.assert_allclose(sample.camera_from_points["camera0"].matrix, expected, atol=EXACT)
+    assert sample.world_from_lidar is None
+    assert "neither poses nor a mounting" in sample.unposed["lidar"]
+    assert sample.camera_from_lidar == {"camera0": None}
+    with pytest.raises(OptionError, match="placed in the world already"):
+        drive(*sensors).samples(trajectory="groundTruth")
+
+
+def test_beyond_the_trajectory_poses_are_continued_for_one_period_and_then_not_known():
+    short = Trajectory("short", WAY_NS[:5], PLACES[:5], TURNS[:5].as_quat())
+    samples = drive(trajectories={"short": short}).samples()
+    assert samples[0].poses.extrapolated == ()
+    assert samples[1].poses.extrapolated == ("lidar", "camera0")
+    assert samples[3].world_from_lidar is None
+    assert samples[3].unposed["lidar"] == "0.230 s beyond the ends of the trajectory"
+    assert samples[3].camera_from_lidar["camera0"] is not None
+
+
+def test_a_trajectory_is_chosen_by_name_or_handed_in():
+    shifted = Trajectory("other", WAY_NS, PLACES + np.array([0, 0, 5]), TURNS.as_quat())
+    unturned = Trajectory("gnss", WAY_NS, PLACES)
+    scene = drive()
+    scene = replace(scene, trajectories={**scene.trajectories, "other": shifted, "gnss": unturned})
+    heights = [
+        scene.samples(trajectory=choice)[0].world_from_lidar.translation[2]
+        for choice in (None, "other", EgoMotion.of(shifted))
+    ]
+    np.testing.assert_allclose(np.subtract(heights, heights[0]), [0, 5, 5], atol=EXACT)
+    with pytest.raises(
+        OptionError, match="no trajectory 'vio'; there are: groundTruth, other, gnss, identity"
+    ):
+        scene.samples(trajectory="vio")
+    with pytest.raises(PoseError, match="without orientations"):
+        scene.samples(trajectory="gnss")
+    by_default = replace(scene, trajectories={"gnss": unturned}).samples()[0]
+    assert by_default.world_from_lidar is None
+
+
+def test_a_picture_s_own_mounting_counts_before_the_camera_s():
+    own = transform((Rotation.identity(), np.array([9.0, 8.0, 7.0])))
+    pictures = [replace(picture, mount=own) for picture in camera().pictures]
+    sample = drive(lidar(), camera(pictures=LazyFrames.of(pictures, PICTURES_NS))).samples()[0]
+    expected = world_from_ego(40 * MS) @ own.matrix
+    np.testing.assert_allclose(sample.world_from_camera["camera0"].matrix, expected, atol=EXACT)
+    np.testing.assert_array_equal(sample.poses.ego_from_sensor["camera0"].matrix, own.matrix)
+
+
+def test_a_camera_as_reference_is_joined_by_the_nearest_sweep():
+    samples = drive().samples(reference="camera0")
+    assert [sample.timestamp_ns for sample in samples] == PICTURES_NS.tolist()
+    # 75 ms is nearer to the middle 50 of the first sweep than to 150 of the second, though that begins at 100
+    assert [sample.sweep.timestamp_ns // MS for sample in samples] == [0, 0, 100, 300]
+    assert samples[1].time_differences_ns == {"camera0": 0, "lidar": -25 * MS}
+    assert drive().samples(reference="camera")[1].reference_id == "camera0"
+    assert drive(camera()).samples(reference="camera")[0].sweep is None
+
+
+def test_further_lidars_and_radars_are_there_when_asked_for():
+    late = LazyFrames.of([sweep(start) for start in (SWEEPS_NS + 30 * MS).tolist()], SWEEPS_NS + 30 * MS)
+    echo = RadarFrame(45 * MS, RadarPoints(np.ones((2, 3), np.float32), lengths=np.ones(2, np.float32)))
+    radar = RadarSensor("radar", LazyFrames.of([echo], [45 * MS]), mount=transform(EGO_FROM_CAMERA))
+    scene = drive(lidar("top"), lidar("front", frames=late), radar, camera())
+    sample = scene.samples(lidars="all", radars=["radar"])[1]
+    assert (sample.lidar_id, list(sample.sweeps)) == ("top", ["top", "front"])
+    assert sample.times_ns["front"] == 180 * MS
+    assert sample.radar_frames == {"radar": None}
+    early = scene.samples(reference="front", radars="radar", cameras=(), tolerance_ns=40 * MS)[0]
+    assert early.radar_frames == {"radar": echo}
+    expected = world_from_ego(45 * MS) @ matrix(*EGO_FROM_CAMERA)
+    np.testing.assert_allclose(early.poses.world_from_sensor["radar"].matrix, expected, atol=EXACT)
+    assert list(scene.samples()[0].sweeps) == ["top"]
+
+
+def test_slices_and_negative_numbers_behave_like_those_of_a_list():
+    samples = drive().samples()
+    numbers = [0, 1, 2, 3]
+    for part in (slice(1, 3), slice(None, None, -2), slice(3, 1), slice(-2, None)):
+        assert [sample.index for sample in samples[part]] == numbers[part]
+        assert len(samples[part]) == len(numbers[part])
+    assert samples[1:][1:][0].index == 2
+    assert samples[-1].index == 3
+    with pytest.raises(IndexError):
+        samples[4]
+
+
+def test_nothing_is_read_when_samples_are_made_and_only_what_a_sample_holds_after():
+    asked = []
+    sensor = lidar()
+    frames = LazyFrames(SWEEPS_NS, lambda k: asked.append(k) or sensor.frames[k])
+    samples = drive(replace(sensor, frames=frames), camera()).samples()
+    assert asked == []
+    assert samples[2].sweep.timestamp_ns == 200 * MS
+    assert asked == [2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            {"reference": "side"},
+            "reference 'side'; expected one of its lidars and cameras: 'lidar', 'camera0'",
+        ),
+        ({"cameras": ["camera0", "rear"]}, "no camera 'rear'; expected some of: 'all', 'camera0'"),
+        ({"cameras": "lidar"}, "no camera 'lidar'"),
+        ({"radars": ["r"]}, "no radar 'r'; expected some of: 'all', none, it has no such sensor"),
+        ({"lidars": [1]}, "no lidar 1; expected some of: 'all', 'lidar'"),
+        ({"tolerance_ns": -1}, "tolerance -1 ns; expected 0 or more"),
+    ],
+)
+def test_what_is_not_there_is_refused_with_what_is(arguments, message):
+    with pytest.raises(OptionError, match=message):
+        drive().samples(**arguments)
+
+
+def test_a_drive_without_lidar_is_refused_where_a_lidar_counts():
+    with pytest.raises(OptionError, match=r"reference 'lidar'; .*: 'camera0'"):
+        drive(camera()).samples()
+
+
+def box(annotation_id, times_ms, rows, **fields):
+    path = CuboidPath(np.array(times_ms, np.int64) * MS, np.array(rows, np.float64))
+    return CuboidAnnotation(annotation_id, path, **fields)
+
+
+def test_boxes_are_those_that_are_there_at_the_moment_turned_the_shorter_way():
+    moving = box(
+        "car", [40, 60], [[4, 2, 1.5, 0, 0, 0, 0, 0, 170], [4, 2, 2.5, 8, 0, 0, 0, 0, -170]], label="car"
+    )
+    standing = box(7, [900], [[1, 1, 1, 5, 5, 5, 10, 20, 30]], stationary=True)
+    gone = box("gone", [0, 49], np.ones((2, 9)))
+    boxes = drive(annotations=(gone, moving, standing)).samples()[0].boxes
+    assert (boxes.ids, boxes.labels) == (("car", 7), ("car", None))
+    np.testing.assert_allclose(boxes.centers_world, [[4, 0, 0], [5, 5, 5]])
+    np.testing.assert_allclose(boxes.sizes_lwh, [[4, 2, 2], [1, 1, 1]])
+    np.testing.assert_allclose(np.cos(boxes.yaws_world[0]), -1.0)
+    # capital letters: about the turned axes one after the other, which is Rx(10) Ry(20) Rz(30)
+    expected = Rotation.from_euler("XYZ", [10, 20, 30], degrees=True).as_matrix()
+    np.testing.assert_allclose(boxes.rotations_world[1], expected, atol=EXACT)
+
+
+def test_angles_of_boxes_are_read_as_the_metadata_say():
+    standing = box(7, [0], [[1, 1, 1, 0, 0, 0, 0.1, 0.2, 0.3]], stationary=True)
+    metadata = {"sceneloom": {"euler_unit": "radians", "euler_order": "zyx"}}
+    boxes = drive(annotations=(standing,), metadata=metadata).samples()[0].boxes
+    expected = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
+    np.testing.assert_allclose(boxes.rotations_world[0], expected, atol=EXACT)
+    assert len(drive().samples()[0].boxes) == 0
+
+
+def test_arrays_have_the_same_names_and_dtypes_whether_a_picture_is_there_or_not():
+    near, far = (drive().samples(tolerance_ns=t)[2].arrays() for t in (90 * MS, 10 * MS))
+    assert {name: array.dtype for name, array in near.items()} == {n: a.dtype for n, a in far.items()}
+    assert (near["camera0.found"], far["camera0.found"]) == (True, False)
+    assert near["camera0.rgb"].shape == far["camera0.rgb"].shape == (3, 4, 3)
+    assert not far["camera0.rgb"].any()
+    assert np.isnan(far["camera0.camera_from_lidar"]).any() == np.False_, "the mountings are known"
+    assert np.isnan(far["camera0.world_from_sensor"]).all()
+
+
+def test_arrays_are_what_the_sample_says_and_the_caller_s_own():
+    samples = drive().samples()
+    sample, arrays = samples[1], samples[1].arrays()
+    np.testing.assert_array_equal(arrays["lidar.positions"], sample.sweep.points.positions)
+    np.testing.assert_array_equal(arrays["lidar.intensities"], [1, 2, 3])
+    np.testing.assert_array_equal(arrays["camera0.matrix"], [[2, 0, 1.5], [0, 2.5, 1], [0, 0, 1]])
+    np.testing.assert_array_equal(arrays["camera0.coefficients"], [0.1, 0.02])
+    np.testing.assert_array_equal(
+        arrays["camera0.camera_from_points"], sample.camera_from_points["camera0"].matrix
+    )
+    assert arrays["timestamp_ns"] == 150 * MS
+    assert arrays["camera0.time_ns"] == 160 * MS
+    for array in arrays.values():
+        assert array.flags.writeable
+    arrays["lidar.positions"][:] = -1
+    arrays["camera0.rgb"][:] = 99
+    assert samples[1].sweep.points.positions.min() == 0
+    assert samples[1].pictures["camera0"].rgb.max() == 2
+
+
+def test_a_damaged_sweep_raises_when_its_sample_is_asked_for_and_no_other():
+    sensor = lidar()
+
+    def read(k):
+        if k == 1:
+            raise DataError("drive", "frames[1]", "is torn")
+        return sensor.frames[k]
+
+    samples = drive(replace(sensor, frames=LazyFrames(SWEEPS_NS, read)), camera()).samples()
+    assert samples[2].index == 2
+    with pytest.raises(DataError, match="is torn"):
+        samples[1]

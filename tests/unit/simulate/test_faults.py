@@ -13,7 +13,9 @@ from sceneloom.simulate import (
     Faults,
     LidarSpec,
     PointTimes,
+    RadarSpec,
     SensorFaults,
+    TrafficSpec,
     camera_mount,
     plant,
     simulate_street,
@@ -233,6 +235,34 @@ def test_intensities_are_scaled_and_stay_within_a_byte(right):
     true = right.scene.lidars[0].frames[0].points.intensities
     assert (true > 80).any()
     np.testing.assert_array_equal(said, [min(255, round(3.3 * int(value))) for value in true])
+
+
+def test_a_radar_and_a_second_lidar_can_be_wrong_as_well():
+    small = LidarSpec(beams=4, steps=60)
+    right = simulate_street(
+        4, frames=4, lidars=(small, small), cameras=(), radars=(RadarSpec(),), traffic=TrafficSpec()
+    )
+    wrong = SensorFaults(
+        rotation_deg=(0.0, 0.0, -3.0),
+        lost_frames=(1,),
+        time_offset_ns=11,
+        blind=((START_NS + 2 * SWEEP_NS, START_NS + 3 * SWEEP_NS),),
+    )
+    drive = plant(right, Faults({"radar0": wrong, "lidar1": wrong}))
+    for name in ("radar0", "lidar1"):
+        stated, true = drive.scene.sensor(name), right.scene.sensor(name)
+        error = true.mount.inverse() @ stated.mount
+        assert Rotation.from_matrix(error.rotation).as_rotvec(degrees=True) == pytest.approx([0, 0, -3.0])
+        kept = drive.true_frames[name]
+        assert 1 not in kept
+        for j, k in enumerate(kept):
+            said, exact = stated.frames[j], true.frames[int(k)]
+            assert said.timestamp_ns == exact.timestamp_ns + 11
+            blind = START_NS + 2 * SWEEP_NS <= exact.timestamp_ns < START_NS + 3 * SWEEP_NS
+            assert len(said.points) == (0 if blind else len(exact.points))
+    radar = drive.scene.sensor("radar0").frames[0].points
+    np.testing.assert_array_equal(radar.lengths, right.scene.sensor("radar0").frames[0].points.lengths)
+    assert drive.scene.sensor("lidar0").frames is right.scene.sensor("lidar0").frames
 
 
 def test_the_stated_lens_is_longer_and_the_picture_the_same(right):

@@ -13,6 +13,9 @@ _HEADROOM = 2.0
 _SPARE = np.array([0.4, 0.04])
 """How much longer to either end and wider to either side ground plans are taken [m]."""
 
+_STRETCH = 32
+"""Times of a way that are looked at together."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plans:
@@ -35,7 +38,7 @@ class Plans:
         """Half the diagonals (N,) [m]."""
         return np.hypot(self.half[:, 0], self.half[:, 1])
 
-    def taken(self, which: AnyArray) -> "Plans":
+    def taken(self, which: AnyArray | slice) -> "Plans":
         """Some of them, by index or mask."""
         return Plans(self.centers[which], self.yaws[which], self.half[which], self.there[which])
 
@@ -93,19 +96,26 @@ class Clearance:
 
     def _hits_standing(self, plans: Plans) -> bool:
         plans = plans.taken(plans.there)
-        radius = float(plans.radii.max())
-        low, high = plans.centers.min(axis=0) - radius, plans.centers.max(axis=0) + radius
-        reach = self.standing.radii[:, None]
-        near = ((self.standing.centers > low - reach) & (self.standing.centers < high + reach)).all(axis=1)
+        return any(
+            self._hits_near(plans.taken(slice(start, start + _STRETCH)))
+            for start in range(0, len(plans.yaws), _STRETCH)
+        )
+
+    def _hits_near(self, plans: Plans) -> bool:
+        """The same for a short stretch of a way, where few things stand."""
+        reach = self.standing.radii[:, None] + float(plans.radii.max())
+        low, high = plans.centers.min(axis=0) - reach, plans.centers.max(axis=0) + reach
+        near = ((self.standing.centers > low) & (self.standing.centers < high)).all(axis=1)
         obstacles = self.standing.taken(near & self.standing.there)
-        apart = np.linalg.norm(plans.centers[:, None] - obstacles.centers[None], axis=2)
-        time, which = np.nonzero(apart < plans.radii[:, None] + obstacles.radii[None])
-        return bool(overlapping(plans.taken(time), obstacles.taken(which)).any())
+        apart = plans.centers[:, None] - obstacles.centers[None]
+        reach = plans.radii[:, None] + obstacles.radii[None]
+        time, which = np.nonzero((apart * apart).sum(axis=2) < reach * reach)
+        return len(time) > 0 and bool(overlapping(plans.taken(time), obstacles.taken(which)).any())
 
     def _hits_moving(self, plans: Plans) -> bool:
         for other in self.moving:
-            apart = np.linalg.norm(plans.centers - other.centers, axis=1)
-            near = np.flatnonzero(apart < plans.radii + other.radii)
+            apart, reach = plans.centers - other.centers, plans.radii + other.radii
+            near = np.flatnonzero((apart * apart).sum(axis=1) < reach * reach)
             if len(near) and overlapping(plans.taken(near), other.taken(near)).any():
                 return True
         return False

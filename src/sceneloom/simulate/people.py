@@ -124,18 +124,14 @@ def _designed(label: str, parts: tuple[Part, ...]) -> MovingDesign:
     """Put the box around all that parts do: symmetric about the origin, from the ground up."""
     reach = np.zeros(3)
     for part in parts:
+        rotations = np.array([shape.pose.rotation for shape in part.shapes])
+        centers = np.array([shape.pose.translation for shape in part.shapes]) - part.hinge
         for angle in np.linspace(-part.swing, part.swing, 9 if part.swing else 1):
-            turned = _swung(angle, part.hinge)
-            for shape in part.shapes:
-                pose = turned @ shape.pose
-                reach = np.maximum(reach, np.abs(pose.translation) + _half_extents(shape, pose.rotation))
+            turn = rotation_from_angles(np.zeros(()), np.array(-angle), np.zeros(()))
+            places = np.abs(centers @ turn.T + part.hinge)
+            for shape, rotation, place in zip(part.shapes, turn @ rotations, places, strict=True):
+                reach = np.maximum(reach, place + _half_extents(shape, rotation))
     return MovingDesign(label, parts, (float(2 * reach[0]), float(2 * reach[1]), float(reach[2])))
-
-
-def _swung(angle: float, hinge: Point) -> RigidTransform:
-    """`mover_from_part` where a part has swung forwards by an angle [rad]."""
-    turn = rotation_from_angles(np.zeros(()), np.array(-angle), np.zeros(()))
-    return RigidTransform(turn, np.array(hinge) - turn @ np.array(hinge))
 
 
 def _half_extents(shape: Shape, rotation: Float64Array) -> Float64Array:

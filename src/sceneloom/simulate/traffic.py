@@ -225,12 +225,13 @@ def _add_cyclists(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan
         track = Track.of(plan.lane, left)
         flow = 4.5 * float(np.ptp(plan.knots))
         for _ in range(generator.poisson(spec.cyclists / 100.0 * (track.length + flow))):
+            design = design_cyclist(generator)
             for _ in range(_TRIES):
                 speed, wave = generator.uniform(3.4, 5.6), _wave(generator, 0.8, (0.3, 0.5))
                 start = generator.uniform(-flow, track.length)
                 driven = start + speed * (plan.knots - plan.knots[0]) + wave(plan.knots)
                 along = driven if ahead > 0 else track.length - driven
-                if plan.try_add(design_cyclist(generator), *_on_track(track, along, ahead=ahead)):
+                if plan.try_add(design, *_on_track(track, along, ahead=ahead)):
                     break
 
 
@@ -243,12 +244,13 @@ def _add_pedestrians(generator: np.random.Generator, spec: TrafficSpec, plan: _P
             add = _try_stand if kind < spec.standing else _try_walk
             if spec.standing <= kind < spec.standing + spec.crossing:
                 add = _try_cross
-            any(add(generator, plan, left) for _ in range(_TRIES))
+            design = design_pedestrian(generator, walks=add is not _try_stand)
+            any(add(generator, plan, design, left) for _ in range(_TRIES))
 
 
-def _try_walk(generator: np.random.Generator, plan: _Plan, left: float) -> bool:
+def _try_walk(generator: np.random.Generator, plan: _Plan, design: MovingDesign, left: float) -> bool:
     track = Track.of(plan.lane, left)
-    design, ahead = design_pedestrian(generator), 1.0 if generator.uniform() < 0.5 else -1.0
+    ahead = 1.0 if generator.uniform() < 0.5 else -1.0
     speed, wave = generator.uniform(0.95, 1.6), _wave(generator, 0.25, (0.3, 0.5))
     walked = speed * (plan.knots - plan.knots[0]) + wave(plan.knots)
     along = generator.uniform(0.0, track.length) + ahead * (walked - generator.uniform() * walked[-1])
@@ -258,19 +260,19 @@ def _try_walk(generator: np.random.Generator, plan: _Plan, left: float) -> bool:
     return plan.try_add(design, *_on_track(track, along, ahead=ahead, gait=gait))
 
 
-def _try_stand(generator: np.random.Generator, plan: _Plan, left: float) -> bool:
+def _try_stand(generator: np.random.Generator, plan: _Plan, design: MovingDesign, left: float) -> bool:
     side = np.sign(left - 1.75)
     spot = Track.of(plan.lane, left + generator.uniform(-1.2, 0.5) * side)
     point, heading = spot.at(np.array([generator.uniform(_END, spot.length - _END)]))
     turned = heading[0] + generator.uniform(-np.pi, np.pi)
     sample = np.array([*point[0], turned, 0.0])
     samples = np.tile(sample, (len(plan.knots), 1))
-    return plan.try_add(design_pedestrian(generator, walks=False), samples)
+    return plan.try_add(design, samples)
 
 
-def _try_cross(generator: np.random.Generator, plan: _Plan, left: float) -> bool:
+def _try_cross(generator: np.random.Generator, plan: _Plan, design: MovingDesign, left: float) -> bool:
     """Stand on the pavement, cross the street squarely near where the ego is by then, stand again."""
-    design, track = design_pedestrian(generator), Track.of(plan.lane, left)
+    track = Track.of(plan.lane, left)
     begin = generator.uniform(plan.knots[0] - 6.0, plan.knots[-1])
     parameter, _, _ = plan.path.warp.at(np.array([begin]))
     along = track.beside(parameter)[0] + generator.uniform(-15.0, 60.0)

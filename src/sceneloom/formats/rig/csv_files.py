@@ -51,7 +51,7 @@ class Table:
         """
         if name in self.names:
             return self.names.index(name)
-        close = get_close_matches(name, self.names, 1, 0.6)
+        close = get_close_matches(name, self.names, 1, 0.5)
         hint = f"; did you mean {close[0]!r}?" if close else ""
         raise DataError(self.path, "line 1", f"no column {name!r}; it has {', '.join(self.names)}{hint}")
 

@@ -49,31 +49,32 @@ class Faults:
         Raises:
             DataError: the only fault, or the first with all others below it.
         """
-        if len(self._errors) == 1:
-            raise self._errors[0]
-        if self._errors:
-            said = [error for error in self._errors if not error.problem.startswith(FILL_IN)]
-            lines = [*map(self._told, said), *self._to_fill_in()]
+        errors = [DataError(e.file, self._labelled(e), e.problem) for e in self._errors]
+        if len(errors) == 1:
+            raise errors[0]
+        if errors:
+            said = [self._told(error) for error in errors if not error.problem.startswith(FILL_IN)]
+            lines = [*said, *self._to_fill_in(errors)]
             if len(lines) > SHOWN:
                 lines[SHOWN:] = [f"… and {len(lines) - SHOWN} lines more"]
-            raise DataError(self.file, "", "\n  ".join([f"{len(self._errors)} faults", *lines]))
+            raise DataError(self.file, "", "\n  ".join([f"{len(errors)} faults", *lines]))
 
-    def _to_fill_in(self) -> list[str]:
-        """One line per sensor for all that a template left open."""
-        open_fields: dict[str, list[str]] = {}
-        for error in self._errors:
-            if error.problem.startswith(FILL_IN):
-                part, _, name = error.place.partition(".")
-                open_fields.setdefault(part, []).append(name)
-        return [
-            f"{self._labelled(part)}: {FILL_IN}: {', '.join(names)}" for part, names in open_fields.items()
-        ]
-
-    def _labelled(self, place: str) -> str:
-        part, dot, rest = place.partition(".")
-        return f"{part} ({self.labels[part]}){dot}{rest}" if part in self.labels else place
+    def _labelled(self, error: DataError) -> str:
+        part, dot, rest = error.place.partition(".")
+        known = part in self.labels and error.file == str(self.file)
+        return f"{part} ({self.labels[part]}){dot}{rest}" if known else error.place
 
     def _told(self, error: DataError) -> str:
         if error.file == str(self.file):
-            return ": ".join(filter(None, (self._labelled(error.place), error.problem)))
+            return ": ".join(filter(None, (error.place, error.problem)))
         return str(error)
+
+    @staticmethod
+    def _to_fill_in(errors: list[DataError]) -> list[str]:
+        """One line per sensor for all that a template left open."""
+        open_fields: dict[str, list[str]] = {}
+        for error in errors:
+            if error.problem.startswith(FILL_IN):
+                part, _, name = error.place.partition(".")
+                open_fields.setdefault(part, []).append(name)
+        return [f"{part}: {FILL_IN}: {', '.join(names)}" for part, names in open_fields.items()]

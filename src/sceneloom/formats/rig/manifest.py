@@ -12,6 +12,7 @@ from sceneloom.formats.rig.records import Record, read_record
 MANIFEST = "rig.toml"
 """Name of the manifest in a folder."""
 
+_NAMED = (("sensors", "id"), ("trajectories", "name"))
 _LARGEST_MANIFEST = 16_000_000
 _LARGEST_EXPONENT = 40
 
@@ -32,6 +33,15 @@ class Manifest:
     def ego(self) -> str:
         """The frame that moves through the world."""
         return str(self.record.get("ego", "base"))
+
+    def faults(self) -> Faults:
+        """A collection of faults that knows what the parts are called."""
+        faults = Faults(self.path)
+        for name, key in _NAMED:
+            faults.labels.update(
+                {place: record[key] for place, record in self.records(name) if key in record}
+            )
+        return faults
 
     def records(self, name: str) -> list[tuple[str, Record]]:
         """The tables of a list, each with its place."""
@@ -71,7 +81,7 @@ def read_manifest(path: Path) -> Manifest:
 
 
 def _check_ids(record: Record, faults: Faults) -> None:
-    for name, key in (("sensors", "id"), ("trajectories", "name")):
+    for name, key in _NAMED:
         seen: dict[str, int] = {}
         for k, inner in enumerate(record.get(name, [])):
             identifier = inner.get(key)

@@ -49,7 +49,7 @@ def open_rig(path: Path, *, lenient: bool = False) -> Scene:
 
 
 def _open(manifest: Manifest, ledger: Ledger) -> Scene:
-    faults = Faults(manifest.path)
+    faults = manifest.faults()
     tree = _frame_tree(manifest, faults, ledger)
     trajectories = _trajectories(manifest, tree, faults, ledger)
     drive = Drive(manifest, tree, _default_path(trajectories, manifest, ledger), ledger)

@@ -1,0 +1,88 @@
+"""A small folder of own data, and how a test changes it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom.formats.rig import FORMAT
+from sceneloom.scene import Scene
+
+START_NS = 1_532_402_927_600_000_000
+MANIFEST = """\
+ego = "base"
+
+[[transforms]]
+from = "top"
+to = "base"
+translation = [1.0, 0.0, 2.0]
+quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
+
+[[sensors]]
+id = "top"
+type = "lidar"
+files = "top/*.bin"
+times = { pattern = "{ns}" }
+intensity_max = 255
+fields = ["x", "y", "z", "intensity"]
+
+[[sensors]]
+id = "front"
+type = "camera"
+files = "front/*.png"
+times = { rate_hz = 10, start_s = 1532402927.65 }
+axes = "flu"
+lens = { fx = 6.0, cx = 3.5, cy = 2.5 }
+extrinsic = { to = "top", translation = [0.5, 0.0, -0.5] }
+
+[[trajectories]]
+file = "poses.txt"
+form = "tum"
+"""
+POSES = """\
+# timestamp tx ty tz qx qy qz qw
+1532402927.5 0 0 0 0 0 0 1
+1532402928.5 10 0 0 0 0 0 1
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three sweeps of four points, three pictures of 8x6, a trajectory, and the manifest."""
+    (tmp_path / "top").mkdir()
+    (tmp_path / "front").mkdir()
+    for k in range(3):
+        points = np.arange(16, dtype="<f4").reshape(4, 4) + k
+        (tmp_path / "top" / f"{START_NS + k * 100_000_000}.bin").write_bytes(points.tobytes())
+        picture = np.full((6, 8, 3), (10 * k, 20, 30), np.uint8)
+        Image.fromarray(picture).save(tmp_path / "front" / f"{k}.png")
+    (tmp_path / "poses.txt").write_text(POSES)
+    (tmp_path / "rig.toml").write_text(MANIFEST)
+    return tmp_path
+
+
+@pytest.fixture
+def changed(folder: Path) -> Callable[..., Path]:
+    """Replace parts of the manifest: pairs of old and new text."""
+
+    def change(*pairs: tuple[str, str]) -> Path:
+        text = MANIFEST
+        for old, new in pairs:
+            assert old in text, old
+            text = text.replace(old, new)
+        (folder / "rig.toml").write_text(text)
+        return folder
+
+    return change
+
+
+@pytest.fixture
+def opened(changed: Callable[..., Path]) -> Callable[..., Scene]:
+    """Open the folder with parts of its manifest replaced."""
+
+    def open_changed(*pairs: tuple[str, str], **options: bool) -> Scene:
+        return FORMAT.open(changed(*pairs), **options)
+
+    return open_changed

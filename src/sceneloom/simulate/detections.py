@@ -19,6 +19,9 @@ Boxes = TypeVar("Boxes", Boxes3D, Boxes2D)
 FALSE = -1
 """The instance of a box where there is no object."""
 
+_OBJECTS = 1 << 31
+"""Numbers from here on stand for objects where those below stand for frames."""
+
 FALSE_WITHIN = 60.0
 FALSE_HEIGHTS = (0.2, 1.8)
 """False boxes are about things that are no farther from the sensor, and so high above the ground [m]."""
@@ -73,6 +76,37 @@ class Draft(Generic[Boxes]):
 def frame_generator(stream: Stream, seed: int, sensor_id: Identifier, frame: int) -> np.random.Generator:
     """Random numbers of one detector for one frame of one sensor."""
     return generator_for(seed, stream, zlib.crc32(repr(sensor_id).encode()) << 32 | frame)
+
+
+def lasting_normals(
+    generator: np.random.Generator,
+    stream: Stream,
+    seed: int,
+    sensor_id: Identifier,
+    instances: Int64Array,
+    *,
+    columns: int,
+    share: float,
+) -> Float64Array:
+    """Standard normal numbers of which a part is the same for an object in all frames.
+
+    Args:
+        generator: of the frame.
+        stream, seed, sensor_id: of the detector.
+        instances: (N,) int64, the object of each row, `FALSE` for none.
+        columns: how many numbers for each row.
+        share: share of the variance that lasts, which is the correlation between two frames.
+
+    Returns:
+        (N, columns) float64, each standard normal.
+    """
+    normals = generator.standard_normal((len(instances), columns))
+    if share == 0.0:
+        return normals
+    for row in np.flatnonzero(instances != FALSE):
+        own = frame_generator(stream, seed, sensor_id, _OBJECTS | int(instances[row]))
+        normals[row] = np.sqrt(1.0 - share) * normals[row] + np.sqrt(share) * own.standard_normal(columns)
+    return normals
 
 
 def true_frame(drive: SimulatedDrive, sensor_id: Identifier, index: int) -> int:

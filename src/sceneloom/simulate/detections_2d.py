@@ -21,6 +21,7 @@ from sceneloom.simulate.detections import (
     SimulatedDetections,
     chosen_frames,
     frame_generator,
+    lasting_normals,
     true_frame,
     with_scores,
 )
@@ -201,16 +202,20 @@ def _draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, in
     rows = np.concatenate([found, again])
     rates = {label: own.false_rate if len(look.clutter) else 0.0 for label, own in spec.classes.items()}
     false, false_labels = _false_boxes(generator, spec, look, rates)
+    whose = np.concatenate([look.instances[rows], np.full(len(false), FALSE)])
+    normals = lasting_normals(
+        generator, Stream.DETECTIONS_2D, spec.seed, camera.id, whose, columns=4, share=spec.lasting_share
+    )
     boxes = Boxes2D(
         look.said_ns,
-        _with_errors(generator, spec, look.lens, np.concatenate([look.corners_xyxy[rows], false])),
-        np.zeros(len(rows) + len(false)),
+        _with_errors(spec, look.lens, np.concatenate([look.corners_xyxy[rows], false]), normals),
+        np.zeros(len(whose)),
         (*(labels[k] for k in rows), *false_labels),
         sensor_id=camera.id,
     )
     report = SimulatedDetections(
         boxes,
-        np.concatenate([look.instances[rows], np.full(len(false), FALSE)]),
+        whose,
         (np.arange(len(boxes)) >= len(found)) & (np.arange(len(boxes)) < len(rows)),
         Boxes2D(
             look.objects.timestamp_ns, look.corners_xyxy, np.ones(len(labels)), labels, sensor_id=camera.id
@@ -224,12 +229,12 @@ def _draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, in
 
 
 def _with_errors(
-    generator: np.random.Generator, spec: Detector2dSpec, lens: Camera, exact: Float64Array
+    spec: Detector2dSpec, lens: Camera, exact: Float64Array, normals: Float64Array
 ) -> Float64Array:
-    """Exact boxes (N, 4) with the detector's errors: in the picture, and no smaller than a pixel."""
+    """Exact boxes (N, 4) with errors out of standard normal numbers: in the picture, and no smaller than a pixel."""
     sizes = exact[:, 2:] - exact[:, :2]
     sigmas = spec.corner_sigma_px + spec.corner_sigma_share * np.tile(sizes, 2)
-    edges = _within(exact + sigmas * generator.standard_normal(exact.shape), lens)
+    edges = _within(exact + sigmas * normals, lens)
     low, high = np.minimum(edges[:, :2], edges[:, 2:]), np.maximum(edges[:, :2], edges[:, 2:])
     low = np.minimum(low, np.array([lens.width, lens.height]) - _SMALLEST_PX)
     return np.column_stack([low, np.maximum(high, low + _SMALLEST_PX)])

@@ -19,6 +19,7 @@ from sceneloom.simulate.detections import (
     SimulatedDetections,
     chosen_frames,
     frame_generator,
+    lasting_normals,
     true_frame,
     with_scores,
 )
@@ -173,10 +174,14 @@ def _draft(
     false, false_points = _false_boxes(generator, spec, look, rates)
     exact = _joined(objects.select(rows), false)
     points = np.concatenate([look.points[rows], false_points])
-    boxes = _with_errors(generator, spec, look, exact, points)
+    whose = np.concatenate([look.instances[rows], np.full(len(false), FALSE)])
+    normals = lasting_normals(
+        generator, Stream.DETECTIONS_3D, spec.seed, lidar.id, whose, columns=7, share=spec.lasting_share
+    )
+    boxes = _with_errors(generator, spec, look, exact, points, normals)
     report = SimulatedDetections(
         _stated(drive, look, boxes, lidar, boxes_frame),
-        np.concatenate([look.instances[rows], np.full(len(false), FALSE)]),
+        whose,
         (np.arange(len(exact)) >= len(found)) & (np.arange(len(exact)) < len(rows)),
         look.placed(objects, boxes_frame),
         look.instances,
@@ -229,13 +234,14 @@ def _with_errors(
     look: _Look,
     exact: Boxes3D,
     points: Float64Array,
+    normals: Float64Array,
 ) -> Boxes3D:
-    """Exact boxes of the world with the detector's errors."""
+    """Exact boxes of the world with the detector's errors, which grow out of standard normal numbers (N, 7)."""
     count = len(exact)
     ranges = np.linalg.norm(exact.centers - look.origin, axis=1)
     sigmas = np.array([*spec.center_sigmas, *spec.size_sigmas, np.radians(spec.yaw_sigma_deg)])
     sigmas = sigmas * spec.growth(ranges, points)[:, None]
-    errors = sigmas * generator.standard_normal((count, 7))
+    errors = sigmas * normals
     flips = np.pi * (generator.random(count) < spec.flip_share)
     turns = _turns(exact.yaws)
     covariances = None

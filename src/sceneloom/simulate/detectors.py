@@ -88,7 +88,8 @@ class Detector3dSpec:
         yaw_sigma_deg: deviation of the heading [deg].
         range_scale: range at which deviations have doubled [m].
         few_points: so many points make deviations √2 times larger.
-        flip_share: share of boxes that head backwards.
+        lasting_share: share of the variance of an object's errors that is the same in all sweeps.
+        flip_share: share of boxes that head backwards, each sweep anew.
         velocity_sigma: deviation of each level component of the velocity [m/s], whatever the range; None for a
             detector that gives none.
         repeated: share of found objects that are reported twice.
@@ -107,6 +108,7 @@ class Detector3dSpec:
     yaw_sigma_deg: float = 1.5
     range_scale: float = 60.0
     few_points: float = 30.0
+    lasting_share: float = 0.0
     flip_share: float = 0.02
     velocity_sigma: float | None = None
     repeated: float = 0.0
@@ -120,10 +122,7 @@ class Detector3dSpec:
             min(deviations) >= 0.0 and self.few_points >= 0.0 and self.range_scale > 0.0 and self.seed >= 0
         ):
             raise OptionError(f"detector: {self}; expected no number below 0")
-        if not (0.0 <= self.flip_share <= 1.0 and 0.0 <= self.repeated <= 1.0):
-            raise OptionError(
-                f"detector: flip_share {self.flip_share}, repeated {self.repeated}; expected 0 to 1"
-            )
+        _check_shares(flip_share=self.flip_share, lasting_share=self.lasting_share, repeated=self.repeated)
 
     def growth(self, ranges: Float64Array, points: Float64Array) -> Float64Array:
         """Factor on all deviations, (N,) float64, for objects at ranges [m] with numbers of points on them."""
@@ -154,6 +153,7 @@ class Detector2dSpec:
             little larger than the object. Else they hold what is to be seen. Both end where the picture does.
         corner_sigma_px: deviation of each edge of a box [px].
         corner_sigma_share: added to it, a share of the box's width (height).
+        lasting_share: share of the variance of an object's errors that is the same in all pictures.
         repeated: share of found objects that are reported twice.
         scores: how sure it says it is.
         seed: another number makes other errors.
@@ -167,6 +167,7 @@ class Detector2dSpec:
     amodal: bool = False
     corner_sigma_px: float = 0.8
     corner_sigma_share: float = 0.015
+    lasting_share: float = 0.0
     repeated: float = 0.0
     scores: ScoreSpec = field(default_factory=ScoreSpec)
     seed: int = 0
@@ -174,5 +175,10 @@ class Detector2dSpec:
     def __post_init__(self) -> None:
         if not (self.corner_sigma_px >= 0.0 and self.corner_sigma_share >= 0.0 and self.seed >= 0):
             raise OptionError(f"detector: {self}; expected no number below 0")
-        if not 0.0 <= self.repeated <= 1.0:
-            raise OptionError(f"detector: repeated {self.repeated}; expected 0 to 1")
+        _check_shares(lasting_share=self.lasting_share, repeated=self.repeated)
+
+
+def _check_shares(**shares: float) -> None:
+    for name, value in shares.items():
+        if not 0.0 <= value <= 1.0:
+            raise OptionError(f"detector.{name}: {value}; expected 0 to 1")

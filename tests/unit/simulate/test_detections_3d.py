@@ -230,6 +230,29 @@ def test_a_sweep_is_the_same_whichever_others_are_asked_for(drive, fair):
     assert not np.array_equal(np.sort(different.boxes.centers, axis=0)[:3], one[:3])
 
 
+def test_a_share_of_an_objects_errors_lasts_and_the_rest_does_not(drive):
+    sigmas = np.array([0.10, 0.06, 0.04, 0.12, 0.05, 0.05, np.radians(1.5)])
+    pairs = []
+    for report, later in zip(
+        *(
+            detect_3d(drive, replace(EVERYTHING, lasting_share=0.6), frames=frames)
+            for frames in (range(0, 20, 5), range(40, 60, 5))
+        ),
+        strict=True,
+    ):
+        one, other = (
+            dict(zip(r.instances.tolist(), e / sigmas / g[:, None], strict=True))
+            for r in (report, later)
+            for e, g in [errors_of(r)]
+        )
+        pairs += [(one[instance], other[instance]) for instance in one.keys() & other.keys()]
+    first, second = (np.array(side) for side in zip(*pairs, strict=True))
+    assert first.size > 100
+    # A correlation of N pairs is uncertain by less than 1 / sqrt(N); objects that recur count once or so.
+    assert (first * second).mean() == pytest.approx(0.6, abs=0.3)
+    assert (first**2).mean() == pytest.approx(1.0, abs=0.4)
+
+
 def test_velocities_are_given_on_request(drive, reports):
     assert detect_3d(drive, EVERYTHING, frames=[0])[0].boxes.velocities is None
     errors = np.concatenate(
@@ -312,6 +335,7 @@ def test_occlusion_is_the_share_of_points_that_others_take(drive, reports):
         {"center_sigmas": (0.1, -0.1, 0.1)},
         {"range_scale": 0.0},
         {"seed": -1},
+        {"lasting_share": -0.1},
     ],
 )
 def test_detector_numbers_out_of_bounds_are_refused(wrong):

@@ -4,7 +4,9 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from sceneloom.simulate.ground import Lane
-from sceneloom.simulate.path import plan_path, rotation_from_angles
+from sceneloom.simulate.path import PathSpec, plan_path, rotation_from_angles
+from sceneloom.simulate.street import build_street
+from sceneloom.simulate.warp import Stop
 
 STEP = 1e-4
 # A central difference of step h is off by h²/6 times the next derivative but one (below 100 here), and float64
@@ -12,9 +14,16 @@ STEP = 1e-4
 DIFFERENCE = 1e-6
 
 
+STOPPING = PathSpec(stops=(Stop(5.0, 3.0), Stop(16.5, 2.0)))
+
+
+def planned(seed, spec=None, duration=20.0):
+    return plan_path(np.random.default_rng(seed), start_ns=5_000, duration=duration, spec=spec)
+
+
 @pytest.fixture(scope="module", params=range(4))
 def path(request):
-    return plan_path(np.random.default_rng(request.param), start_ns=5_000, duration=20.0)
+    return planned(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +111,76 @@ def test_interpolated_samples_at_100_hz_stay_within_a_millimetre(path):
     turned = Rotation.from_quat(sampled.quaternions_xyzw).inv() * Rotation.from_matrix(exact.rotations)
     # Slerp misses alpha dt²/8 of a turning with angular acceleration alpha: below 1 mm at 100 m for 1e-5 rad.
     assert turned.magnitude().max() < 1e-5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_motion_with_stops_has_the_derivatives_that_it_says(seed, seconds):
+    path = planned(seed, STOPPING)
+    before, states, after = (path.at_seconds(seconds + shift) for shift in (-STEP, 0.0, STEP))
+    np.testing.assert_allclose(
+        (after.positions - before.positions) / (2 * STEP), states.velocities, atol=DIFFERENCE
+    )
+    np.testing.assert_allclose(
+        (after.velocities - before.velocities) / (2 * STEP), states.accelerations, atol=DIFFERENCE
+    )
+    turned = Rotation.from_matrix(before.rotations).inv() * Rotation.from_matrix(after.rotations)
+    np.testing.assert_allclose(turned.as_rotvec() / (2 * STEP), states.angular_rates, atol=DIFFERENCE)
+
+
+def test_acceleration_has_no_leaps_where_a_stop_begins_or_ends():
+    path = planned(0, STOPPING)
+    corners = np.array([1.0, 5.0, 8.0, 12.0, 12.5, 16.5, 18.5])
+    before, after = path.at_seconds(corners - 1e-9), path.at_seconds(corners + 1e-9)
+    # Jerk stays below 20 m/s³, so 2 ns change the acceleration by less than 4e-8.
+    np.testing.assert_allclose(after.accelerations, before.accelerations, atol=1e-7)
+    np.testing.assert_allclose(after.angular_rates, before.angular_rates, atol=1e-7)
+
+
+def test_a_car_that_stops_stands_truly_still_and_drives_the_same_curve():
+    path, driving = planned(1, STOPPING), planned(1)
+    standing = path.at_seconds(np.linspace(5.0, 8.0, 301))
+    assert np.ptp(standing.positions, axis=0).max() == 0
+    assert np.ptp(standing.rotations, axis=0).max() == 0
+    for rates in (standing.velocities, standing.accelerations, standing.angular_rates):
+        assert not rates.any()
+    np.testing.assert_array_equal(path.control_points, driving.control_points)
+    seconds = np.linspace(8.0, 20.0, 60)
+    parameters, _, _ = path.warp.at(seconds)
+    np.testing.assert_array_equal(
+        path.at_seconds(seconds).positions, driving.at_seconds(parameters).positions
+    )
+    moving = np.linalg.norm(path.at_seconds(np.linspace(12.0, 12.5, 9)).velocities, axis=1)
+    assert moving.min() > 3.0
+
+
+def test_a_car_can_stand_for_a_minute():
+    states = planned(0, PathSpec(stops=(Stop(0.0, 60.0),)), duration=60.0).at_seconds(np.linspace(0, 60, 999))
+    assert not np.ptp(states.positions, axis=0).any()
+    assert not states.velocities.any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_turns_are_as_fast_as_asked_for_and_nothing_stands_in_their_way(seed):
+    path = planned(seed, PathSpec(turn_rate=1.0))
+    rates = np.abs(path.at_seconds(np.linspace(0, 20, 2000)).angular_rates[:, 2])
+    assert 0.9 < rates.max() < 1.1
+    lane = Lane.of(path)
+    assert np.abs(lane.curvatures).max() < 1 / 7.0
+    street = build_street(np.random.default_rng(seed), path)
+    low = street.shapes.spheres[:, 2] - street.shapes.spheres[:, 3] < 2.0
+    apart = np.linalg.norm(street.shapes.spheres[low, None, :2] - lane.points, axis=2)
+    # Whatever reaches down to the height of a car keeps its middle beyond the side of one.
+    assert apart.min() > 1.9
+
+
+def test_speeds_stay_about_the_range_asked_for():
+    speeds = np.linalg.norm(
+        planned(2, PathSpec(speeds=(2.0, 4.0))).at_seconds(np.linspace(0, 20, 500)).velocities, axis=1
+    )
+    # A turn of 0.21 rad/s needs 2.2 m/s so that it is no tighter than the street is wide; smoothing stays between.
+    assert speeds.min() > 1.9
+    assert speeds.max() < 4.1
+
+
+def test_the_default_way_is_that_of_a_drive_without_a_specification():
+    np.testing.assert_array_equal(planned(3, PathSpec()).control_points, planned(3).control_points)

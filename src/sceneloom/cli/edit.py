@@ -73,10 +73,8 @@ def deskew(
 ) -> None:
     """Undo the motion during each lidar sweep: points stay in their sensor, as if measured all at one time."""
     from sceneloom.formats import open_scene
-    from sceneloom.formats.output import check_output
     from sceneloom.pipeline import deskew as deskew_scene
 
-    check_output(output, overwrite=overwrite)
     with (
         open_scene(path, **options.said(**reading)) as scene,
         progress_bar("deskewing", quiet=quiet) as progress,

@@ -9,14 +9,21 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 WINDOW_NS = 1_000_000_000
 """Judged as one: long enough that the body of a car that drives has swung [ns]."""
 
-LEAST_SAMPLES = 8
+LEAST_SAMPLES = 20
 """Samples of either kind that a window needs."""
 
 QUIET_RATE = 0.005
 """Turn rates of a standing ego deviate by less on each axis: the noise of a consumer's gyroscope [rad/s]."""
 
-QUIET_FORCE = 0.05
-"""Its specific forces deviate by less on each axis [m/s²]; those of a car that rolls by more than that."""
+QUIET_FORCE = 0.2
+"""Its specific forces deviate by less on each axis, with the engine running [m/s²]."""
+
+WHITE = 1.5
+"""A standing ego's samples differ from one to the next as from their mean: the ratio of the two variances is 1, with
+200 samples within 0.1. A car that rolls, however smoothly, sways slowly: neighbouring samples are alike."""
+
+_ROUNDING = 1e-20
+"""Variance of samples that are all the same, as computed."""
 
 LARGEST_BIAS = 0.06
 """A mean rate beyond it is a turn, however even [rad/s]."""
@@ -40,8 +47,7 @@ def find_standing(
 ) -> Standing | None:
     """Find the windows of a second in which both sensors are quiet; None where there is none.
 
-    Both have to be quiet, since an even turn is quiet to the gyroscope, and an even drive on a smooth road nearly so
-    to the accelerometer.
+    Quiet is what deviates little, and by noise alone: an even drive on a smooth road deviates little, too.
 
     Args:
         rate_times_ns: (N,) int64 [ns], ascending.
@@ -50,7 +56,8 @@ def find_standing(
         forces: (M, 3) float64 [m/s²].
 
     Source: the two moving variances are those that Skog, Händel, Nilsson and Rantakokko 2010, "Zero-Velocity
-    Detection - An Algorithm Evaluation", compare; the thresholds are ours.
+    Detection - An Algorithm Evaluation", compare; the ratio is that of von Neumann 1941, "Distribution of the Ratio of
+    the Mean Square Successive Difference to the Variance"; the thresholds are ours.
     """
     if len(rate_times_ns) == 0:
         return None
@@ -76,9 +83,11 @@ def _statistics(
     """Mean of the values in each window, (count, 3), and whether they deviate by less than `quiet`, (count,)."""
     samples = np.maximum(np.bincount(windows, minlength=count), 1)[:, None]
     mean = _sums(windows, values, count) / samples
-    deviation = np.sqrt(_sums(windows, (values - mean[windows]) ** 2, count) / samples)
-    enough = samples[:, 0] >= LEAST_SAMPLES
-    return mean, enough & (deviation < quiet).all(axis=1)
+    variance = _sums(windows, (values - mean[windows]) ** 2, count) / samples
+    pairs = windows[1:] == windows[:-1]
+    steps = _sums(windows[1:][pairs], np.diff(values, axis=0)[pairs] ** 2, count) / samples
+    calm = (variance < quiet**2) & (variance <= WHITE * steps / 2 + _ROUNDING)
+    return mean, (samples[:, 0] >= LEAST_SAMPLES) & calm.all(axis=1)
 
 
 def _sums(windows: Int64Array, values: Float64Array, count: int) -> Float64Array:

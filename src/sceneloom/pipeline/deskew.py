@@ -14,7 +14,8 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import write_scene
+from sceneloom.formats.output import check_output
+from sceneloom.formats.table import format_for_output, write_scene
 from sceneloom.motion.ego_motion import Progress, find_ego_motion
 from sceneloom.motion.inertial import imu_motion
 from sceneloom.motion.one_moment import MOMENTS, DeskewedFrame, DeskewedFrames, Deskewer, typical_offset_ns
@@ -94,6 +95,7 @@ def deskew(
     stop: float | None = None,
     lenient: bool = False,
     progress: Progress | None = None,
+    overwrite: bool = False,
     **writing: Any,
 ) -> DeskewReport:
     """Undo the motion during each lidar sweep, and write the scene with the deskewed sweeps.
@@ -109,7 +111,8 @@ def deskew(
         stop: seconds after it, exclusive, None for the end.
         lenient: leave out sweeps that cannot be read, and count them.
         progress: told after each sweep.
-        writing: options of writing, such as `overwrite=True`.
+        overwrite: whether an output that exists may be replaced.
+        writing: further options of the output's format.
 
     Returns:
         What was done, in numbers, with all losses and notices.
@@ -121,6 +124,9 @@ def deskew(
         OutputError: the output exists, or cannot be written.
     """
     begun = time.perf_counter()
+    # finding the motion may take long: an output that cannot be is told before
+    format_for_output(Path(output))
+    check_output(Path(output), overwrite=overwrite)
     skips, tally = Skips(), _Tally()
     plan = _plan(
         scene,
@@ -135,7 +141,7 @@ def deskew(
     )
     total = sum(len(sensor.frames) for sensor in plan.lidars)
     changed = plan.deskewed(partial(tally.add, progress=progress, total=total))
-    losses = write_scene(changed, output, **writing)
+    losses = write_scene(changed, output, overwrite=overwrite, **writing)
     return DeskewReport(
         source=scene.source,
         output=str(output),
@@ -152,8 +158,14 @@ def deskew(
         max_shift=tally.farthest,
         seconds=time.perf_counter() - begun,
         losses=losses,
-        notices=(*changed.notices, *tally.times.notices()),
+        notices=_told_once(changed.notices, tally.times.notices()),
     )
+
+
+def _told_once(before: tuple[Notice, ...], own: tuple[Notice, ...]) -> tuple[Notice, ...]:
+    """What odometry has said of the times of points is not said again."""
+    said = {notice.code for notice in before}
+    return (*before, *(notice for notice in own if notice.code not in said))
 
 
 def deskewed_scene(

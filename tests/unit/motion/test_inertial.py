@@ -114,16 +114,30 @@ def test_an_ego_that_stands_is_seen_to_stand() -> None:
 
 @pytest.mark.parametrize(
     ("turn", "sway", "shake"),
-    [(0.1, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.2)],
-    ids=["turn", "sway", "shake"],
+    [(0.1, 0.0, 0.0), (0.0, 0.003, 0.0), (0.0, 0.0, 0.03), (0.0, 0.0, 2.0)],
+    ids=["turn", "sway", "drift", "shake"],
 )
 def test_an_ego_that_turns_evenly_sways_or_shakes_does_not_stand(
     turn: float, sway: float, shake: float
 ) -> None:
     times, rates, forces = standing_signals()
-    swing = np.sin(times * 1e-9 * 12)[:, None] * np.ones(3)
+    swing = np.sin(times * 1e-9 * 6)[:, None] * np.ones(3)
     moved = rates + [0, 0, turn] + sway * swing
     assert find_standing(times, moved, times, forces + shake * swing) is None
+
+
+def test_an_even_turn_on_a_smooth_fast_road_is_not_standing() -> None:
+    path = PathSpec(speeds=(20.0, 25.0), turn_rate=0.05)
+    for seed in range(3):
+        drive = simulate_street(seed, frames=100, cameras=(), path=path)
+        assert imu_motion(drive.scene).bias is None
+
+
+def test_samples_that_never_change_are_those_of_a_standing_ego() -> None:
+    times = np.arange(200) * 10_000_000
+    standing = find_standing(times, np.full((200, 3), 0.01), times, np.full((200, 3), 5.6))
+    assert standing is not None
+    assert standing.seconds == 2.0
 
 
 def test_few_samples_or_none_tell_of_no_standing() -> None:

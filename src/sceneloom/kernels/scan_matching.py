@@ -9,6 +9,8 @@ from numba import float64, int32, int64, types
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.kernels.surface_map import INNER, find_cube, first_place, pack_key
 
+SUPPORT = 0.25
+"""A surface has a quarter of its weight 2 standard deviations from its middle, along the surface."""
 _READ_F64_1D = types.Array(float64, 1, "C", readonly=True)
 _READ_F64_2D = types.Array(float64, 2, "C", readonly=True)
 
@@ -117,13 +119,33 @@ def move_points(
         points_world[i, 2] = position[2] + t * velocity[2] + half * cz + az
 
 
-@numba.njit(int64(float64, float64, float64, float64, int32[::1], int64[::1], float64[:, ::1]), **INNER)
-def _nearest_surface(
-    x: float, y: float, z: float, leaf: float, table: AnyArray, keys: Int64Array, surfaces: Float64Array
-) -> int:
-    """The surface with the nearest mean of the eight cubes around a place, at most a cube's side away, or -1."""
+@numba.njit(
+    types.void(
+        float64, float64, float64, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64[::1]
+    ),
+    **INNER,
+)  # fmt: skip
+def _meet_surfaces(
+    x: float,
+    y: float,
+    z: float,
+    leaf: float,
+    inverse2: float,
+    table: AnyArray,
+    keys: Int64Array,
+    surfaces: Float64Array,
+    met: Float64Array,
+) -> None:
+    """Sum what the surfaces of the eight cubes around a place say about a point there.
+
+    A surface counts where its own points lie: the weight falls with the distance along it, in standard deviations.
+
+    Args:
+        inverse2: 1 / scale², of the robust weight.
+        met: (12,) written here: Σ w W r (3), Σ w W (6), Σ w, Σ w s², Σ a.
+    """
+    met[:] = 0.0
     ix, iy, iz = math.floor(x / leaf - 0.5), math.floor(y / leaf - 0.5), math.floor(z / leaf - 0.5)
-    best, nearest = -1, leaf * leaf
     for k in range(8):
         key = pack_key(ix + (k & 1), iy + ((k >> 1) & 1), iz + (k >> 2))
         cube = find_cube(key, table, keys)
@@ -133,10 +155,27 @@ def _nearest_surface(
         if s[3] + s[6] + s[8] == 0.0:
             continue
         dx, dy, dz = x - s[0], y - s[1], z - s[2]
-        squared = dx * dx + dy * dy + dz * dz
-        if squared < nearest:
-            best, nearest = cube, squared
-    return best
+        rx = s[3] * dx + s[4] * dy + s[5] * dz
+        ry = s[4] * dx + s[6] * dy + s[7] * dz
+        rz = s[5] * dx + s[7] * dy + s[8] * dz
+        squared = dx * rx + dy * ry + dz * rz
+        along = (
+            dx * (s[9] * dx + 2.0 * (s[10] * dy + s[11] * dz))
+            + dy * (s[12] * dy + 2.0 * s[13] * dz)
+            + s[14] * dz * dz
+        )
+        near = 1.0 / (1.0 + SUPPORT * along)
+        near *= near
+        w = 1.0 / (1.0 + squared * inverse2)
+        w *= w * near
+        met[0] += w * rx
+        met[1] += w * ry
+        met[2] += w * rz
+        for c in range(6):
+            met[3 + c] += w * s[3 + c]
+        met[9] += w
+        met[10] += w * squared
+        met[11] += near
 
 
 @numba.njit(types.void(float64[:, :, ::1]), **INNER)
@@ -150,8 +189,8 @@ def _mirror(matrices: Float64Array) -> None:
 
 @numba.njit(
     types.void(
-        _READ_F64_2D, _READ_F64_2D, _READ_F64_1D, float64, float64, int32[::1], int64[::1], float64[:, ::1],
-        float64[:, :, ::1], float64[:, ::1], float64[::1],
+        _READ_F64_2D, _READ_F64_2D, _READ_F64_1D, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64,
+        int32[::1], int64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1],
     ),
     cache=True,
     nogil=True,
@@ -161,69 +200,69 @@ def accumulate_normal_equations(
     points_world: Float64Array,
     arms: Float64Array,
     seconds: Float64Array,
-    leaf: float,
     scale: float,
-    table: AnyArray,
-    keys: Int64Array,
-    surfaces: Float64Array,
+    fine_leaf: float,
+    fine_table: AnyArray,
+    fine_keys: Int64Array,
+    fine_surfaces: Float64Array,
+    coarse_leaf: float,
+    coarse_table: AnyArray,
+    coarse_keys: Int64Array,
+    coarse_surfaces: Float64Array,
     information: Float64Array,
     gradient: Float64Array,
     sums: Float64Array,
 ) -> None:
     """Sum what each point says about a small turn and shift of the ego, and about their rates.
 
-    A point belongs to the nearest surface (by its mean) of the eight cubes around it. Its residual r = q - mean has the
-    squared length s² = rᵀ W r in standard deviations, and the weight of Geman and McClure, (1 + s² / scale²)^-2.
+    What the fine surfaces around a point do not cover is left to the coarse ones.
 
     Args:
         points_world, arms, seconds: as `move_points` gives them.
-        leaf: side of a cube [m].
         scale: residuals of this many standard deviations lose most of their weight.
-        table, keys, surfaces: the map.
+        fine_leaf, coarse_leaf: sides of the cubes [m]; tables, keys and surfaces are those of the map's two levels.
         information: (3, 6, 6) written here: Σ w Jᵀ W J, the same times t, and times t², for a turn, then a shift.
         gradient: (2, 6) written here: Σ w Jᵀ W r, and the same times t.
-        sums: (4,) written here: points with a surface, Σ w, Σ w s², points with s < scale.
-
-    Source: Black and Rangarajan 1996 for the weight.
+        sums: (4,) written here: points with a surface, Σ w, Σ w s², points that agree with theirs.
     """
     information[:] = 0.0
     gradient[:] = 0.0
     sums[:] = 0.0
-    j = np.empty((3, 6))
-    wj = np.empty((3, 6))
-    j[:] = 0.0
+    j, wj, met, rest = np.zeros((3, 6)), np.empty((3, 6)), np.empty(12), np.empty(12)
     j[0, 3] = j[1, 4] = j[2, 5] = 1.0
     inverse2 = 1.0 / (scale * scale)
     for i in range(points_world.shape[0]):
         x, y, z = points_world[i, 0], points_world[i, 1], points_world[i, 2]
-        best = _nearest_surface(x, y, z, leaf, table, keys, surfaces)
-        if best < 0:
+        _meet_surfaces(x, y, z, fine_leaf, inverse2, fine_table, fine_keys, fine_surfaces, met)
+        if met[11] < 1.0:
+            _meet_surfaces(x, y, z, coarse_leaf, inverse2, coarse_table, coarse_keys, coarse_surfaces, rest)
+            share = (1.0 - met[11]) / max(1.0, rest[11])
+            for c in range(12):
+                met[c] += share * rest[c]
+        if met[11] == 0.0:
             continue
-        s = surfaces[best]
-        dx, dy, dz = x - s[0], y - s[1], z - s[2]
-        rx = s[3] * dx + s[4] * dy + s[5] * dz
-        ry = s[4] * dx + s[6] * dy + s[7] * dz
-        rz = s[5] * dx + s[7] * dy + s[8] * dz
-        squared = dx * rx + dy * ry + dz * rz
+        share = 1.0 / max(1.0, met[11])
+        for c in range(11):
+            met[c] *= share
+        rx, ry, rz, s = met[0], met[1], met[2], met
         sums[0] += 1.0
-        if squared * inverse2 < 1.0:
+        sums[1] += met[9]
+        sums[2] += met[10]
+        # a robust weight above a quarter: within `scale` standard deviations
+        if 4.0 * met[9] > min(1.0, met[11]):
             sums[3] += 1.0
-        w = 1.0 / (1.0 + squared * inverse2)
-        w *= w
-        sums[1] += w
-        sums[2] += w * squared
         ax, ay, az = arms[i, 0], arms[i, 1], arms[i, 2]
         # -[a]x, so that a turn about the world's axes moves the point by turn x arm
         j[0, 1], j[0, 2] = az, -ay
         j[1, 0], j[1, 2] = -az, ax
         j[2, 0], j[2, 1] = ay, -ax
         for c in range(6):
-            wj[0, c] = w * (s[3] * j[0, c] + s[4] * j[1, c] + s[5] * j[2, c])
-            wj[1, c] = w * (s[4] * j[0, c] + s[6] * j[1, c] + s[7] * j[2, c])
-            wj[2, c] = w * (s[5] * j[0, c] + s[7] * j[1, c] + s[8] * j[2, c])
+            wj[0, c] = s[3] * j[0, c] + s[4] * j[1, c] + s[5] * j[2, c]
+            wj[1, c] = s[4] * j[0, c] + s[6] * j[1, c] + s[7] * j[2, c]
+            wj[2, c] = s[5] * j[0, c] + s[7] * j[1, c] + s[8] * j[2, c]
         t = seconds[i]
         for r in range(6):
-            g = w * (j[0, r] * rx + j[1, r] * ry + j[2, r] * rz)
+            g = j[0, r] * rx + j[1, r] * ry + j[2, r] * rz
             gradient[0, r] += g
             gradient[1, r] += t * g
             for c in range(r, 6):

@@ -196,7 +196,8 @@ def describe_surfaces(
     Args:
         noise: standard deviation of a point across a flat surface [m].
         least_points: a cube with fewer points informs about nothing.
-        surfaces: (C, 9) mean x y z [m], world; information xx xy xz yy yz zz [1/m²], zero where there is none.
+        surfaces: (C, 15) mean x y z [m], world; information xx xy xz yy yz zz [1/m²], zero where there is none; inverse
+            of the spread along the surface, xx xy xz yy yz zz [1/m²].
     """
     a, v = np.empty((3, 3)), np.empty((3, 3))
     mask = (1 << 21) - 1
@@ -241,3 +242,12 @@ def describe_surfaces(
             out[6] += weight * y * y
             out[7] += weight * y * z
             out[8] += weight * z * z
+        for axis in (long, middle):
+            weight = 1.0 / max(a[axis, axis], noise * noise)
+            x, y, z = v[0, axis], v[1, axis], v[2, axis]
+            out[9] += weight * x * x
+            out[10] += weight * x * y
+            out[11] += weight * x * z
+            out[12] += weight * y * y
+            out[13] += weight * y * z
+            out[14] += weight * z * z

@@ -23,7 +23,7 @@ class OdometryConfiguration:
         OptionError: a number is not positive, or farthest is not beyond nearest.
     """
 
-    cube: float = 0.75
+    cube: float = 1.0
     spacing: float = 0.75
     nearest: float = 1.5
     farthest: float = 120.0

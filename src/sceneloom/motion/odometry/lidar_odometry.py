@@ -115,7 +115,7 @@ class LidarOdometry:
             self._periods = [*self._periods[-20:], seconds]
         if len(sweep.chosen) < self.configuration.least_points:
             return self._predicted(sweep, prior, Outcome.TOO_FEW)
-        if gap or self._map.count == 0:
+        if gap or self._map.is_empty:
             return self._restart(sweep, prior)
         if self._anchor is not None:
             return self._second(sweep, self._state, self._anchor)

@@ -13,8 +13,8 @@ _MOST_HITS = 3
 nothing, and the map does not follow the poses that were found with it."""
 
 
-class LocalMap:
-    """Cubes of space with the mean and the spread of the points in them."""
+class SurfaceLevel:
+    """Cubes of space of one size, with the mean and the spread of the points in them."""
 
     def __init__(self, leaf: float, noise: float) -> None:
         """Start empty, with cubes of side `leaf` [m] for points with a standard deviation `noise` [m]."""
@@ -22,7 +22,7 @@ class LocalMap:
         self.count = 0
         self.keys = np.zeros(_FIRST_ROOM, np.int64)
         self.table = np.full(4 * _FIRST_ROOM, -1, np.int32)
-        self.surfaces = np.zeros((_FIRST_ROOM, 9))
+        self.surfaces = np.zeros((_FIRST_ROOM, 15))
         self._moments = np.zeros((_FIRST_ROOM, 10))
         self._hits = np.zeros((_FIRST_ROOM, SIDE**3), np.uint8)
         self._touched = np.zeros(_FIRST_ROOM, np.uint8)
@@ -77,3 +77,30 @@ class LocalMap:
         self.count = len(kept)
         self.table = np.full(4 * room, -1, np.int32)
         fill_table(self.count, self.keys, self.table)
+
+
+_COARSE = 4.0
+"""How many times larger the cubes of the second level are: near scan lines a few metres apart lie in one of them."""
+
+
+class LocalMap:
+    """Two levels of surfaces: small cubes for what is measured densely, large ones for the rest."""
+
+    def __init__(self, cube: float, noise: float) -> None:
+        """Start empty, with small cubes of side `cube` [m]."""
+        self.fine, self.coarse = SurfaceLevel(cube, noise), SurfaceLevel(_COARSE * cube, noise)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was inserted yet."""
+        return self.fine.count == 0
+
+    def insert(self, points_world: Float64Array) -> None:
+        """Add (N, 3) finite points [m]."""
+        for level in (self.fine, self.coarse):
+            level.insert(points_world)
+
+    def drop_beyond(self, position_world: Float64Array, reach: float) -> None:
+        """Forget what lies farther than `reach` [m] from a place."""
+        for level in (self.fine, self.coarse):
+            level.drop_beyond(position_world, reach)

@@ -50,6 +50,7 @@ def fit_sweep(
     """
     prior_information = np.linalg.inv(prior.covariance)
     state, count = prior, len(points_ego)
+    fine, coarse = local_map.fine, local_map.coarse
     points_world, arms = np.empty((count, 3)), np.empty((count, 3))
     information, gradient, sums = np.empty((3, 6, 6)), np.empty((2, 6)), np.empty(4)
     for step in range(_MOST_STEPS):
@@ -67,11 +68,15 @@ def fit_sweep(
             points_world,
             arms,
             seconds,
-            local_map.leaf,
             _SCALES[min(step, len(_SCALES) - 1)],
-            local_map.table,
-            local_map.keys,
-            local_map.surfaces,
+            fine.leaf,
+            fine.table,
+            fine.keys,
+            fine.surfaces,
+            coarse.leaf,
+            coarse.table,
+            coarse.keys,
+            coarse.surfaces,
             information,
             gradient,
             sums,

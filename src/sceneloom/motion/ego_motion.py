@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from sceneloom.errors import PoseError
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.trajectories import IMU, LIDAR, choose_trajectory
 from sceneloom.scene import LidarSensor, Notice, NoticeKind, PointsFrame, Scene
 from sceneloom.scene.ego import EgoMotion
@@ -40,10 +41,16 @@ def find_ego_motion(
             f"{scene.source}: an IMU alone tells how the ego turned, but not where it was; it serves "
             "`sceneloom edit deskew --trajectory imu` only"
         )
-    by_default = name is None and not scene.trajectories and bool(placeable_lidars(scene))
-    if by_default or (name == LIDAR and name not in scene.trajectories):
-        return _from_lidar(scene, by_default=by_default, progress=progress, lenient=lenient)
+    if is_computed(scene, name):
+        return _from_lidar(scene, by_default=name is None, progress=progress, lenient=lenient)
     return choose_trajectory(scene, name=name, heading=heading)
+
+
+def is_computed(scene: Scene, name: str | None) -> bool:
+    """Whether the way of that name is found from the lidar's sweeps, rather than recorded in the scene."""
+    if name is None:
+        return not scene.trajectories and bool(placeable_lidars(scene))
+    return name == LIDAR and name not in scene.trajectories
 
 
 def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:
@@ -60,7 +67,21 @@ def _from_lidar(scene: Scene, *, by_default: bool, progress: Progress | None, le
 
     run = lidar_odometry(scene, progress=progress, lenient=lenient)
     notices = (_assumed(scene), *run.notices) if by_default else tuple(run.notices)
-    return replace(EgoMotion.of(run.trajectory), notices=notices)
+    return _in_known_world(replace(EgoMotion.of(run.trajectory), notices=notices), scene)
+
+
+def _in_known_world(ego: EgoMotion, scene: Scene) -> EgoMotion:
+    """Begin where a recorded trajectory says that the ego was then, so that what stands in its world stays right."""
+    first_ns = ego.path.timestamps_ns[:1]
+    for way in scene.trajectories.values():
+        if way.quaternions_xyzw is None:
+            continue
+        known = way.poses.interpolate(first_ns)
+        if known.coverage[0] == 0:
+            return ego.seen_from(
+                RigidTransform.from_quaternion(known.positions[0], known.quaternions_xyzw[0])
+            )
+    return ego
 
 
 def _assumed(scene: Scene) -> Notice:

@@ -1,7 +1,7 @@
 """The main job: one scene in, one fused scene out."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,15 +16,13 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import filling
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.fusion import FusionConfiguration
+from sceneloom.motion.ego_motion import Progress
 from sceneloom.pipeline.play import Skips, build_system, play
 from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally
 from sceneloom.pipeline.sinks import DepthSink, PictureSink, SceneSink, Sink, lidar_folders, names_of
 from sceneloom.pipeline.woven import Woven, output_scene, weave
 from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
 from sceneloom.scene.span import scene_period_ns, time_span
-
-Progress = Callable[[int, int], None]
-"""Told after each sweep: how many are done, how many there are."""
 
 PICTURES_PER_DRIVE = 8
 
@@ -64,7 +62,8 @@ def iter_fused(
     """Fuse a scene sweep by sweep without writing anything.
 
     Args:
-        trajectory: name of the ego's way; "identity" for an ego that stands still; None for the scene's default.
+        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
+            None for the scene's default, which is found from the sweeps where the scene has none.
         heading: "motion" to derive orientations where the trajectory has positions only.
         configuration: settings of the fusion system.
 
@@ -96,14 +95,15 @@ def fuse(
 
     Args:
         output: the `.sfs` file to write; the same as `outputs.scene`.
-        trajectory: name of the ego's way; "identity" for an ego that stands still; None for the scene's default.
+        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
+            None for the scene's default, which is found from the sweeps where the scene has none.
         heading: "motion" to derive orientations where the trajectory has positions only.
         start: seconds after the scene's first time stamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
         outputs: where to write what, and how.
         configuration: settings of the fusion system.
         lenient: count sweeps and pictures that cannot be read, and go on.
-        progress: told after each sweep.
+        progress: told after each sweep; each counts twice where the ego's way is found from the sweeps first.
 
     Returns:
         What was done, in numbers, with all losses and notices.
@@ -116,7 +116,16 @@ def fuse(
     """
     begun = time.perf_counter()
     wanted = _checked(outputs or FusionOutputs(), output)
-    woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop)
+    steps = _Steps(progress)
+    woven = weave(
+        scene,
+        trajectory=trajectory,
+        heading=heading,
+        start=start,
+        stop=stop,
+        lenient=lenient,
+        progress=steps.finding,
+    )
     if not woven.scene.lidars:
         raise DataError(scene.source, "", "no lidar in it; fusing needs one")
     skips = Skips() if lenient else None
@@ -131,8 +140,7 @@ def fuse(
             tally.add(frame)
             for sink in sinks.all:
                 sink.add(frame)
-            if progress is not None:
-                progress(done, total)
+            steps.fusing(done, total)
         losses = sinks.finish()
     return FusionReport(
         source=scene.source,
@@ -166,6 +174,23 @@ def _checked(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs
     if wanted.scene is not None and wanted.scene.absolute() in folders:
         raise OptionError(f"{wanted.scene}: named for a file and for a folder; expected two names")
     return wanted
+
+
+@dataclass(slots=True)
+class _Steps:
+    """Tells of two passes over the sweeps as of one: finding the ego's way, where it must be found, and fusing."""
+
+    told: Progress | None
+    found: int = 0
+
+    def finding(self, done: int, total: int) -> None:
+        self.found = total
+        if self.told is not None:
+            self.told(done, 2 * total)
+
+    def fusing(self, done: int, total: int) -> None:
+        if self.told is not None:
+            self.told(self.found + done, self.found + total)
 
 
 @dataclass(slots=True)

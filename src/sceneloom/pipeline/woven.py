@@ -7,8 +7,8 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError, OptionError
+from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed
 from sceneloom.motion.sensor_paths import camera_path
-from sceneloom.motion.trajectories import choose_trajectory
 from sceneloom.pipeline.origin import can_move, moved_scene
 from sceneloom.scene import (
     CameraSensor,
@@ -23,6 +23,7 @@ from sceneloom.scene import (
     RadarSensor,
     Scene,
     Sensor,
+    Trajectory,
 )
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.part import chosen_interval, cut_scene
@@ -55,11 +56,17 @@ def weave(
     heading: str | None = None,
     start: float | None = None,
     stop: float | None = None,
+    lenient: bool = False,
+    progress: Progress | None = None,
 ) -> Woven:
     """Choose the part and the ego's way, and put the world's origin at its first position; z stays up.
 
     The origin stays where it is, where points or sensors are placed in the world already, and where something in
-    the scene would not move along.
+    the scene would not move along. A way that is found from the scene's own measurements becomes its first trajectory.
+
+    Args:
+        lenient: pass over sweeps that cannot be read while the way is found.
+        progress: told after each sweep that the way is found from.
 
     Raises:
         PoseError: the sensors' motion is not known.
@@ -74,9 +81,13 @@ def weave(
                 f"{scene.source}: its points and sensors are placed in the world already; a trajectory cannot be chosen"
             )
         return Woven(part, None, np.zeros(3))
-    # chosen from the whole drive: a heading comes from the way before the part, too
-    whole_way = choose_trajectory(scene, name=trajectory, heading=heading)
-    ego = whole_way.within(chosen_interval(scene, start=start, stop=stop))
+    if is_computed(scene, trajectory):
+        ego = find_ego_motion(part, name=trajectory, heading=heading, lenient=lenient, progress=progress)
+        part = _with_way_found(part, ego)
+    else:
+        # chosen from the whole drive: a heading comes from the way before the part, too
+        whole_way = find_ego_motion(scene, name=trajectory, heading=heading)
+        ego = whole_way.within(chosen_interval(scene, start=start, stop=stop))
     origin = ego.path.positions[0].copy() if can_move(scene) else np.zeros(3)
     return Woven(moved_scene(part, origin), ego.moved(origin), origin)
 
@@ -100,6 +111,16 @@ def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identif
     if woven.ego is not None and not _is_told(woven.ego.path, woven.scene):
         sensors.append(OdometrySensor(_free_id(woven.scene, EGO_ID), woven.ego.path))
     return replace(woven.scene, sensors=tuple(sensors)), sources
+
+
+def _with_way_found(scene: Scene, ego: EgoMotion) -> Scene:
+    """The scene with the way that was found in it as its default trajectory, and with what is to be said of it."""
+    path = ego.path
+    way = Trajectory(
+        ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
+    )
+    others = {name: other for name, other in scene.trajectories.items() if name != ego.name}
+    return replace(scene, trajectories={ego.name: way, **others}, notices=(*scene.notices, *ego.notices))
 
 
 def _check_order(scene: Scene) -> None:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import multiply_quaternions
 from sceneloom.scene.notices import Notice
 from sceneloom.scene.part import Interval, cut_path
 from sceneloom.scene.poses import PosePath, Trajectory
@@ -40,6 +42,20 @@ class EgoMotion:
     def moved(self, origin_world: Float64Array) -> "EgoMotion":
         """The same way seen from another origin, (3,) float64 [m]; the axes stay."""
         return replace(self, path=self.path.moved(origin_world))
+
+    def seen_from(self, world_from_here: RigidTransform) -> "EgoMotion":
+        """The same way in another world, whose axes may be turned."""
+        turn = world_from_here.rotation
+        path = PosePath(
+            self.path.timestamps_ns,
+            world_from_here.apply(self.path.positions),
+            multiply_quaternions(world_from_here.quaternion_xyzw, self.path.quaternions_xyzw),
+            endless=self.path.endless,
+        )
+        if self.covariances is None:
+            return replace(self, path=path)
+        axes = np.kron(np.eye(2), turn)
+        return replace(self, path=path, covariances=axes @ self.covariances @ axes.T)
 
     def within(self, part: Interval | None) -> "EgoMotion":
         """The way in and around a part of the drive; None: all of it."""

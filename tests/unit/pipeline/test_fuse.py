@@ -13,7 +13,7 @@ import pytest
 import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
-from sceneloom.pipeline.woven import EGO_ID
+from sceneloom.pipeline.woven import EGO_ID, weave
 from sceneloom.scene import (
     LazyFrames,
     LidarFrame,
@@ -312,11 +312,48 @@ def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_drive_without_trajectory_says_what_to_do_and_identity_does_it(drive: Scene) -> None:
+def test_a_drive_without_trajectory_is_placed_by_its_sweeps_and_the_scene_says_so(
+    drive: Scene, tmp_path: Path
+) -> None:
     lost = replace(drive, trajectories={})
+    told: list[tuple[int, int]] = []
+    report = fuse(lost, tmp_path / "found.sfs", progress=lambda done, total: told.append((done, total)))
+    assert report.trajectory == "lidar"
+    assert (report.fused, report.extrapolated) == (4, 0)
+    assert "trajectory-from-lidar" in {notice.code for notice in report.notices}
+    assert told == [(done, 8) for done in range(1, 9)]
+    with sceneloom.open(tmp_path / "found.sfs") as found:
+        assert next(iter(found.trajectories)) == "lidar"
+        assert found.metadata["sceneloom"]["fusion"]["trajectory"] == "lidar"
+        way = found.trajectories["lidar"]
+        assert way.covariances is not None
+        truth = drive.trajectories["groundTruth"].poses.interpolate(way.timestamps_ns[[0, -1]])
+        moved = np.linalg.norm(truth.positions[1] - truth.positions[0])
+        # 2 cm of range noise on thousands of points, over four sweeps
+        assert abs(np.linalg.norm(way.positions[-1] - way.positions[0]) - moved) < 0.03
+
+
+def test_a_way_found_by_the_lidar_begins_where_a_recorded_one_says(drive: Scene) -> None:
+    found, recorded = weave(drive, trajectory="lidar"), weave(drive)
+    assert found.ego is not None
+    assert recorded.ego is not None
+    first_ns = found.ego.path.timestamps_ns[:1]
+    here, known = found.ego.path.interpolate(first_ns), recorded.ego.path.interpolate(first_ns)
+    np.testing.assert_allclose(
+        here.positions + found.origin_world, known.positions + recorded.origin_world, atol=1e-9
+    )
+    np.testing.assert_allclose(here.quaternions_xyzw, known.quaternions_xyzw, atol=1e-9)
+
+
+def test_a_drive_with_neither_trajectory_nor_lidar_says_what_to_do(drive: Scene) -> None:
+    empty = replace(drive.lidars[0], frames=LazyFrames.of([], []))
+    lost = replace(drive, trajectories={}, sensors=(*drive.cameras, empty))
     with pytest.raises(PoseError, match="--trajectory identity"):
         fuse(lost)
-    assert fuse(lost, trajectory="identity").fused == 4
+
+
+def test_a_drive_without_trajectory_can_be_fused_as_if_it_stood(drive: Scene) -> None:
+    assert fuse(replace(drive, trajectories={}), trajectory="identity").fused == 4
 
 
 def test_a_fused_scene_can_be_fused_again_and_keeps_its_origin(drive: Scene, tmp_path: Path) -> None:

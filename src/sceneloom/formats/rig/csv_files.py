@@ -14,11 +14,13 @@ from sceneloom.formats.clouds.cloud import read_bytes
 from sceneloom.formats.rig.stamps import StampError, parse_stamp
 
 FILE_COLUMNS = ("file", "filename", "file_name", "path", "image", "image_name", "pcd", "cloud", "name")
-TIME_COLUMNS = ("timestamp", "time", "t", "stamp", "timestamp_ns", "time_ns", "timestamp_us", "timestamp_s", "seconds",
-                "sec", "nanoseconds", "utc")  # fmt: skip
+_UNIT_ENDINGS = {"_ns": "nanoseconds", "_us": "microseconds", "_ms": "milliseconds", "_s": "seconds"}
+TIME_COLUMNS = (
+    *(f"{name}{ending}" for name in ("timestamp", "time", "t", "stamp") for ending in ("", *_UNIT_ENDINGS)),
+    *("seconds", "sec", "nanoseconds", "utc"),
+)
 """Names by which columns are known."""
 
-_UNIT_ENDINGS = {"_ns": "nanoseconds", "_us": "microseconds", "_ms": "milliseconds", "_s": "seconds"}
 _DELIMITERS = (",", ";", "\t")
 
 

@@ -148,6 +148,7 @@ class FrameTree:
             if edge.source == edge.target:
                 raise CalibrationError(f"{edge.place}: from {edge.source!r} to itself; expected two frames")
         self._ego_from: dict[str, RigidTransform] = {}
+        self._towards_ego: dict[str, str] = {}
         self._spread(ego)
         for edge in self._edges:
             self._check(edge)
@@ -202,7 +203,22 @@ class FrameTree:
                 ):
                     if near == frame and far not in self._ego_from:
                         self._ego_from[far] = self._ego_from[near] @ near_from_far
+                        self._towards_ego[far] = near
                         waiting.append(far)
+
+    def _way(self, frame: str) -> list[str]:
+        """The frames from one to the ego."""
+        way = [frame]
+        while way[-1] != self.ego:
+            way.append(self._towards_ego[way[-1]])
+        return way
+
+    def _loop(self, edge: Edge) -> str:
+        """The frames between those of a transform, on the other way."""
+        source, target = self._way(edge.source), self._way(edge.target)
+        meeting = next(frame for frame in source if frame in target)
+        way = [*source[: source.index(meeting) + 1], *reversed(target[: target.index(meeting)])]
+        return " - ".join(map(repr, way))
 
     def _check(self, edge: Edge) -> None:
         """Compare a transform with what the others say of its two frames."""
@@ -213,6 +229,6 @@ class FrameTree:
         shift = float(np.abs(target_from_source.translation - edge.target_from_source.translation).max())
         if turn > _AGREEMENT_TURN or shift > _AGREEMENT_SHIFT:
             raise CalibrationError(
-                f"{edge.place}: from {edge.source!r} to {edge.target!r} contradicts the way over the others by "
-                f"{shift:.3g} m and {np.degrees(turn):.3g}°; is one of them the other way round?"
+                f"{edge.place}: from {edge.source!r} to {edge.target!r} contradicts the way {self._loop(edge)} by "
+                f"{shift:.3g} m and {np.degrees(turn):.3g}°; is one of these transforms the other way round?"
             )

@@ -29,7 +29,7 @@ PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
         ('files = "top/*.bin"', "files = []", r"sensors\[0\] \(top\)\.files: a list of 0; expected text"),
         ('files = "top/*.bin"', "files = [3]", r"sensors\[0\] \(top\)\.files: 3; expected text"),
         ("start_s = 1532402927.65", "start_s = 1e12", r"times\.start_s: 1E\+12; expected seconds"),
-        ('[[transforms]]', "[transforms]", r"transforms: a table of 4; expected a list of tables: one `\[\[transforms\]\]`"),
+        ("[[transforms]]", "[transforms]", r"transforms: a table of 4; expected a list of tables: one `\[\[transforms\]\]`"),
     ],
 )  # fmt: skip
 def test_a_fault_is_told_with_place_value_and_what_was_expected(opened, old, new, problem):

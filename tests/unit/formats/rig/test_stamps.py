@@ -31,7 +31,9 @@ def test_numbers_and_dates_become_nanoseconds(text, unit, stamp_ns):
 
 @given(st.datetimes(datetime(1700, 1, 1), datetime(2200, 1, 1)))
 def test_dates_agree_with_the_standard_library(moment):
-    expected = round(moment.replace(microsecond=0, tzinfo=UTC).timestamp()) * 10**9 + moment.microsecond * 1000
+    expected = (
+        round(moment.replace(microsecond=0, tzinfo=UTC).timestamp()) * 10**9 + moment.microsecond * 1000
+    )
     assert parse_stamp(moment.isoformat(" ", "microseconds"), None) == expected
 
 

@@ -48,7 +48,11 @@ def test_a_csv_with_file_names_may_have_any_order(opened, folder):
 
 def test_a_csv_without_file_names_goes_in_parallel(opened, folder):
     (folder / "t.csv").write_text("# a comment\nTimestamp\n0.5\n0.75\n1\n")
-    assert picture_times(opened((BY_RATE, 'times = { csv = "t.csv" }'))) == [500_000_000, 750_000_000, 1_000_000_000]
+    assert picture_times(opened((BY_RATE, 'times = { csv = "t.csv" }'))) == [
+        500_000_000,
+        750_000_000,
+        1_000_000_000,
+    ]
 
 
 def test_rows_without_file_are_faults_and_files_without_row_are_left_out(opened, folder):
@@ -112,7 +116,10 @@ def test_an_offset_is_added_exactly(opened):
         ("{ container = true }", "container; expected one of pattern, csv, lines, rate_hz here"),
         ('{ pattern = "a{ns}" }', "'0.png' does not fit the pattern 'a{ns}'"),
         ('{ csv = "none.csv" }', r"times.csv: 'none.csv': no such file"),
-        ('{ csv = "poses.txt", column = "tim" }', r"no column 'tim'; it has timestamp, .*did you mean 'timestamp'"),
+        (
+            '{ csv = "poses.txt", column = "tim" }',
+            r"no column 'tim'; it has timestamp, .*did you mean 'timestamp'",
+        ),
         ("{ rate_hz = 1e-12 }", "beyond the year 2261"),
     ],
 )

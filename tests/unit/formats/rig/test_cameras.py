@@ -1,0 +1,200 @@
+"""Cameras: lenses in all their spellings, and pictures from files and videos."""
+
+import io
+import pickle
+
+import av
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom.cameras import project
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.rig.lenses import frame_from_camera, read_lens
+
+SIZE = (640, 480)
+POINTS = np.random.default_rng(0).uniform([-1, -1, 3], [1, 1, 9], (50, 3))
+K = np.array([[500.0, 0, 320], [0, 510.0, 240], [0, 0, 1]])
+BY_RATE = "times = { rate_hz = 10, start_s = 1532402927.65 }"
+
+
+@pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
+def test_lists_of_coefficients_have_opencvs_order(count):
+    given = [-0.2, 0.05, 0.001, -0.002, 0.01, 0.02, 0.003, 0.001, 0.001, 0.0005, -0.001, 0.0003, 0.01, -0.02][
+        :count
+    ]
+    lens = read_lens({"K": K, "coefficients": given, "model": "plumb_bob"}, SIZE)
+    expected = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), K, np.array(given))[0][:, 0]
+    pixels, visible = project(lens, POINTS)
+    assert visible.any()
+    # two programs, both in float64
+    np.testing.assert_allclose(pixels[visible], expected[visible], atol=1e-8)
+
+
+def test_fisheye_coefficients_are_opencvs():
+    given = [0.01, -0.02, 0.003, -0.0004]
+    lens = read_lens({"K": K, "coefficients": given, "model": "equidistant"}, SIZE)
+    expected = cv2.fisheye.projectPoints(POINTS[:, None], np.zeros(3), np.zeros(3), K, np.array(given))[0][
+        :, 0
+    ]
+    pixels, visible = project(lens, POINTS)
+    np.testing.assert_allclose(pixels[visible], expected[visible], atol=1e-8)
+
+
+def test_coefficients_may_have_names():
+    named = read_lens({"fx": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": {"k3": 0.1, "k1": -0.2}}, SIZE)
+    listed = read_lens(
+        {"fx": 5.0, "fy": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": [-0.2, 0, 0, 0, 0.1]}, SIZE
+    )
+    probe = np.array([[0.1, 0.2, 1.0]])
+    np.testing.assert_array_equal(project(named, probe)[0], project(listed, probe)[0])
+
+
+def test_a_projection_matrix_moves_the_camera_within_its_frame():
+    P = np.column_stack([K, [45.0, -0.3, 0.005]])
+    lens, shift = read_lens({"P": P}, SIZE), frame_from_camera({"P": P})
+    homogeneous = np.column_stack([POINTS, np.ones(50)]) @ P.T
+    pixels, visible = project(lens, shift.inverse().apply(POINTS))
+    np.testing.assert_allclose(pixels[visible], (homogeneous[:, :2] / homogeneous[:, 2:])[visible], atol=1e-9)
+
+
+def test_coefficients_of_rectified_pictures_are_not_used():
+    lens = read_lens({"K": K, "coefficients": [-0.2, 0.1, 0, 0], "undistorted": True}, SIZE)
+    assert (lens.model, lens.coefficients) == ("pinhole", ())
+
+
+@pytest.mark.parametrize(
+    ("record", "problem"),
+    [
+        ({}, "no focal length; expected one of fx fy cx cy, K, P"),
+        ({"fx": 5.0, "K": K}, "fx and K; expected one of"),
+        ({"K": K, "cx": 3.0}, "K beside cx"),
+        ({"fx": 5.0, "cx": 3.0}, "cy missing"),
+        ({"K": K.T}, r"expected \[fx 0 cx; 0 fy cy; 0 0 1\]"),
+        ({"K": K, "model": "pinhol"}, "'pinhol'; expected one of pinhole, .*did you mean 'pinhole'"),
+        (
+            {"K": K, "coefficients": [0.1] * 3},
+            "3 coefficients; expected 0, 4, 5, 8, 12, 14 in OpenCV's order",
+        ),
+        ({"K": K, "coefficients": {"q1": 0.1}}, "coefficients q1; brown_conrady has k1"),
+        ({"K": K, "model": "fisheye", "coefficients": [0.1] * 5}, "5 distortion coefficients; fisheye has 4"),
+        ({"K": -K}, "expected"),
+        ({"K": K, "width": 640}, "width without height"),
+    ],
+)
+def test_what_is_no_lens_is_refused(record, problem):
+    with pytest.raises(CalibrationError, match=problem):
+        read_lens(record, SIZE)
+
+
+def test_a_lens_for_another_size_is_scaled_with_a_notice(opened):
+    scene = opened(("cy = 2.5 }", "cy = 2.5, width = 4, height = 3 }"))
+    lens = scene.cameras[0].camera
+    assert (lens.width, lens.fx, lens.cx) == (8, 12.0, (3.5 + 0.5) * 2 - 0.5)
+    assert [notice.code for notice in scene.notices] == ["lens-scaled"]
+
+
+def test_a_lens_for_another_shape_is_refused(opened):
+    with pytest.raises(DataError, match="for 8x8, the pictures are 8x6: not the same shape"):
+        opened(("cy = 2.5 }", "cy = 2.5, width = 8, height = 8 }"))
+
+
+def test_jpeg_pictures_are_decoded_and_their_bytes_are_at_hand(opened, folder):
+    rng = np.random.default_rng(1)
+    smooth = cv2.resize(rng.integers(0, 255, (3, 4, 3)).astype(np.uint8), (80, 60))
+    for path in (folder / "front").iterdir():
+        path.unlink()
+    Image.fromarray(smooth).save(folder / "front" / "0.jpg", quality=98, subsampling=0)
+    Image.fromarray(smooth[:, :, 0]).save(folder / "front" / "1.jpg", quality=98)
+    content = (folder / "front" / "0.jpg").read_bytes()
+    pictures = opened(("front/*.png", "front/*.jpg")).cameras[0].pictures
+    # quality 98 leaves a few levels
+    assert np.abs(pictures[0].rgb.astype(int) - smooth).max() < 12
+    assert np.abs(pictures[1].rgb.astype(int) - smooth[:, :, :1]).max() < 12
+    assert pictures[0].encoded() == content
+
+
+@pytest.mark.parametrize("mode", ["L", "P", "RGBA", "1"])
+def test_pictures_of_other_kinds_become_red_green_blue(opened, folder, mode):
+    Image.new(mode, (8, 6), 1 if mode != "RGBA" else (1, 2, 3, 4)).save(folder / "front" / "0.png")
+    assert opened().cameras[0].pictures[0].rgb.shape == (6, 8, 3)
+
+
+def test_pictures_of_16_bits_are_refused(opened, folder):
+    Image.new("I;16", (8, 6), 70).save(folder / "front" / "0.png")
+    with pytest.raises(DataError, match="'I;16'; expected 8-bit grey or colour"):
+        _ = opened().cameras[0].pictures[0].rgb
+
+
+def test_a_picture_of_another_size_is_told(opened, folder):
+    Image.new("RGB", (6, 8)).save(folder / "front" / "1.png")
+    scene = opened()
+    with pytest.raises(DataError, match=r"1\.png: is 6x8; expected 8x6"):
+        _ = scene.cameras[0].pictures[1].rgb
+
+
+def test_a_file_of_another_kind_among_the_pictures_is_refused(opened, folder):
+    (folder / "front" / "t.txt").write_text("1")
+    with pytest.raises(DataError, match="'t.txt'; expected files that end with .png .jpg .jpeg"):
+        opened(("front/*.png", "front/*"))
+
+
+@pytest.fixture
+def video(folder):
+    """Five pictures of growing brightness, 64x48 at 20 a second."""
+    path = folder / "front.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=20)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "bgr0"
+        for k in range(5):
+            frame = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 40 * k, np.uint8), "rgb24")
+            container.mux(stream.encode(frame.reformat(format="bgr0")))
+        container.mux(stream.encode())
+    return path
+
+
+AS_VIDEO = ('files = "front/*.png"', 'video = "front.mkv"')
+
+
+@pytest.mark.parametrize(
+    ("times", "expected_ms"),
+    [
+        ("{ rate_hz = 10, start_s = 1.5 }", [1500, 1600, 1700, 1800, 1900]),
+        ("{ container = true, start_s = 2 }", [2000, 2050, 2100, 2150, 2200]),
+        ('{ csv = "t.csv" }', [5, 7, 11, 13, 17]),
+        ('{ lines = "t.txt", unit = "milliseconds" }', [5, 7, 11, 13, 17]),
+    ],
+)
+def test_videos_are_pictures_with_times(opened, folder, video, times, expected_ms):
+    (folder / "t.csv").write_text("frame,time_ms\n0,5\n1,7\n2,11\n3,13\n4,17\n")
+    (folder / "t.txt").write_text("5\n7\n11\n13\n17\n")
+    with opened(AS_VIDEO, (BY_RATE, f"times = {times}")) as scene:
+        camera = scene.cameras[0]
+        assert camera.pictures.timestamps_ns.tolist() == [ms * 1_000_000 for ms in expected_ms]
+        assert [int(picture.rgb[0, 0, 0]) for picture in camera.pictures] == [0, 40, 80, 120, 160]
+        assert (camera.video.codec, camera.video.frame_indices) == ("ffv1", None)
+        assert pickle.loads(pickle.dumps(scene)).cameras[0].pictures[3].rgb[0, 0, 0] == 120
+        with camera.video.open() as file:
+            assert isinstance(file, io.IOBase)
+    with pytest.raises(DataError, match="is closed"):
+        _ = camera.pictures[0].rgb
+
+
+def test_times_and_pictures_of_a_video_have_to_be_as_many(opened, folder, video):
+    (folder / "t.txt").write_text("1\n2\n")
+    with pytest.raises(DataError, match="2 times for 5 files or pictures"):
+        opened(AS_VIDEO, (BY_RATE, 'times = { lines = "t.txt" }'))
+
+
+def test_files_and_video_exclude_each_other(opened, video):
+    with pytest.raises(DataError, match="files and video; expected one"):
+        opened(('files = "front/*.png"', 'files = "front/*.png"\nvideo = "front.mkv"'))
+    with pytest.raises(DataError, match="neither files nor video"):
+        opened(('files = "front/*.png"\n', ""))
+
+
+def test_a_video_that_is_none_is_told(opened, folder):
+    (folder / "front.mkv").write_bytes(b"no video")
+    with pytest.raises(DataError, match="cannot be read as video"):
+        opened(AS_VIDEO)

@@ -1,0 +1,184 @@
+"""Lidars: what stamps mean, which frame points are in, what is said about the first file."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError
+from sceneloom.scene import PointsFrame
+
+from .conftest import START_NS
+
+FIELDS = 'fields = ["x", "y", "z", "intensity"]'
+SCALE = "intensity_max = 255"
+TIMED = 'fields = ["x", "y", "z", "t"]'
+
+
+def codes(scene):
+    return {notice.code for notice in scene.notices}
+
+
+@pytest.fixture
+def timed(folder):
+    """Sweeps whose points have times from 0 to 0.09 s after the stamp, as float32 seconds."""
+    for path in (folder / "top").iterdir():
+        points = np.ones((4, 4), "<f4")
+        points[:, 3] = [0.0, 0.03, 0.06, 0.09]
+        path.write_bytes(points.tobytes())
+    return folder
+
+
+POINT_TIMES = 'point_times = { field = "t", unit = "seconds" }'
+
+
+@pytest.mark.parametrize(("stamp", "before_ms"), [("start", 0), ("middle", 50), ("end", 100)])
+def test_a_frame_is_stamped_with_the_start_of_its_sweep(opened, timed, stamp, before_ms):
+    said = f'{POINT_TIMES}\nstamp = "{stamp}"\nsweep_s = 0.1'
+    frame = opened((FIELDS, TIMED), (SCALE, said)).lidars[0].frames[0]
+    assert frame.timestamp_ns == START_NS - before_ms * 1_000_000
+    assert frame.points.timestamps_ns[0] == START_NS, "they count from the stamp"
+    assert (frame.points.timestamps_ns - START_NS)[3] == pytest.approx(90_000_000, abs=10)
+
+
+def test_times_of_points_may_count_from_the_start_of_the_sweep(opened, timed):
+    said = f'stamp = "end"\nsweep_s = 0.1\n{POINT_TIMES}'.replace(" }", ', relative_to = "start" }')
+    frame = opened((FIELDS, TIMED), (SCALE, said)).lidars[0].frames[0]
+    assert frame.points.timestamps_ns[0] == frame.timestamp_ns == START_NS - 100_000_000
+
+
+@pytest.mark.parametrize(
+    ("said", "after_ms"),
+    [
+        ("", 0),
+        ("sweep_s = 0.1", 50),
+        ('stamp = "middle"\nsweep_s = 0.1', 0),
+        ('stamp = "end"\nsweep_s = 0.1', -50),
+        ('stamp = "end"', -50),
+        ('stamp = "end"\ndeskewed = true', 0),
+    ],
+)
+def test_points_without_times_belong_to_the_middle_of_their_sweep(opened, said, after_ms):
+    lidar = opened((SCALE, f"{SCALE}\n{said}")).lidars[0]
+    assert lidar.frames.timestamps_ns[0] == START_NS + after_ms * 1_000_000
+    assert lidar.frames[0].timestamp_ns == lidar.frames.timestamps_ns[0]
+
+
+def test_the_length_of_a_sweep_is_told_from_the_intervals_with_a_notice(opened):
+    assert "sweep-length" in codes(opened((SCALE, f'{SCALE}\nstamp = "end"')))
+
+
+def test_the_length_of_a_single_sweep_has_to_be_said(opened):
+    single = ("top/*.bin", f"top/{START_NS}.bin")
+    with pytest.raises(DataError, match="a single sweep has no interval; expected how long a sweep takes"):
+        opened(single, (SCALE, f'{SCALE}\nstamp = "end"'))
+
+
+def test_times_of_points_that_were_used_for_deskewing_are_not_used_again(opened, timed):
+    scene = opened((FIELDS, TIMED), (SCALE, f"{POINT_TIMES}\ndeskewed = true"))
+    points = scene.lidars[0].frames[0].points
+    assert points.timestamps_ns is None
+    assert points.extras["t"].tolist() == pytest.approx([0.0, 0.03, 0.06, 0.09])
+
+
+def test_times_as_well_known_drivers_write_them_are_recognised_with_a_notice(opened, timed):
+    scene = opened((FIELDS, 'fields = ["x", "y", "z", "time"]'))
+    assert scene.lidars[0].frames[0].points.timestamps_ns is not None
+    assert "point-times-assumed" in codes(scene)
+    left = opened((FIELDS, 'fields = ["x", "y", "z", "timestamps"]'))
+    assert left.lidars[0].frames[0].points.timestamps_ns is None
+    assert "point-times-not-used" in codes(left)
+
+
+def test_times_of_the_wrong_unit_are_told_when_the_drive_is_opened(opened, timed):
+    with pytest.raises(DataError, match=r't\[1\]: 0\.03.*expected within 10 s|unit = "seconds"'):
+        opened((FIELDS, TIMED), (SCALE, POINT_TIMES.replace('seconds"', 'seconds", relative_to = "clock"')))
+
+
+def test_points_in_the_frame_of_the_ego_stay_there(opened):
+    scene = opened((SCALE, f'{SCALE}\npoints_in = "base"'))
+    lidar = scene.lidars[0]
+    assert lidar.points_frame is PointsFrame.EGO
+    assert lidar.mount.translation.tolist() == [1.0, 0.0, 2.0]
+    assert lidar.frames[0].points.positions[0].tolist() == [0.0, 1.0, 2.0]
+
+
+def test_points_in_another_frame_are_brought_to_the_sensor(opened):
+    frame = '[[transforms]]\nfrom = "odd"\nto = "base"\nmatrix = [[0,-1,0,5],[1,0,0,0],[0,0,1,0],[0,0,0,1]]\n\n[[sensors]]\nid = "top"'
+    scene = opened((SCALE, f'{SCALE}\npoints_in = "odd"'), ('[[sensors]]\nid = "top"', frame))
+    # (0, 1, 2) of odd is (-1 + 5, 0, 2) of base, and (3, 0, 0) of the lidar at (1, 0, 2)
+    assert scene.lidars[0].frames[0].points.positions[0].tolist() == [3.0, 0.0, 0.0]
+
+
+def test_points_in_the_world_stay_there_unless_they_are_too_far_for_float32(opened, folder):
+    scene = opened((SCALE, f'{SCALE}\npoints_in = "world"'))
+    assert scene.lidars[0].points_frame is PointsFrame.WORLD
+    first = min((folder / "top").iterdir())
+    first.write_bytes(np.full((1, 4), 4e5, "<f4").tobytes())
+    with pytest.raises(DataError, match="400000 m from the world's origin"):
+        opened((SCALE, f'{SCALE}\npoints_in = "world"'))
+
+
+def test_what_was_taken_for_granted_is_said(opened):
+    scene = opened((SCALE, ""), (FIELDS, ""))
+    assert codes(scene) == {"fields-assumed", "intensity-scale"}
+    assert scene.lidars[0].extras["intensity_max"] == 255.0
+    assert opened().lidars[0].extras["intensity_max"] == 255.0
+
+
+def test_brightness_beyond_all_scales_asks_for_one(opened, folder):
+    first = min((folder / "top").iterdir())
+    first.write_bytes(np.full((1, 4), 1e6, "<f4").tobytes())
+    with pytest.raises(DataError, match=r"say what becomes 255 with sensors\[0\]\.intensity_max"):
+        opened((SCALE, ""))
+
+
+def test_points_that_are_dropped_are_counted(opened, folder):
+    first = min((folder / "top").iterdir())
+    first.write_bytes(np.array([[1, 2, 3, 4], [0, 0, 0, 9], [np.nan, 1, 1, 1]], "<f4").tobytes())
+    scene = opened()
+    assert [(n.code, n.count) for n in scene.notices] == [("points-dropped", 2)]
+    assert scene.lidars[0].frames[0].extras["dropped_points"] == 2
+    assert scene.lidars[0].frames[1].extras["dropped_points"] == 0
+
+
+def test_columns_may_be_named(opened):
+    scene = opened(
+        (FIELDS, 'fields = ["a", "b", "c", "d"]\nuse = { x = "a", y = "b", z = "c", intensity = "d" }')
+    )
+    assert scene.lidars[0].frames[0].points.intensities.tolist() == [3, 7, 11, 15]
+
+
+@pytest.mark.parametrize(
+    ("new", "problem"),
+    [
+        ('fields = ["x:int99"]', "'x:int99'; expected a name, or name:type"),
+        ('dtype = "float64"', "says nothing without `fields`"),
+        ('use = { brightness = "a" }', r"use\.brightness: unknown; expected some of x, y, z"),
+        (
+            f'{FIELDS}\nuse = {{ ring = "line" }}',
+            "line: no such column for ring; the file has x y z intensity",
+        ),
+        ('fields = ["x", "y", "z"]', "64 bytes are 5 points of 12 bytes"),
+    ],
+)
+def test_columns_that_do_not_fit_are_told(opened, new, problem):
+    with pytest.raises(DataError, match=problem):
+        opened((FIELDS, new))
+
+
+def test_files_of_another_kind_are_refused(opened, folder):
+    (folder / "top" / "1.txt").write_text("1")
+    with pytest.raises(DataError, match=r"'1.txt'; expected files that end with \.pcd"):
+        opened(("top/*.bin", "top/*"))
+
+
+@pytest.mark.parametrize("suffix", ["pcd", "npz"])
+def test_every_kind_of_cloud_makes_a_lidar(opened, folder, suffix):
+    rows = np.arange(12, dtype=np.float32).reshape(4, 3)
+    for path in (folder / "top").iterdir():
+        if suffix == "npz":
+            np.savez(path.with_suffix(".npz"), xyz=rows, ring=np.arange(4))
+        else:
+            head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 4\nDATA binary\n"
+            path.with_suffix(".pcd").write_bytes(head.encode() + rows.tobytes())
+    scene = opened(("top/*.bin", f"top/*.{suffix}"), (SCALE, ""), (FIELDS, ""))
+    assert scene.lidars[0].frames[1].points.positions.tolist() == rows.tolist()

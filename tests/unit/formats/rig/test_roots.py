@@ -1,0 +1,69 @@
+"""Files are found below one folder, and nowhere else."""
+
+import pytest
+
+from sceneloom.errors import DataError
+
+LIDAR = 'files = "top/*.bin"'
+
+
+@pytest.mark.parametrize(
+    "pattern", ["../top/*.bin", "/top/*.bin", "top/../../x/*.bin", "C:/top/*.bin", r"\\\\host\\top\\*.bin"]
+)
+def test_patterns_that_lead_out_are_refused(opened, pattern):
+    with pytest.raises(DataError, match="expected a path below .*; name another folder with `root`"):
+        opened((LIDAR, f'files = "{pattern}"'))
+
+
+@pytest.mark.parametrize("pattern", ["a**b/*.bin", "[", "top/*.pcd", "nowhere/*.bin", "."])
+def test_patterns_without_files_or_sense_are_told(opened, pattern):
+    with pytest.raises(DataError, match=r"sensors\[0\] \(top\)\.files: "):
+        opened((LIDAR, f'files = "{pattern}"'))
+
+
+def test_what_there_is_in_place_of_a_missing_file_is_told(opened):
+    with pytest.raises(DataError, match=r"'top/\*\.pcd': no such files in .*; top has \*\.bin"):
+        opened((LIDAR, 'files = "top/*.pcd"'))
+
+
+def test_links_that_lead_out_are_refused_and_a_root_is_named_in_their_place(opened, folder, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("disk")
+    (folder / "top").rename(elsewhere / "top")
+    (folder / "top").symlink_to(elsewhere / "top")
+    with pytest.raises(DataError, match=r"leads out of .* by a link, to .*; name the folder .* as `root`"):
+        opened()
+    scene = opened((LIDAR, f'{LIDAR}\nroot = "{elsewhere}"'))
+    assert len(scene.lidars[0].frames) == 3
+    assert [notice.code for notice in scene.notices] == ["root-elsewhere"]
+
+
+def test_a_single_file_may_not_be_a_link_that_leads_out(opened, folder, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("disk") / "poses.txt"
+    (folder / "poses.txt").rename(outside)
+    (folder / "poses.txt").symlink_to(outside)
+    with pytest.raises(DataError, match="'poses.txt' leads out of"):
+        opened()
+
+
+def test_links_inside_the_folder_are_followed(opened, folder):
+    (folder / "top").rename(folder / "kept")
+    (folder / "top").symlink_to(folder / "kept")
+    assert len(opened().lidars[0].frames) == 3
+
+
+def test_all_files_may_lie_below_another_root(opened, folder):
+    (folder / "raw").mkdir()
+    for name in ("top", "front", "poses.txt"):
+        (folder / name).rename(folder / "raw" / name)
+    scene = opened(('ego = "base"', 'ego = "base"\nroot = "raw"'))
+    assert len(scene.sensors) == 2
+    assert scene.notices == ()
+
+
+def test_a_root_that_is_not_there_is_told(opened):
+    with pytest.raises(DataError, match="root: 'raw': no such folder"):
+        opened(('ego = "base"', 'ego = "base"\nroot = "raw"'))
+
+
+def test_files_of_several_patterns_are_each_taken_once(opened):
+    assert len(opened((LIDAR, 'files = ["top/*.bin", "**/*0.bin"]')).lidars[0].frames) == 3

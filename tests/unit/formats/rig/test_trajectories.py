@@ -1,0 +1,143 @@
+"""Trajectories of any frame and form, brought to the ego."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.errors import DataError
+
+from .conftest import POSES
+
+TUM = 'file = "poses.txt"\nform = "tum"'
+TIMES = np.array([0.0, 0.5, 1.0])
+TURNS = Rotation.from_euler("ZYX", [[0, 0, 0], [30, 5, -3], [60, 0, 2]], degrees=True)
+PLACES = np.array([[0.0, 0, 0], [3, 1, 0.1], [5, 4, 0.2]])
+WORLD_FROM_FRAME = np.tile(np.eye(4), (3, 1, 1))
+WORLD_FROM_FRAME[:, :3, :3], WORLD_FROM_FRAME[:, :3, 3] = TURNS.as_matrix(), PLACES
+BASE_FROM_IMU = np.array([[0, -1, 0, 0.5], [1, 0, 0, -0.25], [0, 0, 1, 1.0], [0, 0, 0, 1]])
+IMU = (
+    f'[[transforms]]\nfrom = "imu"\nto = "base"\nmatrix = {BASE_FROM_IMU.tolist()}\n\n[[sensors]]\nid = "top"'
+)
+
+
+def write_tum(folder):
+    rows = np.column_stack([TIMES, PLACES, TURNS.as_quat()])
+    np.savetxt(folder / "way.txt", rows, header="t x y z qx qy qz qw")
+    return 'file = "way.txt"\nform = "tum"'
+
+
+def write_csv(folder):
+    names = "stamp_ms,east,y,z,qw,qx,qy,qz"
+    rows = np.column_stack([TIMES * 1000, PLACES, TURNS.as_quat()[:, [3, 0, 1, 2]]])
+    np.savetxt(folder / "way.csv", rows, header=names, comments="", delimiter=",")
+    return 'file = "way.csv"\nform = "csv"\ncolumns = { x = "east" }'
+
+
+def write_kitti(folder):
+    np.savetxt(folder / "way.txt", WORLD_FROM_FRAME[:, :3].reshape(3, 12))
+    np.savetxt(folder / "times.txt", TIMES)
+    return 'file = "way.txt"\nform = "kitti"\ntimes = "times.txt"'
+
+
+def matrices(trajectory):
+    found = np.tile(np.eye(4), (len(trajectory.positions), 1, 1))
+    found[:, :3, :3] = Rotation.from_quat(trajectory.quaternions_xyzw).as_matrix()
+    found[:, :3, 3] = trajectory.positions
+    return found
+
+
+@pytest.mark.parametrize("write", [write_tum, write_csv, write_kitti])
+def test_every_form_of_another_frame_gives_the_way_of_the_ego(opened, folder, write):
+    said = write(folder)
+    scene = opened((TUM, f'{said}\nframe = "imu"\nname = "slam"'), ('[[sensors]]\nid = "top"', IMU))
+    found = scene.trajectories["slam"]
+    assert found.timestamps_ns.tolist() == [0, 500_000_000, 1_000_000_000]
+    expected = WORLD_FROM_FRAME @ np.linalg.inv(BASE_FROM_IMU)
+    # the texts hold 18 digits
+    np.testing.assert_allclose(matrices(found), expected, atol=1e-12)
+
+
+def test_a_world_with_optical_axes_is_turned_so_that_z_is_up(opened, folder):
+    (folder / "poses.txt").write_text("1 1 2 3 0 0 0 1\n2 1 2 4 0 0 0 1\n")
+    found = opened((TUM, f'{TUM}\nworld_axes = "optical"')).trajectories["pose"]
+    assert found.positions.tolist() == [[3.0, -1.0, -2.0], [4.0, -1.0, -2.0]]
+    turned = Rotation.from_quat(found.quaternions_xyzw[0]).apply([0, 0, 1.0])
+    np.testing.assert_allclose(turned, [1, 0, 0], atol=1e-12)
+
+
+def test_the_first_trajectory_is_the_default(opened):
+    second = f'{TUM}\nname = "a"\n\n[[trajectories]]\n{TUM}\nname = "b"\ntime_offset_s = 0.5'
+    ways = opened((TUM, second)).trajectories
+    assert [*ways] == ["a", "b"]
+    assert (ways["b"].timestamps_ns - ways["a"].timestamps_ns).tolist() == [500_000_000] * 2
+
+
+def test_positions_alone_are_a_way_without_orientations(opened, folder):
+    (folder / "way.csv").write_text("time;x;y;z\n0;1;2;3\n1;2;2;3\n")
+    scene = opened((TUM, 'file = "way.csv"\nform = "csv"\nframe = "top"'))
+    assert scene.trajectories["pose"].quaternions_xyzw is None
+    assert scene.lidars[0].poses is None
+    assert [n.code for n in scene.notices] == ["lever-arm-ignored", "orientations-missing"]
+
+
+def test_poses_out_of_order_are_sorted_and_repeated_ones_left_out(opened, folder):
+    lines = POSES.splitlines()
+    (folder / "poses.txt").write_text("\n".join([lines[2], lines[1], lines[1]]))
+    scene = opened()
+    assert scene.trajectories["pose"].positions[:, 0].tolist() == [0.0, 10.0]
+    assert [n.code for n in scene.notices] == ["poses-sorted", "repeated-poses"]
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "is empty"),
+        ("# only a comment\n", "is empty"),
+        ("1 2 3\n", "3 values; expected 8: timestamp tx ty tz qx qy qz qw"),
+        ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 1\n", "line 2: 7 values; expected 8"),
+        ("1 0 0 zero 0 0 0 1\n", "line 1: column 4: 'zero'; expected a finite number"),
+        ("1 0 0 0 0 0 0 nan\n", "line 1: column 8: 'nan'"),
+        ("1 0 0 0 0 0 0 2\n", r"line 1: orientation .* of length 2.0000"),
+        ("x 0 0 0 0 0 0 1\n", "line 1: 'x'; expected a number, or a date"),
+        ("1532402927647951001 0 0 0 0 0 0 1\n", 'is `unit = "nanoseconds"` meant'),
+    ],
+)
+def test_a_wrong_line_is_told_with_its_number(opened, folder, text, problem):
+    (folder / "poses.txt").write_text(text)
+    with pytest.raises(DataError, match=problem):
+        opened()
+
+
+@pytest.mark.parametrize(
+    ("said", "problem"),
+    [
+        ('file = "poses.txt"\nform = "kitti"', "times: missing; a kitti file has no times"),
+        ('file = "poses.txt"\nform = "csv"', None),
+        (
+            'file = "poses.txt"\nform = "csv"\ncolumns = { w = "tx" }',
+            "columns.w: unknown; expected some of time, x",
+        ),
+        ('file = "poses.txt"\nform = "csv"\ncolumns = { x = "t_x" }', "no column 't_x'.*did you mean 'tx'"),
+        (f'{TUM}\nframe = "imu"', "no transforms lead from frame 'imu'"),
+    ],
+)
+def test_what_is_said_wrongly_is_told(opened, said, problem):
+    if problem is None:  # the names stand in the comment above the first line
+        assert opened((TUM, said)).trajectories["pose"].positions.tolist() == [[0, 0, 0], [10, 0, 0]]
+        return
+    with pytest.raises(DataError, match=problem):
+        opened((TUM, said))
+
+
+def test_as_many_times_as_poses_are_needed(opened, folder):
+    said = write_kitti(folder)
+    (folder / "times.txt").write_text("1\n2\n")
+    with pytest.raises(DataError, match="2 times for 3 poses"):
+        opened((TUM, said))
+
+
+def test_a_matrix_that_is_no_rotation_is_told_with_its_line(opened, folder):
+    said = write_kitti(folder)
+    np.savetxt(folder / "way.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12))
+    with pytest.raises(DataError, match="line 2: rotation off by 0.21"):
+        opened((TUM, said))

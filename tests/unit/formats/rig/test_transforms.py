@@ -1,0 +1,156 @@
+"""Frames: every way to write a transform means the same, and chains of them agree with SciPy's rotations."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.rig.transforms import Edge, FrameTree, frame_from_optical, read_transform
+from sceneloom.geometry.rigid import RigidTransform
+
+TURN = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True)
+SHIFT = np.array([1.0, -2.0, 3.0])
+MATRIX = np.vstack([np.column_stack([TURN.as_matrix(), SHIFT]), [0, 0, 0, 1]])
+
+
+def read(**record):
+    ledger = Ledger(lenient=False)
+    return read_transform(
+        {k: np.asarray(v) if k != "euler_order" else v for k, v in record.items()}, "x", ledger
+    )
+
+
+@pytest.mark.parametrize(
+    "rotation",
+    [
+        {"quaternion_xyzw": TURN.as_quat()},
+        {"quaternion_wxyz": np.roll(TURN.as_quat(), 1)},
+        {"rotation_matrix": TURN.as_matrix()},
+        # capital letters are SciPy's intrinsic rotations: Rz(yaw)·Ry(pitch)·Rx(roll)
+        {"euler_deg": [10.0, -20.0, 30.0], "euler_order": "zyx"},
+    ],
+    ids=lambda rotation: next(iter(rotation)),
+)
+def test_all_ways_to_write_a_rotation_mean_the_same(rotation):
+    found = read(translation=SHIFT, **rotation)
+    np.testing.assert_allclose(found.matrix, MATRIX, atol=1e-12)
+    np.testing.assert_allclose(read(matrix=MATRIX).matrix, MATRIX, atol=1e-12)
+    np.testing.assert_allclose(read(matrix=MATRIX[:3]).matrix, MATRIX, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("record", "problem"),
+    [
+        ({}, "says nothing; expected matrix, or translation and one of"),
+        ({"matrix": MATRIX, "translation": SHIFT}, "matrix beside translation"),
+        (
+            {"quaternion_xyzw": [0, 0, 0, 1], "euler_deg": [0, 0, 0]},
+            "quaternion_xyzw and euler_deg; expected one",
+        ),
+        ({"euler_deg": [0, 0, 0]}, "euler_deg and euler_order; expected both"),
+        ({"quaternion_xyzw": [0, 0, 0, 2.0]}, "length 2.0000; expected 1"),
+        ({"rotation_matrix": np.diag([1.0, 1.0, -1.0])}, "mirrored or singular"),
+        ({"rotation_matrix": np.eye(3) * 1.01}, "off by 0.02"),
+        ({"matrix": MATRIX.T}, "last row"),
+    ],
+)
+def test_what_is_no_transform_is_refused(record, problem):
+    with pytest.raises(CalibrationError, match=problem):
+        read(**record)
+
+
+def test_a_rotation_that_is_a_little_off_is_mended_with_a_notice():
+    ledger = Ledger(lenient=False)
+    off = TURN.as_matrix() * 1.002
+    found = read_transform({"rotation_matrix": off}, "here", ledger)
+    np.testing.assert_allclose(found.rotation, TURN.as_matrix(), atol=1e-12)
+    assert [(notice.code, notice.place) for notice in ledger.notices] == [("rotation-normalised", "here")]
+
+
+def edge(source, target, seed):
+    turn = Rotation.random(rng=np.random.default_rng(seed))
+    shift = np.random.default_rng(seed).normal(size=3)
+    return Edge(source, target, RigidTransform(turn.as_matrix(), shift), f"{source} to {target}")
+
+
+def test_chains_go_through_inverses_in_any_order():
+    edges = [edge("d", "c", 3), edge("b", "c", 2), edge("base", "b", 1)]
+    tree = FrameTree("base", edges)
+    d_c, b_c, base_b = (e.target_from_source.matrix for e in edges)
+    expected = np.linalg.inv(base_b) @ np.linalg.inv(b_c) @ d_c
+    np.testing.assert_allclose(tree.ego_from("d").matrix, expected, atol=1e-12)
+    assert tree.frames == ("base", "d", "c", "b")
+    assert tree.loose == ()
+
+
+def test_a_loop_that_agrees_is_taken_and_one_that_contradicts_is_refused():
+    one, two = edge("a", "base", 1), edge("b", "a", 2)
+    closing = one.target_from_source @ two.target_from_source
+    loop = Edge("b", "base", closing, "b to base")
+    np.testing.assert_allclose(
+        FrameTree("base", [one, two, loop]).ego_from("b").matrix, closing.matrix, atol=1e-12
+    )
+    wrong = Edge("base", "b", closing, "transforms[2]")
+    with pytest.raises(
+        CalibrationError, match=r"contradicts the way 'b' - 'base' - 'a' by .* m and .*°; is one of these"
+    ):
+        FrameTree("base", [one, two, wrong])
+
+
+def test_a_frame_without_connection_is_told_with_what_it_is_connected_to():
+    tree = FrameTree("base", [edge("a", "base", 1), edge("cam", "rig", 2)])
+    with pytest.raises(
+        CalibrationError, match="'cam' to the ego's frame 'base'; it is connected with 'rig', the ego's"
+    ):
+        tree.ego_from("cam")
+    with pytest.raises(
+        CalibrationError, match="no transform names it; known frames: 'base', 'a', 'cam', 'rig'"
+    ):
+        tree.ego_from("radar")
+    assert tree.loose == ("cam", "rig")
+
+
+def test_a_transform_from_a_frame_to_itself_is_refused():
+    with pytest.raises(CalibrationError, match="from 'a' to itself"):
+        FrameTree("base", [edge("a", "a", 1)])
+
+
+@pytest.mark.parametrize(
+    ("axes", "right", "down", "forward"),
+    [
+        (("optical",), (1, 0, 0), (0, 1, 0), (0, 0, 1)),
+        (("flu",), (0, -1, 0), (0, 0, -1), (1, 0, 0)),
+        (("frd",), (0, 1, 0), (0, 0, 1), (1, 0, 0)),
+        (("-y", "-z", "+x"), (0, -1, 0), (0, 0, -1), (1, 0, 0)),
+        (("x", "z", "-y"), (1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    ],
+)
+def test_axes_say_what_points_right_down_and_forward(axes, right, down, forward):
+    turned = frame_from_optical(axes).rotate(np.eye(3))
+    assert turned.tolist() == [list(right), list(down), list(forward)]
+
+
+@pytest.mark.parametrize(
+    "axes", [("body",), ("-y", "+z", "+x"), ("x", "x", "y"), ("x", "y"), ("x", "y", "w"), ("",)]
+)
+def test_axes_that_are_none_or_a_mirror_are_refused(axes):
+    with pytest.raises(CalibrationError):
+        frame_from_optical(axes)
+
+
+def test_both_directions_of_an_extrinsic_mean_the_same(opened):
+    as_it_is = opened().cameras[0].mount.matrix
+    inverse = opened(
+        ('to = "top", translation = [0.5, 0.0, -0.5]', 'from = "top", translation = [-0.5, 0.0, 0.5]')
+    )
+    np.testing.assert_allclose(inverse.cameras[0].mount.matrix, as_it_is, atol=1e-12)
+    with pytest.raises(DataError, match="neither to nor from; expected `to`"):
+        opened(('{ to = "top", ', "{ "))
+
+
+def test_all_transforms_at_fault_are_told_at_once(opened):
+    with pytest.raises(DataError) as caught:
+        opened(("[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0, 9.0]"), ("[0.5, 0.0, -0.5]", "[1e7, 0.0, 0.0]"))
+    assert "transforms[0]" in str(caught.value)
+    assert "sensors[1] (front).extrinsic" in str(caught.value)

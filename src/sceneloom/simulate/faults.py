@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from types import MappingProxyType
 
 import numpy as np
 
@@ -136,13 +137,15 @@ _STREAM_FAULTS = frozenset(
 )
 _CLOUD_FAULTS = _STREAM_FAULTS | {"rotation_deg", "shift", "blind", "point_times"}
 
-POSSIBLE_FAULTS: Mapping[str, frozenset[str]] = {
-    SensorType.LIDAR: _CLOUD_FAULTS | {"intensity_scale"},
-    SensorType.RADAR: _CLOUD_FAULTS,
-    SensorType.CAMERA: _STREAM_FAULTS | {"rotation_deg", "shift", "blind", "focal_scale"},
-    SensorType.IMU: _STREAM_FAULTS | {"rotation_deg"},
-    SensorType.GNSS: _STREAM_FAULTS,
-}
+POSSIBLE_FAULTS: Mapping[str, frozenset[str]] = MappingProxyType(
+    {
+        SensorType.LIDAR: _CLOUD_FAULTS | {"intensity_scale"},
+        SensorType.RADAR: _CLOUD_FAULTS,
+        SensorType.CAMERA: _STREAM_FAULTS | {"rotation_deg", "shift", "blind", "focal_scale"},
+        SensorType.IMU: _STREAM_FAULTS | {"rotation_deg"},
+        SensorType.GNSS: _STREAM_FAULTS,
+    }
+)
 """Which faults mean something for which sensors."""
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -84,15 +85,17 @@ def _within(timestamps_ns: Int64Array, intervals: tuple[Interval, ...]) -> BoolA
     return inside
 
 
-_POINT_TIMES: Mapping[PointTimes, tuple[int, int, int]] = {
-    PointTimes.RIGHT: (1, 1, 1),
-    PointTimes.ZERO: (0, 0, 1),
-    PointTimes.FRAME: (0, 1, 1),
-    PointTimes.RELATIVE: (1, 0, 1),
-    PointTimes.MICROSECONDS: (1, 1, 1000),
-    PointTimes.RELATIVE_MICROSECONDS: (1, 0, 1000),
-    PointTimes.STRETCHED: (1000, 1, 1),
-}
+_POINT_TIMES: Mapping[PointTimes, tuple[int, int, int]] = MappingProxyType(
+    {
+        PointTimes.RIGHT: (1, 1, 1),
+        PointTimes.ZERO: (0, 0, 1),
+        PointTimes.FRAME: (0, 1, 1),
+        PointTimes.RELATIVE: (1, 0, 1),
+        PointTimes.MICROSECONDS: (1, 1, 1000),
+        PointTimes.RELATIVE_MICROSECONDS: (1, 0, 1000),
+        PointTimes.STRETCHED: (1000, 1, 1),
+    }
+)
 """Factor on the time within the frame, factor on the frame's stamp, divisor of their sum; others have no times."""
 
 

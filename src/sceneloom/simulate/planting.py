@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -108,13 +109,15 @@ def _plant_in_gnss(sensor: GnssSensor, job: _Job) -> tuple[GnssSensor, Int64Arra
     return changed, rows
 
 
-_PLANTERS: Mapping[str, Callable[[Any, _Job], tuple[Any, Int64Array]]] = {
-    SensorType.LIDAR: _plant_in_cloud,
-    SensorType.RADAR: _plant_in_cloud,
-    SensorType.CAMERA: _plant_in_camera,
-    SensorType.IMU: _plant_in_imu,
-    SensorType.GNSS: _plant_in_gnss,
-}
+_PLANTERS: Mapping[str, Callable[[Any, _Job], tuple[Any, Int64Array]]] = MappingProxyType(
+    {
+        SensorType.LIDAR: _plant_in_cloud,
+        SensorType.RADAR: _plant_in_cloud,
+        SensorType.CAMERA: _plant_in_camera,
+        SensorType.IMU: _plant_in_imu,
+        SensorType.GNSS: _plant_in_gnss,
+    }
+)
 
 
 def plant_in_scene(scene: Scene, faults: Faults) -> tuple[Scene, Mapping[Identifier, Int64Array]]:

@@ -189,6 +189,41 @@ def _mirror(matrices: Float64Array) -> None:
 
 @numba.njit(
     types.void(
+        _READ_F64_1D, float64, float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1]
+    ),
+    **INNER,
+)  # fmt: skip
+def _add_point(
+    arm: Float64Array,
+    t: float,
+    met: Float64Array,
+    j: Float64Array,
+    wj: Float64Array,
+    information: Float64Array,
+    gradient: Float64Array,
+) -> None:
+    """Add what surfaces say about one point: `met` as `_meet_surfaces` gives it; `j` and `wj` are room for work."""
+    # -[arm]x, so that a turn about the world's axes moves the point by turn x arm
+    j[0, 1], j[0, 2] = arm[2], -arm[1]
+    j[1, 0], j[1, 2] = -arm[2], arm[0]
+    j[2, 0], j[2, 1] = arm[1], -arm[0]
+    for c in range(6):
+        wj[0, c] = met[3] * j[0, c] + met[4] * j[1, c] + met[5] * j[2, c]
+        wj[1, c] = met[4] * j[0, c] + met[6] * j[1, c] + met[7] * j[2, c]
+        wj[2, c] = met[5] * j[0, c] + met[7] * j[1, c] + met[8] * j[2, c]
+    for r in range(6):
+        g = j[0, r] * met[0] + j[1, r] * met[1] + j[2, r] * met[2]
+        gradient[0, r] += g
+        gradient[1, r] += t * g
+        for c in range(r, 6):
+            h = j[0, r] * wj[0, c] + j[1, r] * wj[1, c] + j[2, r] * wj[2, c]
+            information[0, r, c] += h
+            information[1, r, c] += t * h
+            information[2, r, c] += t * t * h
+
+
+@numba.njit(
+    types.void(
         _READ_F64_2D, _READ_F64_2D, _READ_F64_1D, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64,
         int32[::1], int64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1],
     ),
@@ -244,30 +279,11 @@ def accumulate_normal_equations(
         share = 1.0 / max(1.0, met[11])
         for c in range(11):
             met[c] *= share
-        rx, ry, rz, s = met[0], met[1], met[2], met
         sums[0] += 1.0
         sums[1] += met[9]
         sums[2] += met[10]
         # a robust weight above a quarter: within `scale` standard deviations
         if 4.0 * met[9] > min(1.0, met[11]):
             sums[3] += 1.0
-        ax, ay, az = arms[i, 0], arms[i, 1], arms[i, 2]
-        # -[a]x, so that a turn about the world's axes moves the point by turn x arm
-        j[0, 1], j[0, 2] = az, -ay
-        j[1, 0], j[1, 2] = -az, ax
-        j[2, 0], j[2, 1] = ay, -ax
-        for c in range(6):
-            wj[0, c] = s[3] * j[0, c] + s[4] * j[1, c] + s[5] * j[2, c]
-            wj[1, c] = s[4] * j[0, c] + s[6] * j[1, c] + s[7] * j[2, c]
-            wj[2, c] = s[5] * j[0, c] + s[7] * j[1, c] + s[8] * j[2, c]
-        t = seconds[i]
-        for r in range(6):
-            g = j[0, r] * rx + j[1, r] * ry + j[2, r] * rz
-            gradient[0, r] += g
-            gradient[1, r] += t * g
-            for c in range(r, 6):
-                h = j[0, r] * wj[0, c] + j[1, r] * wj[1, c] + j[2, r] * wj[2, c]
-                information[0, r, c] += h
-                information[1, r, c] += t * h
-                information[2, r, c] += t * t * h
+        _add_point(arms[i], seconds[i], met, j, wj, information, gradient)
     _mirror(information)

@@ -16,6 +16,11 @@ SIDE = 4
 """A cube is cut into this many parts along each axis; each part takes a few points, so that near scan lines, which
 are dense, do not outweigh the rest."""
 
+LINE_SHARE, THIN_SHARE = 0.04, 0.1
+"""Of the largest eigenvalue: a middle one below the first is that of a line; one above the second tells nothing."""
+STEEP = 0.7
+"""A line is steep where its direction has at least this z."""
+
 _HALF_KEY = 1 << 20
 _READ_F64_2D = types.Array(float64, 2, "C", readonly=True)
 
@@ -171,6 +176,41 @@ def _diagonalise(a: Float64Array, v: Float64Array) -> None:
                     v[k, p], v[k, q] = c * kp - s * kq, s * kp + c * kq
 
 
+@numba.njit(types.void(float64, float64, float64, float64, float64[::1]), **INNER)
+def _add_square(weight: float, x: float, y: float, z: float, sums: Float64Array) -> None:
+    """Add weight times the outer product of a vector with itself: xx xy xz yy yz zz."""
+    sums[0] += weight * x * x
+    sums[1] += weight * x * y
+    sums[2] += weight * x * z
+    sums[3] += weight * y * y
+    sums[4] += weight * y * z
+    sums[5] += weight * z * z
+
+
+@numba.njit(types.void(float64[:, ::1], float64[:, ::1], float64, float64[::1]), **INNER)
+def _inform(a: Float64Array, v: Float64Array, noise: float, surface: Float64Array) -> None:
+    """Write what a spread, given by its eigenvalues (diagonal of `a`) and eigenvectors, tells about a surface."""
+    e = 0 if a[0, 0] >= a[1, 1] else 1
+    long = e if a[e, e] >= a[2, 2] else 2
+    e, f = (long + 1) % 3, (long + 2) % 3
+    middle, short = (e, f) if a[e, e] >= a[f, f] else (f, e)
+    largest = a[long, long]
+    if largest < 4.0 * noise * noise:
+        return
+    is_line = a[middle, middle] <= LINE_SHARE * largest
+    if is_line and abs(v[2, long]) < STEEP:
+        return
+    for k in range(2):
+        axis = short if k == 0 else middle
+        share = 1.0 - a[axis, axis] / (THIN_SHARE * largest)
+        if share > 0.0:
+            weight = share / (max(a[axis, axis], 0.0) + noise * noise)
+            _add_square(weight, v[0, axis], v[1, axis], v[2, axis], surface[3:9])
+        axis = long if k == 0 else middle
+        weight = 1.0 / max(a[axis, axis], noise * noise)
+        _add_square(weight, v[0, axis], v[1, axis], v[2, axis], surface[9:15])
+
+
 @numba.njit(
     types.void(int64, float64, float64, float64, int64[::1], float64[:, ::1], uint8[::1], float64[:, ::1]),
     cache=True,
@@ -219,35 +259,4 @@ def describe_surfaces(
         a[1, 1], a[1, 2], a[2, 2] = m[7] / n - my * my, m[8] / n - my * mz, m[9] / n - mz * mz
         a[1, 0], a[2, 0], a[2, 1] = a[0, 1], a[0, 2], a[1, 2]
         _diagonalise(a, v)
-        e = 0 if a[0, 0] >= a[1, 1] else 1
-        long = e if a[e, e] >= a[2, 2] else 2
-        e, f = (long + 1) % 3, (long + 2) % 3
-        middle, short = (e, f) if a[e, e] >= a[f, f] else (f, e)
-        largest = a[long, long]
-        if largest < 4.0 * noise * noise:
-            continue
-        flat = a[middle, middle] > 0.04 * largest
-        if not flat and abs(v[2, long]) < 0.7:
-            continue
-        for k in range(2):
-            axis = short if k == 0 else middle
-            share = 1.0 - a[axis, axis] / (0.1 * largest)
-            if share <= 0.0:
-                continue
-            weight = share / (max(a[axis, axis], 0.0) + noise * noise)
-            x, y, z = v[0, axis], v[1, axis], v[2, axis]
-            out[3] += weight * x * x
-            out[4] += weight * x * y
-            out[5] += weight * x * z
-            out[6] += weight * y * y
-            out[7] += weight * y * z
-            out[8] += weight * z * z
-        for axis in (long, middle):
-            weight = 1.0 / max(a[axis, axis], noise * noise)
-            x, y, z = v[0, axis], v[1, axis], v[2, axis]
-            out[9] += weight * x * x
-            out[10] += weight * x * y
-            out[11] += weight * x * z
-            out[12] += weight * y * y
-            out[13] += weight * y * z
-            out[14] += weight * z * z
+        _inform(a, v, noise, out)

@@ -171,8 +171,10 @@ class _Sweep:
         return self.last_ns - self.first_ns
 
     def judged(self) -> TimesFound:
-        if self.span_ns == 0 and self.strays == 0:
-            return SOUND if self._is_one_time_of_the_sweep() else TimesFound(PointTimes.EQUAL)
+        if self.span_ns == 0 and not self._is_one_time_of_the_sweep():
+            return TimesFound(PointTimes.EQUAL)
+        if self.span_ns == 0:
+            return TimesFound(strays=self.strays)
         kind = self._kind()
         return kind if kind.untimed else replace(kind, strays=self.strays)
 

@@ -211,8 +211,8 @@ class _Plan:
             else sensor
             for sensor in self.scene.sensors
         )
-        ours = dict(self.scene.metadata.get(OURS) or {})
-        ours[ENTRY] = [
+        ours = self.scene.metadata.get(OURS)
+        entries = [
             *_earlier(self.scene),
             {
                 "lidars": [sensor.id for sensor in self.lidars],
@@ -223,7 +223,8 @@ class _Plan:
             },
         ]
         notices = self.scene.notices + (() if self.ego is None else self.ego.notices)
-        metadata = MappingProxyType({**self.scene.metadata, OURS: ours})
+        told = {**(ours if isinstance(ours, Mapping) else {}), ENTRY: entries}
+        metadata = MappingProxyType({**self.scene.metadata, OURS: told})
         return replace(self.scene, sensors=sensors, metadata=metadata, notices=notices)
 
     def _deskewed_lidar(
@@ -316,14 +317,13 @@ def _chosen_lidars(scene: Scene, lidar: Identifier | None) -> tuple[LidarSensor,
     lidars = tuple(sensor for sensor in asked if sensor.points_frame is not PointsFrame.WORLD)
     if not lidars:
         raise OptionError(_in_world(scene, asked[0]))
-    done = {key: entry for entry in _earlier(scene) for key in entry.get("lidars", [])}
     for sensor in lidars:
-        if sensor.id in done:
-            entry = done[sensor.id]
-            raise OptionError(
-                f"{scene.source}: lidar {sensor.id!r} was deskewed before, by {entry.get('trajectory')} at the "
-                f"{entry.get('at')} of its sweeps; deskew the drive as it was measured"
-            )
+        for entry in _earlier(scene):
+            if sensor.id in entry["lidars"]:
+                raise OptionError(
+                    f"{scene.source}: lidar {sensor.id!r} was deskewed before, by {entry.get('trajectory')} at the "
+                    f"{entry.get('at')} of its sweeps; deskew the drive as it was measured"
+                )
     return lidars
 
 
@@ -331,7 +331,11 @@ def _earlier(scene: Scene) -> list[Mapping[str, Any]]:
     """What the metadata say of earlier deskewing; whatever else stands in that place is passed over."""
     ours = scene.metadata.get(OURS)
     entries = ours.get(ENTRY) if isinstance(ours, Mapping) else None
-    return [entry for entry in entries if isinstance(entry, Mapping)] if isinstance(entries, list) else []
+    if not isinstance(entries, list):
+        return []
+    return [
+        entry for entry in entries if isinstance(entry, Mapping) and isinstance(entry.get("lidars"), list)
+    ]
 
 
 def _in_world(scene: Scene, sensor: LidarSensor) -> str:

@@ -351,3 +351,28 @@ def test_poses_in_ego_coordinates_are_followed(drive: SimulatedDrive) -> None:
     scene = with_lidar(drive.scene, mount=None, poses=standing, coordinates=Coordinates.EGO)
     scene = replace(scene, sensors=(*scene.sensors, OdometrySensor("ego", way.poses)))
     assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    "note", [5, {"deskew": 5}, {"deskew": [5, {"lidars": 5}, {"lidars": [["lidar"], {}]}]}]
+)
+def test_whatever_stands_in_the_place_of_the_note_does_no_harm(drive: SimulatedDrive, note: object) -> None:
+    scene = deskewed_scene(replace(drive.scene, metadata={"sceneloom": note}))
+    assert scene.metadata["sceneloom"]["deskew"][-1]["lidars"] == ["lidar"]
+
+
+def test_odometry_deskews_a_drive_without_poses_and_that_is_told(tmp_path: Path) -> None:
+    lidar = LidarSpec(beams=32, steps=600, range_sigma=0.0)
+    drive = simulate_street(2, frames=8, lidar=lidar, cameras=())
+    scene = with_lidar(replace(drive.scene, trajectories={}), poses=None)
+    frames = scene.lidars[0].frames
+    scene = with_lidar(scene, frames=LazyFrames.of(list(frames), frames.timestamps_ns.tolist()))
+    report = deskew(scene, tmp_path / "drive.sfs")
+    assert (report.trajectory, report.deskewed) == ("lidar", 8)
+    assert "trajectory-from-lidar" in [notice.code for notice in report.notices]
+    with sceneloom.open(tmp_path / "drive.sfs") as written:
+        left = errors(drive, written.lidars[0].frames)
+    measured = errors(drive, deskewed_scene(scene, trajectory="identity").lidars[0].frames)
+    # the velocity that odometry finds is good to some cm/s: half a sweep of it is a millimetre or two
+    assert np.mean(left) < 0.01
+    assert np.mean(left) < np.mean(measured) / 10

@@ -1,0 +1,64 @@
+"""Whatever the times of points are: what is made of them is of the sweep, and is left alone the second time."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sceneloom.motion.point_times import LONGEST_LAG_NS, MOST_PERIODS, PointTimes, timed_frame
+from sceneloom.scene import LidarFrame, LidarPoints
+
+INT64 = st.integers(-(2**63), 2**63 - 1)
+STAMPS = st.integers(-(2**61), 2**61) | st.integers(-(10**11), 10**11)
+PERIODS = st.integers(0, 10**10)
+
+
+def sweep(stamp_ns: int, times: list[int]) -> LidarFrame:
+    positions = np.zeros((len(times), 3), np.float32)
+    return LidarFrame(stamp_ns, LidarPoints(positions, timestamps_ns=np.array(times, np.int64)))
+
+
+@given(stamp=STAMPS, times=st.lists(INT64, max_size=50), period=PERIODS)
+@settings(deadline=None)
+def test_any_times_at_all_are_judged(stamp: int, times: list[int], period: int) -> None:
+    timed = timed_frame(sweep(stamp, times), period)
+    points = timed.frame.points
+    assert points.timestamps_ns is None or len(points.timestamps_ns) == len(times)
+    assert (points.timestamps_ns is None) == timed.found.untimed
+
+
+@given(
+    stamp=STAMPS,
+    period=st.integers(10**6, 10**10),
+    span=st.floats(0.001, 500.0),
+    place=st.sampled_from(["stamp", "zero", "elsewhere"]),
+    shift=st.floats(-3.0, 3.0),
+    unit=st.sampled_from([1, 10**3, 10**6]),
+    coarse=st.booleans(),
+    strays=st.lists(st.tuples(st.integers(0, 99), INT64), max_size=4),
+)
+@settings(deadline=None)
+def test_times_that_were_put_right_are_sound_afterwards(
+    stamp: int,
+    period: int,
+    span: float,
+    place: str,
+    shift: float,
+    unit: int,
+    coarse: bool,
+    strays: list[tuple[int, int]],
+) -> None:
+    start = {"stamp": stamp, "zero": 0, "elsewhere": stamp // 3 + 10**13}[place] + int(shift * period)
+    true = [start + int(span * period * k / 99) for k in range(100)]
+    scaled = [time // unit if coarse else time * unit for time in true]
+    times = [min(max(time, -(2**63)), 2**63 - 1) for time in scaled]
+    for k, stray in strays:
+        times[k] = stray
+    once = timed_frame(sweep(stamp, times), period)
+    if once.frame.points.timestamps_ns is None:
+        assert once.found.untimed
+        return
+    if once.found.strays == 0 and once.verdict is not PointTimes.ABSOLUTE:
+        farthest = np.abs(once.frame.points.timestamps_ns.astype(float) - stamp).max()
+        assert farthest <= max(LONGEST_LAG_NS, (MOST_PERIODS + 2) * period) * 1.01
+    again = timed_frame(once.frame, period)
+    assert again.verdict is PointTimes.ABSOLUTE

@@ -105,7 +105,9 @@ def _parse(path: Path) -> Record:
     except UnicodeDecodeError as error:
         raise DataError(path, f"byte {error.start}", "is no UTF-8 text; expected TOML") from error
     except (ValueError, RecursionError) as error:
-        raise DataError(path, "", f"is no TOML: {error}") from error
+        broken = "key part" in str(error) or "inline table" in str(error)
+        hint = "; a table in { } has to stand in one line" if broken else ""
+        raise DataError(path, "", f"is no TOML: {error}{hint}") from error
 
 
 def _decimal(text: str) -> Decimal:

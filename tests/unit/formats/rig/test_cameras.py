@@ -96,7 +96,7 @@ def test_a_lens_for_another_size_is_scaled_with_a_notice(opened):
 
 
 def test_a_lens_for_another_shape_is_refused(opened):
-    with pytest.raises(DataError, match="for 8x8, the pictures are 8x6: not the same shape"):
+    with pytest.raises(DataError, match=r"for 8x8, the pictures are 8x6: not the same shape"):
         opened(("cy = 2.5 }", "cy = 2.5, width = 8, height = 8 }"))
 
 
@@ -136,7 +136,7 @@ def test_a_picture_of_another_size_is_told(opened, folder):
 
 def test_a_file_of_another_kind_among_the_pictures_is_refused(opened, folder):
     (folder / "front" / "t.txt").write_text("1")
-    with pytest.raises(DataError, match="'t.txt'; expected files that end with .png .jpg .jpeg"):
+    with pytest.raises(DataError, match=r"'t.txt'; expected files that end with .png .jpg .jpeg"):
         opened(("front/*.png", "front/*"))
 
 

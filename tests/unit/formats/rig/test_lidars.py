@@ -102,7 +102,8 @@ def test_points_in_the_frame_of_the_ego_stay_there(opened):
 
 
 def test_points_in_another_frame_are_brought_to_the_sensor(opened):
-    frame = '[[transforms]]\nfrom = "odd"\nto = "base"\nmatrix = [[0,-1,0,5],[1,0,0,0],[0,0,1,0],[0,0,0,1]]\n\n[[sensors]]\nid = "top"'
+    matrix = "[[0, -1, 0, 5], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
+    frame = f'[[transforms]]\nfrom = "odd"\nto = "base"\nmatrix = {matrix}\n\n[[sensors]]\nid = "top"'
     scene = opened((SCALE, f'{SCALE}\npoints_in = "odd"'), ('[[sensors]]\nid = "top"', frame))
     # (0, 1, 2) of odd is (-1 + 5, 0, 2) of base, and (3, 0, 0) of the lidar at (1, 0, 2)
     assert scene.lidars[0].frames[0].points.positions[0].tolist() == [3.0, 0.0, 0.0]

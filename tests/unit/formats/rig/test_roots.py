@@ -11,7 +11,7 @@ LIDAR = 'files = "top/*.bin"'
     "pattern", ["../top/*.bin", "/top/*.bin", "top/../../x/*.bin", "C:/top/*.bin", r"\\\\host\\top\\*.bin"]
 )
 def test_patterns_that_lead_out_are_refused(opened, pattern):
-    with pytest.raises(DataError, match="expected a path below .*; name another folder with `root`"):
+    with pytest.raises(DataError, match=r"expected a path below .*; name another folder with `root`"):
         opened((LIDAR, f'files = "{pattern}"'))
 
 
@@ -41,7 +41,7 @@ def test_a_single_file_may_not_be_a_link_that_leads_out(opened, folder, tmp_path
     outside = tmp_path_factory.mktemp("disk") / "poses.txt"
     (folder / "poses.txt").rename(outside)
     (folder / "poses.txt").symlink_to(outside)
-    with pytest.raises(DataError, match="'poses.txt' leads out of"):
+    with pytest.raises(DataError, match=r"'poses.txt' leads out of"):
         opened()
 
 

@@ -66,7 +66,7 @@ def test_a_manifest_of_another_name_is_recognised_by_its_sensors(folder):
 
 
 def test_a_folder_without_manifest_is_told_about_the_template(tmp_path):
-    with pytest.raises(UnknownFormatError, match="sceneloom formats --template rig.toml"):
+    with pytest.raises(UnknownFormatError, match=r"sceneloom formats --template rig.toml"):
         sceneloom.open(tmp_path)
 
 

@@ -1,6 +1,6 @@
 """Times written as text keep every nanosecond."""
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from hypothesis import given
@@ -29,12 +29,10 @@ def test_numbers_and_dates_become_nanoseconds(text, unit, stamp_ns):
     assert parse_stamp(text, unit) == stamp_ns
 
 
-@given(st.datetimes(datetime(1700, 1, 1), datetime(2200, 1, 1)))
-def test_dates_agree_with_the_standard_library(moment):
-    expected = (
-        round(moment.replace(microsecond=0, tzinfo=UTC).timestamp()) * 10**9 + moment.microsecond * 1000
-    )
-    assert parse_stamp(moment.isoformat(" ", "microseconds"), None) == expected
+@given(st.integers(-8_000_000_000_000_000, 8_000_000_000_000_000))
+def test_dates_agree_with_the_standard_library(microseconds):
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=microseconds)
+    assert parse_stamp(moment.isoformat(" ", "microseconds"), None) == microseconds * 1000
 
 
 @pytest.mark.parametrize("text", ["", "x", "nan", "inf", "1_000", "1e400", "2011-13-26 13:02:25", "12:30"])

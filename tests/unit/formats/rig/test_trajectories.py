@@ -139,5 +139,5 @@ def test_as_many_times_as_poses_are_needed(opened, folder):
 def test_a_matrix_that_is_no_rotation_is_told_with_its_line(opened, folder):
     said = write_kitti(folder)
     np.savetxt(folder / "way.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12))
-    with pytest.raises(DataError, match="line 2: rotation off by 0.21"):
+    with pytest.raises(DataError, match=r"line 2: rotation off by 0.21"):
         opened((TUM, said))

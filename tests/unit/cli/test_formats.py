@@ -1,0 +1,55 @@
+"""`sceneloom formats`: the list, and manifests to fill in."""
+
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from sceneloom.formats import FORMATS
+
+Call = Callable[..., Any]
+
+
+def test_all_formats_are_listed(call: Call) -> None:
+    assert set(json.loads(call("formats", "--json").out)) >= set(FORMATS)
+    assert "rig" in call("formats").out
+
+
+def test_a_template_is_written_once(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    assert call("formats", "--template", path).code == 0
+    assert tomllib.loads(path.read_text())["sensors"]
+    again = call("formats", "--template", path)
+    assert (again.code, "exists already" in again.err) == (1, True)
+    assert call("formats", "--template", path, "--overwrite").code == 0
+
+
+def test_a_template_is_printed(call: Call) -> None:
+    assert tomllib.loads(call("formats", "--template", "-").out)["sensors"]
+
+
+def test_a_look_into_a_folder_names_what_is_in_it(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "front").mkdir()
+    Image.new("RGB", (8, 6)).save(tmp_path / "front" / "1532402927647951000.png")
+    outcome = call("formats", "--template", tmp_path / "rig.toml", "--from", tmp_path)
+    assert outcome.code == 0
+    (sensor,) = tomllib.loads((tmp_path / "rig.toml").read_text())["sensors"]
+    assert (sensor["id"], sensor["files"], sensor["lens"]["width"]) == ("front", "front/*.png", 8)
+    told = call("info", tmp_path)
+    assert (told.code, "still to be filled in" in told.err) == (1, True)
+
+
+@pytest.mark.parametrize("option", [("--from", "."), ("--overwrite",)])
+def test_options_that_would_do_nothing_are_refused(call: Call, option: tuple[str, ...]) -> None:
+    outcome = call("formats", *option)
+    assert (outcome.code, "does nothing without --template" in outcome.err) == (2, True)
+
+
+def test_a_folder_that_is_not_there_is_bad_usage(call: Call, tmp_path: Path) -> None:
+    outcome = call("formats", "--template", tmp_path / "rig.toml", "--from", tmp_path / "none")
+    assert outcome.code == 2
+    assert not (tmp_path / "rig.toml").exists()

@@ -1,0 +1,211 @@
+"""Manifests to begin with: the template, and what a look into a folder finds."""
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError, OutputError
+from sceneloom.formats.rig import FORMAT
+from sceneloom.formats.rig.survey import survey
+from sceneloom.formats.rig.template import TEMPLATE, quoted, template_text, write_template
+
+from .conftest import MANIFEST, START_NS
+
+PCD = b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nDATA binary\n" + np.ones(3, "<f4").tobytes()
+
+
+def filled(text: str) -> str:
+    """Fill in what a template leaves open, as a person would."""
+    text = text.replace("quaternion_xyzw = [nan, nan, nan, nan]", "quaternion_xyzw = [0, 0, 0, 1]")
+    rows = iter(["[0, 0, 1, 0.5]", "[-1, 0, 0, 0]", "[0, -1, 0, 0]"])
+    text = re.sub(r"(?m)^    \[nan, nan, nan, nan\]", lambda _: f"    {next(rows)}", text)
+    text = re.sub(r"(fx|fy) = nan", r"\1 = 60.0", text)
+    text = re.sub(r"rate_hz = nan", "rate_hz = 10", text)
+    return text.replace("nan", "0.0")
+
+
+@pytest.fixture
+def clouds_and_pictures(tmp_path):
+    for name in ("lidar_top", "cam_front"):
+        (tmp_path / name).mkdir()
+    for k in range(2):
+        (tmp_path / "lidar_top" / f"{START_NS + k}.pcd").write_bytes(PCD)
+        Image.new("RGB", (64, 48)).save(tmp_path / "cam_front" / f"{START_NS + k}.jpg")
+    return tmp_path
+
+
+def test_the_template_opens_once_it_is_filled_in(clouds_and_pictures):
+    (clouds_and_pictures / "rig.toml").write_text(filled(TEMPLATE))
+    scene = sceneloom.open(clouds_and_pictures)
+    assert [sensor.id for sensor in scene.sensors] == ["lidar_top", "cam_front"]
+    assert scene.lidars[0].frames.timestamps_ns.tolist() == [START_NS, START_NS + 1]
+    np.testing.assert_allclose(scene.cameras[0].mount.translation, [0.5, 0, 0])
+
+
+def test_the_template_that_is_not_filled_in_says_what_is_left(clouds_and_pictures):
+    write_template(clouds_and_pictures / "rig.toml")
+    with pytest.raises(DataError) as caught:
+        sceneloom.open(clouds_and_pictures)
+    told = str(caught.value)
+    assert (
+        "sensors[0] (lidar_top): still to be filled in: extrinsic.translation, extrinsic.quaternion_xyzw"
+        in told
+    )
+    assert "sensors[1] (cam_front): still to be filled in: lens.fx" in told
+
+
+def test_lines_that_are_commented_out_are_right_as_well(clouds_and_pictures):
+    lines = [re.sub(r"^# (?=[a-z_]+ = (?!R)|\[\[)", "", line) for line in TEMPLATE.splitlines()]
+    choices = [
+        line
+        for line in lines
+        if not re.match(r"times = \{ (csv|lines|rate_hz)|root = |point_times|fields", line)
+    ]
+    text = filled("\n".join(choices)).replace('stamp = "start"', 'stamp = "end"')
+    (clouds_and_pictures / "poses.txt").write_text("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
+    (clouds_and_pictures / "rig.toml").write_text(
+        text.replace("width = 1920", "width = 64").replace("1080", "48")
+    )
+    assert [*sceneloom.open(clouds_and_pictures).trajectories] == ["pose"]
+
+
+@pytest.mark.parametrize("place", ["inside", "above", "elsewhere"])
+def test_a_look_into_a_folder_gives_a_manifest_that_opens_once_it_is_filled_in(
+    clouds_and_pictures, place, tmp_path_factory
+):
+    path = {
+        "inside": clouds_and_pictures / "rig.toml",
+        "above": clouds_and_pictures.parent / f"{clouds_and_pictures.name}.toml",
+        "elsewhere": tmp_path_factory.mktemp("x") / "rig.toml",
+    }[place]
+    write_template(path, folder=clouds_and_pictures)
+    path.write_text(filled(path.read_text()))
+    scene = FORMAT.open(path)
+    assert [(sensor.id, sensor.type) for sensor in scene.sensors] == [
+        ("lidar_top", "lidar"),
+        ("cam_front", "camera"),
+    ]
+    assert scene.cameras[0].pictures.timestamps_ns.tolist() == [START_NS, START_NS + 1]
+    assert ("root" in tomllib.loads(path.read_text())) == (place != "inside")
+
+
+def test_a_template_does_not_replace_a_file_unless_told_to(tmp_path):
+    write_template(tmp_path / "rig.toml")
+    with pytest.raises(OutputError, match="exists already"):
+        write_template(tmp_path / "rig.toml")
+    write_template(tmp_path / "rig.toml", overwrite=True)
+
+
+def test_a_template_is_a_toml_file(tmp_path):
+    with pytest.raises(OptionError, match=r"expected a name that ends with \.toml"):
+        write_template(tmp_path / "rig.json")
+
+
+def test_a_folder_without_clouds_and_pictures_is_refused(tmp_path):
+    with pytest.raises(OptionError, match="no clouds, pictures or videos"):
+        template_text(folder=tmp_path)
+    with pytest.raises(OptionError, match="no such folder"):
+        template_text(folder=tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    ("name", "times"),
+    [
+        ("1532402927647951000", {"pattern": "{ns}"}),
+        ("1532402927647951", {"pattern": "{us}"}),
+        ("1532402927647", {"pattern": "{ms}"}),
+        ("1532402927", {"pattern": "{s}"}),
+        ("1532402927_647951000", {"pattern": "{s}_{ns}"}),
+        ("1532402927.647951", {"pattern": "{s}.{us}"}),
+        ("top_1532402927647951000_raw", {"pattern": "*{ns}_raw"}),
+    ],
+)
+def test_times_are_told_from_names_and_those_patterns_read_them(tmp_path, name, times):
+    (tmp_path / "top").mkdir()
+    (tmp_path / "top" / f"{name}.pcd").write_bytes(PCD)
+    (found,) = survey(tmp_path).sensors
+    assert found.times == times
+    (tmp_path / "rig.toml").write_text(filled(template_text(folder=tmp_path)))
+    stamps = FORMAT.open(tmp_path).lidars[0].frames.timestamps_ns
+    assert abs(int(stamps[0]) - START_NS) < 1_000_000_000
+
+
+@pytest.mark.parametrize("names", [["000000", "000001"], ["0000000000", "0000000001"], ["scan_1", "scan_2"]])
+def test_numbered_names_ask_for_a_rate(tmp_path, names):
+    for name in names:
+        (tmp_path / f"{name}.pcd").write_bytes(PCD)
+    (found,) = survey(tmp_path).sensors
+    assert found.times["pattern"] in {"{index}", "*{index}"}
+    assert np.isnan(found.times["rate_hz"])
+
+
+def test_lists_of_times_beside_the_files_are_found(clouds_and_pictures):
+    (clouds_and_pictures / "lidar_top" / "timestamps.txt").write_text(
+        "2011-09-26 13:02:25.5\n2011-09-26 13:02:25.6\n"
+    )
+    rows = "".join(
+        f"{path.name},{k}\n" for k, path in enumerate((clouds_and_pictures / "cam_front").iterdir())
+    )
+    (clouds_and_pictures / "front.csv").write_text("image,time\n" + rows)
+    lidar, camera = survey(clouds_and_pictures).sensors
+    assert lidar.times == {"lines": "lidar_top/timestamps.txt"}
+    assert camera.times == {"csv": "front.csv", "column": "time"}
+
+
+def test_files_of_several_sensors_in_one_folder_are_told_apart(tmp_path):
+    for sensor in ("FRONT", "BACK"):
+        for k in range(2):
+            Image.new("RGB", (8, 6)).save(tmp_path / f"n015__CAM_{sensor}__{START_NS + k}.png")
+    found = survey(tmp_path).sensors
+    assert {sensor.id for sensor in found} == {"CAM_FRONT", "CAM_BACK"}
+    for sensor in found:
+        assert len(list(tmp_path.glob(sensor.files["files"]))) == 2
+
+
+def test_layouts_of_files_without_a_head_are_guessed_from_their_numbers(tmp_path):
+    rng = np.random.default_rng(0)
+    for name, columns in (("four", 4), ("five", 5)):
+        (tmp_path / name).mkdir()
+        rows = rng.uniform(1.0, 50.0, (25, columns)).astype("<f4")
+        if columns == 5:
+            rows[:, 3:] = rng.integers(1000, 2000, (25, 2))
+        (tmp_path / name / "0.bin").write_bytes(rows.tobytes())
+    five, four = survey(tmp_path).sensors
+    assert any('"intensity"]' in line for line in four.further)
+    assert any('"intensity", "ring"]' in line for line in five.further)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "form"),
+    [
+        ("tum.txt", "0 0 0 0 0 0 0 1\n", "tum"),
+        ("kitti.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "kitti"),
+        ("way.csv", "time,x,y,z\n0,1,2,3\n", "csv"),
+    ],
+)
+def test_trajectories_are_found(clouds_and_pictures, name, text, form):
+    (clouds_and_pictures / name).write_text(text)
+    assert [(way.file, way.form) for way in survey(clouds_and_pictures).trajectories] == [(name, form)]
+
+
+def test_motion_sensors_and_videos_are_found(clouds_and_pictures):
+    (clouds_and_pictures / "imu.csv").write_text("time,ax,ay,az\n0,1,2,3\n")
+    (clouds_and_pictures / "gnss.csv").write_text("time,lat,lon,alt\n0,1,2,3\n")
+    types = {sensor.id: sensor.type for sensor in survey(clouds_and_pictures).sensors}
+    assert (types["imu"], types["gnss"]) == ("imu", "gnss")
+
+
+def test_strange_names_are_written_as_toml_reads_them():
+    for text in ("plain", 'with "quotes"', "back\\slash", "it's", "new\nline", "ümlaut", "both ' and \""):
+        assert tomllib.loads(f"x = {quoted(text)}")["x"] == text
+
+
+def test_the_template_names_no_field_that_is_unknown():
+    assert set(tomllib.loads(TEMPLATE)["sensors"][0]) <= set(tomllib.loads(MANIFEST)["sensors"][0]) | {
+        "stamp",
+        "extrinsic",
+    }

@@ -235,6 +235,28 @@ def test_as_many_false_returns_as_asked_for_lie_in_the_field_of_view(radar_of):
     assert not radar.frame_truth(0).real.any()
 
 
+def test_false_returns_have_no_other_truth_than_what_is_reported(radar_of):
+    radar = radar_of(RadarSpec(false_alarms=30.0, detections_per_object=5.0))
+    points, truth = radar.frame(1).points, radar.frame_truth(1)
+    false = ~truth.real
+    assert false.sum() > 10
+    # float32 holds 150 m in steps of 1.5e-5 m.
+    np.testing.assert_allclose(points.lengths[false], truth.speeds[false], atol=1e-5)
+    np.testing.assert_allclose(points.directions[false], truth.directions[false], atol=1e-6)
+    ranges = np.linalg.norm(points.positions[false], axis=1)
+    np.testing.assert_allclose(ranges, truth.ranges[false], atol=3e-5)
+    world = radar.pose(1).apply(points.positions[false])
+    np.testing.assert_allclose(world, truth.positions_world[false], atol=3e-5)
+
+
+def test_returns_come_by_their_range_so_that_their_order_tells_nothing(radar_drive):
+    for name in ("radar0", "radar1"):
+        points = radar_drive.scene.sensor(name).frames[4].points
+        ranges = np.linalg.norm(points.positions.astype(np.float64), axis=1)
+        assert (np.diff(ranges) > -1e-5).all()
+        assert len(ranges) > 20
+
+
 def test_each_thing_gives_as_many_returns_as_asked_for_on_average(radar_of):
     spec = replace(EXACT, detections_per_object=40.0, ground_clutter=10.0)
     instances = np.concatenate([radar_of(spec).frame_truth(k).instances for k in range(20)])

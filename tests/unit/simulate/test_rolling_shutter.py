@@ -11,7 +11,11 @@ from sceneloom.cameras.models import project, unproject
 from sceneloom.errors import OptionError
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, camera_mount, simulate_street
 from sceneloom.simulate.camera import RenderedCamera
+from sceneloom.simulate.ground import GroundMap, Lane
+from sceneloom.simulate.movers import Mover, MovingDesign, Part, pack_movers
 from sceneloom.simulate.path import EgoPath
+from sceneloom.simulate.shapes import PackedShapes
+from sceneloom.simulate.street import Street
 
 LENS = Camera("pinhole", 160, 120, 100.0, 100.0, 79.5, 59.5)
 READOUT_NS = 40_000_000
@@ -72,6 +76,30 @@ def test_an_upright_pole_beside_the_road_slants_by_the_way_driven_while_the_rows
     assert slanted[rows[0]] - slanted[rows[-1]] == pytest.approx(125.0 * np.ptp(seconds), abs=1.0)
     assert np.ptp(seconds) > 0.02
     assert np.nanmax(upright) - np.nanmin(upright) < 1e-9
+
+
+def test_what_moves_past_a_standing_camera_slants_as_well(standing_path, box):
+    pole = box([0.0, 0.0, 5.0], [0.15, 0.05, 5.0])
+    seconds = 0.5 * np.arange(-10.0, 20.0)
+    curve = np.column_stack([6.0 * seconds, np.full(30, 8.05), np.zeros(30), np.zeros(30)])
+    movers = pack_movers(
+        [Mover(1, "car", (0.3, 0.1, 10.0), -(10**10), 10**10, stands=False)],
+        [MovingDesign("car", (Part((pole,)),), (0.3, 0.1, 10.0))],
+        curve[None],
+        start_ns=0,
+        first_knot=-4.0,
+        knot_step=0.5,
+    )
+    street = Street((), PackedShapes.of([], []), GroundMap.of(Lane.of(standing_path)), movers)
+    spec = CameraSpec(LENS, LEFT, readout_ns=READOUT_NS)
+    camera = RenderedCamera.of(spec, street, standing_path, timestamps_ns=np.zeros(1, np.int64))
+    slanted = middles(camera.truth(0).instances == 1)
+    rows = np.flatnonzero(~np.isnan(slanted))
+    assert len(rows) > 60
+    # 6 m/s to the right at 8 m are 75 px a second.
+    expected = 79.5 + 75.0 * ((rows + 0.5) / 120 - 0.5) * READOUT_NS * 1e-9
+    np.testing.assert_allclose(slanted[rows], expected, atol=0.5)
+    assert slanted[rows[-1]] - slanted[rows[0]] > 1.0
 
 
 def test_columns_that_are_read_from_the_left_make_what_passes_narrower(picture_of, box):

@@ -85,7 +85,7 @@ def save_pictures(
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
     drawings = iter_pictures(frame, index, ego_poses=ego_poses, show_hidden=show_hidden)
-    return [_save(draw(), folder / f"{name}.png", overwrite=overwrite) for name, draw in drawings]
+    return [save_picture(draw(), folder / f"{name}.png", overwrite=overwrite) for name, draw in drawings]
 
 
 def contact_sheet(pictures: Sequence[PilImage], *, columns: int = 2, width_px: int = 1600) -> PilImage:
@@ -125,7 +125,12 @@ def _ego_at(ego_poses: PosePath | None, timestamp_ns: int) -> RigidTransform | N
     return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
 
 
-def _save(image: PilImage, path: Path, *, overwrite: bool) -> Path:
+def save_picture(image: PilImage, path: Path, *, overwrite: bool = False) -> Path:
+    """Write a picture as PNG, whole or not at all; gives the path.
+
+    Raises:
+        OutputError: the file exists or cannot be written.
+    """
     with replacing(path, overwrite=overwrite) as draft:
         image.save(draft, "PNG", compress_level=_COMPRESSION)
     return path

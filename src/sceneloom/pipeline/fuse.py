@@ -17,6 +17,7 @@ from sceneloom.formats.output import filling
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.motion.ego_motion import Progress
+from sceneloom.pictures.drive_cloud import MOST_SWEEPS, DriveCloud
 from sceneloom.pipeline.play import Skips, build_system, play
 from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally
 from sceneloom.pipeline.sinks import DepthSink, PictureSink, SceneSink, Sink, lidar_folders, names_of
@@ -209,6 +210,8 @@ class _Sinks:
         return {kind: sink.written for kind, sink in kinds.items() if sink is not None}
 
     def finish(self) -> LossReport:
+        if self.pictures is not None:
+            self.pictures.finish()
         return LossReport() if self.scene is None else self.scene.finish()
 
 
@@ -225,9 +228,13 @@ def _open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack, skips: Sk
         )
     if wanted.pictures is not None:
         folder = stack.enter_context(filling(wanted.pictures, overwrite=wanted.overwrite))
-        chosen = _frames_to_draw(woven.scene, wanted.pictures_every)
-        ego_poses = None if woven.ego is None else woven.ego.path
-        sinks.pictures = PictureSink(lidar_folders(folder, woven.scene), chosen, ego_poses)
+        sinks.pictures = PictureSink(
+            folder,
+            lidar_folders(folder, woven.scene),
+            _frames_to_draw(woven.scene, wanted.pictures_every),
+            DriveCloud(_spread(woven.scene, MOST_SWEEPS)),
+            None if woven.ego is None else woven.ego.path,
+        )
     if wanted.scene is not None:
         sinks.scene = _open_scene_sink(woven, wanted, wanted.scene, stack, skips)
     return sinks
@@ -309,7 +316,18 @@ def _earlier_world(scene: Scene) -> Float64Array:
 
 def _frames_to_draw(scene: Scene, every: int | None) -> frozenset[int]:
     """Numbers of the sweeps to draw: every Nth, or some spread over the drive."""
-    count = max((len(lidar.frames) for lidar in scene.lidars), default=0)
-    if every is not None:
-        return frozenset(range(0, count, every))
-    return frozenset(np.linspace(0, count - 1, min(PICTURES_PER_DRIVE, count)).astype(int).tolist())
+    return (
+        _spread(scene, PICTURES_PER_DRIVE)
+        if every is None
+        else frozenset(range(0, _most_sweeps(scene), every))
+    )
+
+
+def _spread(scene: Scene, most: int) -> frozenset[int]:
+    """Numbers of at most so many sweeps, spread over the drive."""
+    count = _most_sweeps(scene)
+    return frozenset(np.linspace(0, count - 1, min(most, count)).astype(int).tolist())
+
+
+def _most_sweeps(scene: Scene) -> int:
+    return max((len(lidar.frames) for lidar in scene.lidars), default=0)

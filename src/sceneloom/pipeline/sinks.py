@@ -15,7 +15,7 @@ from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.formats.sfs.times import TICKS_NS
 from sceneloom.motion.sensor_paths import sensor_path
-from sceneloom.pictures import save_pictures
+from sceneloom.pictures import DriveCloud, save_pictures
 from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, PosePath, Scene
 from sceneloom.scene.pose_source import PoseSource
 
@@ -134,25 +134,34 @@ class DepthSink:
 
 @dataclass(slots=True)
 class PictureSink:
-    """Draws some of the sweeps for people to look at.
+    """Draws some of the sweeps for people to look at, and the drive as one cloud.
 
     Attributes:
+        folder: of the pictures of the drive.
         folders: of the pictures of each lidar.
         chosen: numbers of the sweeps to draw.
+        cloud: gathers the drive.
         ego_poses: the way of the ego, drawn into the clouds; None where it is not known.
         written: files so far.
     """
 
+    folder: Path
     folders: Mapping[Identifier, Path]
     chosen: frozenset[int]
+    cloud: DriveCloud
     ego_poses: PosePath | None = None
     written: int = 0
 
     def add(self, frame: FusedFrame) -> None:
         """Draw the sweep if it is chosen."""
+        self.cloud.add(frame)
         if frame.index in self.chosen and frame.unfused is None:
             folder = self.folders[frame.lidar_id]
             self.written += len(save_pictures(frame, folder, frame.index, ego_poses=self.ego_poses))
+
+    def finish(self) -> None:
+        """Draw the drive."""
+        self.written += len(self.cloud.save(self.folder, self.ego_poses))
 
 
 def lidar_folders(folder: Path, scene: Scene) -> Mapping[Identifier, Path]:

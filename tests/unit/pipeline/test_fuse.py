@@ -152,9 +152,10 @@ def test_depth_images_hold_the_views_depths(drive: Scene, tmp_path: Path, form: 
 
 def test_pictures_are_drawn_of_chosen_sweeps(drive: Scene, tmp_path: Path) -> None:
     outputs = FusionOutputs(pictures=tmp_path / "look", pictures_every=3)
-    assert fuse(drive, outputs=outputs).files == {"pictures": 12}
+    assert fuse(drive, outputs=outputs).files == {"pictures": 14}
     names = sorted(path.name for path in (tmp_path / "look").iterdir())
     assert {name.split("_")[1] for name in names if name.startswith("camera")} == {"000000", "000003"}
+    assert {"cloud_drive_above.png", "cloud_drive_perspective.png"} <= set(names)
 
 
 def test_a_failure_in_the_middle_leaves_no_output(drive: Scene, tmp_path: Path) -> None:
@@ -299,9 +300,21 @@ def test_files_of_lidars_and_cameras_of_like_names_stand_apart(drive: Scene, tmp
     sensors = [replace(lidar, id=1), replace(lidar, id="1"), replace(camera, id="A"), replace(camera, id="a")]
     outputs = FusionOutputs(depth=tmp_path / "depth", pictures=tmp_path / "look", pictures_every=4)
     report = fuse(replace(drive, sensors=tuple(sensors)), outputs=outputs)
-    assert report.files == {"depth images": 16, "pictures": 12}
+    assert report.files == {"depth images": 16, "pictures": 14}
     folders = {str(path.parent.relative_to(tmp_path)) for path in tmp_path.rglob("*.png")}
-    assert folders == {"depth/1/A", "depth/1/a~2", "depth/1~2/A", "depth/1~2/a~2", "look/1", "look/1~2"}
+    assert folders == {
+        "depth/1/A",
+        "depth/1/a~2",
+        "depth/1~2/A",
+        "depth/1~2/a~2",
+        "look",
+        "look/1",
+        "look/1~2",
+    }
+    assert {path.name for path in (tmp_path / "look").glob("*.png")} == {
+        "cloud_drive_above.png",
+        "cloud_drive_perspective.png",
+    }
 
 
 def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(

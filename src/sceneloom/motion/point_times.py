@@ -203,8 +203,11 @@ class _Sweep:
         return TimesFound(PointTimes.OTHER_CLOCK if lasts else PointTimes.UNKNOWN)
 
     def _is_near_stamp(self, factor: Fraction = Fraction(1), *, reach_ns: int = 0) -> bool:
+        return self._is_near(self.stamp_ns, factor, reach_ns=reach_ns)
+
+    def _is_near(self, time_ns: int, factor: Fraction = Fraction(1), *, reach_ns: int = 0) -> bool:
         reach_ns = reach_ns or NEAR_PERIODS * self.period_ns
-        return self.first_ns / factor - reach_ns <= self.stamp_ns <= self.last_ns / factor + reach_ns
+        return self.first_ns / factor - reach_ns <= time_ns <= self.last_ns / factor + reach_ns
 
     def _went_on(self, factor: Fraction = Fraction(1)) -> bool | None:
         """Whether the times advanced since the sweep before as the stamp did; None where that cannot be said."""
@@ -215,8 +218,12 @@ class _Sweep:
 
     def _counts_from_stamp(self) -> bool:
         """Whether the times lie around zero, the stamp does not, and the times did not go on with the stamps."""
-        periods = 1.5 if self._stamp_is_near_zero() else MOST_PERIODS
-        if self.stamp_ns == 0 or not self._lies_around_zero(periods * self.period_ns):
+        reach_ns = 1.5 * self.period_ns
+        if not self._stamp_is_near_zero():
+            # of gathered sweeps, too; but nearer to zero than to the stamp
+            reach_ns = max(reach_ns, min(MOST_PERIODS * self.period_ns, abs(self.stamp_ns) / 4))
+        starts_at_zero = self._is_near(0) and self._lies_around_zero(reach_ns)
+        if self.stamp_ns == 0 or not starts_at_zero:
             return False
         if self.span_ns * LEAST_SHARE < self.period_ns:
             return False

@@ -20,7 +20,7 @@ from sceneloom.scene import LidarFrame, LidarPoints, NoticeKind
 PERIOD = 100_000_000
 EPOCH = 1_700_000_000_123_456_789
 CLOCKS = pytest.mark.parametrize(
-    "clock", [EPOCH, 3_000_000_000, 250_000_000_000], ids=["epoch", "3 s", "250 s"]
+    "clock", [EPOCH, 3_000_000_000, 15_000_000_000, 250_000_000_000], ids=["epoch", "3 s", "15 s", "250 s"]
 )
 
 

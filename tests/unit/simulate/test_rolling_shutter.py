@@ -16,6 +16,7 @@ from sceneloom.simulate.movers import Mover, MovingDesign, Part, pack_movers
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.shapes import PackedShapes
 from sceneloom.simulate.street import Street
+from sceneloom.simulate.truth import Truth
 
 LENS = Camera("pinhole", 160, 120, 100.0, 100.0, 79.5, 59.5)
 READOUT_NS = 40_000_000
@@ -162,6 +163,26 @@ def test_the_line_that_sees_a_point_is_the_one_in_which_it_lies(rolling_drive):
     middle = rolling_drive.truth.world_from_camera("camera1", 1)
     pixels, inside = project(LENS, middle.inverse().apply(world))
     assert np.nanmax(np.abs(pixels[inside] - np.column_stack([column, row])[inside])) > 3.0
+
+
+def test_what_hides_a_point_is_asked_from_the_line_that_would_see_it(street_of, moving_path, box):
+    shapes = [box([0.0, 4.05, 5.0], [0.15, 0.05, 5.0]), box([0.0, 21.0, 10.0], [60.0, 1.0, 10.0])]
+    street = street_of(shapes, moving_path)
+    spec = CameraSpec(LENS, LEFT, readout_ns=READOUT_NS)
+    camera = RenderedCamera.of(spec, street, moving_path, timestamps_ns=np.zeros(1, np.int64))
+    truth = Truth(street, moving_path, {}, {"camera0": camera}, {}, None)
+    row, column = np.nonzero(camera.truth(0).instances[:60] > 0)
+    # A ray through a pixel of the line meets the wall, 20 m away, where nothing but the pole can stand before it.
+    seconds = ((row + 0.5) / 120 - 0.5) * READOUT_NS * 1e-9
+    along, down = (column - 79.5) / 100.0, (row - 59.5) / 100.0
+    on_wall = np.column_stack([SPEED * seconds + 20.0 * along, np.full(len(row), 20.0), 1.6 - 20.0 * down])
+    from_pole = np.abs(SPEED * seconds + 4.0 * along)
+    on_wall, from_pole = on_wall[on_wall[:, 2] < 19.0], from_pole[on_wall[:, 2] < 19.0]
+    free = truth.visible("camera0", 0, on_wall)
+    # The pole is 0.15 m to either side; the line is known to half a line, in which the camera drives 2 mm.
+    sure = np.abs(from_pole - 0.15) > 0.003
+    np.testing.assert_array_equal(free[sure], from_pole[sure] > 0.15)
+    assert 300 < (~free).sum() < len(free) / 10
 
 
 def test_a_global_shutter_takes_the_middle_of_a_rolling_one(rolling_drive):

@@ -246,31 +246,11 @@ def _paint_shape(
 
 
 @njit(**INNER)
-def _paint_hit(
-    x: float, y: float, z: float, u: float, v: float, w: float, footprint: float, hit: int, column: int,
-    frames: Float64Array, pose: int, kinds: UInt8Array, maps: Float64Array, halves: Float64Array,
-    patterns: UInt8Array, palettes: Float64Array, measures: Float64Array, salts: Int64Array, scratch: Float64Array,
-    moved: Float64Array, color: Float64Array,
-) -> float:  # fmt: skip
-    """Write the colour in sunlight of a surface that stands still or moves; give the signed cosine of incidence."""
-    if column >= 0:
-        take_into_frame(frames[pose, column], x, y, z, u, v, w, moved)
-        x, y, z, u, v, w = moved[0], moved[1], moved[2], moved[3], moved[4], moved[5]
-    facing = _paint_shape(
-        x, y, z, u, v, w, footprint, hit, kinds, maps, halves, patterns, palettes, measures, salts, scratch, color
-    )  # fmt: skip
-    nx, ny, nz = scratch[1, 0], scratch[1, 1], scratch[1, 2]
-    if column >= 0:
-        f = frames[pose, column]
-        nx, ny, nz = (
-            f[0, 0] * nx + f[1, 0] * ny + f[2, 0] * nz,
-            f[0, 1] * nx + f[1, 1] * ny + f[2, 1] * nz,
-            f[0, 2] * nx + f[1, 2] * ny + f[2, 2] * nz,
-        )
-    light = _sunlight(nx, ny, nz)
+def _turn_to_world(frame: Float64Array, normal: Float64Array) -> None:
+    """Turn a normal (3,) from a frame (3, 4) `frame_from_world` into the world."""
+    x, y, z = normal[0], normal[1], normal[2]
     for i in range(3):
-        color[i] *= light
-    return float(facing)
+        normal[i] = frame[0, i] * x + frame[1, i] * y + frame[2, i] * z
 
 
 @njit(**INNER)
@@ -284,7 +264,7 @@ def _paint_chunk(
 ) -> None:  # fmt: skip
     """Paint the rays from `start` to `stop`; the other arguments as in `paint_rays`."""
     color, place, weights = np.empty(3), np.empty(4), np.empty(5)
-    scratch, moved = np.empty((6, 3)), np.empty(6)
+    scratch, own = np.empty((6, 3)), np.empty(6)
     for k in range(start, stop):
         r, origin, slot = rotations[pose_of_ray[k]], origins[pose_of_ray[k]], slots[k]
         u = r[0, 0] * directions[k, 0] + r[0, 1] * directions[k, 1] + r[0, 2] * directions[k, 2]
@@ -298,10 +278,19 @@ def _paint_chunk(
             _paint_ground(x, y, u, v, w, footprint, road, corner, cell, ground_palette, place, weights, color)
             facing = w
         else:
-            facing = _paint_hit(
-                x, y, z, u, v, w, footprint, hit, frame_of_shape[hit], frames, pose_of_ray[k],
-                kinds, maps, halves, patterns, palettes, measures, salts, scratch, moved, color,
+            column = frame_of_shape[hit]
+            if column >= 0:
+                take_into_frame(frames[pose_of_ray[k], column], x, y, z, u, v, w, own)
+                x, y, z, u, v, w = own[0], own[1], own[2], own[3], own[4], own[5]
+            facing = _paint_shape(
+                x, y, z, u, v, w, footprint, hit,
+                kinds, maps, halves, patterns, palettes, measures, salts, scratch, color,
             )  # fmt: skip
+            normal = scratch[1]
+            if column >= 0:
+                _turn_to_world(frames[pose_of_ray[k], column], normal)
+            light = _sunlight(normal[0], normal[1], normal[2])
+            color[0], color[1], color[2] = light * color[0], light * color[1], light * color[2]
         facings[slot] = abs(facing)
         haze = 0.0
         if t > _HAZE_START and pixel_angle > 0.0:

@@ -62,3 +62,24 @@ def test_times_that_were_put_right_are_sound_afterwards(
         assert farthest <= max(LONGEST_LAG_NS, (MOST_PERIODS + 2) * period) * 1.01
     again = timed_frame(once.frame, period)
     assert again.verdict is PointTimes.ABSOLUTE
+
+
+@given(
+    begin=st.integers(-(2**60), 2**60) | st.integers(-(10**12), 10**12),
+    period=st.integers(10**7, 10**9),
+    span=st.floats(0.0005, 12.0),
+    lags=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=4),
+)
+@settings(deadline=None)
+def test_absolute_times_are_believed_however_late_their_stamps_are(
+    begin: int, period: int, span: float, lags: list[float]
+) -> None:
+    previous = None
+    for k, lag in enumerate(lags):
+        start = begin + k * period
+        times = [start + int(span * period * step / 99) for step in range(100)]
+        stamp = start + int(lag * 1e9)
+        timed = timed_frame(sweep(stamp, times), period, previous=previous)
+        previous = timed.raw
+        at_the_zero_of_a_clock = min(abs(times[0]), abs(times[-1])) < 3 * period or times[0] < 0 < times[-1]
+        assert timed.verdict is PointTimes.ABSOLUTE or at_the_zero_of_a_clock

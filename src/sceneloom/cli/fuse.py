@@ -14,7 +14,10 @@ from sceneloom.cli.printing import print_json, progress_bar
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="The .sfs file to write.")
 @click.option(
-    "--trajectory", help="The ego's way to use; `identity`: it stood still. [default: the drive's first]"
+    "--trajectory",
+    metavar="NAME",
+    help="The ego's way to use; `lidar`: found from the sweeps; `identity`: it stood still. "
+    "[default: the drive's first, else `lidar`]",
 )
 @click.option(
     "--heading",

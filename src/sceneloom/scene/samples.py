@@ -1,7 +1,7 @@
 """Synchronised sets of a scene's frames by number, for those who train or analyse."""
 
-from collections.abc import Iterator, Sequence
-from typing import overload
+from collections.abc import Callable, Iterator, Sequence
+from typing import Generic, TypeVar, overload
 
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sample import Sample
@@ -9,6 +9,8 @@ from sceneloom.scene.sample_making import SampleMaker
 from sceneloom.scene.sample_selection import ALL, Choice, select
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
+
+Item = TypeVar("Item")
 
 
 class Samples(Sequence[Sample]):
@@ -57,6 +59,37 @@ class Samples(Sequence[Sample]):
 
     def __iter__(self) -> Iterator[Sample]:
         return map(self._maker.make, self._rows)
+
+    def map(self, function: Callable[[Sample], Item]) -> "MappedSamples[Item]":
+        """Give what a function makes of each sample, made when it is asked for: what a loader's workers hand on.
+
+        Args:
+            function: such as `Sample.arrays`; one of a module, if it is to be pickled.
+        """
+        return MappedSamples(self, function)
+
+
+class MappedSamples(Sequence[Item], Generic[Item]):
+    """What a function makes of each sample; nothing is made before it is asked for, nothing kept."""
+
+    def __init__(self, samples: Samples, function: Callable[[Sample], Item]) -> None:
+        """Take the samples and the function."""
+        self.samples, self._function = samples, function
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    @overload
+    def __getitem__(self, index: int) -> Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> "MappedSamples[Item]": ...
+    def __getitem__(self, index: int | slice) -> "Item | MappedSamples[Item]":
+        if isinstance(index, slice):
+            return MappedSamples(self.samples[index], self._function)
+        return self._function(self.samples[index])
+
+    def __iter__(self) -> Iterator[Item]:
+        return map(self._function, self.samples)
 
 
 def samples_of(

@@ -56,5 +56,4 @@ if __name__ == "__main__":
     where = Path(sys.argv[1] if len(sys.argv) > 1 else "own_data")
     make_folder(where)
     with sceneloom.open(where) as scene:
-        print([f"{sensor.id}: {sensor.type}" for sensor in scene.sensors])
-        print(sceneloom.fuse(scene).points, "points in one world")
+        print([sensor.id for sensor in scene.sensors], sceneloom.fuse(scene).points, "points in one world")

@@ -54,10 +54,10 @@ def _arrays(path: Path) -> dict[str, AnyArray]:
         if not path.stat().st_size:
             raise DataError(path, "", "is empty; expected arrays of NumPy")
         try:
-            loaded: Any = np.load(path, allow_pickle=False)
-            if isinstance(loaded, np.ndarray):
-                return {"points" if loaded.dtype.names is None else "": loaded}
-            with loaded:
+            with path.open("rb") as file:  # NumPy leaves a file that it opened itself open where it fails
+                loaded: Any = np.load(file, allow_pickle=False)
+                if isinstance(loaded, np.ndarray):
+                    return {"points" if loaded.dtype.names is None else "": loaded}
                 _check_sizes(path, loaded.zip)
                 return {name: loaded[name] for name in loaded.files}
         except _FAULTS as error:

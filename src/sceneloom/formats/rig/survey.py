@@ -204,7 +204,7 @@ def _guess_layout(path: Path) -> FieldLayout | None:
             continue
         places = np.stack([columns[name] for name in "xyz"])
         finite = np.isfinite(places) & (np.abs(places) < _FARTHEST)
-        if finite.mean() > 0.99 and (columns["intensity"] >= 0).mean() > 0.99:
+        if finite.size and finite.mean() > 0.99 and (columns["intensity"] >= 0).mean() > 0.99:
             return layout
     return None
 

@@ -1,0 +1,126 @@
+"""Clouds of any columns, frames of any tree and stamps of any length come back as they were."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scipy.spatial.transform import Rotation
+
+from sceneloom.formats.clouds import parse_layout, read_cloud
+from sceneloom.formats.clouds.layout import TYPES
+from sceneloom.formats.rig.stamps import NamePattern, parse_stamp
+from sceneloom.formats.rig.transforms import Edge, FrameTree
+from sceneloom.geometry.rigid import RigidTransform
+
+PCD_TYPES = {"f": "F", "i": "I", "u": "U"}
+PLY_TYPES = {
+    "float32": "float",
+    "float64": "double",
+    "int8": "char",
+    "int16": "short",
+    "int32": "int",
+    "uint8": "uchar",
+    "uint16": "ushort",
+    "uint32": "uint",
+}
+NAMES = ["x", "y", "z", "intensity", "ring", "t", "label"]
+
+
+@st.composite
+def records(draw, types=TYPES):
+    """A structured array of up to seven columns and thirty points."""
+    chosen = draw(st.lists(st.sampled_from(types), min_size=1, max_size=len(NAMES)))
+    dtype = np.dtype(
+        [(name, f"<{np.dtype(kind).str[1:]}") for name, kind in zip(NAMES, chosen, strict=False)]
+    )
+    return draw(arrays.arrays(dtype, st.integers(0, 30)))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder for the files."""
+    return tmp_path_factory.mktemp("clouds")
+
+
+def check(path, written):
+    columns = (
+        read_cloud(path).columns
+        if path.suffix != ".bin"
+        else read_cloud(path, layout=layout(written)).columns
+    )
+    assert [*columns] == list(written.dtype.names)
+    for name, column in columns.items():
+        np.testing.assert_array_equal(column, written[name])
+        assert column.dtype == written.dtype[name]
+
+
+def layout(written):
+    return parse_layout([f"{name}:{written.dtype[name].name}" for name in written.dtype.names])
+
+
+@given(written=records())
+def test_bin_files_come_back_bit_by_bit(place, written):
+    (place / "a.bin").write_bytes(written.tobytes())
+    check(place / "a.bin", written)
+
+
+@given(written=records())
+def test_npy_files_come_back_bit_by_bit(place, written):
+    np.save(place / "a.npy", written)
+    check(place / "a.npy", written)
+
+
+@given(written=records(), text=st.booleans())
+def test_pcd_files_come_back_bit_by_bit(place, written, text):
+    kinds = [written.dtype[name] for name in written.dtype.names]
+    head = "\n".join(
+        [
+            f"FIELDS {' '.join(written.dtype.names)}",
+            f"SIZE {' '.join(str(kind.itemsize) for kind in kinds)}",
+            f"TYPE {' '.join(PCD_TYPES[kind.kind] for kind in kinds)}",
+            f"WIDTH {len(written)}\nHEIGHT 1\nDATA {'ascii' if text else 'binary'}\n",
+        ]
+    )
+    lines = "".join(" ".join(repr(value.item()) for value in row) + "\n" for row in written)
+    (place / "a.pcd").write_bytes(head.encode() + (lines.encode() if text else written.tobytes()))
+    check(place / "a.pcd", written)
+
+
+@given(written=records(tuple(PLY_TYPES)), order=st.sampled_from(["little", "big"]))
+def test_ply_files_come_back_bit_by_bit(place, written, order):
+    properties = "".join(f"property {PLY_TYPES[written.dtype[n].name]} {n}\n" for n in written.dtype.names)
+    head = f"ply\nformat binary_{order}_endian 1.0\nelement vertex {len(written)}\n{properties}end_header\n"
+    turned = written.astype(written.dtype.newbyteorder(">" if order == "big" else "<"))
+    (place / "a.ply").write_bytes(head.encode() + turned.tobytes())
+    check(place / "a.ply", written)
+
+
+@given(st.integers(-9 * 10**18, 9 * 10**18))
+def test_stamps_of_any_length_lose_no_nanosecond(stamp_ns):
+    sign, (whole, rest) = "-" if stamp_ns < 0 else "", divmod(abs(stamp_ns), 10**9)
+    assert parse_stamp(f"{sign}{whole}.{rest:09d}", "seconds") == stamp_ns
+    assert parse_stamp(str(stamp_ns), "nanoseconds") == stamp_ns
+    if stamp_ns >= 0:
+        assert NamePattern("a_{s}_{ns}").read(f"a_{whole}_{rest}.bin") == stamp_ns
+        assert NamePattern("*-{ns}").read(f"x1-2-{stamp_ns}.png") == stamp_ns
+
+
+@given(data=st.data(), count=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))
+def test_frames_of_any_tree_are_where_the_product_of_their_matrices_says(data, count, seed):
+    rng = np.random.default_rng(seed)
+    ego_from = {0: np.eye(4)}
+    edges = []
+    for frame in range(1, count + 1):
+        parent = data.draw(st.integers(0, frame - 1))
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
+        ego_from[frame] = ego_from[parent] @ matrix
+        forward = data.draw(st.booleans())
+        transform = RigidTransform(matrix[:3, :3], matrix[:3, 3])
+        pair = (str(frame), str(parent)) if forward else (str(parent), str(frame))
+        edges.append(Edge(*pair, transform if forward else transform.inverse(), ""))
+    tree = FrameTree("0", data.draw(st.permutations(edges)))
+    for frame, matrix in ego_from.items():
+        # up to eight products in float64
+        np.testing.assert_allclose(tree.ego_from(str(frame)).matrix, matrix, atol=1e-12)

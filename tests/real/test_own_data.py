@@ -1,0 +1,183 @@
+"""Real clouds and pictures in nobody's format, described by a manifest; judged by what is known of the data."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras import project
+from sceneloom.formats.rig.survey import survey
+
+
+def calibration(path: Path) -> dict[str, np.ndarray]:
+    """The matrices of a KITTI calibration file, with or without colons."""
+    lines = [line.split() for line in path.read_text().splitlines() if line.strip()]
+    return {words[0].rstrip(":"): np.array(words[1:], float) for words in lines}
+
+
+def rows(numbers: np.ndarray, count: int) -> str:
+    """Numbers as rows of TOML."""
+    return str(numbers.reshape(count, -1).tolist())
+
+
+def kitti(folder: Path, path: Path, names: tuple[str, str], lidar: str, camera: str) -> Path:
+    """Describe KITTI data that lies in another folder."""
+    numbers = calibration(path)
+    (folder / "rig.toml").write_text(f"""
+ego = "velodyne"
+root = "{path.parent if "raw" in str(path) else path.parent.parent}"
+transforms = [
+    {{ from = "velodyne", to = "camera_0", matrix = {rows(numbers[names[0]], 3)} }},
+    {{ from = "camera_0", to = "rectified", rotation_matrix = {rows(numbers[names[1]], 3)} }},
+]
+[[sensors]]
+id = "velodyne"
+type = "lidar"
+files = "{lidar}"
+times = {{ rate_hz = 10 }}
+[[sensors]]
+id = "cam2"
+type = "camera"
+frame = "rectified"
+files = "{camera}"
+times = {{ rate_hz = 10 }}
+lens = {{ P = {rows(numbers["P2"], 3)} }}
+""")
+    return folder
+
+
+def shares(folder: Path, **options: str) -> dict[str, float]:
+    """Which share of all points falls into the pictures of each camera [%]."""
+    with sceneloom.open(folder) as scene:
+        report = sceneloom.fuse(scene, **options)
+    return {str(camera.camera): camera.in_picture_percent for camera in report.cameras}
+
+
+@pytest.mark.parametrize("frame", ["000000", "000001", "000002", "000114"])
+def test_kitti_frames_project_as_a_plain_matrix_product_does(data_dir, tmp_path, frame):
+    data = data_dir / "real" / "kitti_object"
+    path = data / "calib" / f"{frame}.txt"
+    names = ("Tr_velo_to_cam", "R0_rect")
+    scene = sceneloom.open(kitti(tmp_path, path, names, f"velodyne/{frame}.bin", f"image_2/{frame}.png"))
+    lidar, camera = scene.lidars[0], scene.cameras[0]
+    points = lidar.frames[0].points
+    raw = np.fromfile(data / "velodyne" / f"{frame}.bin", "<f4").reshape(-1, 4)
+    np.testing.assert_array_equal(points.positions, raw[:, :3])
+    np.testing.assert_array_equal(points.intensities, np.rint(raw[:, 3].astype(float) * 255.0))
+
+    numbers = calibration(path)
+    rigid = np.vstack([numbers["Tr_velo_to_cam"].reshape(3, 4), [0, 0, 0, 1]])
+    rectify = np.eye(4)
+    rectify[:3, :3] = numbers["R0_rect"].reshape(3, 3)
+    homogeneous = np.column_stack([raw[:, :3].astype(float), np.ones(len(raw))])
+    plane = homogeneous @ (numbers["P2"].reshape(3, 4) @ rectify @ rigid).T
+    front = plane[:, 2] > 0.5
+    expected = plane[:, :2] / plane[:, 2:]
+
+    pixels, visible = project(camera.camera, camera.mount.inverse().apply(points.positions))
+    # the file's rotations have 12 digits; made orthonormal, pixels move by less than 1e-3
+    np.testing.assert_allclose(pixels[visible & front], expected[visible & front], atol=1e-3)
+    height, width = camera.pictures[0].rgb.shape[:2]
+    inside = front & (expected >= -0.5).all(axis=1) & (expected < [width - 0.5, height - 0.5]).all(axis=1)
+    assert 0.15 < visible.mean() < 0.18
+    assert abs(int(visible.sum()) - int(inside.sum())) <= 2, "points on the very edge"
+
+
+def test_three_kitti_sweeps_are_counted_and_paired_one_by_one(data_dir, tmp_path):
+    path = data_dir / "real" / "kitti_raw_sfnd" / "calib_2011_09_26.txt"
+    scene = sceneloom.open(
+        kitti(tmp_path, path, ("Tr_velo_cam", "R_rect"), "velodyne/*.bin", "image_02/*.png")
+    )
+    assert scene.lidars[0].frames.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000]
+    assert [len(frame.points) for frame in scene.lidars[0].frames] == [
+        size.stat().st_size // 16 for size in sorted((path.parent / "velodyne").iterdir())
+    ]
+
+
+def test_a_nuscenes_frame_opens_with_its_own_times_and_mountings(data_dir, tmp_path):
+    data = data_dir / "real" / "nuscenes_one_sample"
+    (known,) = json.loads((data / "infos.json").read_text())["data_list"]
+    sensors = [
+        f"""[[sensors]]
+id = "LIDAR_TOP"
+type = "lidar"
+files = "*LIDAR_TOP*.pcd.bin"
+times = {{ pattern = "*__{{us}}" }}
+stamp = "end"
+sweep_s = 0.05
+extrinsic = {{ to = "base", matrix = {known["lidar_points"]["lidar2ego"]} }}"""
+    ]
+    for name, camera in known["images"].items():
+        sensors.append(f"""[[sensors]]
+id = "{name}"
+type = "camera"
+files = "*__{name}__*.jpg"
+times = {{ pattern = "*__{{us}}" }}
+extrinsic = {{ from = "base", matrix = {np.linalg.inv(camera["cam2ego"]).tolist()} }}
+lens = {{ K = {camera["cam2img"]} }}""")
+    (tmp_path / "rig.toml").write_text(f'root = "{data}"\n' + "\n".join(sensors))
+    scene = sceneloom.open(tmp_path)
+    frame = scene.lidars[0].frames[0]
+    assert frame.timestamp_ns == 1_532_402_927_647_951_000 - 25_000_000
+    assert set(np.unique(frame.points.rings)) == set(range(32))
+    for camera in scene.cameras:
+        stamp = known["images"][camera.id]["timestamp"]
+        assert camera.pictures.timestamps_ns[0] == round(stamp * 1e6) * 1000
+        # the calibration is rounded to float32
+        np.testing.assert_allclose(camera.mount.matrix, known["images"][camera.id]["cam2ego"], atol=2e-6)
+    # the data's own share is 9 to 14 %; here the ego stands still between lidar and pictures
+    assert all(8.0 < share < 15.0 for share in shares(tmp_path, trajectory="identity").values())
+
+
+def test_pandaset_clouds_and_poses_fall_into_the_pictures_as_they_should(data_dir, tmp_path):
+    data = data_dir / "real" / "pandaset_scale_sample"
+    text = f"""root = "{data}"
+[[trajectories]]
+root = "."
+file = "poses.csv"
+form = "csv"
+[[sensors]]
+id = "lidar"
+type = "lidar"
+frame = "base"
+files = "pointcloud/*.ply"
+deskewed = true
+times = {{ pattern = "{{index}}", rate_hz = 10 }}
+"""
+    for name in ("front_camera", "front_left_camera", "back_camera"):
+        place = json.loads((data / "cameras" / name / "extrinsics.json").read_text())
+        lens = json.loads((data / "cameras" / name / "intrinsics.json").read_text())
+        text += f"""[[sensors]]
+id = "{name}"
+type = "camera"
+files = "cameras/{name}/*.jpg"
+times = {{ pattern = "{{index}}", rate_hz = 10 }}
+extrinsic = {{ to = "base", translation = {place["position"]}, quaternion_wxyz = {place["heading"]} }}
+lens = {{ fx = {lens["fx"]}, fy = {lens["fy"]}, cx = {lens["cx"]}, cy = {lens["cy"]} }}
+"""
+    (tmp_path / "rig.toml").write_text(text)
+    lines = ["timestamp,x,y,z,qw,qx,qy,qz"]
+    for frame in (1, 2):
+        pose = json.loads((data / "poses" / f"{frame}.json").read_text())
+        lines.append(",".join(map(str, [frame / 10, *pose["position"], *pose["heading"]])))
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
+    found = shares(tmp_path)
+    # measured over five frames of the same drive
+    for name, share in (("front_camera", 40.0), ("front_left_camera", 21.8), ("back_camera", 14.5)):
+        assert found[name] == pytest.approx(share, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("folder", "lidars", "cameras"),
+    [
+        ("kitti_object", 1, 1),
+        ("kitti_raw_sfnd", 1, 1),
+        ("nuscenes_one_sample", 1, 6),
+        ("pandaset_scale_sample", 1, 3),
+    ],
+)
+def test_a_look_into_real_folders_finds_their_sensors(data_dir, folder, lidars, cameras):
+    types = [sensor.type for sensor in survey(data_dir / "real" / folder).sensors]
+    assert (types.count("lidar"), types.count("camera")) == (lidars, cameras)

@@ -7,7 +7,8 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.printing import amount, print_json, print_notices, print_table, seconds, several
-from sceneloom.scene.summary import SensorSummary
+from sceneloom.scene.summary import SceneSummary, SensorSummary
+from sceneloom.scene.types import SensorType
 
 
 @click.command()
@@ -30,7 +31,7 @@ def info(path: Path, as_json: bool, quiet: bool, verbose: bool, **reading: Any) 
         click.echo(f"clock starts at {seconds(summary.start_ns)}")
     click.echo("sensors")
     print_table(_sensor_row(sensor) for sensor in summary.sensors)
-    click.echo("trajectories (the first is the default)" if summary.trajectories else "no trajectory")
+    click.echo(_trajectories_title(summary))
     print_table(
         (
             way.name,
@@ -45,6 +46,16 @@ def info(path: Path, as_json: bool, quiet: bool, verbose: bool, **reading: Any) 
         click.echo(f"annotations: {count} {kind}")
     if not quiet:
         print_notices(summary.notices, verbose=verbose)
+
+
+def _trajectories_title(summary: SceneSummary) -> str:
+    if summary.trajectories:
+        return "trajectories (the first is the default)"
+    placeable = any(
+        sensor.type == SensorType.LIDAR and sensor.count and "points world" not in (sensor.coordinates or "")
+        for sensor in summary.sensors
+    )
+    return "no trajectory" + ("; one can be found from the lidar (`--trajectory lidar`)" if placeable else "")
 
 
 def _sensor_row(sensor: SensorSummary) -> list[str]:

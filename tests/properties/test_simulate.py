@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_street
+from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
 from sceneloom.simulate.casting import Rays, cast
 from sceneloom.simulate.ground import GroundMap
 from sceneloom.simulate.shapes import Material, PackedShapes, Pattern, Shape, ShapeKind
@@ -109,3 +109,34 @@ def test_any_camera_on_any_street_sees_depth_where_it_sees_something(seed, yaw, 
     assert ((picture.depths > 0) == (picture.instances >= 0)).all()
     assert picture.instances.max() <= len(drive.truth.objects)
     np.testing.assert_array_equal(drive.scene.cameras[0].pictures[0].rgb, picture.colors)
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    cars=st.floats(0, 6),
+    cyclists=st.floats(0, 10),
+    pedestrians=st.floats(0, 15),
+    standing=st.floats(0, 0.5),
+)
+def test_in_any_traffic_points_lie_on_what_is_there_at_their_times(
+    seed, cars, cyclists, pedestrians, standing
+):
+    traffic = TrafficSpec(cars=cars, cyclists=cyclists, pedestrians=pedestrians, standing=standing)
+    spec = LidarSpec(beams=16, steps=300, range_sigma=0.0, drop_rate=0.0)
+    drive = simulate_street(seed, frames=2, lidar=spec, cameras=(), traffic=traffic)
+    truth, clean = drive.truth, drive.truth.clean_points_world(1)
+    times = drive.scene.lidars[0].frames[1].points.timestamps_ns
+    first, movers = len(truth.objects) + 1, truth.street.movers
+    assert clean.instances.max() < first + len(movers)
+    rows = np.flatnonzero(clean.instances >= first)
+    which = clean.instances[rows].astype(np.int64) - first
+    assert movers.present(which, times[rows]).all()
+    states = movers.states(which, times[rows])
+    sizes = np.array([truth.movers[k].size_lwh for k in which]).reshape(-1, 3)
+    apart = clean.positions_world[rows] - states.positions
+    ahead = np.cos(states.yaws) * apart[:, 0] + np.sin(states.yaws) * apart[:, 1]
+    left = np.cos(states.yaws) * apart[:, 1] - np.sin(states.yaws) * apart[:, 0]
+    within = np.column_stack([ahead, left, apart[:, 2] - sizes[:, 2] / 2])
+    assert (np.abs(within) <= sizes / 2 + 1e-9).all()
+    assert np.isfinite(clean.velocities).all()

@@ -1,10 +1,14 @@
-"""Lidar points into the world: every point by the sensor's pose at the point's own time."""
+"""Lidar points by the sensor's pose at each point's own time: into the world, or into any frame the poses lead to."""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.errors import PoseError
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.interpolation import EXTRAPOLATED, OUT_OF_REACH
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.pose_source import PoseSource
 
@@ -27,32 +31,72 @@ def points_to_world(frame: LidarFrame, source: PoseSource) -> tuple[Float64Array
         times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
     if len(times) == 0:
         return np.zeros((0, 3)), False
-    span_ns = np.array([times.min(), times.max()], np.int64)
-    knots_ns = _knots_within(source.path.timestamps_ns, span_ns)
-    body = source.path.interpolate(knots_ns, reach_ns=source.reach_ns)
-    if (body.coverage == 2).any():
-        raise PoseError(
-            f"points from {span_ns[0]} to {span_ns[1]} ns; the poses reach from "
-            f"{source.path.start_ns} to {source.path.stop_ns} ns and {source.reach_ns} ns beyond"
-        )
-    extrapolated = bool((body.coverage == 1).any())
-    positions = frame.points.positions
-    if len(knots_ns) == 1:
-        moved = source.mount.apply(positions)
-        return rotate_vectors(body.quaternions_xyzw, moved) + body.positions, extrapolated
-    from sceneloom.kernels.path_transform import transform_by_path
+    knots = BodyKnots.of(source, int(times.min()), int(times.max()))
+    return knots.moved(frame.points.positions, times, source.mount), knots.extrapolated
 
-    positions_world = np.empty((len(positions), 3))
-    transform_by_path(
-        np.ascontiguousarray(positions),
-        np.ascontiguousarray(times),
-        np.ascontiguousarray(source.mount.matrix[:3]),
-        knots_ns,
-        body.positions,
-        body.quaternions_xyzw,
-        positions_world,
-    )
-    return positions_world, extrapolated
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyKnots:
+    """The poses of a moving body over one sweep: linear and slerp between them.
+
+    Attributes:
+        timestamps_ns: (K,) int64 [ns], strictly increasing, K >= 1.
+        positions: (K, 3) float64 [m].
+        quaternions_xyzw: (K, 4) float64, unit.
+        extrapolated: whether any lies beyond the path's ends.
+    """
+
+    timestamps_ns: Int64Array
+    positions: Float64Array
+    quaternions_xyzw: Float64Array
+    extrapolated: bool
+
+    @classmethod
+    def of(cls, source: PoseSource, first_ns: int, last_ns: int) -> "BodyKnots":
+        """Take the poses of a source's path from one time to another, both included.
+
+        Raises:
+            PoseError: one of the times lies beyond the reach of the path.
+        """
+        span_ns = np.array([first_ns, last_ns], np.int64)
+        knots_ns = _knots_within(source.path.timestamps_ns, span_ns)
+        body = source.path.interpolate(knots_ns, reach_ns=source.reach_ns)
+        if (body.coverage == OUT_OF_REACH).any():
+            raise PoseError(
+                f"points from {first_ns} to {last_ns} ns; the poses reach from "
+                f"{source.path.start_ns} to {source.path.stop_ns} ns and {source.reach_ns} ns beyond"
+            )
+        return cls(
+            knots_ns, body.positions, body.quaternions_xyzw, bool((body.coverage == EXTRAPOLATED).any())
+        )
+
+    def seen_from(self, frame_from_world: RigidTransform) -> "BodyKnots":
+        """The same poses in another frame that stands still; linear ways and slerp stay what they are."""
+        return replace(
+            self,
+            positions=frame_from_world.apply(self.positions),
+            quaternions_xyzw=multiply_quaternions(frame_from_world.quaternion_xyzw, self.quaternions_xyzw),
+        )
+
+    def moved(
+        self, positions: Float32Array, timestamps_ns: Int64Array, body_from_sensor: RigidTransform
+    ) -> Float64Array:
+        """Take points of the sensor, (N, 3) [m], each at its time, (N,) [ns], to where the poses lead, (N, 3)."""
+        if len(self.timestamps_ns) == 1:
+            return rotate_vectors(self.quaternions_xyzw, body_from_sensor.apply(positions)) + self.positions
+        from sceneloom.kernels.path_transform import transform_by_path
+
+        moved = np.empty((len(positions), 3))
+        transform_by_path(
+            np.ascontiguousarray(positions),
+            np.ascontiguousarray(timestamps_ns),
+            np.ascontiguousarray(body_from_sensor.matrix[:3]),
+            self.timestamps_ns,
+            self.positions,
+            self.quaternions_xyzw,
+            moved,
+        )
+        return moved
 
 
 def _knots_within(path_ns: Int64Array, span_ns: Int64Array) -> Int64Array:

@@ -6,11 +6,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, FloatArray, Int64Array
+from sceneloom.arrays import Float32Array, Int64Array
 from sceneloom.errors import DataError, PoseError
-from sceneloom.geometry.interpolation import EXTRAPOLATED, OUT_OF_REACH
-from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.motion.deskew import points_to_world
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.deskew import BodyKnots
 from sceneloom.motion.point_times import LONGEST_LAG_NS, RawTimes, TimedFrame, TimesFound, timed_frame
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.frames import LazyFrames
@@ -55,7 +54,7 @@ class DeskewedFrame:
     Attributes:
         frame: its points in the frame that they came in, all of the frame's time; where `left` says why, as measured.
         times: what the times of its points were.
-        shifts: (N,) float64 [m], how far each point was moved; none where it was left.
+        shifts: (N,) float32 [m], how far each point was moved; none where it was left.
         raw: what the judgement of the next sweep's times may need.
         extrapolated: whether poses beyond the trajectory's ends were used.
         left: why it was left as it was, or None.
@@ -63,7 +62,7 @@ class DeskewedFrame:
 
     frame: LidarFrame
     times: TimesFound
-    shifts: Float64Array
+    shifts: Float32Array
     raw: RawTimes | None = None
     extrapolated: bool = False
     left: str | None = None
@@ -90,28 +89,32 @@ class Deskewer:
         timed = timed_frame(frame, self.period_ns, previous=previous)
         moment_ns = frame.timestamp_ns + self.offset_ns
         measured = _measured(timed.frame)
+        # the span reaches to the moment, too: its pose is as much needed as those of the points
         first_ns, last_ns = int(measured.min(initial=moment_ns)), int(measured.max(initial=moment_ns))
         nothing_to_undo = _nothing_to_undo(timed.frame)
         if nothing_to_undo is not None:
             return _left(timed, measured, moment_ns, nothing_to_undo)
         if self._meets_gap(first_ns, last_ns):
             return _left(timed, measured, moment_ns, IN_GAP)
-        body = self.source.path.interpolate(np.array([moment_ns], np.int64), reach_ns=self.source.reach_ns)
         try:
-            positions_world, extrapolated = points_to_world(timed.frame, self.source)
+            knots = BodyKnots.of(self.source, first_ns, last_ns)
         except PoseError:
             return _left(timed, measured, moment_ns, BEYOND)
-        if body.coverage[0] == OUT_OF_REACH:
-            return _left(timed, measured, moment_ns, BEYOND)
-        at_body = (positions_world - body.positions) @ matrix_from_quaternion(body.quaternions_xyzw[0])
-        positions = self.source.mount.inverse().apply(at_body).astype(np.float32)
+        at_moment = self._sensor_from_world(moment_ns)
+        moved = knots.seen_from(at_moment).moved(frame.points.positions, measured, self.source.mount)
+        positions = moved.astype(np.float32)
+        apart = positions - frame.points.positions
         return DeskewedFrame(
             _at_moment(timed.frame, positions, measured, moment_ns),
             timed.found,
-            np.linalg.norm(positions.astype(np.float64) - frame.points.positions, axis=1),
+            np.sqrt(np.einsum("ij,ij->i", apart, apart)),
             timed.raw,
-            extrapolated or bool(body.coverage[0] == EXTRAPOLATED),
+            knots.extrapolated,
         )
+
+    def _sensor_from_world(self, moment_ns: int) -> RigidTransform:
+        pose = self.source.at(np.array([moment_ns], np.int64))
+        return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]).inverse()
 
     def _meets_gap(self, first_ns: int, last_ns: int) -> bool:
         return bool(((self.gaps_ns[:, 0] < last_ns) & (self.gaps_ns[:, 1] > first_ns)).any())
@@ -133,7 +136,7 @@ def _measured(frame: LidarFrame) -> Int64Array:
 
 
 def _at_moment(
-    frame: LidarFrame, positions: FloatArray, measured_ns: Int64Array, moment_ns: int
+    frame: LidarFrame, positions: Float32Array, measured_ns: Int64Array, moment_ns: int
 ) -> LidarFrame:
     further = {name: array for name, array in frame.points.extras.items() if name != "file_seconds"}
     points = replace(
@@ -154,7 +157,7 @@ def _left(timed: TimedFrame, measured_ns: Int64Array, moment_ns: int, reason: st
     return DeskewedFrame(
         LidarFrame(moment_ns, points, MappingProxyType(extras)),
         timed.found,
-        np.zeros(0),
+        np.zeros(0, np.float32),
         timed.raw,
         left=reason,
     )

@@ -129,7 +129,7 @@ def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock) -> ReadPoi
         if name not in cloud.columns:
             raise DataError(cloud.file, name, f"no such column for {role}; the file has {_names(cloud)}")
     positions = _positions(cloud, roles)
-    kept: BoolArray = np.logical_and(np.isfinite(positions).all(axis=1), positions.any(axis=1))
+    kept = _returns(positions)
     chosen: Any = slice(None) if kept.all() else kept
     columns = {name: column[chosen] for name, column in cloud.columns.items()}
     intensities, clipped = None, 0
@@ -151,6 +151,13 @@ def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock) -> ReadPoi
         extras=MappingProxyType({n: read_only(c) for n, c in columns.items() if n not in used}),
     )
     return ReadPoints(points, int(len(kept) - kept.sum()), clipped)
+
+
+def _returns(positions: Float32Array) -> BoolArray:
+    """Which points are finite and not exactly at the origin; column by column, which is much quicker than by rows."""
+    x, y, z = positions.T
+    returns: BoolArray = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0) | (y != 0) | (z != 0))
+    return returns
 
 
 def _sealed(array: AnyArray | None) -> Any:

@@ -36,7 +36,8 @@ def _mount(drive: Drive, record: Record) -> RigidTransform:
 
 
 def _from_files(drive: Drive, record: Record, place: str) -> CameraSensor:
-    files = drive.root(record, place).files(record["files"], f"{place}.files")
+    root = drive.root(record, place)
+    files = root.files(record["files"], f"{place}.files")
     for path in files:
         if path.suffix.lower() not in PICTURE_SUFFIXES:
             problem = f"{path.name!r}; expected files that end with {' '.join(PICTURE_SUFFIXES)}"
@@ -45,7 +46,7 @@ def _from_files(drive: Drive, record: Record, place: str) -> CameraSensor:
     mount = _mount(drive, record)
     stamps = drive.time_source(record, place).stamp_files(files)
     used = tuple(files[k] for k in stamps.chosen)
-    reader = PictureReader(used, stamps.timestamps_ns, lens)
+    reader = PictureReader(used, tuple(map(root.relative, used)), stamps.timestamps_ns, lens)
     return CameraSensor(
         id=record["id"],
         camera=lens,

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -58,6 +59,7 @@ class SweepReader:
 
     Attributes:
         files: of each sweep.
+        names: of the files, seen from their root.
         clocks_ns: (N, 2) int64 [ns]: the file's stamp and the sweep's start.
         timestamps_ns: (N,) int64 [ns], of the frames.
         zero_ns: what the sensor's own clock is ahead by [ns].
@@ -67,6 +69,7 @@ class SweepReader:
     """
 
     files: tuple[Path, ...]
+    names: tuple[str, ...]
     clocks_ns: Int64Array
     timestamps_ns: Int64Array
     zero_ns: int
@@ -82,11 +85,9 @@ class SweepReader:
         """
         read = self.read(k)
         points = read.points if self.turn is None else _turned(read.points, self.turn)
-        extras = {
-            "file": str(self.files[k]),
-            "dropped_points": read.dropped,
-            "clipped_intensities": read.clipped,
-        }
+        extras: dict[str, Any] = {"file": self.names[k]}
+        counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
+        extras.update({name: count for name, count in counts.items() if count})
         return LidarFrame(int(self.timestamps_ns[k]), points, MappingProxyType(extras))
 
     def read(self, k: int) -> ReadPoints:
@@ -119,6 +120,7 @@ def build_lidar(drive: Drive, record: Record, place: str) -> LidarSensor:
         raise DataError(drive.manifest.path, f"{place}.files", "none of the files has a time")
     reader = SweepReader(
         files=tuple(files[k] for k in stamps.chosen),
+        names=tuple(root.relative(files[k]) for k in stamps.chosen),
         clocks_ns=np.stack([stamps.timestamps_ns, stamps.timestamps_ns], axis=1),
         timestamps_ns=stamps.timestamps_ns,
         zero_ns=int(record.get("time_offset_s", 0)),

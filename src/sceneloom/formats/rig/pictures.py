@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import cast
 
 import numpy as np
@@ -121,11 +122,13 @@ class PictureReader:
 
     Attributes:
         files: of each picture.
+        names: of the files, seen from their root.
         timestamps_ns: (N,) int64 [ns].
         camera: the lens of all.
     """
 
     files: tuple[Path, ...]
+    names: tuple[str, ...]
     timestamps_ns: Int64Array
     camera: Camera
 
@@ -133,4 +136,5 @@ class PictureReader:
         """Make picture `k` without decoding it."""
         file = PictureFile(self.files[k], self.camera.width, self.camera.height)
         encoded = file.encoded if is_jpeg(file.path) else None
-        return Picture(int(self.timestamps_ns[k]), self.camera, file, encoded=encoded)
+        extras = MappingProxyType({"file": self.names[k]})
+        return Picture(int(self.timestamps_ns[k]), self.camera, file, extras=extras, encoded=encoded)

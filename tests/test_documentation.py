@@ -19,7 +19,7 @@ from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 PROJECT = Path(__file__).parents[1]
 PAGES = sorted([*PROJECT.glob("*.md"), *PROJECT.glob("docs/**/*.md"), *PROJECT.glob("examples/*.md")])
 EXAMPLES = sorted(PROJECT.glob("examples/*.py"))
-RUNNABLE = [PROJECT / "README.md", PROJECT / "docs" / "formats" / "sfs.md"]
+RUNNABLE = [PROJECT / "README.md", PROJECT / "docs" / "formats" / "sfs.md", PROJECT / "docs" / "samples.md"]
 """Pages whose Python runs as it stands, in a folder with a recording `drive` and a scene `drive.sfs`."""
 
 EXAMPLE_LIMIT_S = 240

@@ -23,6 +23,7 @@ from sceneloom.motion.point_time_notices import PointTimesTally
 from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.motion.trajectories import IMU
 from sceneloom.pipeline.play import Skips
+from sceneloom.pipeline.report import told_once
 from sceneloom.scene import (
     Coordinates,
     Identifier,
@@ -158,14 +159,8 @@ def deskew(
         max_shift=tally.farthest,
         seconds=time.perf_counter() - begun,
         losses=losses,
-        notices=_told_once(changed.notices, tally.times.notices()),
+        notices=told_once(changed.notices, tally.times.notices()),
     )
-
-
-def _told_once(before: tuple[Notice, ...], own: tuple[Notice, ...]) -> tuple[Notice, ...]:
-    """What odometry has said of the times of points is not said again."""
-    said = {notice.code for notice in before}
-    return (*before, *(notice for notice in own if notice.code not in said))
 
 
 def deskewed_scene(

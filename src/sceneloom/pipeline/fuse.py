@@ -16,10 +16,10 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import filling
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.fusion import FusionConfiguration
-from sceneloom.motion.ego_motion import Progress
+from sceneloom.motion.ego_motion import Progress, placeable_lidars
 from sceneloom.pictures.drive_cloud import MOST_SWEEPS, DriveCloud
 from sceneloom.pipeline.play import Skips, build_system, play
-from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally
+from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally, told_once
 from sceneloom.pipeline.sinks import DepthSink, PictureSink, SceneSink, Sink, lidar_folders, names_of
 from sceneloom.pipeline.woven import Woven, output_scene, weave
 from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
@@ -133,7 +133,7 @@ def fuse(
     system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
     if skips is not None:
         system.on_unreadable = skips.add
-    tally = FusionTally({camera.id: CameraTally(len(camera.pictures)) for camera in woven.scene.cameras})
+    tally = _tally(woven)
     total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
     with ExitStack() as stack:
         sinks = _open_sinks(woven, wanted, stack, skips)
@@ -159,7 +159,16 @@ def fuse(
         depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
         seconds=time.perf_counter() - begun,
         losses=losses,
-        notices=(*woven.scene.notices, *tally.notices()),
+        notices=told_once(woven.scene.notices, tally.notices()),
+    )
+
+
+def _tally(woven: Woven) -> FusionTally:
+    stands = woven.ego is not None and woven.ego.path.endless
+    carried = [] if stands else placeable_lidars(woven.scene)
+    return FusionTally(
+        {camera.id: CameraTally(len(camera.pictures)) for camera in woven.scene.cameras},
+        frozenset(lidar.id for lidar in carried),
     )
 
 

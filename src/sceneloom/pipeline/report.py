@@ -8,7 +8,8 @@ import numpy as np
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.formats.loss import LossReport
 from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.scene import Identifier, Notice
+from sceneloom.motion.point_times import PointTimes
+from sceneloom.scene import Identifier, Notice, NoticeKind
 
 
 class CameraReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -80,6 +81,12 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
         return self.frames / self.seconds if self.seconds > 0 else 0.0
 
 
+def told_once(before: tuple[Notice, ...], own: tuple[Notice, ...]) -> tuple[Notice, ...]:
+    """Add remarks on the sweeps to those that were made before, but for what the odometry has said already."""
+    said = {notice.code for notice in before}
+    return (*before, *(notice for notice in own if notice.code not in said))
+
+
 @dataclass(slots=True)
 class CameraTally:
     """Counts of one camera while frames pass."""
@@ -120,15 +127,18 @@ class FusionTally:
 
     Attributes:
         cameras: by id, in the scene's order.
+        moving: lidars whose points the ego carries along, so that the time of each counts.
     """
 
     cameras: dict[Identifier, CameraTally]
+    moving: frozenset[Identifier] = frozenset()
     frames: int = 0
     fused: int = 0
     extrapolated: int = 0
     points: int = 0
     coloured: int = 0
     times: PointTimesTally = field(default_factory=PointTimesTally)
+    timeless: int = 0
     unfused: dict[str, int] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame) -> None:
@@ -136,6 +146,7 @@ class FusionTally:
         self.frames += 1
         self.points += len(frame.points)
         self.times.add(frame.times)
+        self.timeless += frame.times.kind is PointTimes.ABSENT and frame.lidar_id in self.moving
         if frame.unfused is not None:
             reason = frame.unfused.split(":", maxsplit=1)[0]
             self.unfused[reason] = self.unfused.get(reason, 0) + 1
@@ -159,7 +170,17 @@ class FusionTally:
 
     def notices(self) -> tuple[Notice, ...]:
         """What had to be assumed about the sweeps."""
-        return self.times.notices()
+        return (*self.times.notices(), *self._timeless_notice())
+
+    def _timeless_notice(self) -> list[Notice]:
+        if not self.timeless:
+            return []
+        message = (
+            "points have no times of their own; they were taken as measured at their sweep's time, "
+            "and what the ego moved during a sweep stays in them"
+        )
+        place, kind = "sensors[].frames[].points.timestamps", NoticeKind.ASSUMED
+        return [Notice(kind=kind, code="no-point-times", place=place, message=message, count=self.timeless)]
 
     @property
     def coloured_percent(self) -> float:

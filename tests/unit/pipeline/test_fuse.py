@@ -250,6 +250,19 @@ def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that
         assert scene.lidars[0].frames[0].points.timestamps_ns is None
 
 
+def test_points_without_times_are_told_where_the_ego_moves(drive: Scene) -> None:
+    frames = drive.lidars[0].frames
+
+    def read(index: int) -> LidarFrame:
+        return replace(frames[index], points=replace(frames[index].points, timestamps_ns=None))
+
+    timeless = with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read))
+    told = [(notice.code, notice.count) for notice in fuse(timeless).notices]
+    assert told == [("no-point-times", 4)]
+    assert not fuse(timeless, trajectory="identity").notices
+    assert not fuse(with_lidar(timeless, points_frame=PointsFrame.WORLD)).notices
+
+
 @pytest.mark.parametrize("microseconds", [False, True])
 def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_told(
     drive: Scene, tmp_path: Path, microseconds: bool

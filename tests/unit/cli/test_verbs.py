@@ -78,7 +78,11 @@ def test_convert_reads_and_writes_and_reads_again(call: Call, recording: Path, t
 
 
 def test_formats_lists_what_can_be_read_and_written(call: Call) -> None:
-    assert json.loads(call("formats", "--json").out) == {"sfs": [".sfs"], "recording": [""]}
+    assert json.loads(call("formats", "--json").out) == {
+        "sfs": [".sfs"],
+        "recording": [""],
+        "rig": [".toml"],
+    }
 
 
 def test_demo_keeps_a_recording_a_scene_and_pictures(call: Call, tmp_path: Path) -> None:

@@ -227,7 +227,9 @@ def _read_sensor(raw: Mapping[str, Any], record: str, place: str, faults: Faults
         return read_record(raw, f"sensor {kind}", place, faults)
     field = fields_of(f"sensor {SENSOR_TYPES[0]}")["type"]
     if kind is None:
-        faults.add(f"{place}.type", f"missing; expected {_expected(field)}")
+        close = get_close_matches("type", raw, 1, 0.6)
+        hint = f"; {close[0]!r} is unknown: is it meant?" if close else ""
+        faults.add(f"{place}.type", f"missing; expected {_expected(field)}{hint}")
     else:
         try:
             _read_choice(kind, field, place, faults)

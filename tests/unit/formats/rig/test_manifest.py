@@ -18,6 +18,7 @@ PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
         ('axes = "flu"', "width = 8", r"sensors\[1\] \(front\)\.width: unknown; did you mean lens\.width\?"),
         ('type = "lidar"', 'type = "lidr"', r"sensors\[0\] \(top\)\.type: 'lidr'; expected one of lidar, .*'lidar'\?"),
         ('type = "lidar"\n', "", r"sensors\[0\] \(top\)\.type: missing; expected one of lidar, camera"),
+        ('type = "lidar"', 'tipe = "lidar"', r"type: missing; expected one of lidar, .*; 'tipe' is unknown: is it meant"),
         ("intensity_max = 255", "intensity_max = 0", r"intensity_max: 0; expected a number, above 0"),
         ("intensity_max = 255", 'intensity_max = "1"', r"intensity_max: '1'; expected a number"),
         ("[1.0, 0.0, 2.0]", "[1.0, 0.0]", r"transforms\[0\]\.translation: a list of 2; expected a list of 3 numbers"),

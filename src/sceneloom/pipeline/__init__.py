@@ -1,7 +1,8 @@
 """The main job: read, weave into one world, fuse, write."""
 
 from sceneloom.pipeline.convert import ConversionReport, convert
-from sceneloom.pipeline.deskew import DeskewReport, deskew, deskewed_scene
+from sceneloom.pipeline.deskew import deskew, deskewed_scene
+from sceneloom.pipeline.deskew_report import DeskewReport
 from sceneloom.pipeline.fuse import FusionOutputs, fuse, iter_fused
 from sceneloom.pipeline.report import CameraReport, FusionReport
 

@@ -2,26 +2,24 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, PoseError
-from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.table import format_for_output, write_scene
 from sceneloom.motion.ego_motion import Progress, find_ego_motion
 from sceneloom.motion.inertial import imu_motion
 from sceneloom.motion.one_moment import MOMENTS, DeskewedFrame, DeskewedFrames, Deskewer, typical_offset_ns
-from sceneloom.motion.point_time_notices import PointTimesTally
 from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.motion.trajectories import IMU
+from sceneloom.pipeline.deskew_report import DeskewReport, DeskewTally
 from sceneloom.pipeline.play import Skips
 from sceneloom.pipeline.report import told_once
 from sceneloom.scene import (
@@ -30,7 +28,6 @@ from sceneloom.scene import (
     LazyFrames,
     LidarFrame,
     LidarSensor,
-    Notice,
     PointsFrame,
     Scene,
 )
@@ -43,45 +40,6 @@ OURS, ENTRY = "sceneloom", "deskew"
 """Where a scene's metadata say how it was deskewed."""
 
 _NO_GAPS = np.zeros((0, 2), np.int64)
-
-
-class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
-    """One deskewing.
-
-    Attributes:
-        source: what was read.
-        output: what was written.
-        trajectory: name of the ego's way, or None where the lidars' own poses were used.
-        at: the moment of each sweep that its points were brought to: "start", "middle" or "end".
-        lidars: the lidars that were deskewed.
-        sweeps: how many they have.
-        deskewed: sweeps whose points were brought to one moment.
-        extrapolated: those of them that needed poses beyond the trajectory's ends.
-        left: why the others stayed as they were, with counts.
-        skipped: sweeps that could not be read, one line each.
-        points: points of the deskewed sweeps whose place is a number.
-        mean_shift, max_shift: how far these were moved [m].
-        seconds: how long it took.
-        losses: what the output could not hold.
-        notices: what was assumed, repaired or left out.
-    """
-
-    source: str
-    output: str
-    trajectory: str | None
-    at: str
-    lidars: tuple[Identifier, ...]
-    sweeps: int
-    deskewed: int
-    extrapolated: int
-    left: dict[str, int]
-    skipped: tuple[str, ...]
-    points: int
-    mean_shift: float
-    max_shift: float
-    seconds: float
-    losses: LossReport
-    notices: tuple[Notice, ...]
 
 
 def deskew(
@@ -128,7 +86,7 @@ def deskew(
     # finding the motion may take long: an output that cannot be is told before
     format_for_output(Path(output))
     check_output(Path(output), overwrite=overwrite)
-    skips, tally = Skips(), _Tally()
+    skips, tally = Skips(), DeskewTally()
     plan = _plan(
         scene,
         trajectory,
@@ -369,46 +327,3 @@ def _readable_frames(sensor: LidarSensor, skips: Skips) -> LazyFrames[LidarFrame
 
 def _read_row(frames: LazyFrames[LidarFrame], rows: list[int], k: int) -> LidarFrame:
     return frames[rows[k]]
-
-
-@dataclass(slots=True)
-class _Tally:
-    """Counts what became of the sweeps; each counts once, however often it is read."""
-
-    deskewed: int = 0
-    extrapolated: int = 0
-    points: int = 0
-    shifted: float = 0.0
-    farthest: float = 0.0
-    left: dict[str, int] = field(default_factory=dict)
-    times: PointTimesTally = field(default_factory=PointTimesTally)
-    seen: set[tuple[type, Identifier, int]] = field(default_factory=set)
-
-    def add(
-        self,
-        sensor_id: Identifier,
-        k: int,
-        frame: DeskewedFrame,
-        *,
-        progress: Progress | None,
-        total: int,
-    ) -> None:
-        key = (type(sensor_id), sensor_id, k)
-        if key in self.seen:
-            return
-        self.seen.add(key)
-        self._count(frame)
-        if progress is not None:
-            progress(len(self.seen), total)
-
-    def _count(self, frame: DeskewedFrame) -> None:
-        self.times.add(frame.times)
-        if frame.left is not None:
-            self.left[frame.left] = self.left.get(frame.left, 0) + 1
-            return
-        self.deskewed += 1
-        self.extrapolated += frame.extrapolated
-        shifts = frame.shifts[np.isfinite(frame.shifts)]
-        self.points += len(shifts)
-        self.shifted += float(shifts.sum())
-        self.farthest = max(self.farthest, float(shifts.max(initial=0.0)))

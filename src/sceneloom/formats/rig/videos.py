@@ -16,7 +16,7 @@ from sceneloom.scene import Picture, VideoContent
 
 
 class VideoFile:
-    """A video by its path; what decodes it is not carried along to other processes.
+    """A video by its path. In another process it opens again, if it is still the file that was opened here.
 
     Attributes:
         path: the file.
@@ -30,11 +30,11 @@ class VideoFile:
         self._lock = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "closed": self._closed}
+        return {"path": self.path, "_closed": self._closed, "_reader": self._reader}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.path, self._closed = state["path"], state["closed"]
-        self._reader, self._lock = None, Lock()
+        self.__dict__.update(state)
+        self._lock = Lock()
 
     def reader(self) -> VideoReader:
         """The open video.

@@ -249,7 +249,8 @@ def _all_placed(lidars: tuple[LidarSensor, ...]) -> bool:
 
 def _check_on_ego(scene: Scene, lidars: tuple[LidarSensor, ...]) -> None:
     for sensor in lidars:
-        if sensor.mount is None and sensor.points_frame is PointsFrame.SENSOR:
+        on_ego = sensor.poses is not None and sensor.coordinates is Coordinates.EGO
+        if sensor.mount is None and sensor.points_frame is PointsFrame.SENSOR and not on_ego:
             raise PoseError(
                 f"{scene.source}: it is not known how lidar {sensor.id!r} is mounted on the ego, so the ego's way "
                 "cannot deskew it; leave the trajectory out to use the poses that the lidar has of its own"

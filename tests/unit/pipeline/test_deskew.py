@@ -350,7 +350,8 @@ def test_poses_in_ego_coordinates_are_followed(drive: SimulatedDrive) -> None:
     )
     scene = with_lidar(drive.scene, mount=None, poses=standing, coordinates=Coordinates.EGO)
     scene = replace(scene, sensors=(*scene.sensors, OdometrySensor("ego", way.poses)))
-    assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 2e-3
+    for trajectory in (None, "groundTruth"):
+        assert errors(drive, deskewed_scene(scene, trajectory=trajectory).lidars[0].frames).max() < 2e-3
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import inspect
 import json
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,15 +14,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import simplejpeg
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.video import PngFolder, open_video
+from sceneloom.pipeline.deskew import deskewed_scene
 from sceneloom.pipeline.origin import moved_scene
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Picture, PointsSensor, Scene
 from sceneloom.scene.part import cut_scene
-from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+from sceneloom.simulate import (
+    CameraSpec,
+    Faults,
+    LidarSpec,
+    RadarSpec,
+    SensorFaults,
+    SolidStateSpec,
+    TrafficSpec,
+    simulate_street,
+)
 
 LENSES = (
     Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5),
@@ -34,10 +46,11 @@ def digest(scene):
     said = hashlib.sha256()
     for sensor in scene.sensors:
         said.update(f"{sensor.id!r} {sorted(sensor.extras)}".encode())
-    for lidar in scene.lidars:
-        for frame in lidar.frames:
+    for cloud in [sensor for sensor in scene.sensors if sensor.type in ("lidar", "radar")]:
+        for frame in cloud.frames:
             arrays = [
-                getattr(frame.points, name) for name in ("positions", "intensities", "timestamps_ns", "rings")
+                getattr(frame.points, name, None)
+                for name in ("positions", "intensities", "timestamps_ns", "rings")
             ]
             said.update(b"".join(a.tobytes() for a in arrays if a is not None))
             said.update(repr((frame.timestamp_ns, sorted(frame.extras))).encode())
@@ -118,6 +131,17 @@ def run(program, question, *arguments):
     return done.stdout
 
 
+RIG = """
+[[sensors]]
+id = "front"
+type = "camera"
+video = "data.mkv"
+times = { rate_hz = 10 }
+lens = { fx = 60, fy = 60, cx = 47.5, cy = 31.5 }
+extrinsic = { to = "base", matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]] }
+"""
+
+
 @pytest.fixture(scope="module")
 def places(tmp_path_factory):
     """A drive as recordings with videos and with PNG files, as scene files raw and fused, and with JPEG pictures."""
@@ -128,7 +152,29 @@ def places(tmp_path_factory):
     sceneloom.write(drive, folder / "png", pictures="png")
     sceneloom.write(drive, folder / "raw.sfs")
     sceneloom.fuse(drive, folder / "fused.sfs")
+    (folder / "rig").mkdir()
+    shutil.copy(folder / "video" / "data.mkv", folder / "rig")
+    (folder / "rig" / "rig.toml").write_text(RIG)
+    sceneloom.write(Scene((jpeg_camera(drive.cameras[0]),)), folder / "jpeg.sfs")
     return folder
+
+
+def jpeg_camera(camera):
+    """The same camera, its pictures JPEG files."""
+    files = [partial(simplejpeg.encode_jpeg, picture.rgb, 90, "RGB", "444") for picture in camera.pictures]
+    pictures = [replace(p, encoded=file) for p, file in zip(camera.pictures, files, strict=True)]
+    return replace(camera, pictures=LazyFrames.of(pictures, camera.pictures.timestamps_ns))
+
+
+def living_street():
+    """A simulated drive of all that moves and measures, with something wrong in it."""
+    lidars = (LidarSpec(beams=4, steps=40), SolidStateSpec())
+    wrong = Faults({"lidar0": SensorFaults(clock_skew_ppm=50.0), "camera0": SensorFaults(lost_frames=(1,))})
+    cameras, radars = (CameraSpec(LENSES[0]),), (RadarSpec(),)
+    traffic = TrafficSpec()
+    return simulate_street(
+        2, frames=2, lidars=lidars, cameras=cameras, radars=radars, traffic=traffic, faults=wrong
+    ).scene
 
 
 @pytest.fixture(scope="module")
@@ -136,13 +182,16 @@ def scenes(places):
     """Scenes of every kind."""
     small = LidarSpec(beams=4, steps=40)
     simulated = simulate_street(2, frames=2, lidar=small, cameras=(CameraSpec(LENSES[0]),)).scene
-    opened = {name: sceneloom.open(places / name) for name in ("video", "png", "raw.sfs", "fused.sfs")}
+    names = ("video", "png", "raw.sfs", "fused.sfs", "jpeg.sfs", "rig")
+    opened = {name: sceneloom.open(places / name) for name in names}
     kept = [replace(picture, extras={}) for picture in opened["png"].cameras[0].pictures]
     in_memory = [Picture.of(picture.timestamp_ns, picture.camera, picture.rgb) for picture in kept]
     stamps = [picture.timestamp_ns for picture in kept]
     yield {
         **opened,
         "simulated": simulated,
+        "living street": living_street(),
+        "deskewed": deskewed_scene(opened["video"]),
         "memory": Scene(
             (
                 LidarSensor(
@@ -175,6 +224,7 @@ def pickled(objects, folder):
 def test_scenes_of_every_kind_give_the_same_bits_in_another_process(scenes, tmp_path):
     expected = {name: digest(scene) for name, scene in scenes.items()}
     assert len(set(expected.values())) == len(expected)
+    assert scenes["jpeg.sfs"].cameras[0].pictures[0].encoded is not None
     found = json.loads(run(IN_ANOTHER, pickled(scenes, tmp_path)))
     assert found == expected
 

@@ -10,6 +10,7 @@ from typing import Any
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.rig.cameras import build_camera
+from sceneloom.formats.rig.doubts import note_doubts
 from sceneloom.formats.rig.drive import Drive, own_frame
 from sceneloom.formats.rig.faults import Faults
 from sceneloom.formats.rig.lidars import build_lidar
@@ -64,6 +65,7 @@ def _open(manifest: Manifest, ledger: Ledger) -> Scene:
         closing()
         raise
     _note_frames_and_roots(drive)
+    note_doubts(manifest.path, sensors, trajectories, ledger)
     return Scene(
         sensors=tuple(sensors),
         trajectories=MappingProxyType(trajectories),

@@ -88,6 +88,26 @@ def test_times_as_well_known_drivers_write_them_are_recognised_with_a_notice(ope
     assert "point-times-not-used" in codes(left)
 
 
+def test_a_column_that_only_looks_like_times_is_left_aside_with_a_notice(opened, folder):
+    for path in (folder / "top").iterdir():
+        path.write_bytes(np.full((4, 4), 5000.0, "<f4").tobytes())
+    scene = opened((FIELDS, 'fields = ["x", "y", "z", "time"]'))
+    assert scene.lidars[0].frames[0].points.timestamps_ns is None
+    (notice,) = scene.notices
+    assert notice.code == "point-times-not-used"
+    assert "5000 s from the file's stamp" in notice.message
+
+
+def test_the_scale_of_brightness_is_seen_in_the_first_file_that_has_any(opened, folder):
+    first = min((folder / "top").iterdir())
+    points = np.ones((4, 4), "<f4")
+    points[:, 3] = 0.0
+    first.write_bytes(points.tobytes())
+    assert opened((SCALE, "")).lidars[0].extras["intensity_max"] == 255.0
+    first.write_bytes(b"")
+    assert opened((SCALE, "")).lidars[0].extras["intensity_max"] == 255.0
+
+
 def test_times_of_the_wrong_unit_are_told_when_the_drive_is_opened(opened, timed):
     with pytest.raises(DataError, match=r't\[1\]: 0\.03.*expected within 10 s|unit = "seconds"'):
         opened((FIELDS, TIMED), (SCALE, POINT_TIMES.replace('seconds"', 'seconds", relative_to = "clock"')))

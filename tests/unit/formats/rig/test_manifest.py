@@ -1,11 +1,15 @@
 """What is wrong in a manifest is told with its place, its value and what was expected, all at once."""
 
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from sceneloom.errors import DataError
+from sceneloom.formats.rig.faults import Faults
 from sceneloom.formats.rig.fields import RECORDS, Kind
+from sceneloom.formats.rig.records import read_record
 
 PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
 
@@ -18,7 +22,7 @@ PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
         ('axes = "flu"', "width = 8", r"sensors\[1\] \(front\)\.width: unknown; did you mean lens\.width\?"),
         ('type = "lidar"', 'type = "lidr"', r"sensors\[0\] \(top\)\.type: 'lidr'; expected one of lidar, .*'lidar'\?"),
         ('type = "lidar"\n', "", r"sensors\[0\] \(top\)\.type: missing; expected one of lidar, camera"),
-        ('type = "lidar"', 'tipe = "lidar"', r"type: missing; expected one of lidar, .*; 'tipe' is unknown: is it meant"),
+        ('type = "lidar"', 'tipe = "lidar"', r"type: missing; .*; 'tipe' is unknown: is it meant"),
         ("intensity_max = 255", "intensity_max = 0", r"intensity_max: 0; expected a number, above 0"),
         ("intensity_max = 255", 'intensity_max = "1"', r"intensity_max: '1'; expected a number"),
         ("[1.0, 0.0, 2.0]", "[1.0, 0.0]", r"transforms\[0\]\.translation: a list of 2; expected a list of 3 numbers"),
@@ -71,6 +75,16 @@ def test_every_field_stands_in_the_documentation(record):
     missing = [field.name for field in RECORDS[record] if f"`{field.name}`" not in page]
     missing += [word for field in RECORDS[record] for word in field.choices[:6] if f"`{word}`" not in page]
     assert not missing
+
+
+def test_manifests_in_the_documentation_are_right():
+    blocks = re.findall(r"^```toml\n(.*?)^```", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    assert len(blocks) >= 3
+    for block in blocks:
+        faults = Faults(PAGE)
+        raw = tomllib.loads(block)
+        read_record({"sensors": [], **raw}, "rig", "", faults)
+        faults.raise_all()
 
 
 def test_the_table_of_fields_is_sound():

@@ -38,7 +38,7 @@ def test_an_imu_that_is_not_at_the_ego_is_remarked(opened, with_motion):
     scene = opened(
         (CAMERA, IMU.replace("rotation_matrix", "translation = [1, 0, 0], rotation_matrix") + CAMERA)
     )
-    assert [notice.code for notice in scene.notices] == ["imu-lever-arm"]
+    assert "imu-lever-arm" in [notice.code for notice in scene.notices]
 
 
 def test_fixes_are_read_and_sorted(opened, with_motion):
@@ -48,7 +48,7 @@ def test_fixes_are_read_and_sorted(opened, with_motion):
     assert gnss.positions_lla.tolist() == [[48.0, 11.6, 520.0], [48.1, 11.5, 520.5]]
     assert gnss.accuracies.tolist() == [2.0, 1.5]
     assert np.isnan(gnss.vertical_accuracies).all()
-    assert [notice.code for notice in scene.notices] == ["samples-sorted"]
+    assert "samples-sorted" in [notice.code for notice in scene.notices]
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,20 @@ def test_frames_that_are_not_connected_are_remarked_when_nothing_needs_them(open
     assert codes(opened(('[[sensors]]\nid = "top"', loose))) == ["loose-frames"]
 
 
+def test_clocks_that_never_meet_are_remarked(opened):
+    scene = opened(("start_s = 1532402927.65", "start_s = 0"))
+    (notice,) = scene.notices
+    assert notice.code == "clocks-apart"
+    assert "trajectory 'pose' begins 1532402927.300 s after sensor 'front'" in notice.message
+
+
+def test_mountings_in_millimetres_are_remarked(opened):
+    scene = opened(("[1.0, 0.0, 2.0]", "[1000.0, 0.0, 2000.0]"))
+    assert [(n.code, "are these millimetres?" in n.message) for n in scene.notices] == [
+        ("far-mount", True)
+    ] * 2
+
+
 def test_fusing_a_rig_writes_a_scene(folder, tmp_path):
     sceneloom.fuse(sceneloom.open(folder), tmp_path / "out.sfs")
     with sceneloom.open(tmp_path / "out.sfs") as scene:

@@ -98,7 +98,7 @@ def test_times_that_run_backwards_are_sorted_with_a_notice(opened, folder):
     (folder / "t.txt").write_text("3\n1\n2\n")
     scene = opened((BY_RATE, 'times = { lines = "t.txt" }'))
     assert first_reds(scene) == [10, 20, 0]
-    assert [(n.code, n.count) for n in scene.notices] == [("files-sorted", 1)]
+    assert ("files-sorted", 1) in [(n.code, n.count) for n in scene.notices]
 
 
 def test_an_offset_is_added_exactly(opened):

@@ -77,7 +77,7 @@ def test_positions_alone_are_a_way_without_orientations(opened, folder):
     scene = opened((TUM, 'file = "way.csv"\nform = "csv"\nframe = "top"'))
     assert scene.trajectories["pose"].quaternions_xyzw is None
     assert scene.lidars[0].poses is None
-    assert [n.code for n in scene.notices] == ["lever-arm-ignored", "orientations-missing"]
+    assert {"lever-arm-ignored", "orientations-missing"} < {n.code for n in scene.notices}
 
 
 def test_poses_out_of_order_are_sorted_and_repeated_ones_left_out(opened, folder):

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sceneloom.formats.sfs import SceneWriter
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
+    from sceneloom.motion.ego_motion import find_ego_motion
     from sceneloom.pipeline import convert, deskew, fuse, iter_fused
     from sceneloom.scene import PosePath, Scene
     from sceneloom.simulate import simulate_street
@@ -32,6 +33,7 @@ __all__ = [
     "__version__",
     "convert",
     "deskew",
+    "find_ego_motion",
     "fuse",
     "iter_fused",
     "open",
@@ -45,6 +47,7 @@ _ON_FIRST_USE = {
     "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),
     "convert": ("sceneloom.pipeline", "convert"),
     "deskew": ("sceneloom.pipeline", "deskew"),
+    "find_ego_motion": ("sceneloom.motion.ego_motion", "find_ego_motion"),
     "fuse": ("sceneloom.pipeline", "fuse"),
     "iter_fused": ("sceneloom.pipeline", "iter_fused"),
     "open": ("sceneloom.formats.table", "open_scene"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, UIn
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import PosePath
+from sceneloom.scene.stored import Parcel, packed, unpacked
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, PointsFrame, SensorType
 
 
@@ -185,7 +186,23 @@ class PointsSensor:
         count = check_array("points.positions", self.positions, (None, 3), np.float32)
         check_array("points.colors", self.colors, (count, 3), np.uint8, optional=True)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        arrays = packed(self.positions), packed(self.colors)
+        return _restored_map, (self.id, *arrays, self.parent_id, self.extras)
+
     @property
     def type(self) -> SensorType:
         """`points`."""
         return SensorType.POINTS
+
+
+def _restored_map(
+    sensor_id: Identifier,
+    positions: Parcel,
+    colors: Parcel,
+    parent_id: Identifier | None,
+    extras: Mapping[str, Any],
+) -> PointsSensor:
+    return PointsSensor(
+        sensor_id, cast("Float32Array", unpacked(positions)), unpacked(colors), parent_id, extras
+    )

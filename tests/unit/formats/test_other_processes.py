@@ -371,6 +371,22 @@ def _refuse(problem):
     raise DataError("drive", "picture 0", problem)
 
 
+def test_a_map_of_a_file_stays_in_it_and_one_in_memory_goes_along(tmp_path):
+    rng = np.random.default_rng(0)
+    positions = rng.normal(size=(20_000, 3)).astype(np.float32)
+    in_memory = PointsSensor("map", positions, rng.integers(0, 256, (20_000, 3)).astype(np.uint8))
+    sceneloom.write(Scene((in_memory,)), tmp_path / "map.sfs")
+    with sceneloom.open(tmp_path / "map.sfs") as scene:
+        parcel = pickle.dumps(scene)
+    assert len(parcel) < 5_000 < len(pickle.dumps(in_memory))
+    for restored in (pickle.loads(parcel).sensors[0], pickle.loads(pickle.dumps(in_memory))):
+        np.testing.assert_array_equal(restored.positions, positions)
+        np.testing.assert_array_equal(restored.colors, in_memory.colors)
+    os.utime(tmp_path / "map.sfs", ns=(0, 0))
+    with pytest.raises(DataError, match="was changed after it was opened"):
+        pickle.loads(parcel)
+
+
 def test_pictures_in_memory_refuse_writing_after_the_journey_too(scenes):
     rgb = pickle.loads(pickle.dumps(scenes["memory"])).cameras[0].pictures[0].rgb
     with pytest.raises(ValueError, match="read-only"):

@@ -21,7 +21,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.identity import FileIdentity
+from sceneloom.formats.sfs.mapped_file import MappedFile
 
 HEADER_LIMIT = 1 << 30
 """Longest header that is read [bytes]: beyond it the text alone would fill the memory of a large machine."""
@@ -77,7 +77,8 @@ class Container:
     def __init__(self, path: Path) -> None:
         """Map the file and decode its header."""
         self.file = str(path)
-        self._mapped, self.identity = _map_file(path)
+        self._mapped = _map_file(path)
+        self.identity = self._mapped.identity
         self.closed = False
         self._on_close: list[Callable[[], None]] = []
         self._start = _header_stop(self._mapped, self.file)
@@ -200,13 +201,11 @@ def _step(node: Any, key: Any) -> Any:
     return node[index] if isinstance(node, list) and index is not None and index < len(node) else None
 
 
-def _map_file(path: Path) -> tuple[mmap.mmap, FileIdentity]:
+def _map_file(path: Path) -> MappedFile:
     try:
         if path.exists() and not path.is_file():
             raise DataError(path, "", "not a file; expected a Sensor Fusion Scene file")
-        with path.open("rb") as file:
-            identity = FileIdentity.of(path, descriptor=file.fileno())
-            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), identity
+        return MappedFile.of(path)
     except ValueError:
         raise DataError(path, "", "is empty; expected a JSON header") from None
     except OSError as error:

@@ -20,6 +20,9 @@ WORLD = "world"
 FARTHEST_WORLD = 100_000.0
 """float32 resolves 8 mm there: points in the world beyond it need a nearer origin [m]."""
 
+LONGEST_SWEEP_NS = 60_000_000_000
+"""A sweep that takes longer than this [ns] is none."""
+
 
 def build_lidar(drive: Drive, record: Record, place: str) -> LidarSensor:
     """Build a lidar; its first file is read, to see what its columns are.
@@ -76,14 +79,19 @@ def _with_clocks(
     Points without times belong to one moment: the middle of the sweep, where it is known, else the stamp.
     """
     meant = record.get("stamp", "start")
-    sweep_ns = record.get("sweep_s")
+    sweep_ns: int = record.get("sweep_s", 0)
     if record.get("deskewed", False):
         return reader
-    if sweep_ns is None and meant != "start":
+    if not sweep_ns and meant != "start":
         sweep_ns = _median_interval(drive, place, stamps)
+    if sweep_ns > LONGEST_SWEEP_NS:
+        problem = (
+            f"{sweep_ns / 1e9:g}; expected how long a sweep takes, at most {LONGEST_SWEEP_NS // 10**9} s"
+        )
+        raise DataError(drive.manifest.path, f"{place}.sweep_s", problem)
     share = {"start": 0.0, "middle": 0.5, "end": 1.0}[meant]
-    starts_ns = stamps.timestamps_ns - round((sweep_ns or 0) * share)
-    times_ns = starts_ns if reader.mapping.times is not None else starts_ns + round((sweep_ns or 0) / 2)
+    starts_ns = stamps.timestamps_ns - round(sweep_ns * share)
+    times_ns = starts_ns if reader.mapping.times is not None else starts_ns + round(sweep_ns / 2)
     clocks = np.stack([stamps.timestamps_ns, starts_ns], axis=1)
     return replace(reader, clocks_ns=clocks, timestamps_ns=times_ns)
 

@@ -11,6 +11,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.rig.csv_files import TIME_COLUMNS, Table, pick_columns, read_table
 from sceneloom.formats.rig.drive import Drive
 from sceneloom.formats.rig.records import Record
+from sceneloom.formats.rig.stamps import shifted
 from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, VectorSamples
 
 _IMU_COLUMNS: Mapping[str, Sequence[str]] = {
@@ -109,7 +110,8 @@ def _stamps(
     drive: Drive, record: Record, table: Table, columns: Mapping[str, int]
 ) -> tuple[Int64Array, Int64Array]:
     """The rows in the order of time, and their times."""
-    stamps = table.stamps(columns["time"], record.get("unit")) + int(record.get("time_offset_s", 0))
+    offset_ns = int(record.get("time_offset_s", 0))
+    stamps = shifted(table.stamps(columns["time"], record.get("unit")), offset_ns, table.path, "")
     order = np.argsort(stamps, kind="stable")
     back = int((np.diff(stamps) < 0).sum())
     if back:

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError
 from sceneloom.formats.clouds.points import UNITS_NS
 
 FARTHEST_NS = 9_200_000_000_000_000_000
@@ -74,6 +76,18 @@ def _of_date(match: "re.Match[str]") -> int:
     return stamp_ns
 
 
+def shifted(timestamps_ns: Int64Array, offset_ns: int, file: object, place: str) -> Int64Array:
+    """Add an offset to stamps.
+
+    Raises:
+        DataError: a sum is beyond the year 2261.
+    """
+    ends = (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (0,)
+    if max(abs(end + offset_ns) for end in ends) > FARTHEST_NS:
+        raise DataError(file, place, f"times with {offset_ns / 1e9:g} s added are beyond the year 2261")
+    return timestamps_ns + offset_ns
+
+
 class NamePattern:
     """A pattern of file names with numbers in it: `{s}_{ns}`, `*__{us}`, `frame_{index}`.
 
@@ -119,7 +133,10 @@ class NamePattern:
             raise StampError(f"{name!r} does not fit the pattern {self._text!r}")
         if self.indexed:
             return int(match["index"][:18])
-        return sum(parse_stamp(text, PLACEHOLDERS[unit]) for unit, text in match.groupdict().items())
+        stamp_ns = sum(parse_stamp(text, PLACEHOLDERS[unit]) for unit, text in match.groupdict().items())
+        if stamp_ns > FARTHEST_NS:
+            raise StampError(f"{name!r} gives a time beyond the year 2261 by the pattern {self._text!r}")
+        return stamp_ns
 
     def _match(self, name: str) -> "re.Match[str] | None":
         while name:

@@ -297,7 +297,10 @@ def _motion_sensor(root: Path, path: Path) -> FoundSensor | None:
     table = _table(path) if path.suffix.lower() == ".csv" else None
     if table is None or table.find(TIME_COLUMNS) is None:
         return None
-    files, about = {"file": path.relative_to(root).as_posix()}, f"{len(table.rows)} samples"
+    files, about = (
+        {"file": path.relative_to(root).as_posix()},
+        f"{len(table.rows)} {'row' if len(table.rows) == 1 else 'rows'}",
+    )
     if table.find(("ax", "acc_x", "accel_x", "gx", "wx", "gyro_x")) is not None:
         return FoundSensor(_plain(path.stem), "imu", files, about)
     if table.find(("lat", "latitude")) is not None and table.find(("alt", "altitude", "height")) is not None:

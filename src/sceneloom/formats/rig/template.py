@@ -164,7 +164,7 @@ def _sensor(sensor: FoundSensor, ego: str) -> str:
         ]
         lens = "fx = nan, fy = nan, cx = nan, cy = nan, coefficients = []"
         lines.append(f"lens = {{ {lens}, width = {sensor.size[0]}, height = {sensor.size[1]} }}")
-    if sensor.id != ego:
+    if sensor.id != ego and sensor.type != "gnss":
         place = "translation = [nan, nan, nan], quaternion_xyzw = [nan, nan, nan, nan]"
         lines.append(f"extrinsic = {{ to = {quoted(ego)}, {place} }}")
     return "\n".join(lines)

@@ -13,7 +13,7 @@ from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.rig.csv_files import FILE_COLUMNS, TIME_COLUMNS, Table, read_lines, read_table
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.roots import Root
-from sceneloom.formats.rig.stamps import FARTHEST_NS, NamePattern, StampError, parse_stamp
+from sceneloom.formats.rig.stamps import FARTHEST_NS, NamePattern, StampError, parse_stamp, shifted
 from sceneloom.scene import NoticeKind
 
 WAYS = ("pattern", "csv", "lines", "rate_hz", "container")
@@ -75,7 +75,8 @@ class TimeSource:
         way = self._way(("csv", "lines", "rate_hz", "container"))
         names = [f"{name} picture {k}" for k in range(count)]
         if way == "container":
-            return self._in_order(np.arange(count), container_ns() + self._start_ns(), names)
+            stamps = shifted(container_ns(), self._start_ns(), self.manifest, f"{self.place}.start_s")
+            return self._in_order(np.arange(count), stamps, names)
         if way == "csv":
             chosen, times = self._in_parallel(*self._csv_times(), count)
         else:
@@ -199,7 +200,7 @@ class TimeSource:
         return np.arange(used), stamps[:used]
 
     def _in_order(self, chosen: Int64Array, times: Int64Array, names: Sequence[str]) -> Stamps:
-        stamps = times + self.offset_ns
+        stamps = shifted(times, self.offset_ns, self.manifest, self.place)
         if len(stamps) > 1 and (np.diff(stamps) < 0).any():
             message = "times run backwards in the order of the names; sorted by time"
             place = f"{self.manifest}: {self.place}"

@@ -15,6 +15,7 @@ from sceneloom.formats.rig.csv_files import TIME_COLUMNS, pick_columns, read_tab
 from sceneloom.formats.rig.manifest import Manifest
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.roots import Root, open_root
+from sceneloom.formats.rig.stamps import shifted
 from sceneloom.formats.rig.times import line_stamps
 from sceneloom.formats.rig.transforms import FrameTree, frame_from_optical
 from sceneloom.geometry.rigid import RigidTransform
@@ -84,7 +85,7 @@ def build_trajectory(
     offset_ns = int(record.get("time_offset_s", 0))
     return Trajectory(
         name,
-        read_only(poses.timestamps_ns + offset_ns),
+        read_only(shifted(poses.timestamps_ns, offset_ns, manifest.path, f"{place}.time_offset_s")),
         read_only(poses.positions),
         None if poses.quaternions_xyzw is None else read_only(poses.quaternions_xyzw),
     )

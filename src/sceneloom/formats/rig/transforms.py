@@ -182,7 +182,10 @@ class FrameTree:
         if len(near) > 1:
             with_frame = ", ".join(map(repr, near[1:]))
             return f"it is connected with {with_frame}, the ego's with {with_ego}: one is missing between"
-        return f"no transform names it; known frames: {', '.join(map(repr, self.frames))}"
+        known = ", ".join(map(repr, self.frames))
+        return (
+            f'no transform names it (known frames: {known}); give it an `extrinsic`, or say `ego = "{frame}"`'
+        )
 
     def _connected(self, frame: str) -> list[str]:
         reached = [frame]

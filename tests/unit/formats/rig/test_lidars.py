@@ -66,6 +66,11 @@ def test_the_length_of_a_sweep_is_told_from_the_intervals_with_a_notice(opened):
     assert "sweep-length" in codes(opened((SCALE, f'{SCALE}\nstamp = "end"')))
 
 
+def test_the_length_of_a_sweep_is_in_seconds(opened):
+    with pytest.raises(DataError, match=r"sweep_s: 100; expected how long a sweep takes, at most 60 s"):
+        opened((SCALE, f"{SCALE}\nsweep_s = 100"))
+
+
 def test_the_length_of_a_single_sweep_has_to_be_said(opened):
     single = ("top/*.bin", f"top/{START_NS}.bin")
     with pytest.raises(DataError, match="a single sweep has no interval; expected how long a sweep takes"):

@@ -77,6 +77,11 @@ def test_patterns_without_sense_are_refused(pattern):
         NamePattern(pattern)
 
 
+def test_times_that_add_up_beyond_all_bounds_are_refused():
+    with pytest.raises(StampError, match="beyond the year 2261"):
+        NamePattern("{s}_{ns}").read(f"9000000000_{9 * 10**18}.bin")
+
+
 @pytest.mark.parametrize("name", ["a12.png", "12a.png", ".png", "١٢.png"])
 def test_names_that_do_not_fit_are_refused(name):
     with pytest.raises(StampError, match="does not fit the pattern"):

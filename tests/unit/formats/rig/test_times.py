@@ -121,6 +121,7 @@ def test_an_offset_is_added_exactly(opened):
             r"no column 'tim'; it has timestamp, .*did you mean 'timestamp'",
         ),
         ("{ rate_hz = 1e-12 }", "beyond the year 2261"),
+        ("{ rate_hz = 10, start_s = 9.1e9 }\ntime_offset_s = 9e9", "are beyond the year 2261"),
     ],
 )
 def test_times_that_say_too_much_or_too_little_are_told(opened, times, problem):

@@ -1,7 +1,7 @@
 """Rigid transforms: a rotation and a translation that take points of one frame into another."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -38,6 +38,9 @@ class RigidTransform:
             )
         object.__setattr__(self, "rotation", read_only(self.rotation))
         object.__setattr__(self, "translation", read_only(self.translation))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RigidTransform, (self.rotation, self.translation)
 
     @classmethod
     def identity(cls) -> Self:

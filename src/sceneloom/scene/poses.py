@@ -1,6 +1,7 @@
 """Where something was over time: the PosePath of the Sensor Fusion Scene format, and named trajectories."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -69,6 +70,9 @@ class PosePath:
             raise ArrayError(f"poses.quaternions_xyzw[{k}]: norm {norm:.4f}; expected 1 within 0.01")
         for name in ("timestamps_ns", "positions", "quaternions_xyzw"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PosePath, (self.timestamps_ns, self.positions, self.quaternions_xyzw, self.endless)
 
     @classmethod
     def identity(cls) -> "PosePath":

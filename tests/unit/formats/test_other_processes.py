@@ -19,7 +19,7 @@ import simplejpeg
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.video import PngFolder, open_video
+from sceneloom.formats.video import PngFolder, VideoReader, open_video
 from sceneloom.pipeline.deskew import deskewed_scene
 from sceneloom.pipeline.origin import moved_scene
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Picture, PointsSensor, Scene
@@ -385,6 +385,25 @@ def test_a_map_of_a_file_stays_in_it_and_one_in_memory_goes_along(tmp_path):
     os.utime(tmp_path / "map.sfs", ns=(0, 0))
     with pytest.raises(DataError, match="was changed after it was opened"):
         pickle.loads(parcel)
+
+
+def test_a_worker_that_goes_forward_seeks_in_each_video_once(scenes, monkeypatch):
+    samples = pickle.loads(pickle.dumps(scenes["video"].samples()))
+    sought = []
+    seek = VideoReader._seek
+    monkeypatch.setattr(
+        VideoReader, "_seek", lambda reader, k: sought.append((reader.name, k)) or seek(reader, k)
+    )
+    for sample in samples:
+        assert all(picture.rgb.any() for picture in sample.pictures.values())
+    assert sorted(k for _, k in sought) == [0, 0]
+    assert len({name for name, _ in sought}) == 2
+
+
+def test_poses_and_mountings_refuse_writing_after_the_journey_too(scenes):
+    camera = pickle.loads(pickle.dumps(scenes["video"])).cameras[0]
+    for array in (camera.poses.positions, camera.mount.rotation, camera.pictures.timestamps_ns):
+        assert not array.flags.writeable
 
 
 def test_pictures_in_memory_refuse_writing_after_the_journey_too(scenes):

@@ -6,7 +6,7 @@ from dataclasses import replace
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.trajectories import IMU, LIDAR, choose_trajectory
-from sceneloom.scene import LidarSensor, Notice, NoticeKind, PointsFrame, Scene
+from sceneloom.scene import LidarSensor, Notice, NoticeKind, PointsFrame, Scene, Trajectory
 from sceneloom.scene.ego import EgoMotion
 
 Progress = Callable[[int, int], None]
@@ -51,6 +51,16 @@ def is_computed(scene: Scene, name: str | None) -> bool:
     if name is None:
         return not scene.trajectories and bool(placeable_lidars(scene))
     return name == LIDAR and name not in scene.trajectories
+
+
+def with_way_found(scene: Scene, ego: EgoMotion) -> Scene:
+    """The scene with the way that was found in it as its default trajectory, and with what is to be said of it."""
+    path = ego.path
+    way = Trajectory(
+        ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
+    )
+    others = {name: other for name, other in scene.trajectories.items() if name != ego.name}
+    return replace(scene, trajectories={ego.name: way, **others}, notices=(*scene.notices, *ego.notices))
 
 
 def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:

@@ -14,7 +14,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.output import check_output
 from sceneloom.formats.table import format_for_output, write_scene
-from sceneloom.motion.ego_motion import Progress, find_ego_motion
+from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed, with_way_found
 from sceneloom.motion.inertial import imu_motion
 from sceneloom.motion.one_moment import MOMENTS, DeskewedFrame, DeskewedFrames, Deskewer, typical_offset_ns
 from sceneloom.motion.sensor_paths import sensor_path
@@ -175,10 +175,10 @@ class _Plan:
                 "source": Path(self.scene.source).name.encode(errors="replace").decode(),
             },
         ]
-        notices = self.scene.notices + (() if self.ego is None else self.ego.notices)
+        scene = self.scene if self.ego is None else _told(self.scene, self.ego)
         told = {**(ours if isinstance(ours, Mapping) else {}), ENTRY: entries}
         metadata = MappingProxyType({**self.scene.metadata, OURS: told})
-        return replace(self.scene, sensors=sensors, metadata=metadata, notices=notices)
+        return replace(scene, sensors=sensors, metadata=metadata)
 
     def _deskewed_lidar(
         self, sensor: LidarSensor, on_frame: Callable[[Identifier, int, DeskewedFrame], None] | None
@@ -199,6 +199,13 @@ class _Plan:
                 or poses
             )
         return replace(sensor, frames=frames, poses=poses)
+
+
+def _told(scene: Scene, ego: EgoMotion) -> Scene:
+    """The scene with what is to be said of the ego's way, and with the way where it was found from the sweeps."""
+    if is_computed(scene, ego.name):
+        return with_way_found(scene, ego)
+    return replace(scene, notices=(*scene.notices, *ego.notices))
 
 
 def _plan(

@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError, OptionError
-from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed
+from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed, with_way_found
 from sceneloom.motion.sensor_paths import camera_path
 from sceneloom.pipeline.origin import can_move, moved_scene
 from sceneloom.scene import (
@@ -23,7 +23,6 @@ from sceneloom.scene import (
     RadarSensor,
     Scene,
     Sensor,
-    Trajectory,
 )
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.part import chosen_interval, cut_scene
@@ -83,7 +82,7 @@ def weave(
         return Woven(part, None, np.zeros(3))
     if is_computed(scene, trajectory):
         ego = find_ego_motion(part, name=trajectory, heading=heading, lenient=lenient, progress=progress)
-        part = _with_way_found(part, ego)
+        part = with_way_found(part, ego)
     else:
         # chosen from the whole drive: a heading comes from the way before the part, too
         whole_way = find_ego_motion(scene, name=trajectory, heading=heading)
@@ -111,16 +110,6 @@ def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identif
     if woven.ego is not None and not _is_told(woven.ego.path, woven.scene):
         sensors.append(OdometrySensor(_free_id(woven.scene, EGO_ID), woven.ego.path))
     return replace(woven.scene, sensors=tuple(sensors)), sources
-
-
-def _with_way_found(scene: Scene, ego: EgoMotion) -> Scene:
-    """The scene with the way that was found in it as its default trajectory, and with what is to be said of it."""
-    path = ego.path
-    way = Trajectory(
-        ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
-    )
-    others = {name: other for name, other in scene.trajectories.items() if name != ego.name}
-    return replace(scene, trajectories={ego.name: way, **others}, notices=(*scene.notices, *ego.notices))
 
 
 def _check_order(scene: Scene) -> None:

@@ -328,6 +328,18 @@ def test_what_cannot_be_followed_is_refused_with_the_reason(drive: SimulatedDriv
         deskew(scene, tmp_path / "drive.sfs")
 
 
+def test_a_way_that_was_found_goes_along_so_that_nothing_finds_it_again(
+    drive: SimulatedDrive, tmp_path: Path
+) -> None:
+    lost = replace(drive.scene, trajectories={})
+    deskew(lost, tmp_path / "deskewed.sfs")
+    with sceneloom.open(tmp_path / "deskewed.sfs") as scene:
+        assert list(scene.trajectories) == ["lidar"]
+        assert scene.trajectories["lidar"].covariances is not None
+        assert "trajectory-from-lidar" in {notice.code for notice in scene.notices}
+    assert list(deskewed_scene(drive.scene).trajectories) == list(drive.scene.trajectories)
+
+
 def test_a_second_lidar_can_be_deskewed_later(drive: SimulatedDrive, tmp_path: Path) -> None:
     second = replace(drive.scene.lidars[0], id="rear")
     scene = replace(drive.scene, sensors=(*drive.scene.sensors, second))

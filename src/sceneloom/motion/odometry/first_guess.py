@@ -1,5 +1,6 @@
 """The motion between two sweeps where nothing is known about it yet."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,8 @@ _SPACING = 0.5
 _NEIGHBOURS = 15
 _REACHES = (5.0, 1.5)
 """Points farther apart than this [m] do not belong together: first roughly, then closely."""
-_SPEEDS = (0.0, 10.0, 20.0, 30.0, -5.0)
-"""Speeds along the ego's x axis [m/s] from which the search begins: matching alone finds a few metres."""
+SPEEDS = (0.0, 10.0, 20.0, 30.0, -5.0)
+"""Speeds along the ego's x axis [m/s] to begin from where nothing is known: matching alone finds a few metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +30,9 @@ class Guess:
     misfit: float
 
 
-def guess_motion(earlier: Float64Array, later: Float64Array, seconds: float) -> list[Guess]:
+def guess_motion(
+    earlier: Float64Array, later: Float64Array, seconds: float, *, speeds: Sequence[float]
+) -> list[Guess]:
     """Match two sweeps, (N, 3) and (M, 3) [m] in the ego frame, from several speeds; the best guess comes first.
 
     One thread, so that equal sweeps give equal guesses.
@@ -39,7 +42,7 @@ def guess_motion(earlier: Float64Array, later: Float64Array, seconds: float) -> 
     target, tree = small_gicp.preprocess_points(earlier, _SPACING, _NEIGHBOURS, 1)
     source, _ = small_gicp.preprocess_points(later, _SPACING, _NEIGHBOURS, 1)
     guesses = []
-    for speed in _SPEEDS:
+    for speed in speeds:
         pose = np.eye(4)
         pose[0, 3] = speed * seconds
         for reach in _REACHES:

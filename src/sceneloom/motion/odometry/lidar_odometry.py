@@ -9,7 +9,7 @@ from sceneloom.arrays import Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError
 from sceneloom.kernels.scan_matching import move_points
 from sceneloom.motion.odometry.configuration import OdometryConfiguration
-from sceneloom.motion.odometry.first_guess import guess_motion
+from sceneloom.motion.odometry.first_guess import SPEEDS, guess_motion
 from sceneloom.motion.odometry.local_map import LocalMap
 from sceneloom.motion.odometry.motion_state import SHIFT, TURN, TURN_RATE, VELOCITY, MotionState, turn_vector
 from sceneloom.motion.odometry.registration import Fit, fit_sweep
@@ -54,7 +54,7 @@ class PoseEstimate:
         covariance: (6, 6) of a small turn, then a small shift along the world's axes, relative to the first pose.
         outcome: how it came about.
         first_ns, last_ns: the span of the sweep's points [ns].
-        first_state: motion of the sweep that the map began with, where this sweep told it; else None.
+        first_state: pose and motion of the sweep that the map began with, where this sweep told it; else None.
     """
 
     state: MotionState
@@ -104,10 +104,10 @@ class LidarOdometry:
         if timestamps_ns is not None and timestamps_ns.shape != positions_ego.shape[:1]:
             raise ArrayError(f"timestamps_ns: {timestamps_ns.shape}; expected ({len(positions_ego)},)")
         sweep = usable_sweep(timestamp_ns, positions_ego, timestamps_ns, self.configuration)
-        if self._state is None:
-            return self._begin(sweep)
-        if sweep.timestamp_ns <= self._state.timestamp_ns:
+        if self._state is not None and sweep.timestamp_ns <= self._state.timestamp_ns:
             return None
+        if self._state is None or self._map.is_empty:
+            return self._begin(sweep)
         seconds = (sweep.timestamp_ns - self._state.timestamp_ns) * 1e-9
         gap = self._is_gap(seconds)
         prior = self._predict(self._state, sweep.timestamp_ns)
@@ -115,7 +115,7 @@ class LidarOdometry:
             self._periods = [*self._periods[-20:], seconds]
         if len(sweep.chosen) < self.configuration.least_points:
             return self._predicted(sweep, prior, Outcome.TOO_FEW)
-        if gap or self._map.is_empty:
+        if gap:
             return self._restart(sweep, prior)
         if self._anchor is not None:
             return self._second(sweep, self._state, self._anchor)
@@ -139,7 +139,7 @@ class LidarOdometry:
         return replace(stopped, timestamp_ns=timestamp_ns, covariance=grown)
 
     def _begin(self, sweep: Sweep) -> PoseEstimate:
-        """The first sweep defines the world; one without points does so too, and the map begins later."""
+        """The first sweep with enough points defines the world; until it comes, all poses are the identity."""
         state = MotionState(
             sweep.timestamp_ns, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), _unknown_motion()
         )
@@ -179,6 +179,7 @@ class LidarOdometry:
         self._map = self._new_map()
         self._map.insert(_to_world(anchor, first))
         self._anchor = None
+        self._drift = self._drift + fit.state.covariance[:6, :6]
         return replace(self._accept(sweep, fit), first_state=first)
 
     def _fit_first(
@@ -197,9 +198,10 @@ class LidarOdometry:
     ) -> list[MotionState]:
         """What the motion may be: as it was before the start, and what matching the two sweeps says."""
         motions = [before]
-        for guess in guess_motion(anchor.points_ego[anchor.chosen], sweep.points_ego[sweep.chosen], seconds)[
-            :1
-        ]:
+        guesses = guess_motion(
+            anchor.points_ego[anchor.chosen], sweep.points_ego[sweep.chosen], seconds, speeds=SPEEDS
+        )
+        for guess in guesses[:1]:
             later = replace(
                 before,
                 timestamp_ns=sweep.timestamp_ns,
@@ -228,7 +230,10 @@ class LidarOdometry:
     ) -> Fit:
         """Fit again from where matching with the last good sweep puts the ego, if that is better."""
         seconds = (sweep.timestamp_ns - state.timestamp_ns) * 1e-9
-        guesses = guess_motion(last.points_ego[last.chosen], sweep.points_ego[sweep.chosen], seconds)
+        speed = float(prior.rotation[:, 0] @ prior.velocity)
+        guesses = guess_motion(
+            last.points_ego[last.chosen], sweep.points_ego[sweep.chosen], seconds, speeds=(speed,)
+        )
         for guess in guesses[:1]:
             moved = replace(
                 prior,

@@ -9,6 +9,7 @@ from sceneloom.errors import PoseError
 from sceneloom.motion.odometry.configuration import OdometryConfiguration
 from sceneloom.motion.odometry.knots import trajectory_of
 from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
+from sceneloom.motion.odometry.motion_state import MotionState
 from sceneloom.motion.odometry.scene_sweeps import SceneSweeps
 from sceneloom.scene import Notice, NoticeKind, Scene, Trajectory
 
@@ -49,7 +50,8 @@ def lidar_odometry(
         DataError: a sweep cannot be read, and this is not lenient.
     """
     sweeps = SceneSweeps.of(scene, lenient=lenient)
-    odometry = LidarOdometry(configuration)
+    settings = configuration or OdometryConfiguration()
+    odometry = LidarOdometry(settings)
     estimates: list[PoseEstimate] = []
     late = 0
     for done, cloud in enumerate(sweeps.clouds(), start=1):
@@ -57,7 +59,7 @@ def lidar_odometry(
         if estimate is None:
             late += 1
         else:
-            _append(estimates, estimate)
+            _append(estimates, estimate, settings)
         if progress is not None:
             progress(done, len(sweeps))
     if not any(estimate.outcome in _BEGINNINGS for estimate in estimates):
@@ -71,12 +73,23 @@ def lidar_odometry(
     )
 
 
-def _append(estimates: list[PoseEstimate], estimate: PoseEstimate) -> None:
-    """Add an estimate; what it tells about the sweep that the map began with replaces what was not known then."""
-    if estimate.first_state is not None:
+def _append(estimates: list[PoseEstimate], estimate: PoseEstimate, settings: OdometryConfiguration) -> None:
+    """Add an estimate; what it tells about the sweep that the map began with replaces what was not known then.
+
+    Sweeps before the very first map get the poses from which its motion comes.
+    """
+    first = estimate.first_state
+    if first is not None:
         begun_at = max(k for k, earlier in enumerate(estimates) if earlier.outcome in _BEGINNINGS)
-        estimates[begun_at] = replace(estimates[begun_at], state=estimate.first_state)
+        estimates[begun_at] = replace(estimates[begun_at], state=first)
+        if estimates[begun_at].outcome is Outcome.STARTED:
+            estimates[:begun_at] = [_led_back(earlier, first, settings) for earlier in estimates[:begun_at]]
     estimates.append(estimate)
+
+
+def _led_back(earlier: PoseEstimate, first: MotionState, settings: OdometryConfiguration) -> PoseEstimate:
+    state = first.predicted(earlier.state.timestamp_ns, settings.acceleration, settings.turn_acceleration)
+    return replace(earlier, state=state, covariance=state.covariance[:6, :6])
 
 
 _BEGINNINGS = (Outcome.STARTED, Outcome.RESTARTED)

@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from glob import escape
 from pathlib import Path
 
 import numpy as np
@@ -131,7 +132,7 @@ def _groups(root: Path, files: Sequence[Path]) -> Iterator[_Group]:
         shapes.setdefault(_DIGITS.sub("*", path.name), []).append(path)
     for (folder, suffix), shapes in by_folder.items():
         place = folder.relative_to(root).as_posix()
-        prefix = "" if place == "." else f"{place}/"
+        prefix = "" if place == "." else f"{escape(place)}/"
         if len(shapes) == 1 or len(shapes) > _MOST_SHAPES:
             alike = [path for paths in shapes.values() for path in paths]
             name = _own_name(folder, root) if prefix else _longest_word(next(iter(shapes)), suffix)
@@ -139,7 +140,8 @@ def _groups(root: Path, files: Sequence[Path]) -> Iterator[_Group]:
             continue
         for shape, paths in shapes.items():
             name = _plain(_longest_word(shape, suffix))
-            yield _Group(folder, prefix + re.sub(r"\*[*\W]*\*", "*", shape), name, tuple(paths))
+            pattern = "*".join(map(escape, re.sub(r"\*[*\W]*\*", "*", shape).split("*")))
+            yield _Group(folder, prefix + pattern, name, tuple(paths))
 
 
 def _longest_word(shape: str, suffix: str) -> str:

@@ -123,7 +123,8 @@ def write_template(path: Path, *, folder: Path | None = None, overwrite: bool = 
         )
     text = template_text(folder=folder, root=None if folder is None else _root(path, folder))
     with replacing(path, overwrite=overwrite) as draft:
-        draft.write_text(text, "utf-8")
+        # names may be no Unicode, TOML always is
+        draft.write_bytes(text.encode("utf-8", "replace"))
 
 
 def _root(path: Path, folder: Path) -> str | None:

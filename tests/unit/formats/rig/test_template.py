@@ -166,6 +166,15 @@ def test_files_of_several_sensors_in_one_folder_are_told_apart(tmp_path):
         assert len(list(tmp_path.glob(sensor.files["files"]))) == 2
 
 
+def test_signs_of_patterns_in_names_are_taken_as_they_are(tmp_path):
+    for name in ("run [1]", "run 1"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{START_NS}.pcd").write_bytes(PCD)
+    found = survey(tmp_path).sensors
+    assert len({sensor.id for sensor in found}) == 2
+    assert [len(list(tmp_path.glob(sensor.files["files"]))) for sensor in found] == [1, 1]
+
+
 def test_layouts_of_files_without_a_head_are_guessed_from_their_numbers(tmp_path):
     rng = np.random.default_rng(0)
     for name, columns in (("four", 4), ("five", 5)):

@@ -181,3 +181,39 @@ lens = {{ fx = {lens["fx"]}, fy = {lens["fy"]}, cx = {lens["cx"]}, cy = {lens["c
 def test_a_look_into_real_folders_finds_their_sensors(data_dir, folder, lidars, cameras):
     types = [sensor.type for sensor in survey(data_dir / "real" / folder).sensors]
     assert (types.count("lidar"), types.count("camera")) == (lidars, cameras)
+
+
+def test_a_recording_described_by_hand_is_the_recording(data_dir, tmp_path):
+    data = data_dir / "recordings" / "kitti_drive"
+    numbers = json.loads((data / "calibration.json").read_text())
+    lens, lidar = numbers["cameras"][0], numbers["lidars"][0]
+    (tmp_path / "rig.toml").write_text(f"""
+ego = "imu"
+root = "{data}"
+[[sensors]]
+id = "lidar"
+type = "lidar"
+files = "lidar/*.bin"
+times = {{ pattern = "{{index}}", rate_hz = 10 }}
+fields = ["x", "y", "z", "intensity:uint8", "ring:uint16", "timestamp:float64"]
+extrinsic = {{ from = "imu", matrix = {lidar["imuToLidar"]} }}
+[[sensors]]
+id = "camera0"
+type = "camera"
+video = "data.mkv"
+times = {{ rate_hz = 10, start_s = 0.05 }}
+extrinsic = {{ from = "imu", matrix = {lens["imuToCamera"]} }}
+lens = {{ fx = {lens["focalLengthX"]}, cx = {lens["principalPointX"]}, cy = {lens["principalPointY"]} }}
+""")
+    own, known = sceneloom.open(tmp_path), sceneloom.open(data)
+    assert "point-times-assumed" in [notice.code for notice in own.notices], "seconds of the clock"
+    for found, expected in zip(own.lidars[0].frames, known.lidars[0].frames, strict=True):
+        assert found.timestamp_ns == expected.timestamp_ns
+        for name in ("positions", "intensities", "rings", "timestamps_ns"):
+            np.testing.assert_array_equal(getattr(found.points, name), getattr(expected.points, name))
+    for found, expected in zip(own.cameras[0].pictures, known.cameras[0].pictures, strict=True):
+        assert found.timestamp_ns == expected.timestamp_ns
+        np.testing.assert_array_equal(found.rgb, expected.rgb)
+    assert own.cameras[0].camera == known.cameras[0].camera
+    for found, expected in zip(own.sensors, (known.lidars[0], known.cameras[0]), strict=True):
+        np.testing.assert_allclose(found.mount.matrix, expected.mount.matrix, atol=1e-12)

@@ -1,12 +1,14 @@
 """Samples of recordings made from real logs, held against their calibrations and what was counted in them."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import sceneloom
 from sceneloom.cameras import project
+from sceneloom.motion.ego_motion import find_ego_motion
 
 
 def samples_of(data_dir, name, **arguments):
@@ -41,6 +43,22 @@ def test_the_kitti_drive_without_poses_still_has_its_calibration(data_dir):
         found = sample.camera_from_points["camera0"].matrix
         # the file's matrices are rounded, ours are made orthonormal
         np.testing.assert_allclose(found, camera_from_imu @ np.linalg.inv(lidar_from_imu), atol=1e-5)
+
+
+def test_a_way_found_from_the_sweeps_places_the_samples_of_the_kitti_drive(data_dir):
+    folder = data_dir / "recordings" / "kitti_drive"
+    if not folder.is_dir():
+        pytest.skip(f"no recording at {folder}")
+    with sceneloom.open(folder) as scene:
+        samples = scene.samples(trajectory=find_ego_motion(scene))
+        assert samples.trajectory == "lidar"
+        ways = [
+            sample.world_from_lidar.inverse() @ later.world_from_lidar for sample, later in pairwise(samples)
+        ]
+    # it crawls ahead, about as fast all the time
+    forward = [way.translation[0] for way in ways]
+    assert 0.1 < min(forward) <= max(forward) < 0.3
+    assert max(abs(way.translation[1]) for way in ways) < 0.03
 
 
 def points(sample):

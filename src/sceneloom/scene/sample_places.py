@@ -117,7 +117,10 @@ def choose_ego(scene: Scene, trajectory: str | EgoMotion | None) -> EgoMotion | 
     if trajectory == IDENTITY:
         return EgoMotion(IDENTITY, PosePath.identity())
     choices = ", ".join([*scene.trajectories, IDENTITY])
-    raise OptionError(f"{scene.source}: no trajectory {trajectory!r}; there are: {choices}")
+    raise OptionError(
+        f"{scene.source}: no trajectory {trajectory!r}; there are: {choices}; "
+        "one that `sceneloom.motion.ego_motion.find_ego_motion` finds can be handed in"
+    )
 
 
 def places_of(scene: Scene, sensors: Iterable[Posed], ego: EgoMotion | None) -> Mapping[Identifier, Place]:

@@ -24,6 +24,7 @@ from sceneloom.scene import (
     RadarFrame,
     RadarPoints,
     RadarSensor,
+    Sample,
     Scene,
     Trajectory,
 )
@@ -350,3 +351,14 @@ def test_a_damaged_sweep_raises_when_its_sample_is_asked_for_and_no_other():
     assert samples[2].index == 2
     with pytest.raises(DataError, match="is torn"):
         samples[1]
+
+
+def test_what_a_function_makes_of_samples_is_a_sequence_that_makes_nothing_before_it_is_asked():
+    made = []
+    numbers = drive().samples().map(lambda sample: made.append(sample.index) or sample.index * 10)
+    assert len(numbers) == 4
+    assert made == []
+    assert (numbers[2], numbers[-1]) == (20, 30)
+    assert list(numbers[::-2]) == [30, 10]
+    assert made == [2, 3, 3, 1]
+    assert drive().samples().map(Sample.arrays)[0]["index"] == 0

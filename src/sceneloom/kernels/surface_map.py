@@ -197,16 +197,15 @@ def _inform(a: Float64Array, v: Float64Array, noise: float, surface: Float64Arra
     largest = a[long, long]
     if largest < 4.0 * noise * noise:
         return
-    is_line = a[middle, middle] <= LINE_SHARE * largest
-    if is_line and abs(v[2, long]) < STEEP:
+    is_steep = abs(v[2, long]) >= STEEP
+    if a[middle, middle] <= LINE_SHARE * largest and not is_steep:
         return
-    for k in range(2):
-        axis = short if k == 0 else middle
+    for axis in (short, middle):
         share = 1.0 - a[axis, axis] / (THIN_SHARE * largest)
-        if share > 0.0:
+        if share > 0.0 and (axis == short or is_steep):
             weight = share / (max(a[axis, axis], 0.0) + noise * noise)
             _add_square(weight, v[0, axis], v[1, axis], v[2, axis], surface[3:9])
-        axis = long if k == 0 else middle
+    for axis in (long, middle):
         weight = 1.0 / max(a[axis, axis], noise * noise)
         _add_square(weight, v[0, axis], v[1, axis], v[2, axis], surface[9:15])
 
@@ -229,9 +228,9 @@ def describe_surfaces(
 ) -> None:
     """Find mean and information of the points of every touched cube, and take its mark off.
 
-    A cube informs across its surface alone: an eigenvector of the spread counts as much as its eigenvalue is small
-    against the largest. A single level scan line has two small eigenvalues though it lies on a surface whose slope is
-    not known, so lines inform only when they are steep (poles, trunks).
+    A cube informs across its surface alone: the direction of least spread counts as much as that spread is small
+    against the largest. What is thin in two directions (poles, trunks) informs in both, if it is steep; a level one
+    is a scan line on a surface whose slope is not known, and informs about nothing.
 
     Args:
         noise: standard deviation of a point across a flat surface [m].

@@ -10,6 +10,11 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import ArrayError, CalibrationError
 
+SILENT_ERROR = 1e-3
+GREATEST_ERROR = 1e-2
+"""Errors of a rotation read from a file, max abs of R·Rᵀ - I: up to the first normalised in silence (the examples of
+the specifications are 2e-4 off), up to the second with a notice, beyond it refused."""
+
 _CONJUGATION = np.array([-1.0, -1.0, -1.0, 1.0])
 
 

@@ -1,6 +1,9 @@
 """Where a sensor was at any time: a path, and how the sensor is mounted on what moves along it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.geometry.rigid import RigidTransform
@@ -36,3 +39,33 @@ class PoseSource:
             multiply_quaternions(body.quaternions_xyzw, self.mount.quaternion_xyzw),
             body.coverage,
         )
+
+
+def poses_along(
+    path: PosePath | None,
+    mounts: Mapping[int, RigidTransform],
+    chosen: Int64Array,
+    timestamps_ns: Int64Array,
+) -> PosePath | None:
+    """Give `world_from_sensor` at those of the times that the path covers; None where there are none.
+
+    Args:
+        path: `world_from_ego`, or None where it is not known.
+        mounts: `ego_from_sensor` by number.
+        chosen: (N,) int64, number of the mounting at each time; a time whose mounting is not known gets no pose.
+        timestamps_ns: (N,) int64 [ns], ascending; of equal ones the first counts.
+    """
+    if path is None:
+        return None
+    times, rows = np.unique(timestamps_ns, return_index=True)
+    numbers = chosen[rows]
+    positions, quaternions = np.full((len(times), 3), np.nan), np.full((len(times), 4), np.nan)
+    for number in np.unique(numbers).tolist():
+        if number in mounts:
+            same = numbers == number
+            samples = PoseSource(path, mounts[number]).at(times[same])
+            positions[same], quaternions[same] = samples.positions, samples.quaternions_xyzw
+    known = np.isfinite(positions[:, 0])
+    if not known.any():
+        return None
+    return PosePath(times[known], positions[known], quaternions[known])

@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 import msgspec
 
 from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault, json_problem
-from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lenses import CameraParameters
 from sceneloom.formats.recording.line_shapes import SensorIndex
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform

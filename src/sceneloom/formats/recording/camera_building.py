@@ -13,10 +13,10 @@ from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.identity import FileIdentity
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration, CameraCalibration
 from sceneloom.formats.recording.columns import CameraColumns, FrameColumns
 from sceneloom.formats.recording.frame_parameters import read_mount, read_parameters, read_texts
-from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lenses import lens
 from sceneloom.formats.recording.picture_files import (
     OpenPictures,
@@ -28,10 +28,10 @@ from sceneloom.formats.recording.picture_files import (
     unused_pictures,
 )
 from sceneloom.formats.recording.picture_table import PictureTable, build_table
-from sceneloom.formats.recording.trajectories import poses_along
 from sceneloom.formats.video import VideoReader
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LazyFrames, NoticeKind, PosePath, VideoContent
+from sceneloom.scene.pose_source import poses_along
 
 
 @dataclass(frozen=True, slots=True, eq=False)

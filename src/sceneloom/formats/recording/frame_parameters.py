@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 
 from sceneloom.errors import DataError, SceneloomError
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.columns import FrameColumns
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem
-from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lenses import CameraParameters
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
 from sceneloom.geometry.rigid import RigidTransform

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import DataError
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration
 from sceneloom.formats.recording.columns import Columns, RecordingColumns
-from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.scene import NoticeKind, Trajectory
 
 VIO_CONFIG_FILE = "vio_config.yaml"

@@ -9,13 +9,13 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration, LidarCalibration
 from sceneloom.formats.recording.columns import LidarColumns
-from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lidar_files import check_size, find_file, read_points
-from sceneloom.formats.recording.trajectories import poses_along
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LazyFrames, LidarFrame, LidarSensor, NoticeKind, PosePath
+from sceneloom.scene.pose_source import poses_along
 
 
 @dataclass(frozen=True, slots=True, eq=False)

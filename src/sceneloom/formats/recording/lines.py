@@ -8,9 +8,9 @@ from typing import Any, BinaryIO
 import msgspec
 
 from sceneloom.errors import DataError
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.columns import RecordingColumns
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
-from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.line_shapes import RECORD_KEYS, ROOT_KEYS, ExactLine, ExactPose, Line, Pose
 from sceneloom.formats.recording.line_taking import UnfitLineError, take_line, take_pose
 from sceneloom.scene import NoticeKind

@@ -4,18 +4,13 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import nearest_rotation
+from sceneloom.geometry.rotations import GREATEST_ERROR, SILENT_ERROR, nearest_rotation
 from sceneloom.scene import NoticeKind
 
 MatrixNumbers = list[float | list[float]]
 """A matrix as JSON has it: four rows of four, or sixteen numbers column by column."""
-
-SILENT_ERROR = 1e-3
-GREATEST_ERROR = 1e-2
-"""Errors of a rotation, max abs of R·Rᵀ - I: up to the first normalised in silence (the format's own examples are
-2e-4 off), up to the second with a notice, beyond it refused."""
 
 _LAST_ROW_ERROR = 1e-6
 _LARGEST_ELEMENT = 2.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.video import PngFolder, VideoReader, open_video
 
 VIDEO_SUFFIXES = ("mkv", "mp4", "mov", "avi", "ts")

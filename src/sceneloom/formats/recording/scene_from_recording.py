@@ -7,11 +7,11 @@ from types import MappingProxyType
 from sceneloom.arrays import read_only
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.identity import FileIdentity
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import read_calibration
 from sceneloom.formats.recording.camera_building import CameraSources, build_cameras
 from sceneloom.formats.recording.columns import Columns, RecordingColumns
 from sceneloom.formats.recording.further_contents import RecordingContents, further_contents
-from sceneloom.formats.recording.ledger import Ledger
 from sceneloom.formats.recording.lidar_building import build_lidars
 from sceneloom.formats.recording.lines import read_lines
 from sceneloom.formats.recording.picture_files import OpenPictures

@@ -7,11 +7,9 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array, read_only
 from sceneloom.errors import DataError
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.columns import PoseColumns, SortedColumns
-from sceneloom.formats.recording.ledger import Ledger
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import NoticeKind, PosePath, Trajectory
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene import NoticeKind, Trajectory
 
 RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
 """Which root keys are taken for the default trajectory before others."""
@@ -100,33 +98,3 @@ def _first_of_each_time(
         place = f"{path}: line {lines[repeated[0]]}"
         ledger.note(NoticeKind.SKIPPED, "repeated-poses", place, message, count=len(repeated))
     return kept
-
-
-def poses_along(
-    path: PosePath | None,
-    mounts: Mapping[int, RigidTransform],
-    chosen: Int64Array,
-    timestamps_ns: Int64Array,
-) -> PosePath | None:
-    """Give `world_from_sensor` at those of the times that the path covers; None where there are none.
-
-    Args:
-        path: `world_from_ego`, or None where it is not known.
-        mounts: `ego_from_sensor` by number.
-        chosen: (N,) int64, number of the mounting at each time; a time whose mounting is not known gets no pose.
-        timestamps_ns: (N,) int64 [ns], ascending; of equal ones the first counts.
-    """
-    if path is None:
-        return None
-    times, rows = np.unique(timestamps_ns, return_index=True)
-    numbers = chosen[rows]
-    positions, quaternions = np.full((len(times), 3), np.nan), np.full((len(times), 4), np.nan)
-    for number in np.unique(numbers).tolist():
-        if number in mounts:
-            same = numbers == number
-            samples = PoseSource(path, mounts[number]).at(times[same])
-            positions[same], quaternions[same] = samples.positions, samples.quaternions_xyzw
-    known = np.isfinite(positions[:, 0])
-    if not known.any():
-        return None
-    return PosePath(times[known], positions[known], quaternions[known])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.ledger import Ledger
 from sceneloom.scene import CameraSensor, LidarSensor, NoticeKind, Sensor, Trajectory
 from sceneloom.scene.span import frame_times
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.formats.recording.ledger import Ledger
-from sceneloom.formats.recording.trajectories import poses_along
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.manifest import Manifest
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.roots import Root, open_root
@@ -15,6 +14,7 @@ from sceneloom.formats.rig.transforms import FrameTree
 from sceneloom.formats.rig.videos import VideoFile
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PosePath
+from sceneloom.scene.pose_source import poses_along
 
 
 def own_frame(record: Record) -> str:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
-from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.cameras import build_camera
 from sceneloom.formats.rig.doubts import note_doubts
 from sceneloom.formats.rig.drive import Drive, own_frame

@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.csv_files import FILE_COLUMNS, TIME_COLUMNS, Table, read_lines, read_table
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.roots import Root

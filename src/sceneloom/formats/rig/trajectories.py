@@ -9,8 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.ledger import Ledger
-from sceneloom.formats.recording.mounts import GREATEST_ERROR
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.csv_files import TIME_COLUMNS, pick_columns, read_table
 from sceneloom.formats.rig.manifest import Manifest
 from sceneloom.formats.rig.records import Record
@@ -20,6 +19,7 @@ from sceneloom.formats.rig.times import line_stamps
 from sceneloom.formats.rig.transforms import FrameTree, frame_from_optical
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
+    GREATEST_ERROR,
     multiply_quaternions,
     nearest_rotation,
     normalise_quaternion,

@@ -8,12 +8,11 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.recording.ledger import Ledger
-from sceneloom.formats.recording.mounts import GREATEST_ERROR, SILENT_ERROR
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.records import Record
 from sceneloom.geometry.euler import rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rotations import GREATEST_ERROR, SILENT_ERROR, matrix_from_quaternion
 from sceneloom.scene import NoticeKind
 
 _ROTATIONS = ("quaternion_xyzw", "quaternion_wxyz", "rotation_matrix", "euler_deg")

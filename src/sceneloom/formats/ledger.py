@@ -1,4 +1,4 @@
-"""What is assumed, repaired or left out while a recording is read, counted per kind."""
+"""What is assumed, repaired or left out while a drive is read, counted per kind."""
 
 from dataclasses import dataclass
 

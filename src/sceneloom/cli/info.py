@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.mountings import mounting_text
 from sceneloom.cli.printing import amount, print_json, print_notices, print_table, seconds, several
 from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
@@ -22,6 +23,7 @@ def info(path: Path, as_json: bool, quiet: bool, verbose: bool, **reading: Any) 
 
     with open_scene(path, **options.said(**reading)) as scene:
         summary = summarise(scene, size_bytes=size_on_disk(path))
+        mountings = [mounting_text(sensor) for sensor in scene.sensors]
     if as_json:
         print_json(summary)
         return
@@ -30,7 +32,7 @@ def info(path: Path, as_json: bool, quiet: bool, verbose: bool, **reading: Any) 
     if summary.start_ns is not None:
         click.echo(f"clock starts at {seconds(summary.start_ns)}")
     click.echo("sensors")
-    print_table(_sensor_row(sensor) for sensor in summary.sensors)
+    print_table(map(_sensor_row, summary.sensors, mountings))
     click.echo(_trajectories_title(summary))
     print_table(
         (
@@ -58,7 +60,7 @@ def _trajectories_title(summary: SceneSummary) -> str:
     return "no trajectory" + ("; one can be found from the lidar (`--trajectory lidar`)" if placeable else "")
 
 
-def _sensor_row(sensor: SensorSummary) -> list[str]:
+def _sensor_row(sensor: SensorSummary, mounting: str | None) -> list[str]:
     """One line of the table; what a sensor does not have is left blank."""
     rate = "" if sensor.rate_hz is None else f"{sensor.rate_hz:.4g} Hz"
     span = "" if sensor.start is None else f"{sensor.start:.3f} to {sensor.stop:.3f} s"
@@ -71,7 +73,7 @@ def _sensor_row(sensor: SensorSummary) -> list[str]:
         else f"{several(sensor.first_frame_points, 'point')} in the first frame",
         sensor.coordinates,
         None if sensor.poses is None else several(sensor.poses, "pose"),
-        "mounted on the ego" if sensor.mounted else None,
+        mounting if sensor.mounted else None,
         gaps,
     ]
     return [str(sensor.id), sensor.type, str(sensor.count), rate, span, ", ".join(filter(None, details))]

@@ -3,6 +3,7 @@
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, file_faults
 from sceneloom.formats.clouds.layout import FieldLayout
+from sceneloom.formats.clouds.roles import ALIASES, ROW_ALIASES
 
 _LARGEST_ARRAY = 1 << 32
 _FAULTS = (
@@ -24,6 +26,8 @@ POSITION_NAMES = ("points", "positions", "xyz", "pos", "pts", "arr_0")
 """Arrays of rows that hold x, y, z and perhaps more."""
 
 _PLAIN_COLUMNS = ("x", "y", "z", "intensity")
+
+_NAMES_OF_COLUMNS = {name for names in (*ALIASES.values(), *ROW_ALIASES.values()) for name in names}
 
 
 def read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
@@ -38,15 +42,32 @@ def read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
         columns.update(_columns(path, name, array, layout))
     if not columns:
         raise DataError(
-            path, "", f"holds {', '.join(arrays) or 'nothing'}; expected arrays with a row per point"
+            path,
+            "",
+            f"holds {_told(arrays)}; expected arrays of numbers with a row per point, of 1 or 2 dimensions",
         )
     lengths = {name: len(column) for name, column in columns.items()}
     count = next((lengths[name] for name in (*_PLAIN_COLUMNS, *POSITION_NAMES) if name in lengths), None)
     if count is None:
         count = max(lengths.values())
     check_count(path, "", count)
-    # arrays of other lengths say something of the file, not of its points
+    _check_lengths(path, lengths, count)
+    # other arrays of other lengths say something of the file, not of its points
     return Cloud(path, count, {name: column for name, column in columns.items() if len(column) == count})
+
+
+def _told(arrays: Mapping[str, AnyArray]) -> str:
+    return (
+        ", ".join(f"{name} {getattr(array, 'shape', '')}".strip() for name, array in arrays.items())
+        or "nothing"
+    )
+
+
+def _check_lengths(path: Path, lengths: Mapping[str, int], count: int) -> None:
+    """Refuse a column that is one of the points by its name, but not by its length; single numbers are none."""
+    for name, length in lengths.items():
+        if length not in {1, count} and name.lower() in _NAMES_OF_COLUMNS:
+            raise DataError(path, name, f"{length} numbers for {count} points; expected one per point")
 
 
 def _arrays(path: Path) -> dict[str, AnyArray]:

@@ -92,11 +92,24 @@ class Root:
             if any(sign in part for sign in "*?["):
                 break
             if not (folder / part).is_dir():
-                names = sorted(entry.name for entry in folder.iterdir() if entry.is_dir())
-                return f"; {folder.name or folder} has the folders {', '.join(names[:10]) or 'none'}"
+                return f"; {folder.name or folder} has {_folders_in(folder)}{_spelling_hint(pattern)}"
             folder /= part
         suffixes = sorted({entry.suffix for entry in folder.iterdir() if entry.is_file() and entry.suffix})
-        return f"; {folder.name or folder} has {', '.join('*' + suffix for suffix in suffixes[:10]) or 'no files'}"
+        held = ", ".join("*" + suffix for suffix in suffixes[:10]) or "no files"
+        also = f" and {_folders_in(folder)}" if folder == self.folder else ""
+        return f"; {folder.name or folder} has {held}{also}{_spelling_hint(pattern)}"
+
+
+def _folders_in(folder: Path) -> str:
+    names = sorted(entry.name for entry in folder.iterdir() if entry.is_dir())
+    return f"the folders {', '.join(names[:10])}" if names else "no folders"
+
+
+def _spelling_hint(pattern: str) -> str:
+    """Explain signs that mean something else in a pattern than in a name."""
+    if "\\" in pattern:
+        return "; folders are parted by /, also on Windows"
+    return "; [ ] stand for a choice of signs: write [[] for the sign [" if "[" in pattern else ""
 
 
 def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:

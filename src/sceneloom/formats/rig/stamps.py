@@ -30,12 +30,13 @@ class StampError(ValueError):
     """A text is no time stamp."""
 
 
-def parse_stamp(text: str, unit: str | None) -> int:
+def parse_stamp(text: str, unit: str | None, *, hint: str = '`unit = "{unit}"`') -> int:
     """Read a time stamp, a number of some unit or a date with a time of day, in nanoseconds.
 
     Args:
         text: as in a file.
         unit: of a number; None: seconds. Dates have none; without a zone they are taken as UTC.
+        hint: how one says the unit that would fit, with `{unit}` or `{sign}` in it.
 
     Raises:
         StampError: it is neither, or beyond the year 2261.
@@ -52,14 +53,20 @@ def parse_stamp(text: str, unit: str | None) -> int:
         raise StampError(f"{text[:40]!r}; expected a number, or a date as 2011-09-26 13:02:25.594")
     stamp_ns = int((number * UNITS_NS[unit or "seconds"]).to_integral_value())
     if abs(stamp_ns) > FARTHEST_NS:
-        raise StampError(f"{text!r} {unit or 'seconds'}; expected a time near ours{_unit_hint(number, unit)}")
+        raise StampError(
+            f"{text!r} {unit or 'seconds'}; expected a time near ours{_unit_hint(number, unit, hint)}"
+        )
     return stamp_ns
 
 
-def _unit_hint(number: Decimal, unit: str | None) -> str:
+def _unit_hint(number: Decimal, unit: str | None, hint: str) -> str:
     fits = [name for name, ns in UNITS_NS.items() if name != unit and abs(number) * ns <= FARTHEST_NS]
     likely = [name for name in fits if abs(number) * UNITS_NS[name] > Decimal(10) ** 17]
-    return f'; is `unit = "{(likely or fits)[0]}"` meant?' if fits else ""
+    if not fits:
+        return ""
+    fit = (likely or fits)[0]
+    sign = next(sign for sign, name in PLACEHOLDERS.items() if name == fit)
+    return f"; is {hint.format(unit=fit, sign=sign)} meant?"
 
 
 def _of_date(match: "re.Match[str]") -> int:
@@ -133,7 +140,10 @@ class NamePattern:
             raise StampError(f"{name!r} does not fit the pattern {self._text!r}")
         if self.indexed:
             return int(match["index"][:18])
-        stamp_ns = sum(parse_stamp(text, PLACEHOLDERS[unit]) for unit, text in match.groupdict().items())
+        stamp_ns = sum(
+            parse_stamp(text, PLACEHOLDERS[unit], hint="`{{{sign}}}`")
+            for unit, text in match.groupdict().items()
+        )
         if stamp_ns > FARTHEST_NS:
             raise StampError(f"{name!r} gives a time beyond the year 2261 by the pattern {self._text!r}")
         return stamp_ns

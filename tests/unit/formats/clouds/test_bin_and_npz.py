@@ -86,3 +86,19 @@ def test_other_endings_are_refused_with_the_known_ones(tmp_path):
     (tmp_path / "0.las").write_bytes(b"LASF")
     with pytest.raises(DataError, match=r"expected one of \.pcd \.ply \.bin \.npz \.npy"):
         read_cloud(tmp_path / "0.las")
+
+
+def test_a_column_that_is_too_short_is_refused_and_not_left_out(tmp_path):
+    np.savez(
+        tmp_path / "a.npz", points=np.ones((5, 3), "f4"), intensity=np.ones(4, "f4"), time=np.array([1.0])
+    )
+    with pytest.raises(DataError, match=r"a\.npz: intensity: 4 numbers for 5 points; expected one per point"):
+        read_cloud(tmp_path / "a.npz")
+
+
+def test_what_an_npz_file_holds_in_place_of_points_is_told_with_its_shape(tmp_path):
+    np.savez(tmp_path / "a.npz", range_image=np.ones((4, 5, 3), "f4"))
+    with pytest.raises(
+        DataError, match=r"holds range_image \(4, 5, 3\); expected arrays of numbers with a row per point"
+    ):
+        read_cloud(tmp_path / "a.npz")

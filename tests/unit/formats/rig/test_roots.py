@@ -67,3 +67,22 @@ def test_a_root_that_is_not_there_is_told(opened):
 
 def test_files_of_several_patterns_are_each_taken_once(opened):
     assert len(opened((LIDAR, 'files = ["top/*.bin", "**/*0.bin"]')).lidars[0].frames) == 3
+
+
+@pytest.mark.parametrize(
+    ("pattern", "told"),
+    [
+        ("'top\\*.bin'", "and the folders front, top; folders are parted by /"),
+        ('"top[1]/*.bin"', r"and the folders front, top; \[ \] stand for a choice of signs: write \[\[\]"),
+        ('"*.bin"', r"has \*\.toml, \*\.txt and the folders front, top$"),
+    ],
+)
+def test_what_kept_a_pattern_from_fitting_is_told(opened, pattern, told):
+    with pytest.raises(DataError, match=told):
+        opened(('"top/*.bin"', pattern))
+
+
+def test_a_folder_without_folders_is_said_to_have_none(opened, folder):
+    (folder / "bare").mkdir()
+    with pytest.raises(DataError, match="bare has no folders"):
+        opened(('files = "top/*.bin"', 'files = "top/*.bin"\nroot = "bare"'))

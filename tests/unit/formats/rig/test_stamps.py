@@ -86,3 +86,8 @@ def test_times_that_add_up_beyond_all_bounds_are_refused():
 def test_names_that_do_not_fit_are_refused(name):
     with pytest.raises(StampError, match="does not fit the pattern"):
         NamePattern("{ns}").read(name)
+
+
+def test_a_name_of_another_unit_is_refused_and_the_placeholder_is_named():
+    with pytest.raises(StampError, match=r"milliseconds; expected a time near ours; is `\{ns\}` meant"):
+        NamePattern("{ms}").read("1700000000000000000.pcd")

@@ -15,11 +15,18 @@ from sceneloom.formats.rig.stamps import StampError, parse_stamp
 
 FILE_COLUMNS = ("file", "filename", "file_name", "path", "image", "image_name", "pcd", "cloud", "name")
 _UNIT_ENDINGS = {"_ns": "nanoseconds", "_us": "microseconds", "_ms": "milliseconds", "_s": "seconds"}
+_SECONDS = ("seconds", "secs", "sec", "stamp_sec", "stamp_secs")
 TIME_COLUMNS = (
     *(f"{name}{ending}" for name in ("timestamp", "time", "t", "stamp") for ending in ("", *_UNIT_ENDINGS)),
-    *("seconds", "sec", "nanoseconds", "utc"),
+    *(*_SECONDS, "nanoseconds", "utc"),
 )
 """Names by which columns are known."""
+
+_PARTS_OF_SECONDS = (
+    *("nanoseconds", "nanosecs", "nanosec", "nsecs", "nsec"),
+    *("stamp_nanosec", "stamp_nanosecs", "stamp_nsec", "stamp_nsecs"),
+)
+"""Columns that stand beside one of whole seconds, as messages of ROS have them, and go on from it."""
 
 _DELIMITERS = (",", ";", "\t")
 
@@ -60,18 +67,34 @@ class Table:
     def stamps(self, column: int, unit: str | None) -> Int64Array:
         """The times of a column, (N,) int64 [ns]; without a unit the ending of the column's name tells it.
 
+        To a column of whole seconds that of the nanoseconds is added, where there is one.
+
         Raises:
             DataError: a value is no time.
         """
         name = self.names[column].lower() if self.names else ""
         ending = next((u for end, u in _UNIT_ENDINGS.items() if name.endswith(end)), None)
+        ending = "nanoseconds" if name == "nanoseconds" else ending
         stamps = np.empty(len(self.rows), np.int64)
         for k, row in enumerate(self.rows):
             try:
                 stamps[k] = parse_stamp(row[column], unit or ending)
             except StampError as error:
                 raise DataError(self.path, f"line {self.lines[k]}", str(error)) from None
-        return stamps
+        parts = self.find(_PARTS_OF_SECONDS) if name in _SECONDS and unit in {None, "seconds"} else None
+        return stamps if parts is None else stamps + self._nanoseconds(parts, stamps)
+
+    def _nanoseconds(self, column: int, seconds_ns: Int64Array) -> Int64Array:
+        """The column that goes on from one of whole seconds, (N,) int64 [ns]."""
+        for k, row in enumerate(self.rows):
+            text, place = row[column], f"line {self.lines[k]}"
+            if not (text.isascii() and text.isdigit() and len(text) <= 9):
+                problem = f"{self.names[column]}: {text[:40]!r}; expected a whole number from 0 to 999999999"
+                raise DataError(self.path, place, problem)
+            if seconds_ns[k] % 1_000_000_000:
+                problem = f"{seconds_ns[k] / 1e9:.9f} s beside a column {self.names[column]}; expected whole seconds"
+                raise DataError(self.path, place, problem)
+        return np.array([int(row[column]) for row in self.rows], np.int64)
 
     def numbers(self, columns: Sequence[int]) -> Float64Array:
         """Some columns as (N, len(columns)) float64.
@@ -80,12 +103,11 @@ class Table:
             DataError: a value is no finite number.
         """
         values = np.empty((len(self.rows), len(columns)))
-        for k, row in enumerate(self.rows):
-            for j, column in enumerate(columns):
-                try:
-                    values[k, j] = float(row[column])
-                except ValueError:
-                    values[k, j] = np.nan
+        for j, column in enumerate(columns):
+            try:
+                values[:, j] = [float(row[column]) for row in self.rows]
+            except ValueError:
+                values[:, j] = [_number(row[column]) for row in self.rows]
         wrong = np.argwhere(~np.isfinite(values))
         if len(wrong):
             k, column = int(wrong[0][0]), columns[int(wrong[0][1])]
@@ -144,6 +166,13 @@ def _with_commented_names(path: Path, lines: list[tuple[int, str]]) -> list[tupl
     return [(lines[0][0] - 1, comments[-1]), *lines]
 
 
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
 def _is_number(words: list[str]) -> bool:
     try:
         float(words[0])
@@ -155,6 +184,9 @@ def _is_number(words: list[str]) -> bool:
 def _cells(line: str, delimiter: str | None) -> tuple[str, ...]:
     if delimiter is None:
         return tuple(line.split())
+    if '"' not in line:
+        # nearly all lines: long records of an IMU are read in half the time
+        return tuple(map(str.strip, line.split(delimiter)))
     try:
         cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
     except (csv.Error, StopIteration):

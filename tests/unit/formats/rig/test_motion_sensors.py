@@ -72,3 +72,37 @@ def test_an_imu_needs_columns_of_values(opened, with_motion):
     (with_motion / "imu.csv").write_text("time,foo\n1,2\n")
     with pytest.raises(DataError, match="no columns ax ay az or gx gy gz among time, foo"):
         opened((CAMERA, IMU + CAMERA))
+
+
+def imu_times(opened, folder, text):
+    (folder / "imu.csv").write_text(text)
+    return opened((CAMERA, IMU + CAMERA)).sensor("imu").streams["gyroscope"].timestamps_ns.tolist()
+
+
+@pytest.mark.parametrize(
+    "names", ["sec,nanosec", "secs,nsecs", "stamp_sec,stamp_nanosec", "Seconds,Nanoseconds"]
+)
+def test_seconds_and_nanoseconds_in_two_columns_are_added_up(opened, with_motion, names):
+    times = imu_times(
+        opened, with_motion, f"{names},gx,gy,gz\n1532402927,5,0,0,0\n1532402927,5000005,0,0,0\n"
+    )
+    assert times == [1_532_402_927_000_000_005, 1_532_402_927_005_000_005]
+
+
+def test_a_column_that_is_called_nanoseconds_holds_them(opened, with_motion):
+    assert imu_times(opened, with_motion, "nanoseconds,gx,gy,gz\n0,0,0,0\n5000000,0,0,0\n") == [0, 5_000_000]
+
+
+@pytest.mark.parametrize("nanoseconds", ["-1", "1000000000", "0.5", "x"])
+def test_what_is_no_part_of_a_second_is_refused(opened, with_motion, nanoseconds):
+    with pytest.raises(DataError, match=r"line 2: nanosec: .*expected a whole number from 0 to 999999999"):
+        imu_times(opened, with_motion, f"sec,nanosec,gx,gy,gz\n1,{nanoseconds},0,0,0\n")
+
+
+def test_seconds_that_hold_their_parts_already_are_no_whole_ones(opened, with_motion):
+    with pytest.raises(DataError, match=r"line 2: 1.5.* s beside a column nanosec; expected whole seconds"):
+        imu_times(opened, with_motion, "sec,nanosec,gx,gy,gz\n1.5,500000000,0,0,0\n")
+
+
+def test_cells_in_quotes_may_hold_the_sign_between_cells(opened, with_motion):
+    assert imu_times(opened, with_motion, 't_ns, note ,gx,gy,gz\n"7", "a,b",0,0,0\n 8 ,c,0,0,0\n') == [7, 8]

@@ -141,10 +141,19 @@ def _root(path: Path, folder: Path) -> str | None:
 
 def quoted(text: str) -> str:
     """Write a text as TOML does."""
-    if "'" in text or any(ord(sign) < 32 for sign in text):
+    if "'" in text or any(map(_is_control, text)):
         escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-        return '"' + "".join(sign if ord(sign) >= 32 else f"\\u{ord(sign):04x}" for sign in escaped) + '"'
+        return '"' + "".join(f"\\u{ord(sign):04x}" if _is_control(sign) else sign for sign in escaped) + '"'
     return f'"{text}"' if '"' not in text and "\\" not in text else f"'{text}'"
+
+
+def _is_control(sign: str) -> bool:
+    """Whether TOML has no place for a character, be it in a comment."""
+    return ord(sign) < 32 or ord(sign) == 127
+
+
+def _comment(text: str) -> str:
+    return "".join("?" if _is_control(sign) else sign for sign in text)
 
 
 def _table(values: Times) -> str:
@@ -155,7 +164,8 @@ def _table(values: Times) -> str:
 def _sensor(sensor: FoundSensor, ego: str) -> str:
     lines = ["[[sensors]]", f"id = {quoted(sensor.id)}", f"type = {quoted(sensor.type)}"]
     lines += [f"{name} = {quoted(value)}" for name, value in sensor.files.items()]
-    lines[-1] += f"   # {sensor.about}"
+    # columns may be called anything in a damaged file
+    lines[-1] += f"   # {_comment(sensor.about)}"
     if sensor.times:
         lines.append(f"times = {_table(sensor.times)}")
     lines += list(sensor.further)

@@ -209,8 +209,25 @@ def test_motion_sensors_and_videos_are_found(clouds_and_pictures):
 
 
 def test_strange_names_are_written_as_toml_reads_them():
-    for text in ("plain", 'with "quotes"', "back\\slash", "it's", "new\nline", "ümlaut", "both ' and \""):
+    for text in (
+        "plain",
+        'with "quotes"',
+        "back\\slash",
+        "it's",
+        "new\nline",
+        "ümlaut",
+        "both ' and \"",
+        "del\x7f",
+    ):
         assert tomllib.loads(f"x = {quoted(text)}")["x"] == text
+
+
+def test_columns_with_strange_names_leave_the_template_readable(clouds_and_pictures):
+    strange = PCD.replace(b"x y z", b"x y z\x00\x7f")
+    (clouds_and_pictures / "lidar_top" / f"{START_NS}.pcd").write_bytes(strange)
+    text = template_text(folder=clouds_and_pictures)
+    assert "z?? float32" in text
+    assert [sensor["id"] for sensor in tomllib.loads(text)["sensors"]] == ["lidar_top", "cam_front"]
 
 
 def test_the_template_names_no_field_that_is_unknown():

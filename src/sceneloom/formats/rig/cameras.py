@@ -9,6 +9,7 @@ from sceneloom.formats.rig.drive import Drive
 from sceneloom.formats.rig.lenses import frame_from_camera, read_lens
 from sceneloom.formats.rig.pictures import PICTURE_SUFFIXES, PictureReader, picture_size
 from sceneloom.formats.rig.records import Record
+from sceneloom.formats.rig.times import drop_unreadable
 from sceneloom.formats.rig.transforms import frame_from_optical
 from sceneloom.formats.rig.videos import VideoFile, VideoPictures
 from sceneloom.geometry.rigid import RigidTransform
@@ -42,9 +43,12 @@ def _from_files(drive: Drive, record: Record, place: str) -> CameraSensor:
         if path.suffix.lower() not in PICTURE_SUFFIXES:
             problem = f"{path.name!r}; expected files that end with {' '.join(PICTURE_SUFFIXES)}"
             raise DataError(drive.manifest.path, f"{place}.files", problem)
-    lens = _fitted_lens(drive, record, place, picture_size(files[0]))
-    mount = _mount(drive, record)
     stamps = drive.time_source(record, place).stamp_files(files)
+    if not len(stamps.chosen):
+        raise DataError(drive.manifest.path, f"{place}.files", "none of the files has a time")
+    stamps = drop_unreadable(stamps, lambda k: picture_size(files[k]), drive.ledger)
+    lens = _fitted_lens(drive, record, place, picture_size(files[stamps.chosen[0]]))
+    mount = _mount(drive, record)
     used = tuple(files[k] for k in stamps.chosen)
     reader = PictureReader(used, tuple(map(root.relative, used)), stamps.timestamps_ns, lens)
     return CameraSensor(

@@ -1,4 +1,4 @@
-"""What looks like a slip in a manifest although it can be read: distances in millimetres, clocks that never meet."""
+"""What looks like a slip although it can be read: millimetres, clocks apart, swapped columns, egos on their heads."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from sceneloom.arrays import AnyArray, Float32Array
+from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.formats.ledger import Ledger
 from sceneloom.scene import CameraSensor, LidarSensor, NoticeKind, Sensor, Trajectory
 from sceneloom.scene.span import frame_times
@@ -15,6 +17,54 @@ FARTHEST_MOUNT = 30.0
 
 _WITHIN_NS = 1_000_000_000
 """Streams that miss each other by less may well belong together."""
+
+FARTHEST_POINT = 10_000.0
+"""No lidar measures as far [m]: numbers of another type give such points."""
+
+_NEAREST_POINT = 1e-6
+_ODD_SHARE = 0.01
+_LEANING = 0.5
+"""Cosine of 60 degrees: an ego whose z axis leans more than that is on its side or head."""
+
+
+def note_odd_points(
+    path: Path, positions: Float32Array, columns: Mapping[str, AnyArray], ledger: Ledger
+) -> None:
+    """Remark points that come out of columns which are not what they are taken for.
+
+    Args:
+        path: the file.
+        positions: (N, 3) float32 [m], read from it.
+        columns: of the file, by name.
+        ledger: takes the notices.
+    """
+    distances = np.linalg.norm(positions.astype(np.float64), axis=1)
+    far, near = (distances > FARTHEST_POINT).sum(), (distances < _NEAREST_POINT).sum()
+    intensities = columns.get(find_roles(columns, {}).get("intensity", ""), positions[:0, 0])
+    dark = int((intensities < 0).sum())
+    odd = (
+        (far, f"points farther than {FARTHEST_POINT:g} m"),
+        (near, f"points nearer than {_NEAREST_POINT:g} m"),
+        (dark, "brightness below zero"),
+    )
+    for count, what in odd:
+        if count > _ODD_SHARE * max(len(distances), 1):
+            message = f"{what}; does the file have the columns and types that it is taken to have?"
+            ledger.note(NoticeKind.ASSUMED, "odd-points", str(path), message, count=int(count))
+
+
+def _note_leaning(path: Path, name: str, way: Trajectory, ledger: Ledger) -> None:
+    """Remark a way on which the ego hardly ever stands upright, as another order of quaternions makes it."""
+    if way.quaternions_xyzw is None or not len(way.timestamps_ns):
+        return
+    x, y = way.quaternions_xyzw[:, 0], way.quaternions_xyzw[:, 1]
+    leaning = int((1.0 - 2.0 * (x * x + y * y) < _LEANING).sum())
+    if leaning > len(way.timestamps_ns) / 2:
+        message = (
+            f"trajectory {name!r} has the ego on its side or head in {leaning} of {len(way.timestamps_ns)} poses; "
+            "are the quaternions x y z w, and is the world's z axis up?"
+        )
+        ledger.note(NoticeKind.ASSUMED, "ego-leaning", str(path), message)
 
 
 def note_doubts(
@@ -34,6 +84,8 @@ def note_doubts(
             if distance > FARTHEST_MOUNT:
                 message = f"sensor {sensor.id!r} is {distance:.5g} m from the ego; are these millimetres?"
                 ledger.note(NoticeKind.ASSUMED, "far-mount", str(path), message)
+    for name, way in trajectories.items():
+        _note_leaning(path, name, way, ledger)
     spans = [(f"sensor {sensor.id!r}", frame_times(sensor)) for sensor in sensors]
     spans += [(f"trajectory {name!r}", way.timestamps_ns) for name, way in trajectories.items()]
     ordered = sorted((int(times.min()), int(times.max()), name) for name, times in spans if len(times))

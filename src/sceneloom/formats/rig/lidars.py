@@ -7,12 +7,13 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import CLOUD_SUFFIXES, PointMapping, cloud_suffix
+from sceneloom.formats.clouds import CLOUD_SUFFIXES, PointMapping, cloud_suffix, read_cloud
+from sceneloom.formats.rig.doubts import note_odd_points
 from sceneloom.formats.rig.drive import Drive, own_frame
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.sweep_columns import choose_layout, named_columns, with_columns
 from sceneloom.formats.rig.sweep_reader import SweepReader
-from sceneloom.formats.rig.times import Stamps
+from sceneloom.formats.rig.times import Stamps, drop_unreadable
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LazyFrames, LidarSensor, NoticeKind, PointsFrame
 
@@ -38,13 +39,15 @@ def build_lidar(drive: Drive, record: Record, place: str) -> LidarSensor:
     stamps = drive.time_source(record, place).stamp_files(files)
     if not len(stamps.chosen):
         raise DataError(drive.manifest.path, f"{place}.files", "none of the files has a time")
+    layout = choose_layout(drive, record, place, files[0])
+    stamps = drop_unreadable(stamps, lambda k: read_cloud(files[k], layout=layout), drive.ledger)
     reader = SweepReader(
         files=tuple(files[k] for k in stamps.chosen),
         names=tuple(root.relative(files[k]) for k in stamps.chosen),
         clocks_ns=np.stack([stamps.timestamps_ns, stamps.timestamps_ns], axis=1),
         timestamps_ns=stamps.timestamps_ns,
         zero_ns=int(record.get("time_offset_s", 0)),
-        layout=choose_layout(drive, record, place, files[0]),
+        layout=layout,
         mapping=PointMapping(named=named_columns(drive, record, place)),
     )
     reader = with_columns(drive, record, place, reader)
@@ -129,6 +132,7 @@ def _note_first_sweep(drive: Drive, reader: SweepReader, points_frame: PointsFra
         place = str(reader.files[0])
         drive.ledger.note(NoticeKind.SKIPPED, "points-dropped", place, message, count=read.dropped)
     positions = read.points.positions
+    note_odd_points(reader.files[0], positions, reader.cloud(0).columns, drive.ledger)
     if points_frame is PointsFrame.WORLD and len(positions) and np.abs(positions).max() > FARTHEST_WORLD:
         problem = f"points up to {np.abs(positions).max():.0f} m from the world's origin; expected {FARTHEST_WORLD:g} m"
         raise DataError(reader.files[0], "", f"{problem} at most: give points and trajectory a nearer origin")

@@ -33,6 +33,31 @@ class Stamps:
     timestamps_ns: Int64Array
 
 
+def drop_unreadable(stamps: Stamps, read: Callable[[int], object], ledger: Ledger) -> Stamps:
+    """Leave out the first files as long as they cannot be read: what a sensor is like is seen in its first one.
+
+    Args:
+        stamps: of at least one file.
+        read: looks into one file, by its index among all files.
+        ledger: of a lenient reading; in another one the first file is as good as any, and nothing is tried.
+
+    Raises:
+        DataError: no file can be read; the last one's fault.
+    """
+    if not ledger.lenient:
+        return stamps
+    for row, k in enumerate(stamps.chosen.tolist()):
+        try:
+            read(k)
+        except DataError as error:
+            if row == len(stamps.chosen) - 1:
+                raise
+            ledger.fault("unreadable-files", error)
+        else:
+            return Stamps(stamps.chosen[row:], stamps.timestamps_ns[row:])
+    return stamps
+
+
 @dataclass(frozen=True, slots=True)
 class TimeSource:
     """What the stamps of one sensor are read with.

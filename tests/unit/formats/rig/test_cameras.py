@@ -127,6 +127,13 @@ def test_pictures_of_16_bits_are_refused(opened, folder):
         _ = opened().cameras[0].pictures[0].rgb
 
 
+@pytest.mark.parametrize("channels", [3, 4])
+def test_colours_of_16_bits_are_refused_rather_than_cut(opened, folder, channels):
+    cv2.imwrite(str(folder / "front" / "0.png"), np.full((6, 8, channels), 300, np.uint16))
+    with pytest.raises(DataError, match=r"'RGBA?;16B'; expected 8-bit grey or colour"):
+        _ = opened().cameras[0].pictures[0].rgb
+
+
 def test_a_picture_of_another_size_is_told(opened, folder):
     Image.new("RGB", (6, 8)).save(folder / "front" / "1.png")
     scene = opened()
@@ -198,3 +205,12 @@ def test_a_video_that_is_none_is_told(opened, folder):
     (folder / "front.mkv").write_bytes(b"no video")
     with pytest.raises(DataError, match="cannot be read as video"):
         opened(AS_VIDEO)
+
+
+def test_a_lenient_reading_takes_the_size_of_the_first_picture_that_can_be_read(opened, folder):
+    (folder / "front" / "0.png").write_bytes(b"torn")
+    scene = opened(lenient=True)
+    assert len(scene.cameras[0].pictures) == 2
+    assert [notice.code for notice in scene.notices] == ["unreadable-files"]
+    with pytest.raises(DataError, match=r"0\.png: is no PNG and no JPEG picture"):
+        opened()

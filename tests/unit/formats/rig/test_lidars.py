@@ -208,3 +208,33 @@ def test_every_kind_of_cloud_makes_a_lidar(opened, folder, suffix):
             path.with_suffix(".pcd").write_bytes(head.encode() + rows.tobytes())
     scene = opened(("top/*.bin", f"top/*.{suffix}"), (SCALE, ""), (FIELDS, ""))
     assert scene.lidars[0].frames[1].points.positions.tolist() == rows.tolist()
+
+
+def test_a_lenient_reading_begins_with_the_first_file_that_can_be_read(opened, folder):
+    files = sorted((folder / "top").iterdir())
+    files[0].write_bytes(b"cut")
+    files[1].write_bytes(b"torn")
+    lidar = (scene := opened(lenient=True)).lidars[0]
+    assert [frame.timestamp_ns for frame in lidar.frames] == [START_NS + 200_000_000]
+    (notice,) = (notice for notice in scene.notices if notice.code == "unreadable-files")
+    assert (notice.count, notice.kind) == (2, "skipped")
+    with pytest.raises(DataError, match=files[0].name):
+        opened()
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ('["x", "y", "z", "intensity"]', None),
+        ('["x", "y", "intensity", "z"]', "brightness below zero"),
+        ('["x:float64", "y:float64", "z:float64", "intensity:float64"]', "points farther than 10000 m"),
+    ],
+)
+def test_columns_that_are_taken_for_others_are_remarked(opened, folder, said, told):
+    generator = np.random.default_rng(5)
+    points = generator.uniform([-50, -50, -3, 0], [50, 50, -1, 255], (400, 4)).astype("<f4")
+    for path in (folder / "top").iterdir():
+        path.write_bytes(points.tobytes())
+    scene = opened((FIELDS, f"fields = {said}"))
+    found = [notice.message for notice in scene.notices if notice.code == "odd-points"]
+    assert found == [] if told is None else any(message.startswith(told) for message in found)

@@ -141,3 +141,10 @@ def test_a_matrix_that_is_no_rotation_is_told_with_its_line(opened, folder):
     np.savetxt(folder / "way.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12))
     with pytest.raises(DataError, match=r"line 2: rotation off by 0.21"):
         opened((TUM, said))
+
+
+def test_quaternions_of_another_order_are_remarked(opened, folder):
+    (folder / "poses.txt").write_text("1532402927.5 0 0 0 1 0 0 0\n1532402928.5 9 0 0 0.98 0.02 0 0.198\n")
+    (notice,) = opened().notices
+    assert notice.code == "ego-leaning"
+    assert "on its side or head in 2 of 2 poses; are the quaternions x y z w" in notice.message

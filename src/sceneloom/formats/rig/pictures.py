@@ -84,8 +84,9 @@ class PictureFile:
     def _decode(self) -> UInt8Array:
         with open_picture(self.path) as image:
             self._check_size(*image.size)
-            if image.mode not in _EIGHT_BIT_MODES:
-                problem = f"has pixels of type {image.mode!r}; expected 8-bit grey or colour"
+            kind = _pixel_type(image)
+            if kind not in _EIGHT_BIT_MODES:
+                problem = f"has pixels of type {kind!r}; expected 8-bit grey or colour"
                 raise DataError(self.path, "", problem)
             try:
                 return np.array(image.convert("RGB"), np.uint8)
@@ -98,6 +99,12 @@ class PictureFile:
                 f"is {width}x{height}; expected {self.width}x{self.height} as the camera's first picture"
             )
             raise DataError(self.path, "", problem)
+
+
+def _pixel_type(image: Image.Image) -> str:
+    """The type of the pixels in the file: Pillow makes 8 bits of colours of 16 without a word."""
+    stored = [str(arguments) for _, _, _, arguments in getattr(image, "tile", [])]
+    return next((kind.rstrip("BLN") for kind in stored if ";16" in kind), image.mode)
 
 
 def _decode_jpeg(path: Path) -> UInt8Array | None:

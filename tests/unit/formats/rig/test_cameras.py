@@ -130,7 +130,7 @@ def test_pictures_of_16_bits_are_refused(opened, folder):
 @pytest.mark.parametrize("channels", [3, 4])
 def test_colours_of_16_bits_are_refused_rather_than_cut(opened, folder, channels):
     cv2.imwrite(str(folder / "front" / "0.png"), np.full((6, 8, channels), 300, np.uint16))
-    with pytest.raises(DataError, match=r"'RGBA?;16B'; expected 8-bit grey or colour"):
+    with pytest.raises(DataError, match=r"'RGBA?;16'; expected 8-bit grey or colour"):
         _ = opened().cameras[0].pictures[0].rgb
 
 

@@ -34,12 +34,14 @@ def read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
     """Read arrays by name; rows of several numbers are cut into columns by `layout`, by default x y z intensity.
 
     Raises:
-        DataError: the file is damaged, holds objects, or its arrays do not have one length.
+        DataError: the file is damaged, holds objects, its arrays do not have one length, or two give one column.
     """
     arrays = _arrays(path)
     columns: dict[str, AnyArray] = {}
     for name, array in arrays.items():
-        columns.update(_columns(path, name, array, layout))
+        found = _columns(path, name, array, layout)
+        _check_new(path, name, found, columns)
+        columns.update(found)
     if not columns:
         raise DataError(
             path,
@@ -54,6 +56,17 @@ def read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
     _check_lengths(path, lengths, count)
     # other arrays of other lengths say something of the file, not of its points
     return Cloud(path, count, {name: column for name, column in columns.items() if len(column) == count})
+
+
+def _check_new(path: Path, name: str, found: Mapping[str, AnyArray], columns: Mapping[str, AnyArray]) -> None:
+    """Refuse columns that are there already: whichever came last would be taken in silence."""
+    twice = [column for column in found if column in columns]
+    if twice:
+        problem = (
+            f"gives {' '.join(twice)}, which another array gives, too; expected each column once: "
+            "leave out one of rows by `_` in `fields`, or one of the arrays"
+        )
+        raise DataError(path, name, problem)
 
 
 def _told(arrays: Mapping[str, AnyArray]) -> str:

@@ -89,8 +89,8 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
     """
     if not content.startswith(b"ply") or content[3:4] not in {b"\n", b"\r", b" "}:
         raise DataError(path, "byte 0", "does not begin with `ply`")
-    stop = content.find(b"end_header", 0, _LONGEST_HEADER)
-    end = content.find(b"\n", stop) if stop >= 0 else -1
+    stop = content.find(b"\nend_header", 0, _LONGEST_HEADER)
+    end = content.find(b"\n", stop + 1) if stop >= 0 else -1
     if end < 0:
         raise DataError(path, "", "the head breaks off without `end_header`")
     lines = content[:end].decode("latin-1").split("\n")

@@ -102,3 +102,16 @@ def test_what_an_npz_file_holds_in_place_of_points_is_told_with_its_shape(tmp_pa
         DataError, match=r"holds range_image \(4, 5, 3\); expected arrays of numbers with a row per point"
     ):
         read_cloud(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("other", [{"xyz": 2 * ROWS[:, :3]}, {"intensity": ROWS[:, 0]}])
+def test_two_arrays_that_give_one_column_are_refused(tmp_path, other):
+    np.savez(tmp_path / "0.npz", points=ROWS, **other)
+    with pytest.raises(DataError, match="which another array gives, too; expected each column once"):
+        read_cloud(tmp_path / "0.npz")
+
+
+def test_rows_whose_brightness_is_left_out_go_with_an_array_of_it(tmp_path):
+    np.savez(tmp_path / "0.npz", points=ROWS, intensity=ROWS[:, 0])
+    cloud = read_cloud(tmp_path / "0.npz", layout=parse_layout(["x", "y", "z", "_"]))
+    assert cloud.columns["intensity"].tolist() == [1.0, -4.0]

@@ -106,3 +106,8 @@ def test_a_file_that_breaks_off_is_told_with_its_bytes(tmp_path):
     (tmp_path / "a.ply").write_bytes(head("binary_big_endian", VERTEX) + rows("binary_big_endian")[:-1])
     with pytest.raises(DataError, match=r"41 bytes of vertex; expected 42: 2 of 21 bytes"):
         read_cloud(tmp_path / "a.ply")
+
+
+def test_a_comment_may_speak_of_the_end_of_the_head(tmp_path, form):
+    content = head(form, "comment end_header comes later\n", VERTEX) + rows(form)
+    assert columns(tmp_path, content) == EXPECTED

@@ -21,8 +21,8 @@ from sceneloom.simulate.street import Street
 
 _MARGIN_NS = 200_000_000
 """How far trajectory, IMU and GNSS reach beyond the first and the last measurement."""
-_LONGEST_PERIOD_NS = 10_000_000_000
-"""Longest frame of a further sensor, which may end so much later than the drive."""
+_LONGEST_PERIOD_NS = 1_000_000_000
+"""Longest frame of a further lidar, which ends so much later than the drive at most: so far traffic goes on, too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +91,12 @@ class Rig:
         return int(starts[0]) + min(offsets) - _MARGIN_NS, int(starts[-1]) + max(offsets) + _MARGIN_NS
 
     @property
+    def traffic_span_ns(self) -> tuple[int, int]:
+        """First and last time at which what moves has to be somewhere [ns], whatever further sensors there are."""
+        first, last = self.way_span_ns
+        return first, max(last + _LONGEST_PERIOD_NS, self.span_ns[1])
+
+    @property
     def span_ns(self) -> tuple[int, int]:
         """First and last time that any sensor needs [ns], with a margin."""
         first, last = self.way_span_ns
@@ -144,7 +150,10 @@ class Rig:
     def _check(self) -> None:
         offsets = [spec.offset_ns for spec in self.cameras.values()]
         if offsets and (min(offsets) < -self.period_ns or max(offsets) > 2 * self.period_ns):
-            raise OptionError(f"camera offsets {offsets} ns; expected within one sweep ({self.period_ns} ns)")
+            raise OptionError(
+                f"camera offsets {offsets} ns; expected {-self.period_ns} to {2 * self.period_ns}, a sweep's period "
+                "before the sweep and after it"
+            )
         for name, spec in list(self.lidars.items())[1:]:
             if spec.period_ns > _LONGEST_PERIOD_NS:
                 raise OptionError(

@@ -1,6 +1,6 @@
 """The check that the numbers of a made-up device can be."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 
 from sceneloom.errors import OptionError
 
@@ -18,6 +18,13 @@ def check_bounds(device: str, bounds: Iterable[tuple[str, float, float, float]])
     for name, value, low, high in bounds:
         if not low <= value <= high:
             raise OptionError(f"{device}.{name}: {value}; expected {low} to {high}")
+
+
+def each_of(
+    name: str, values: Sequence[float], low: float, high: float
+) -> Iterator[tuple[str, float, float, float]]:
+    """Give the same bounds to each of several numbers, for `check_bounds`."""
+    return ((f"{name}[{index}]", value, low, high) for index, value in enumerate(values))
 
 
 def check_fan(device: str, name: str, fan_deg: tuple[float, float], limit_deg: float) -> None:

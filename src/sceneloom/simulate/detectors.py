@@ -7,8 +7,11 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.errors import OptionError
+from sceneloom.simulate.bounds import check_bounds, each_of
 from sceneloom.simulate.scores import ScoreSpec
+
+_MANY = 1e6
+"""No number of a detector is larger: squares and products of them stay finite."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +33,12 @@ class ClassSpec:
     size_lwh: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        if not (self.half_evidence > 0.0 and 0.0 <= self.false_rate <= 100.0 and min(self.size_lwh) > 0.0):
-            raise OptionError(f"detector: {self}; expected positive numbers, false_rate 0 to 100")
+        bounds = (
+            ("half_evidence", self.half_evidence, 1e-6, _MANY),
+            ("false_rate", self.false_rate, 0.0, 100.0),
+            *each_of("size_lwh", self.size_lwh, 1e-3, 100.0),
+        )
+        check_bounds("detector.classes", bounds)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,14 +59,19 @@ class MissSpec:
     hiding: float = 2.0
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.recall <= 1.0 and self.steepness >= 0.0 and self.hiding >= 0.0):
-            raise OptionError(f"detector: {self}; expected recall above 0 to 1, no number below 0")
+        bounds = (
+            ("recall", self.recall, 1e-6, 1.0),
+            ("steepness", self.steepness, 0.0, _MANY),
+            ("hiding", self.hiding, 0.0, _MANY),
+        )
+        check_bounds("detector.misses", bounds)
 
     def chances(self, evidence: Float64Array, occlusions: Float64Array, half: Float64Array) -> Float64Array:
         """Chance of each object to be found, (N,) float64; 0 without evidence."""
         seen = evidence > 0
         exponent = self.steepness * np.log(np.where(seen, evidence, 1.0) / half) - self.hiding * occlusions
-        chances: Float64Array = np.where(seen, self.recall / (1.0 + np.exp(-exponent)), 0.0)
+        # 1 / (1 + exp(-z)) as exp(-ln(1 + exp(-z))), which does not overflow.
+        chances: Float64Array = np.where(seen, self.recall * np.exp(-np.logaddexp(0.0, -exponent)), 0.0)
         return chances
 
 
@@ -117,12 +129,19 @@ class Detector3dSpec:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        deviations = (*self.center_sigmas, *self.size_sigmas, self.yaw_sigma_deg, self.velocity_sigma or 0.0)
-        if not (
-            min(deviations) >= 0.0 and self.few_points >= 0.0 and self.range_scale > 0.0 and self.seed >= 0
-        ):
-            raise OptionError(f"detector: {self}; expected no number below 0")
-        _check_shares(flip_share=self.flip_share, lasting_share=self.lasting_share, repeated=self.repeated)
+        bounds = (
+            *each_of("center_sigmas", self.center_sigmas, 0.0, 1e3),
+            *each_of("size_sigmas", self.size_sigmas, 0.0, 1e3),
+            ("yaw_sigma_deg", self.yaw_sigma_deg, 0.0, 180.0),
+            ("range_scale", self.range_scale, 1e-3, float("inf")),
+            ("few_points", self.few_points, 0.0, _MANY),
+            ("lasting_share", self.lasting_share, 0.0, 1.0),
+            ("flip_share", self.flip_share, 0.0, 1.0),
+            ("velocity_sigma", 0.0 if self.velocity_sigma is None else self.velocity_sigma, 0.0, 1e3),
+            ("repeated", self.repeated, 0.0, 1.0),
+            ("seed", self.seed, 0, float("inf")),
+        )
+        check_bounds("detector", bounds)
 
     def growth(self, ranges: Float64Array, points: Float64Array) -> Float64Array:
         """Factor on all deviations, (N,) float64, for objects at ranges [m] with numbers of points on them."""
@@ -173,12 +192,11 @@ class Detector2dSpec:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not (self.corner_sigma_px >= 0.0 and self.corner_sigma_share >= 0.0 and self.seed >= 0):
-            raise OptionError(f"detector: {self}; expected no number below 0")
-        _check_shares(lasting_share=self.lasting_share, repeated=self.repeated)
-
-
-def _check_shares(**shares: float) -> None:
-    for name, value in shares.items():
-        if not 0.0 <= value <= 1.0:
-            raise OptionError(f"detector.{name}: {value}; expected 0 to 1")
+        bounds = (
+            ("corner_sigma_px", self.corner_sigma_px, 0.0, 1e4),
+            ("corner_sigma_share", self.corner_sigma_share, 0.0, 10.0),
+            ("lasting_share", self.lasting_share, 0.0, 1.0),
+            ("repeated", self.repeated, 0.0, 1.0),
+            ("seed", self.seed, 0, float("inf")),
+        )
+        check_bounds("detector", bounds)

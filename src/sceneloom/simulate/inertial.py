@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.errors import OptionError
 from sceneloom.scene import ImuSensor, VectorSamples
+from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.randomness import Stream, generator_for
 
@@ -26,7 +26,7 @@ class ImuSpec:
         gyroscope_bias_sigma: the same [rad/s].
 
     Raises:
-        OptionError: the rate is not between 1 and 10000, or a deviation is negative.
+        OptionError: a number is out of bounds.
     """
 
     rate_hz: float = 200.0
@@ -36,16 +36,14 @@ class ImuSpec:
     gyroscope_bias_sigma: float = 0.001
 
     def __post_init__(self) -> None:
-        if not 1.0 <= self.rate_hz <= 10_000.0:
-            raise OptionError(f"imu.rate_hz: {self.rate_hz}; expected 1 to 10000")
-        deviations = (
-            self.accelerometer_noise,
-            self.gyroscope_noise,
-            self.accelerometer_bias_sigma,
-            self.gyroscope_bias_sigma,
+        bounds = (
+            ("rate_hz", self.rate_hz, 1.0, 10_000.0),
+            ("accelerometer_noise", self.accelerometer_noise, 0.0, 1e3),
+            ("gyroscope_noise", self.gyroscope_noise, 0.0, 1e3),
+            ("accelerometer_bias_sigma", self.accelerometer_bias_sigma, 0.0, 1e3),
+            ("gyroscope_bias_sigma", self.gyroscope_bias_sigma, 0.0, 1e3),
         )
-        if min(deviations) < 0:
-            raise OptionError(f"imu: deviations {deviations}; expected none below 0")
+        check_bounds("imu", bounds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 `LidarSpec` turns about its axis; `sceneloom.simulate.solid_state` has those that look one way. All are made here.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +74,14 @@ class LidarSpec:
 
     def __post_init__(self) -> None:
         own = (("beams", self.beams, 1, 65535), ("steps", self.steps, 1, self.period_ns))
-        check_bounds("lidar", (*scan_bounds(self), *own))
+        check_bounds("lidar", (*scan_bounds(self), *own, *self._angles()))
+
+    def _angles(self) -> Iterator[tuple[str, float, float, float]]:
+        """Bounds of the angles: ring 0 is the lowest."""
+        low, high = self.elevations_deg
+        yield "elevations_deg[0]", low, -90.0, 90.0
+        yield "elevations_deg[1]", high, low, 90.0
+        yield "start_azimuth_deg", self.start_azimuth_deg, -360.0, 360.0
 
     def plan_shots(self) -> Callable[[int], Shots]:
         """Give the shots, which are the same in each turn."""

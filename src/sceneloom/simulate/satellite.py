@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import geodetic_from_enu
 from sceneloom.scene import GnssSensor
+from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.randomness import Stream, generator_for
 
@@ -22,7 +22,7 @@ class GnssSpec:
         origin_lla: where the world's origin lies: latitude, longitude [deg], altitude above the ellipsoid [m].
 
     Raises:
-        OptionError: the rate is not between 0.01 and 1000, or a deviation is negative.
+        OptionError: a number is out of bounds.
     """
 
     rate_hz: float = 10.0
@@ -31,12 +31,16 @@ class GnssSpec:
     origin_lla: tuple[float, float, float] = (60.1708, 24.9375, 14.0)
 
     def __post_init__(self) -> None:
-        if not 0.01 <= self.rate_hz <= 1000.0:
-            raise OptionError(f"gnss.rate_hz: {self.rate_hz}; expected 0.01 to 1000")
-        if min(self.horizontal_sigma, self.vertical_sigma) < 0:
-            raise OptionError(
-                f"gnss: deviations {self.horizontal_sigma}, {self.vertical_sigma}; expected none below 0"
-            )
+        latitude, longitude, altitude = self.origin_lla
+        bounds = (
+            ("rate_hz", self.rate_hz, 0.01, 1000.0),
+            ("horizontal_sigma", self.horizontal_sigma, 0.0, 1e4),
+            ("vertical_sigma", self.vertical_sigma, 0.0, 1e4),
+            ("origin_lla[0]", latitude, -90.0, 90.0),
+            ("origin_lla[1]", longitude, -180.0, 180.0),
+            ("origin_lla[2]", altitude, -1e4, 1e5),
+        )
+        check_bounds("gnss", bounds)
 
 
 def gnss_sensor(spec: GnssSpec, path: EgoPath, timestamps_ns: Int64Array, *, seed: int) -> GnssSensor:

@@ -24,6 +24,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.errors import OptionError
 from sceneloom.scene.detections import ScoreForm
+from sceneloom.simulate.bounds import check_bounds
 
 _SMALLEST = 1e-9
 """Scores keep this far from 0 and 1, so that their logits are finite."""
@@ -51,11 +52,14 @@ class ScoreSpec:
     logit_shift: float = 0.0
 
     def __post_init__(self) -> None:
-        bounds = (("concentration", 0.01, 1e4), ("likeness", 1e-3, 1e3), ("logit_scale", 1e-3, 1e3))
-        for name, low, high in bounds:
-            if not low <= getattr(self, name) <= high:
-                raise OptionError(f"scores.{name}: {getattr(self, name)}; expected {low:g} to {high:g}")
-        if self.form is ScoreForm.PROBABILITY and (self.logit_scale, self.logit_shift) != (1.0, 0.0):
+        bounds = (
+            ("concentration", self.concentration, 0.01, 1e4),
+            ("likeness", self.likeness, 1e-3, 1e3),
+            ("logit_scale", self.logit_scale, 1e-3, 1e3),
+            ("logit_shift", self.logit_shift, -1e3, 1e3),
+        )
+        check_bounds("scores", bounds)
+        if self.form == ScoreForm.PROBABILITY and (self.logit_scale, self.logit_shift) != (1.0, 0.0):
             raise OptionError(
                 "scores: logit_scale and logit_shift are for logits; set form to ScoreForm.LOGIT"
             )
@@ -79,14 +83,15 @@ def deal_out(
     """Deal the expected false boxes of a class out to its objects.
 
     Args:
-        chances: (M,) float64, in (0, 1]: chance of each object in each frame to be found.
+        chances: (M,) float64, 0 to 1: chance of each object in each frame to be found.
         false_count: how many false boxes are expected in all these frames.
         repeated: how many duplicates a true box has.
         likeness: as in `ScoreSpec`.
     """
     lent = 1.0 + likeness - chances
     false_shares = lent / max(float(lent.sum()), _SMALLEST)
-    true_shares = chances / (chances * (1.0 + repeated) + false_count * false_shares)
+    expected = chances * (1.0 + repeated) + false_count * false_shares
+    true_shares = chances / np.maximum(expected, np.finfo(np.float64).tiny)
     return LooksLike(true_shares, false_shares)
 
 
@@ -109,7 +114,7 @@ def draw_scores(
     scores = np.clip(
         generator.beta(np.maximum(a, _SMALLEST), np.maximum(b, _SMALLEST)), _SMALLEST, 1.0 - _SMALLEST
     )
-    if spec.form is ScoreForm.PROBABILITY:
+    if spec.form == ScoreForm.PROBABILITY:
         return scores
     logits: Float64Array = spec.logit_scale * np.log(scores / (1.0 - scores)) + spec.logit_shift
     return logits

@@ -336,18 +336,29 @@ def test_occlusion_is_the_share_of_points_that_others_take(drive, reports):
         {"range_scale": 0.0},
         {"seed": -1},
         {"lasting_share": -0.1},
+        {"yaw_sigma_deg": float("nan")},
+        {"velocity_sigma": float("inf")},
     ],
 )
-def test_detector_numbers_out_of_bounds_are_refused(wrong):
-    with pytest.raises(OptionError, match="detector"):
+def test_detector_numbers_out_of_bounds_are_refused_by_name(wrong):
+    with pytest.raises(OptionError, match="^detector." + "|".join(wrong)):
         Detector3dSpec(**wrong)
 
 
 def test_classes_and_misses_out_of_bounds_are_refused():
-    with pytest.raises(OptionError, match="recall"):
-        MissSpec(recall=0.0)
+    for name, value in (("recall", 0.0), ("hiding", float("inf")), ("steepness", float("nan"))):
+        with pytest.raises(OptionError, match=f"^detector.misses.{name}: {value}; expected"):
+            MissSpec(**{name: value})
     with pytest.raises(OptionError, match="false_rate"):
         ClassSpec(half_evidence=1.0, false_rate=-1.0, size_lwh=(1.0, 1.0, 1.0))
+
+
+def test_chances_are_those_of_the_formula_and_nothing_overflows_where_all_or_nothing_is_found():
+    points, hidden = np.array([1.0, 8.0, 100.0]), np.array([0.0, 0.5, 0.9])
+    by_hand = [0.98 / (1 + np.exp(-2 * np.log(n / 8) + 2 * h)) for n, h in zip(points, hidden, strict=True)]
+    np.testing.assert_allclose(MissSpec().chances(points, hidden, np.full(3, 8.0)), by_hand)
+    sharp = MissSpec(steepness=1e5, recall=1.0).chances(points, 0.0 * hidden, np.full(3, 8.0))
+    np.testing.assert_array_equal(sharp, [0.0, 0.5, 1.0])
 
 
 def test_what_is_not_a_lidar_or_not_a_sweep_is_refused(drive):

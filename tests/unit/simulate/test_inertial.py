@@ -133,8 +133,14 @@ def test_rates_that_no_sensor_has_are_refused(rate):
         GnssSpec(rate_hz=rate)
 
 
-def test_negative_deviations_are_refused():
-    with pytest.raises(OptionError, match="below 0"):
-        ImuSpec(gyroscope_noise=-1.0)
-    with pytest.raises(OptionError, match="below 0"):
-        GnssSpec(vertical_sigma=-1.0)
+@pytest.mark.parametrize("sigma", [-1.0, float("nan")])
+def test_deviations_that_no_sensor_has_are_refused_by_name(sigma):
+    with pytest.raises(OptionError, match=r"imu.gyroscope_noise: .*expected 0.0 to"):
+        ImuSpec(gyroscope_noise=sigma)
+    with pytest.raises(OptionError, match=r"gnss.vertical_sigma: .*expected 0.0 to"):
+        GnssSpec(vertical_sigma=sigma)
+
+
+def test_the_receiver_starts_on_the_earth():
+    with pytest.raises(OptionError, match="origin_lla"):
+        GnssSpec(origin_lla=(500.0, 0.0, 0.0))

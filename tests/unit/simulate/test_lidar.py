@@ -209,6 +209,9 @@ def test_points_are_handed_out_read_only(drive):
         {"drop_rate": 1.5},
         {"range_sigma": float("nan")},
         {"min_range": 50.0, "max_range": 10.0},
+        {"elevations_deg": (2.0, -24.8)},
+        {"elevations_deg": (float("nan"), 2.0)},
+        {"start_azimuth_deg": float("nan")},
     ],
 )
 def test_devices_that_cannot_be_are_refused_by_name(wrong):

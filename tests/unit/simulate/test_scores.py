@@ -98,8 +98,27 @@ def test_logits_are_the_same_scores_in_another_form():
     assert np.abs(logits).max() > 1.5
 
 
+def test_the_form_can_be_given_by_its_word():
+    drawn = [
+        draw_scores(np.random.default_rng(1), np.full(9, 0.6), np.full(9, True), ScoreSpec(form=form))
+        for form in (ScoreForm.PROBABILITY, "probability")
+    ]
+    np.testing.assert_array_equal(*drawn)
+
+
+def test_what_is_never_found_looks_false_and_nothing_else_changes():
+    shares = deal_out(np.array([0.0, 0.5]), 0.0).true_shares
+    np.testing.assert_array_equal(shares, [0.0, 1.0])
+
+
 @pytest.mark.parametrize(
-    "wrong", [{"concentration": 0.0}, {"form": ScoreForm.LOGIT, "logit_scale": 0.0}, {"logit_shift": 1.0}]
+    "wrong",
+    [
+        {"concentration": 0.0},
+        {"form": ScoreForm.LOGIT, "logit_scale": 0.0},
+        {"form": ScoreForm.LOGIT, "logit_shift": float("nan")},
+        {"logit_shift": 1.0},
+    ],
 )
 def test_score_numbers_out_of_bounds_are_refused(wrong):
     with pytest.raises(OptionError, match="scores"):

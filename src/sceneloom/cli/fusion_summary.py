@@ -20,6 +20,8 @@ def print_fusion(report: "FusionReport", outputs: "FusionOutputs", *, quiet: boo
     )
     click.echo(f"{several(report.points, 'point')}, {report.coloured_percent:.1f} % coloured")
     print_table(_camera_row(camera) for camera in report.cameras)
+    if not quiet:
+        _print_blind(report)
     _print_left_out(report, quiet=quiet, verbose=verbose)
     places = {"scene": outputs.scene, "depth images": outputs.depth, "pictures": outputs.pictures}
     for kind, place in places.items():
@@ -42,6 +44,18 @@ def _camera_row(camera: "CameraReport") -> list[str]:
         f"{camera.coloured} coloured",
         ", ".join(filter(None, [unpaired, unposed])),
     ]
+
+
+def _print_blind(report: "FusionReport") -> None:
+    """Remark cameras that see nothing of what the lidars see, as most wrong mountings have it."""
+    blind = [
+        str(camera.camera) for camera in report.cameras if camera.paired and not camera.in_picture_percent
+    ]
+    if blind:
+        message = (
+            f"no point falls into the pictures of {', '.join(blind)}; where they look is in `sceneloom info`"
+        )
+        click.echo(f"assumed: {message}: is the mounting right?", err=True)
 
 
 def _print_left_out(report: "FusionReport", *, quiet: bool, verbose: bool) -> None:

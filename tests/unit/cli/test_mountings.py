@@ -1,5 +1,7 @@
 """Where sensors sit and look, in words: told so that a wrong extrinsic is seen before anything is fused."""
 
+import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -67,3 +69,18 @@ def test_a_lidar_that_is_the_ego_says_no_more_than_that():
 
 def test_info_tells_where_each_sensor_looks(call: Callable[..., Any], recording: Path) -> None:
     assert "looks ahead" in call("info", recording).out
+
+
+def test_fuse_remarks_a_camera_that_sees_no_point(
+    call: Callable[..., Any], recording: Path, tmp_path: Path
+) -> None:
+    drive = tmp_path / "drive"
+    shutil.copytree(recording, drive)
+    calibration = json.loads((drive / "calibration.json").read_text())
+    matrix = calibration["cameras"][0]["imuToCamera"]
+    matrix[1], matrix[2] = matrix[2], [-number for number in matrix[1]]  # so that it looks at the sky
+    (drive / "calibration.json").write_text(json.dumps(calibration))
+    assert "looks up" in call("info", drive).out
+    outcome = call("fuse", drive, "-o", tmp_path / "a.sfs")
+    assert "no point falls into the pictures of camera0" in outcome.err
+    assert "no point falls" not in call("fuse", recording, "-o", tmp_path / "b.sfs").err

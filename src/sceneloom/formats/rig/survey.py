@@ -12,6 +12,7 @@ import numpy as np
 from sceneloom.errors import DataError
 from sceneloom.formats.clouds import cloud_suffix, read_cloud
 from sceneloom.formats.clouds.layout import KITTI, NUSCENES, FieldLayout
+from sceneloom.formats.rig.column_hints import column_hints
 from sceneloom.formats.rig.csv_files import FILE_COLUMNS, TIME_COLUMNS, Table, read_lines, read_table
 from sceneloom.formats.rig.pictures import PICTURE_SUFFIXES, picture_size
 from sceneloom.formats.rig.roots import natural_key
@@ -188,6 +189,7 @@ def _lidar(root: Path, group: _Group, texts: Sequence[Path]) -> FoundSensor:
         cloud = read_cloud(first, layout=layout)
         columns = ", ".join(f"{name} {column.dtype.name}" for name, column in cloud.columns.items())
         about = f"{_several(group)}; the first has {cloud.count} points: {columns}"
+        further += column_hints(cloud.columns)
     except DataError as error:
         about = f"{_several(group)}; the first cannot be read: {error.problem}"
     further.append('stamp = "start"   # of the sweep; or "middle", "end" together with sweep_s')

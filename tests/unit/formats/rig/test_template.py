@@ -235,3 +235,24 @@ def test_the_template_names_no_field_that_is_unknown():
         "stamp",
         "extrinsic",
     }
+
+
+def test_columns_that_are_not_known_by_name_are_offered_as_comments_that_work(tmp_path):
+    columns = {"refl": np.ones(3, "f4"), "dt_ms": np.array([0.0, 50.0, 99.0], "f4")}
+    np.savez(tmp_path / "0.npz", pts=np.ones((3, 3), "f4"), **columns)
+    np.savez(tmp_path / "1.npz", pts=np.ones((3, 3), "f4"), **columns)
+    text = template_text(folder=tmp_path)
+    assert '# use = { intensity = "refl" }' in text
+    assert '# point_times = { field = "dt_ms", unit = "milliseconds" }' in text
+    taken = text.replace("# use", "use").replace("# point_times", "point_times")
+    (tmp_path / "rig.toml").write_text(taken.replace("rate_hz = nan", "rate_hz = 10"))
+    points = sceneloom.open(tmp_path).lidars[0].frames[1].points
+    assert points.intensities.tolist() == [255] * 3
+    np.testing.assert_allclose(points.timestamps_ns, [100e6, 150e6, 199e6], atol=10)
+
+
+def test_columns_of_places_that_are_not_known_by_name_are_asked_for(tmp_path):
+    np.savez(tmp_path / "0.npz", East=np.ones(3), North=np.ones(3), Up=np.ones(3))
+    assert '# use = { x = "?", y = "?", z = "?" }   # needed: which of East North Up' in template_text(
+        folder=tmp_path
+    )

@@ -97,9 +97,11 @@ def _fitted_lens(drive: Drive, record: Record, place: str, size: tuple[int, int]
     sizes = f"{calibrated.width}x{calibrated.height}, the pictures are {size[0]}x{size[1]}"
     ratio = (size[0] / calibrated.width) / (size[1] / calibrated.height)
     if abs(ratio - 1.0) > _RATIO_ERROR:
-        problem = (
-            f"for {sizes}: not the same shape, so they were cut; expected the numbers of the cut pictures"
+        swapped = (calibrated.height, calibrated.width) == size
+        meant = (
+            "are width and height exchanged?" if swapped else "if they were cut, cx and cy move with the cut"
         )
+        problem = f"for {sizes}, another shape; expected the numbers of the pictures as they are; {meant}"
         raise DataError(drive.manifest.path, f"{place}.lens", problem)
     message = f"the numbers are for {sizes}; the lens was scaled"
     drive.ledger.note(NoticeKind.REPAIRED, "lens-scaled", f"{drive.manifest.path}: {place}.lens", message)

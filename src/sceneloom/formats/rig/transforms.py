@@ -19,6 +19,9 @@ _ROTATIONS = ("quaternion_xyzw", "quaternion_wxyz", "rotation_matrix", "euler_de
 _NORM_ERROR = 0.01
 _FARTHEST = 1e6
 
+_QUARTER_ERROR = 0.003
+"""Angles rounded to 1.57 and 3.14 are quarter turns in radians within this share; 1.5 and 3 degrees are not."""
+
 _AGREEMENT_TURN = 2e-3
 _AGREEMENT_SHIFT = 0.01
 """Two ways between the same frames may differ by this much [rad, m]: what rounding in files comes to."""
@@ -54,7 +57,19 @@ def read_transform(record: Record, place: str, ledger: Ledger) -> RigidTransform
     matrix = np.eye(4)
     matrix[:3, 3] = record.get("translation", (0.0, 0.0, 0.0))
     matrix[:3, :3] = _rotation(record, forms[0]) if forms else np.eye(3)
+    if forms == ["euler_deg"] and _are_radians(record["euler_deg"]):
+        message = (
+            f"euler_deg {record['euler_deg'].tolist()} look like radians; degrees are expected, as 90 or -180"
+        )
+        ledger.note(NoticeKind.ASSUMED, "angles-in-radians", place, message)
     return _checked(matrix, place, ledger)
+
+
+def _are_radians(angles: Float64Array) -> bool:
+    """Whether all angles lie within a turn in radians, and one is a quarter or half turn of them."""
+    quarters = np.abs(angles) / (np.pi / 2)
+    whole = (np.abs(quarters - np.round(quarters)) < _QUARTER_ERROR) & (np.round(quarters) > 0)
+    return bool(np.abs(angles).max() < 2 * np.pi and whole.any())
 
 
 def _rotation(record: Record, form: str) -> Float64Array:

@@ -96,7 +96,7 @@ def test_a_lens_for_another_size_is_scaled_with_a_notice(opened):
 
 
 def test_a_lens_for_another_shape_is_refused(opened):
-    with pytest.raises(DataError, match=r"for 8x8, the pictures are 8x6: not the same shape"):
+    with pytest.raises(DataError, match=r"for 8x8, the pictures are 8x6, another shape"):
         opened(("cy = 2.5 }", "cy = 2.5, width = 8, height = 8 }"))
 
 
@@ -214,3 +214,9 @@ def test_a_lenient_reading_takes_the_size_of_the_first_picture_that_can_be_read(
     assert [notice.code for notice in scene.notices] == ["unreadable-files"]
     with pytest.raises(DataError, match=r"0\.png: is no PNG and no JPEG picture"):
         opened()
+
+
+def test_a_lens_with_width_and_height_exchanged_is_told_so(opened):
+    lens = "lens = { fx = 6.0, cx = 3.5, cy = 2.5"
+    with pytest.raises(DataError, match=r"for 6x8, the pictures are 8x6, another shape; .* exchanged\?"):
+        opened((lens, f"{lens}, width = 6, height = 8"))

@@ -154,3 +154,17 @@ def test_all_transforms_at_fault_are_told_at_once(opened):
         opened(("[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0, 9.0]"), ("[0.5, 0.0, -0.5]", "[1e7, 0.0, 0.0]"))
     assert "transforms[0]" in str(caught.value)
     assert "sensors[1] (front).extrinsic" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("euler", "remarked"),
+    [
+        ("[-1.5708, 0, -1.5708]", True),
+        ("[0, 0, 3.14]", True),
+        ("[1.5, 0.2, -0.8]", False),
+        ("[0, 0, 0]", False),
+    ],
+)
+def test_angles_that_look_like_radians_are_remarked(opened, euler, remarked):
+    scene = opened(("quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]", f'euler_deg = {euler}\neuler_order = "zyx"'))
+    assert [notice.code for notice in scene.notices] == ["angles-in-radians"] * remarked

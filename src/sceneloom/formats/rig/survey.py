@@ -28,6 +28,8 @@ _FARTHEST = 1000.0
 _DIGITS = re.compile(r"\d+")
 _UNITS_BY_DIGITS = {19: "{ns}", 16: "{us}", 13: "{ms}", 10: "{s}"}
 """Units of stamps of our years by their number of digits."""
+_PARTS_BY_DIGITS = {9: "{ns}", 6: "{us}", 3: "{ms}"}
+"""Units of what stands behind whole seconds."""
 
 Times = dict[str, str | float | bool]
 
@@ -252,14 +254,20 @@ def _times(root: Path, group: _Group, texts: Sequence[Path]) -> Times:
 
 def _stamp_patterns(stem: str) -> Iterator[str]:
     """Patterns that find a stamp of our years in a name, the likeliest first."""
-    split = re.search(r"(?<!\d)(\d{10})([_.\-])(\d{9}|\d{6}|\d{3})(?!\d)", stem)
+    split = re.search(r"(?<!\d)(\d{10})(?:\.\d+|([_-])(\d{9}|\d{6}|\d{3}))(?!\d)", stem)
     if split:
-        part = {9: "{ns}", 6: "{us}", 3: "{ms}"}[len(split[3])]
-        yield f"{'*' if split.start() else ''}{{s}}{split[2]}{part}{stem[split.end() :]}"
+        # after a point stand decimals, of which some programs leave out the last zeros
+        part = split[2] + _PARTS_BY_DIGITS[len(split[3])] if split[3] else ""
+        yield f"{'*' if split.start() else ''}{{s}}{part}{_rest(stem, split.end())}"
     for run in reversed(list(_DIGITS.finditer(stem))):
         unit = _UNITS_BY_DIGITS.get(len(run[0]))
         if unit is not None and run[0][0] != "0":
-            yield f"{'*' if run.start() else ''}{unit}{stem[run.end() :]}"
+            yield f"{'*' if run.start() else ''}{unit}{_rest(stem, run.end())}"
+
+
+def _rest(stem: str, start: int) -> str:
+    """What follows a stamp in a pattern; numbers in it may be others in the next name."""
+    return _DIGITS.sub("*", stem[start:])
 
 
 def _listed_times(root: Path, group: _Group, texts: Sequence[Path]) -> Times:

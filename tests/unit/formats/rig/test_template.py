@@ -120,7 +120,9 @@ def test_a_folder_without_clouds_and_pictures_is_refused(tmp_path):
         ("1532402927647", {"pattern": "{ms}"}),
         ("1532402927", {"pattern": "{s}"}),
         ("1532402927_647951000", {"pattern": "{s}_{ns}"}),
-        ("1532402927.647951", {"pattern": "{s}.{us}"}),
+        ("1532402927-647951", {"pattern": "{s}-{us}"}),
+        ("1532402927.647951", {"pattern": "{s}"}),
+        ("top_1532402927.6479510_raw", {"pattern": "*{s}_raw"}),
         ("top_1532402927647951000_raw", {"pattern": "*{ns}_raw"}),
     ],
 )
@@ -132,6 +134,23 @@ def test_times_are_told_from_names_and_those_patterns_read_them(tmp_path, name, 
     (tmp_path / "rig.toml").write_text(filled(template_text(folder=tmp_path)))
     stamps = FORMAT.open(tmp_path).lidars[0].frames.timestamps_ns
     assert abs(int(stamps[0]) - START_NS) < 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("names", "expected_ns"),
+    [
+        (["1532402927.647951", "1532402928.5"], [1_532_402_927_647_951_000, 1_532_402_928_500_000_000]),
+        (
+            ["1532402927647951000_000001", "1532402927747951000_000002"],
+            [1_532_402_927_647_951_000, 1_532_402_927_747_951_000],
+        ),
+    ],
+)
+def test_the_pattern_that_the_first_name_tells_reads_the_others(tmp_path, names, expected_ns):
+    for name in names:
+        (tmp_path / f"{name}.pcd").write_bytes(PCD)
+    (tmp_path / "rig.toml").write_text(filled(template_text(folder=tmp_path)))
+    assert FORMAT.open(tmp_path).lidars[0].frames.timestamps_ns.tolist() == expected_ns
 
 
 @pytest.mark.parametrize("names", [["000000", "000001"], ["0000000000", "0000000001"], ["scan_1", "scan_2"]])

@@ -7,9 +7,8 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project_unbounded, unproject
+from sceneloom.cameras.models import unproject
 from sceneloom.errors import OptionError
-from sceneloom.geometry.boxes import EDGES
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, CameraSensor, Identifier
 from sceneloom.simulate.camera import PictureTruth
@@ -29,11 +28,8 @@ from sceneloom.simulate.detectors import Detector2dSpec
 from sceneloom.simulate.drive import SimulatedDrive
 from sceneloom.simulate.randomness import Stream
 from sceneloom.simulate.sightings import hidden_shares, objects_at
+from sceneloom.simulate.whole_boxes import LineViews, projected_boxes, within_picture
 
-_NEAR = 0.05
-"""Of a box beside the camera, what lies farther ahead than this is projected [m]."""
-_ALONG_EDGES = 25
-"""Points on each edge of a projected box: lenses bend edges."""
 _TRIES, _OVERLAP = 12, 0.2
 """So many places are tried for a false box until it overlaps no object by more than this, intersection over union."""
 _SMALLEST_PX = 1.0
@@ -110,7 +106,7 @@ def _look(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, ind
     seen, extents, pixels = _extents(shown, instances)
     objects, instances = objects.select(seen), instances[seen]
     if spec.amodal:
-        extents = projected_boxes(objects, pose, lens, extents)
+        extents = projected_boxes(LineViews.of(rendered, number, instances), extents)
     return _Look(
         int(camera.pictures.timestamps_ns[index]),
         objects,
@@ -140,41 +136,6 @@ def _extents(shown: AnyArray, instances: Int64Array) -> tuple[Int64Array, Float6
     seen = np.flatnonzero(np.isin(instances, met))
     own = np.searchsorted(met, instances[seen])
     return seen, edges[own], np.bincount(which, minlength=len(met)).astype(np.float64)[own]
-
-
-def projected_boxes(
-    objects: Boxes3D, world_from_camera: RigidTransform, lens: Camera, extents: Float64Array
-) -> Float64Array:
-    """Edges (M, 4) of the projected boxes, clipped to the picture; of a box out of the lens, what is seen of it."""
-    steps = np.linspace(0.0, 1.0, _ALONG_EDGES)[:, None]
-    corners = world_from_camera.inverse().apply(objects.corners)
-    boxes = extents.copy()
-    for k in range(len(corners)):
-        starts, stops = _ahead(corners[k])
-        lines = starts + steps[:, None] * (stops - starts)
-        pixels = project_unbounded(lens, lines.reshape(-1, 3)) + 0.5
-        pixels = pixels[np.isfinite(pixels).all(axis=1)]
-        if len(pixels):
-            boxes[k] = *pixels.min(axis=0), *pixels.max(axis=0)
-    return _within(boxes, lens)
-
-
-def _ahead(corners: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """The parts of a box's edges that lie ahead of the camera: where they start and stop, (E, 3) each."""
-    first, last = np.array(EDGES).T
-    deeper = corners[first, 2] > corners[last, 2]
-    near, far = (corners[np.where(deeper, a, b)] for a, b in ((last, first), (first, last)))
-    reaching = far[:, 2] > _NEAR
-    near, far = near[reaching], far[reaching]
-    share = np.clip((_NEAR - near[:, 2]) / np.maximum(1e-12, far[:, 2] - near[:, 2]), 0.0, 1.0)[:, None]
-    return near + share * (far - near), far
-
-
-def _within(boxes: Float64Array, lens: Camera) -> Float64Array:
-    """Boxes cut off at the edges of the picture."""
-    size = np.array([lens.width, lens.height] * 2, np.float64)
-    cut: Float64Array = np.clip(boxes, 0.0, size)
-    return cut
 
 
 def _clutter(picture: PictureTruth, shown: AnyArray, instances: Int64Array, look: Pose) -> Float64Array:
@@ -234,7 +195,7 @@ def _with_errors(
     """Exact boxes (N, 4) with errors out of standard normal numbers: in the picture, and no smaller than a pixel."""
     sizes = exact[:, 2:] - exact[:, :2]
     sigmas = spec.corner_sigma_px + spec.corner_sigma_share * np.tile(sizes, 2)
-    edges = _within(exact + sigmas * normals, lens)
+    edges = within_picture(exact + sigmas * normals, lens)
     low, high = np.minimum(edges[:, :2], edges[:, 2:]), np.maximum(edges[:, :2], edges[:, 2:])
     low = np.minimum(low, np.array([lens.width, lens.height]) - _SMALLEST_PX)
     return np.column_stack([low, np.maximum(high, low + _SMALLEST_PX)])
@@ -254,7 +215,7 @@ def _false_boxes(
             half = look.lens.fx / depth * generator.uniform(width, max(width, length)) / 2
             tall = look.lens.fy / depth * height * np.exp(0.1 * generator.standard_normal()) / 2
             edges = np.array([[column - half, row - tall, column + half, row + tall]]) + 0.5
-            boxes[k] = _within(edges, look.lens)[0]
+            boxes[k] = within_picture(edges, look.lens)[0]
             if _overlaps(boxes[k], look.corners_xyxy).max(initial=0.0) < _OVERLAP:
                 break
     return boxes, labels

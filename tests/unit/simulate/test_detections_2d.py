@@ -6,8 +6,6 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Boxes3D, PointsFrame
 from sceneloom.simulate import (
     CameraSpec,
     ClassSpec,
@@ -22,7 +20,6 @@ from sceneloom.simulate import (
     simulate_street,
 )
 from sceneloom.simulate.detections import FALSE
-from sceneloom.simulate.detections_2d import projected_boxes
 
 LENS = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
 SHARP = {"car": ClassSpec(half_evidence=1e-6, false_rate=0.0, size_lwh=(4.2, 1.8, 1.5))}
@@ -125,22 +122,6 @@ def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
     # Pixels are whole, and what is seen of an object lies in its box.
     assert (report.truth.corners_xyxy[:, :2] <= shown[:, :2] + 1).all()
     assert (report.truth.corners_xyxy[:, 2:] >= shown[:, 2:] - 1).all()
-
-
-def test_the_box_of_an_object_beside_the_camera_reaches_the_border_and_stays_finite():
-    objects = Boxes3D(
-        0,
-        np.array([[1.0, 3.0, -1.0]]),
-        np.array([[8.0, 2.0, 2.0]]),
-        np.zeros(1),
-        np.ones(1),
-        ("car",),
-        frame=PointsFrame.WORLD,
-    )
-    ahead = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
-    (box,) = projected_boxes(objects, ahead, LENS, np.array([[1.0, 2.0, 3.0, 4.0]]))
-    # Its far end is 5 m ahead and begins 2 m to the left; its top is on the camera's height.
-    assert box == pytest.approx([0.0, 96.0, 159.5 - 190 * 2 / 5 + 0.5, 200.0])
 
 
 def test_occlusion_is_what_the_truth_of_the_picture_says(drive, reports):

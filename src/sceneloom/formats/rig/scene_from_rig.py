@@ -98,10 +98,12 @@ def _judging(place: str, faults: Faults, ledger: Ledger) -> Iterator[None]:
         return
     try:
         yield
-    except DataError as error:
-        ledger.fault("parts-at-fault", error)
     except SceneloomError as error:
-        ledger.fault("parts-at-fault", DataError(faults.file, place, str(error)))
+        where, problem = place, str(error)
+        if isinstance(error, DataError) and error.file == str(faults.file) and error.place:
+            where, problem = error.place, error.problem
+        message = f"left out: {problem}"
+        ledger.note(NoticeKind.SKIPPED, "parts-at-fault", f"{faults.file}: {where}", message)
 
 
 def _frame_tree(manifest: Manifest, faults: Faults, ledger: Ledger) -> FrameTree:

@@ -149,3 +149,16 @@ def test_fusing_a_rig_writes_a_scene(folder, tmp_path):
     with sceneloom.open(tmp_path / "out.sfs") as scene:
         assert [sensor.id for sensor in scene.lidars] == ["top"]
         assert len(scene.lidars[0].frames) == 3
+
+
+def test_each_part_that_a_lenient_reading_leaves_out_is_told_by_its_place_and_its_fault(opened, folder):
+    (folder / "poses.txt").write_text("1532402927.5 0 0 0 0 0 0 1\n1532402928.5 9 0 0 0 0 1\n")
+    scene = opened(("top/*.bin", "tip/*.bin"), lenient=True)
+    told = [f"{notice.place}: {notice.message}" for notice in scene.notices]
+    assert len(told) == 2
+    assert told[0].startswith(
+        f"{folder / 'rig.toml'}: trajectories[0]: left out: {folder / 'poses.txt'}: line 2: "
+    )
+    assert told[1].startswith(
+        f"{folder / 'rig.toml'}: sensors[0].files: left out: 'tip/*.bin': no such files"
+    )

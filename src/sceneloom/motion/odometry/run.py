@@ -68,6 +68,8 @@ def lidar_odometry(
             "choose another trajectory with `--trajectory NAME`"
         )
     counts = Counter(estimate.outcome for estimate in estimates)
+    if not counts[Outcome.FITTED]:
+        estimates = [_of_unknown_motion(estimate, settings) for estimate in estimates]
     return OdometryRun(
         trajectory_of(NAME, estimates), (*sweeps.finished_notices(), *_remarks(counts, late, scene.source))
     )
@@ -90,6 +92,14 @@ def _append(estimates: list[PoseEstimate], estimate: PoseEstimate, settings: Odo
 def _led_back(earlier: PoseEstimate, first: MotionState, settings: OdometryConfiguration) -> PoseEstimate:
     state = first.predicted(earlier.state.timestamp_ns, settings.acceleration, settings.turn_acceleration)
     return replace(earlier, state=state, covariance=state.covariance[:6, :6])
+
+
+def _of_unknown_motion(estimate: PoseEstimate, settings: OdometryConfiguration) -> PoseEstimate:
+    """Say how little is known of where the ego was at the end of a sweep that no other one could be compared with."""
+    later = estimate.state.predicted(
+        max(estimate.last_ns, estimate.state.timestamp_ns), settings.acceleration, settings.turn_acceleration
+    )
+    return replace(estimate, covariance=estimate.covariance + later.covariance[:6, :6])
 
 
 _BEGINNINGS = (Outcome.STARTED, Outcome.RESTARTED)
@@ -119,6 +129,11 @@ def _remarks(counts: Counter[Outcome], late: int, place: str) -> list[Notice]:
         for outcome, (code, message) in _REMARKS.items()
         if counts[outcome]
     ]
+    if not counts[Outcome.FITTED]:
+        message = "no two sweeps could be compared, so nothing is known of the motion; the ego was taken as standing"
+        notices.append(
+            Notice(kind=NoticeKind.ASSUMED, code="odometry-without-motion", place=place, message=message)
+        )
     if late:
         message = (
             "sweeps whose middle is not later than that of the sweep before were left out of the odometry"

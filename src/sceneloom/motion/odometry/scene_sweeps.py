@@ -41,6 +41,42 @@ class _Source:
     period_ns: int
     raw: RawTimes | None = None
     tally: PointTimesTally = field(default_factory=PointTimesTally)
+    empty: int = 0
+    repeated: int = 0
+    _latest: FloatArray | None = None
+
+    def note(self, frame: LidarFrame) -> None:
+        """Count sweeps without returns, and those that are the one before over again."""
+        positions = frame.points.positions
+        if len(positions) == 0:
+            self.empty += 1
+        elif self._latest is not None and np.array_equal(positions, self._latest, equal_nan=True):
+            self.repeated += 1
+        self._latest = positions
+
+    def notices(self) -> list[Notice]:
+        """What there is to say of the lidar's sweeps."""
+        place, count = f"sensors[{self.lidar.id}].frames", len(self.lidar.frames)
+        remarks = (
+            (
+                "sweeps-without-returns",
+                self.empty,
+                f"of {count} sweeps these have no returns; was the lidar blind?",
+            ),
+            (
+                "repeated-sweeps",
+                self.repeated,
+                f"of {count} sweeps these hold exactly the points of the one before, as if it stood; was it stuck?",
+            ),
+        )
+        return [
+            *self.tally.notices(f"{place}[].points.timestamps"),
+            *(
+                Notice(kind=NoticeKind.ASSUMED, code=code, place=place, message=message, count=found)
+                for code, found, message in remarks
+                if found
+            ),
+        ]
 
 
 @dataclass(slots=True)
@@ -86,12 +122,8 @@ class SceneSweeps:
 
     def finished_notices(self) -> tuple[Notice, ...]:
         """All remarks, when the last cloud has been read."""
-        timing = [
-            notice
-            for source in self.sources
-            for notice in source.tally.notices(f"sensors[{source.lidar.id}].frames[].points.timestamps")
-        ]
-        return (*self.notices, *timing, *self._untimed_notice())
+        of_lidars = [notice for source in self.sources for notice in source.notices()]
+        return (*self.notices, *of_lidars, *self._untimed_notice())
 
     def _untimed_notice(self) -> list[Notice]:
         if not self.untimed:
@@ -133,6 +165,7 @@ class SceneSweeps:
                 raise
             self.notices.append(_skipped("odometry-sweep-unreadable", error.file, str(error)))
             return None
+        source.note(frame)
         timed = timed_frame(frame, source.period_ns, previous=source.raw)
         source.raw = timed.raw or source.raw
         source.tally.add(timed.found)

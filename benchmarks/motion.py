@@ -29,7 +29,7 @@ from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from
 from sceneloom.motion.deskew import points_to_world
 from sceneloom.motion.odometry import LidarOdometry, lidar_odometry
 from sceneloom.pipeline import iter_fused
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, PosePath, Scene
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, Picture, PosePath, Scene
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.simulate import (
     CameraSpec,
@@ -371,13 +371,13 @@ def together(options: argparse.Namespace) -> None:
 def in_memory(scene: Scene) -> Scene:
     """The same scene with its sweeps and pictures made already."""
 
-    def held(frames: Any) -> Any:
-        return LazyFrames.of(list(frames), frames.timestamps_ns.tolist())
+    def held(frames: Any, made: Callable[[Any], Any] = lambda frame: frame) -> Any:
+        return LazyFrames.of([made(frame) for frame in frames], frames.timestamps_ns.tolist())
 
     def sensors() -> Iterator[Any]:
         for sensor in scene.sensors:
             if hasattr(sensor, "pictures"):
-                yield replace(sensor, pictures=held(sensor.pictures))
+                yield replace(sensor, pictures=held(sensor.pictures, Picture.loaded))
             elif hasattr(sensor, "frames"):
                 yield replace(sensor, frames=held(sensor.frames))
             else:

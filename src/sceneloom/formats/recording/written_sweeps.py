@@ -29,6 +29,9 @@ _ABSENT = (
     ("timestamps_ns", "the sweep's own time written: the source has none per point"),
 )
 _NO_PLACE = ("colors", "camera_index")
+_OWN_EXTRAS = {"file_seconds", "dataFile"}
+"""Further fields of a sweep that its line holds."""
+
 _SAME_PLACE, _SAME_TURN = 1e-3, radians(0.01)
 """How far poses may be from each other and still be the same [m], [rad]: as far as those of thinned paths are."""
 
@@ -141,6 +144,9 @@ class SweepWriter:
         further += [name for name in points.extras if name != "file_seconds"]
         for name in further:
             self._lose(name, "left out: the format has none", len(points))
+        for name in [name for name in frame.extras if name not in _OWN_EXTRAS]:
+            field = f"sensors[{self._sensor.id}].frames[].{name}"
+            self.losses.append(Loss(field=field, what="left out: the format has none", count=1))
 
     def _lose(self, name: str, what: str, count: int) -> None:
         if count:

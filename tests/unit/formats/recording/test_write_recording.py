@@ -707,3 +707,12 @@ def test_frames_and_pictures_are_asked_for_one_by_one_in_the_order_of_time(tmp_p
     # a merge looks one line ahead in every stream, and no farther
     order = [stamp for _, stamp in asked]
     assert all(later > earlier - 101 * MS for earlier, later in pairwise(order))
+
+
+def test_further_fields_of_sweeps_are_told_as_lost(tmp_path):
+    said = MappingProxyType({"left_skewed": "in a gap", "dataFile": "0.bin", "file_seconds": 0.0})
+    frames = [LidarFrame(0, some_points(0, 0), said), LidarFrame(100 * MS, some_points(1, 100 * MS))]
+    scene = Scene(sensors=(a_lidar("top", frames=frames), a_camera()))
+    lost = {loss.field: loss.count for loss in write_recording(scene, tmp_path / "drive")}
+    assert lost["sensors[top].frames[].left_skewed"] == 1
+    assert not [field for field in lost if "dataFile" in field or "file_seconds" in field]

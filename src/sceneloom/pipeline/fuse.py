@@ -292,7 +292,7 @@ def _add_readable(writer: SceneWriter, scene: Scene, skips: Skips) -> None:
 
 
 def _provenance(woven: Woven) -> Mapping[str, Any]:
-    """How the fused scene came about, for its metadata; a transform that a fusion took off earlier is kept.
+    """How the fused scene came about, for its metadata; what an earlier fusion said there is kept below `earlier`.
 
     The cameras stand in the order that `camera_index` counts, since a profile may have no place for some of them.
     """
@@ -305,14 +305,19 @@ def _provenance(woven: Woven) -> Mapping[str, Any]:
         "source": Path(woven.scene.source).name.encode(errors="replace").decode(),
         "source_format": woven.scene.format,
         "cameras": [camera.id for camera in woven.scene.cameras],
+        "earlier": _ours(woven.scene).get("fusion"),
     }
     return {"sceneloom": {"world_from_file": world_from_file.tolist(), "fusion": fusion}}
 
 
+def _ours(scene: Scene) -> Mapping[str, Any]:
+    ours = scene.metadata.get("sceneloom")
+    return ours if isinstance(ours, Mapping) else {}
+
+
 def _earlier_world(scene: Scene) -> Float64Array:
     """The (4, 4) transform that an earlier fusion took off, else the identity."""
-    ours = scene.metadata.get("sceneloom")
-    earlier = ours.get("world_from_file") if isinstance(ours, Mapping) else None
+    earlier = _ours(scene).get("world_from_file")
     try:
         matrix = np.eye(4) if earlier is None else np.array(earlier, np.float64)
     except (TypeError, ValueError):

@@ -338,6 +338,18 @@ def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_is_fused_again_tells_by_what_it_was_placed_first(drive: Scene, tmp_path: Path) -> None:
+    fuse(drive, tmp_path / "once.sfs")
+    with sceneloom.open(tmp_path / "once.sfs") as once:
+        first = once.metadata["sceneloom"]["fusion"]
+        assert (first["trajectory"], first["earlier"]) == ("groundTruth", None)
+        fuse(once, tmp_path / "twice.sfs")
+    with sceneloom.open(tmp_path / "twice.sfs") as twice:
+        second = twice.metadata["sceneloom"]["fusion"]
+    assert (second["trajectory"], second["source"]) == (None, "once.sfs")
+    assert second["earlier"] == first
+
+
 def test_a_drive_without_trajectory_is_placed_by_its_sweeps_and_the_scene_says_so(
     drive: Scene, tmp_path: Path
 ) -> None:

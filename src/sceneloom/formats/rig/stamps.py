@@ -75,7 +75,7 @@ def _of_date(match: "re.Match[str]") -> int:
         moment = datetime.fromisoformat(f"{match['date']}T{match['time']}{zone}")
     except ValueError as error:
         raise StampError(f"{match[0]!r}: {error}") from None
-    seconds = moment.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)
+    seconds = moment - datetime(1970, 1, 1, tzinfo=UTC)
     fraction = Decimal(f"0.{match['fraction'] or 0}") * 10**9
     stamp_ns = (seconds.days * 86_400 + seconds.seconds) * 10**9 + int(fraction.to_integral_value())
     if abs(stamp_ns) > FARTHEST_NS:

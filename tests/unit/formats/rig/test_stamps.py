@@ -91,3 +91,9 @@ def test_names_that_do_not_fit_are_refused(name):
 def test_a_name_of_another_unit_is_refused_and_the_placeholder_is_named():
     with pytest.raises(StampError, match=r"milliseconds; expected a time near ours; is `\{ns\}` meant"):
         NamePattern("{ms}").read("1700000000000000000.pcd")
+
+
+@pytest.mark.parametrize("text", ["0001-01-01 00:00:00+14:00", "9999-12-31 23:59:59-14:00"])
+def test_dates_at_the_ends_of_the_calendar_are_refused(text):
+    with pytest.raises(StampError, match="expected a date"):
+        parse_stamp(text, None)

@@ -1,5 +1,6 @@
 """The analytic scene factory: made-up drives with exact answers, the test bench of everything else."""
 
+from sceneloom.simulate.boxes import BoxTruth
 from sceneloom.simulate.camera import CameraSpec, PictureTruth, camera_mount
 from sceneloom.simulate.detections import SimulatedDetections
 from sceneloom.simulate.detections_2d import detect_2d
@@ -8,19 +9,22 @@ from sceneloom.simulate.detectors import ClassSpec, Detector2dSpec, Detector3dSp
 from sceneloom.simulate.drive import SimulatedDrive, demo_drive, plant, simulate_street
 from sceneloom.simulate.exposure import ExposureSpec
 from sceneloom.simulate.faults import Faults, PointTimes, SensorFaults
-from sceneloom.simulate.inertial import ImuSpec
-from sceneloom.simulate.lidar import LidarSpec
+from sceneloom.simulate.inertial import ImuSpec, ImuTruth
+from sceneloom.simulate.lidar import LidarSpec, Sweep
 from sceneloom.simulate.mounts import sensor_mount
+from sceneloom.simulate.movers import Mover
 from sceneloom.simulate.path import PathSpec
 from sceneloom.simulate.radar import RadarSpec, RadarTruth
 from sceneloom.simulate.satellite import GnssSpec
 from sceneloom.simulate.scores import ScoreSpec
 from sceneloom.simulate.solid_state import Raster, Rosette, SolidStateSpec
+from sceneloom.simulate.street import StreetObject
 from sceneloom.simulate.traffic import TrafficSpec
-from sceneloom.simulate.truth import CleanPoints, Truth
+from sceneloom.simulate.truth import CleanPoints, OcclusionTruth, Truth
 from sceneloom.simulate.warp import Stop
 
 __all__ = [
+    "BoxTruth",
     "CameraSpec",
     "ClassSpec",
     "CleanPoints",
@@ -30,8 +34,11 @@ __all__ = [
     "Faults",
     "GnssSpec",
     "ImuSpec",
+    "ImuTruth",
     "LidarSpec",
     "MissSpec",
+    "Mover",
+    "OcclusionTruth",
     "PathSpec",
     "PictureTruth",
     "PointTimes",
@@ -45,6 +52,8 @@ __all__ = [
     "SimulatedDrive",
     "SolidStateSpec",
     "Stop",
+    "StreetObject",
+    "Sweep",
     "TrafficSpec",
     "Truth",
     "camera_mount",

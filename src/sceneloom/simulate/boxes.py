@@ -73,9 +73,9 @@ def boxes_of(street: Street, timestamps_ns: Int64Array) -> BoxTruth:
 def annotations_of(street: Street, labels: Collection[str], *, start_ns: int) -> tuple[CuboidAnnotation, ...]:
     """Give a box for each object of some classes; angles in degrees.
 
-    What moves has a path while it is in the street, sampled every 50 ms: between samples a line stays within 1 cm,
-    up to an acceleration of 30 m/s², and the shortest arc within 0.1 degrees of the truth. Samples lie on `start_ns` and all multiples of their
-    distance.
+    What moves has a path while it is in the street, sampled every 50 ms: between samples a line stays within 1 cm, up
+    to an acceleration of 30 m/s², and the shortest arc within 0.1 degrees of the truth. Samples lie on `start_ns` and
+    all multiples of their distance.
     """
     standing = tuple(
         _annotation(thing, np.array([start_ns], np.int64), [(*thing.center_world, thing.yaw)], stands=True)

@@ -1,5 +1,6 @@
 """The frames of a sensor with planted faults: which come, when they are said to be of, and what is left in them."""
 
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
@@ -11,7 +12,7 @@ from sceneloom.arrays import AnyArray, BoolArray, Int64Array, UInt8Array, read_o
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LazyFrames, LidarFrame, Picture, RadarFrame
+from sceneloom.scene import Identifier, LazyFrames, LidarFrame, Picture, RadarFrame
 from sceneloom.simulate.faults import Interval, PointTimes, SensorFaults
 from sceneloom.simulate.randomness import Stream, generator_for
 
@@ -50,9 +51,9 @@ class FramePlan:
 
     @classmethod
     def of(
-        cls, wrong: SensorFaults, timestamps_ns: Int64Array, clock: Clock, *, seed: int, key: int
+        cls, wrong: SensorFaults, timestamps_ns: Int64Array, clock: Clock, *, seed: int, sensor_id: Identifier
     ) -> "FramePlan":
-        """Work the faults out for true stamps (N,) int64 [ns]; `key` tells sensors apart.
+        """Work the faults of a sensor out for its true stamps (N,) int64 [ns].
 
         Raises:
             OptionError: a frame number is beyond the last frame.
@@ -61,7 +62,7 @@ class FramePlan:
         named = [*wrong.lost_frames, *(number for pair in wrong.swapped for number in pair)]
         beyond = [number for number in named if not 0 <= number < count]
         if beyond:
-            raise OptionError(f"faults: frame {beyond[0]}; expected 0 to {count - 1}")
+            raise OptionError(f"faults of sensor {sensor_id!r}: frame {beyond[0]}; expected 0 to {count - 1}")
         contents = np.arange(count)
         for interval in wrong.stuck:
             inside = np.flatnonzero(_within(timestamps_ns, (interval,)))
@@ -69,6 +70,7 @@ class FramePlan:
         order = np.arange(count)
         for one, other in wrong.swapped:
             order[[one, other]] = other, one
+        key = zlib.crc32(repr(sensor_id).encode())
         lost = generator_for(seed, Stream.FAULTS, key).random(count) < wrong.lost_share
         lost[list(wrong.lost_frames)] = True
         lost |= _within(timestamps_ns, wrong.drop_outs)

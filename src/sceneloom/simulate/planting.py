@@ -1,6 +1,5 @@
 """Making a scene wrong on request: the stamps, frames, contents and mountings of its sensors."""
 
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -40,17 +39,17 @@ class _Job:
     wrong: SensorFaults
     clock: Clock
     seed: int
-    key: int
+    sensor_id: Identifier
 
     @classmethod
     def of(cls, sensor: Sensor, wrong: SensorFaults, seed: int) -> "_Job":
         times = frame_times(sensor)
         first_ns = int(times.min()) if len(times) else 0
         clock = Clock(first_ns, wrong.time_offset_ns, wrong.clock_skew_ppm)
-        return cls(wrong, clock, seed, zlib.crc32(repr(sensor.id).encode()))
+        return cls(wrong, clock, seed, sensor.id)
 
     def plan(self, timestamps_ns: Int64Array) -> FramePlan:
-        return FramePlan.of(self.wrong, timestamps_ns, self.clock, seed=self.seed, key=self.key)
+        return FramePlan.of(self.wrong, timestamps_ns, self.clock, seed=self.seed, sensor_id=self.sensor_id)
 
 
 def _plant_in_cloud(sensor: Cloud, job: _Job) -> tuple[Cloud, Int64Array]:

@@ -295,7 +295,7 @@ def test_what_reads_faulty_frames_can_be_pickled_where_the_frames_can(right):
 
     kept = right.scene.lidars[0].frames
     wrong, clock = SensorFaults(lost_frames=(1,), time_offset_ns=9), Clock(0, 9, 0.0)
-    plan = FramePlan.of(wrong, kept.timestamps_ns[:3], clock, seed=0, key=0)
+    plan = FramePlan.of(wrong, kept.timestamps_ns[:3], clock, seed=0, sensor_id="lidar")
     in_memory = LazyFrames.of([kept[0], kept[1], kept[2]], kept.timestamps_ns[:3].tolist())
     reader = FaultyClouds(in_memory, plan, clock, wrong)
     again = pickle.loads(pickle.dumps(reader))
@@ -311,7 +311,7 @@ def test_what_reads_faulty_frames_can_be_pickled_where_the_frames_can(right):
         ("camera0", {"intensity_scale": 2.0}, "intensity_scale"),
         ("imu", {"shift": (0.0, 0.0, 1.0)}, "shift; a sensor of type imu can have"),
         ("gnss", {"blind": ((0, 1),)}, "blind"),
-        ("lidar", {"lost_frames": (12,)}, "frame 12; expected 0 to 11"),
+        ("lidar", {"lost_frames": (12,)}, "of sensor 'lidar': frame 12; expected 0 to 11"),
         ("lidar", {"swapped": ((-1, 3),)}, "frame -1"),
     ],
 )

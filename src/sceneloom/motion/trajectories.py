@@ -30,6 +30,11 @@ def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | N
         raise PoseError(
             f"{scene.source}: poses cannot be derived from {name} yet; choose one of: {_choices(scene)}"
         )
+    if name is None and not scene.trajectories and not scene.lidars:
+        raise PoseError(
+            f"{scene.source}: no trajectory in it, and no lidar to find one from; "
+            "say `--trajectory identity` for an ego that stood still"
+        )
     if name is None and not scene.trajectories:
         raise PoseError(
             f"{scene.source}: no trajectory in it, so the motion between lidar and pictures is unknown; "
@@ -48,4 +53,5 @@ def _ego_motion(trajectory: Trajectory, heading: str | None) -> EgoMotion:
 
 
 def _choices(scene: Scene) -> str:
-    return ", ".join([*scene.trajectories, IDENTITY])
+    found = [LIDAR] if scene.lidars and LIDAR not in scene.trajectories else []
+    return ", ".join([*scene.trajectories, *found, IDENTITY])

@@ -93,7 +93,7 @@ def test_an_imu_alone_gives_no_way() -> None:
 
 def test_an_unknown_name_or_heading_is_refused() -> None:
     scene = Scene((lidar(),), trajectories={"pose": RECORDED})
-    with pytest.raises(OptionError, match="pose, identity"):
+    with pytest.raises(OptionError, match="pose, lidar, identity"):
         find_ego_motion(scene, name="vio")
     with pytest.raises(OptionError, match="expected 'motion'"):
         find_ego_motion(scene, heading="north")

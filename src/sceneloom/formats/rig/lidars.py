@@ -84,7 +84,7 @@ def _with_clocks(
     meant = record.get("stamp", "start")
     sweep_ns: int = record.get("sweep_s", 0)
     if record.get("deskewed", False):
-        return reader
+        return replace(reader, deskewed=True)
     if not sweep_ns and meant != "start":
         sweep_ns = _median_interval(drive, place, stamps)
     if sweep_ns > LONGEST_SWEEP_NS:

@@ -27,6 +27,7 @@ class SweepReader:
         layout: columns of files that do not say them.
         mapping: what the columns mean.
         turn: takes points of the files into the frame that they are given in, None where they are in it.
+        deskewed: whether the points are placed as at the stamp, which then is the time of all of them.
     """
 
     files: tuple[Path, ...]
@@ -37,6 +38,7 @@ class SweepReader:
     layout: FieldLayout | None
     mapping: PointMapping
     turn: RigidTransform | None = None
+    deskewed: bool = False
 
     def __call__(self, k: int) -> LidarFrame:
         """Read sweep `k`.
@@ -46,6 +48,9 @@ class SweepReader:
         """
         read = self.read(k)
         points = read.points if self.turn is None else _turned(read.points, self.turn)
+        if self.deskewed:
+            times_ns = np.full(len(points), self.timestamps_ns[k], np.int64)
+            points = replace(points, timestamps_ns=read_only(times_ns))
         extras: dict[str, Any] = {"file": self.names[k]}
         counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
         extras.update({name: count for name, count in counts.items() if count})

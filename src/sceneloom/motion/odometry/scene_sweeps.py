@@ -41,6 +41,7 @@ class _Source:
     period_ns: int
     raw: RawTimes | None = None
     tally: PointTimesTally = field(default_factory=PointTimesTally)
+    unreadable: int = 0
     empty: int = 0
     repeated: int = 0
     _latest: FloatArray | None = None
@@ -58,6 +59,7 @@ class _Source:
         """What there is to say of the lidar's sweeps."""
         place, count = f"sensors[{self.lidar.id}].frames", len(self.lidar.frames)
         remarks = (
+            ("odometry-sweep-unreadable", self.unreadable, f"of {count} sweeps these cannot be read"),
             (
                 "sweeps-without-returns",
                 self.empty,
@@ -160,10 +162,10 @@ class SceneSweeps:
     def _read(self, source: _Source, index: int) -> LidarFrame | None:
         try:
             frame = source.lidar.frames[index]
-        except DataError as error:
+        except DataError:
             if not self.lenient:
                 raise
-            self.notices.append(_skipped("odometry-sweep-unreadable", error.file, str(error)))
+            source.unreadable += 1
             return None
         source.note(frame)
         timed = timed_frame(frame, source.period_ns, previous=source.raw)

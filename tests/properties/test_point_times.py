@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.motion.point_times import LONGEST_LAG_NS, MOST_PERIODS, PointTimes, timed_frame
 from sceneloom.scene import LidarFrame, LidarPoints
+from sceneloom.scene.point_times import LONGEST_LAG_NS, MOST_PERIODS, PointTimes, timed_frame
 
 INT64 = st.integers(-(2**63), 2**63 - 1)
 STAMPS = st.integers(-(2**61), 2**61) | st.integers(-(10**11), 10**11)

@@ -9,8 +9,8 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.point_times import SOUND, TimesFound
 from sceneloom.scene import Identifier, LidarPoints
+from sceneloom.scene.point_times import SOUND, TimesFound
 from sceneloom.scene.types import NO_FIELDS
 
 

@@ -15,8 +15,8 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.pairing import PictureQueue, all_reach
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.motion.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene import Identifier, LidarFrame, Picture
+from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene.pose_source import PoseSource
 
 _LONGEST_LAG_NS = 10_000_000_000

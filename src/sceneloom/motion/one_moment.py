@@ -10,9 +10,9 @@ from sceneloom.arrays import Float32Array, Int64Array
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import BodyKnots
-from sceneloom.motion.point_times import LONGEST_LAG_NS, RawTimes, TimedFrame, TimesFound, timed_frame
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.point_times import LONGEST_LAG_NS, RawTimes, TimedFrame, TimesFound, timed_frame
 from sceneloom.scene.pose_source import PoseSource
 
 MEASURED = "measured_timestamps_ns"

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from sceneloom.motion.point_times import PointTimes, TimesFound
 from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.point_times import PointTimes, TimesFound
 
 
 @dataclass(slots=True)

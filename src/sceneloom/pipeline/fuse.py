@@ -11,9 +11,9 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import filling
+from sceneloom.formats.output import check_output, filling
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.motion.ego_motion import Progress, placeable_lidars
@@ -110,12 +110,14 @@ def fuse(
         What was done, in numbers, with all losses and notices.
 
     Raises:
-        PoseError: the sensors' motion is not known.
+        PoseError: the sensors' motion is not known, or at the time of no sweep.
         DataError: there is no lidar, or a sweep or a picture cannot be read.
         OutputError: an output exists, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
     begun = time.perf_counter()
+    if not scene.lidars:
+        raise DataError(scene.source, "", "no lidar in it; fusing needs one")
     wanted = _checked(outputs or FusionOutputs(), output)
     steps = _Steps(progress)
     woven = weave(
@@ -127,8 +129,6 @@ def fuse(
         lenient=lenient,
         progress=steps.finding,
     )
-    if not woven.scene.lidars:
-        raise DataError(scene.source, "", "no lidar in it; fusing needs one")
     skips = Skips() if lenient else None
     system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
     if skips is not None:
@@ -142,6 +142,7 @@ def fuse(
             for sink in sinks.all:
                 sink.add(frame)
             steps.fusing(done, total)
+        _refuse_nothing_fused(scene, tally)
         losses = sinks.finish()
     return FusionReport(
         source=scene.source,
@@ -172,6 +173,15 @@ def _tally(woven: Woven) -> FusionTally:
     )
 
 
+def _refuse_nothing_fused(scene: Scene, tally: FusionTally) -> None:
+    if tally.unfused and not tally.fused:
+        reasons = ", ".join(f"{reason} ({count} times)" for reason, count in tally.unfused.items())
+        raise PoseError(
+            f"{scene.source}: none of {tally.frames} sweeps could be fused: {reasons}; expected a trajectory on the "
+            "clock of the sweeps; `sceneloom info` tells both spans, and `--trajectory lidar` needs none"
+        )
+
+
 def _checked(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs:
     wanted = outputs if output is None else replace(outputs, scene=Path(output))
     if wanted.depth_form not in {"png", "npz"}:
@@ -183,6 +193,10 @@ def _checked(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs
     folders = [folder.absolute() for folder in (wanted.depth, wanted.pictures) if folder is not None]
     if wanted.scene is not None and wanted.scene.absolute() in folders:
         raise OptionError(f"{wanted.scene}: named for a file and for a folder; expected two names")
+    # the way of the ego may take long to find: an output that cannot be is told before
+    for place in (wanted.scene, wanted.depth, wanted.pictures):
+        if place is not None:
+            check_output(place, overwrite=wanted.overwrite)
     return wanted
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.formats.loss import LossReport
 from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.motion.point_times import PointTimes
 from sceneloom.scene import Identifier, Notice, NoticeKind
+from sceneloom.scene.point_times import PointTimes
 
 
 class CameraReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -9,6 +9,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.scene.cameras import Picture
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
 from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.point_times import timed_frame
 
 Stamped = TypeVar("Stamped", Picture, RadarFrame)
 
@@ -74,20 +75,14 @@ class SweepsByReference:
         return {**self.__dict__, "_known": {}}
 
     def read(self, index: int) -> tuple[LidarFrame, int]:
-        """Read a sweep, and tell its reference time [ns].
-
-        Times that lie more than two periods from the sweep's stamp are of another clock or unit and tell nothing;
-        then it is the stamp.
+        """Read a sweep, its point times brought onto the scene's clock, and tell its reference time [ns].
 
         Raises:
             DataError: the sweep cannot be read.
         """
-        frame = self.frames[index]
-        reference_ns = frame.reference_ns
-        if abs(reference_ns - frame.timestamp_ns) > 2 * self._period_ns:
-            reference_ns = frame.timestamp_ns
-        self._known[index] = reference_ns
-        return frame, reference_ns
+        frame = timed_frame(self.frames[index], self._period_ns).frame
+        self._known[index] = frame.reference_ns
+        return frame, frame.reference_ns
 
     def find(self, time_ns: int, tolerance_ns: int) -> tuple[LidarFrame, int] | str:
         """Read the sweep whose reference time is nearest, the earlier one of two; or say why there is none.

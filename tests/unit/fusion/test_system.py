@@ -10,8 +10,8 @@ from sceneloom.colouring import ALGORITHMS, FusedFrame
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.point_times import SOUND, PointTimes
 from sceneloom.scene import LidarFrame, LidarPoints, Picture, PosePath
+from sceneloom.scene.point_times import SOUND, PointTimes
 from sceneloom.scene.pose_source import PoseSource
 
 CAMERA = Camera("pinhole", 8, 6, 4.0, 4.0, 3.5, 2.5)

@@ -383,6 +383,29 @@ def test_a_way_found_by_the_lidar_begins_where_a_recorded_one_says(drive: Scene)
     np.testing.assert_allclose(here.quaternions_xyzw, known.quaternions_xyzw, atol=1e-9)
 
 
+def test_a_trajectory_on_another_clock_is_an_error_that_leaves_nothing_behind(
+    drive: Scene, tmp_path: Path
+) -> None:
+    way = drive.trajectories["groundTruth"]
+    elsewhere = replace(way, timestamps_ns=way.timestamps_ns + 10**15)
+    lost = replace(drive, trajectories={"groundTruth": elsewhere})
+    with pytest.raises(PoseError, match="none of 4 sweeps could be fused: beyond the trajectory"):
+        fuse(lost, tmp_path / "drive.sfs")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_that_exists_is_told_before_the_way_is_found(drive: Scene, tmp_path: Path) -> None:
+    (tmp_path / "drive.sfs").write_bytes(b"mine")
+    told: list[int] = []
+    with pytest.raises(OutputError, match="exists already"):
+        fuse(
+            replace(drive, trajectories={}),
+            tmp_path / "drive.sfs",
+            progress=lambda done, _total: told.append(done),
+        )
+    assert told == []
+
+
 def test_a_drive_with_neither_trajectory_nor_lidar_says_what_to_do(drive: Scene) -> None:
     empty = replace(drive.lidars[0], frames=LazyFrames.of([], []))
     lost = replace(drive, trajectories={}, sensors=(*drive.cameras, empty))

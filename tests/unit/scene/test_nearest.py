@@ -82,10 +82,11 @@ def test_a_sweep_in_the_middle_of_its_picture_is_read_once_and_no_other():
     assert asked == [12]
 
 
-def test_a_reference_time_of_another_clock_gives_way_to_the_stamp():
+def test_point_times_that_count_from_the_stamp_are_put_right_before_they_tell_the_moment():
     sweep = sweep_at(1000, [5, 6, 7])
-    finder = SweepsByReference(LazyFrames.of([sweep], [1000]), PERIOD)
-    assert finder.read(0) == (sweep, 1000)
+    frame, reference_ns = SweepsByReference(LazyFrames.of([sweep], [1000]), PERIOD).read(0)
+    assert reference_ns == 1006
+    assert frame.points.timestamps_ns.tolist() == [1005, 1006, 1007]
 
 
 def test_that_a_sensor_has_nothing_or_nothing_near_is_said():

@@ -9,8 +9,8 @@ from sceneloom.arrays import FloatArray, Int64Array
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.motion.point_times import RawTimes, timed_frame
 from sceneloom.scene import LidarFrame, LidarSensor, Notice, NoticeKind, PointsFrame, Scene
+from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.span import NOMINAL_PERIOD_NS
 
 _SAME_PERIOD = 0.75

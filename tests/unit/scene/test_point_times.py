@@ -8,14 +8,14 @@ import pytest
 
 import sceneloom
 from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.motion.point_times import (
+from sceneloom.scene import LidarFrame, LidarPoints, NoticeKind
+from sceneloom.scene.point_times import (
     PointTimes,
     RawTimes,
     TimedFrame,
     TimesFound,
     timed_frame,
 )
-from sceneloom.scene import LidarFrame, LidarPoints, NoticeKind
 
 PERIOD = 100_000_000
 EPOCH = 1_700_000_000_123_456_789

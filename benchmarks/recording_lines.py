@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sceneloom.formats.recording.ledger import Ledger
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.lines import read_lines
 
 Columns = dict[str, tuple[np.ndarray, np.ndarray]]

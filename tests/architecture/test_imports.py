@@ -1,5 +1,6 @@
 """A module imports only from rows below its own, and `import sceneloom` stays light."""
 
+import ast
 import subprocess
 import sys
 import tomllib
@@ -95,6 +96,14 @@ def test_every_third_party_that_is_imported_is_declared(modules, project):
     imported = {name.split(".")[0] for m in modules for name, _ in m.imports}
     foreign = imported - set(sys.stdlib_module_names) - {"sceneloom"}
     assert {distributions.get(name, name) for name in foreign} <= names
+
+
+def test_benchmarks_and_examples_import_what_is_there(project, modules):
+    names = {module.name for module in modules}
+    for path in chain(project.glob("benchmarks/*.py"), project.glob("examples/*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "sceneloom":
+                assert node.module in names, f"{path.name}:{node.lineno}"
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import click
 from sceneloom.cli.printing import print_lines, print_losses, print_notices, print_table, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.fuse import FusionOutputs
+    from sceneloom.pipeline.outputs import FusionOutputs
     from sceneloom.pipeline.report import CameraReport, FusionReport
 
 

@@ -3,7 +3,8 @@
 from sceneloom.pipeline.convert import ConversionReport, convert
 from sceneloom.pipeline.deskew import deskew, deskewed_scene
 from sceneloom.pipeline.deskew_report import DeskewReport
-from sceneloom.pipeline.fuse import FusionOutputs, fuse, iter_fused
+from sceneloom.pipeline.fuse import fuse, iter_fused
+from sceneloom.pipeline.outputs import FusionOutputs
 from sceneloom.pipeline.report import CameraReport, FusionReport
 
 __all__ = [

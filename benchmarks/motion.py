@@ -14,6 +14,7 @@ together: odometry and fusion of the same sweeps, one after another.
 """
 
 import argparse
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -403,7 +404,7 @@ def main() -> None:
     parser.add_argument("--metres", type=float, default=600.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[20, 21])
     parser.add_argument("--stand", type=float, default=60.0, help="seconds of standing")
-    data = Path(__file__).resolve().parents[1] / "../shared/data/recordings/kitti_drive"
+    data = Path(os.environ.get("SCENELOOM_DATA", "../shared/data")) / "recordings" / "kitti_drive"
     parser.add_argument("--kitti", type=Path, default=data, help="the recording kitti_drive")
     options = parser.parse_args()
     for name in options.tables or TABLES:

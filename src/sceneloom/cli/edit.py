@@ -36,11 +36,7 @@ def edit() -> None:
     help="The ego's way to deskew by; `lidar`: found from the sweeps; `imu`: only the turning that the IMU tells. "
     "[default: the drive's first, else `lidar`]",
 )
-@click.option(
-    "--heading",
-    type=click.Choice(["motion"]),
-    help="Derive orientations where the trajectory has positions only.",
-)
+@options.heading
 @click.option(
     "--at",
     type=click.Choice(["start", "middle", "end"]),
@@ -49,8 +45,7 @@ def edit() -> None:
     help="The moment of each sweep that its points are brought to.",
 )
 @click.option("--lidar", metavar="ID", help="The only lidar to deskew. [default: all]")
-@click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp.")
-@click.option("--stop", type=float, metavar="S", help="End before S seconds after it.")
+@options.part
 @options.writing_scenes
 @options.reading
 @options.printing

@@ -19,11 +19,7 @@ from sceneloom.cli.printing import print_json, progress_bar
     help="The ego's way to use; `lidar`: found from the sweeps; `identity`: it stood still. "
     "[default: the drive's first, else `lidar`]",
 )
-@click.option(
-    "--heading",
-    type=click.Choice(["motion"]),
-    help="Derive orientations where the trajectory has positions only.",
-)
+@options.heading
 @click.option("--depth", type=click.Path(path_type=Path), help="Folder for depth images.")
 @click.option(
     "--depth-form",
@@ -37,8 +33,7 @@ from sceneloom.cli.printing import print_json, progress_bar
     metavar="N",
     help="Draw every Nth sweep. [default: eight spread over the drive]",
 )
-@click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp.")
-@click.option("--stop", type=float, metavar="S", help="End before S seconds after it.")
+@options.part
 @options.writing_scenes
 @options.reading
 @options.printing

@@ -38,6 +38,19 @@ reading = _stacked(
 )
 """On every verb that reads a drive."""
 
+heading = click.option(
+    "--heading",
+    type=click.Choice(["motion"]),
+    help="Derive orientations where the trajectory has positions only.",
+)
+"""On every verb that moves something along the ego's way."""
+
+part = _stacked(
+    click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp."),
+    click.option("--stop", type=float, metavar="S", help="End before S seconds after it."),
+)
+"""On every verb that can take a part of a drive."""
+
 printing = _stacked(
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
     click.option("-q", "--quiet", is_flag=True, help="No progress, no notices."),

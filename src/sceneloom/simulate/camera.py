@@ -14,7 +14,8 @@ from sceneloom.scene.types import NO_FIELDS
 from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint, silhouettes
 from sceneloom.simulate.exposure import EXPOSURE_FIELD, Exposure, ExposureSpec
-from sceneloom.simulate.path import EgoPath, rotation_from_angles
+from sceneloom.simulate.mounts import sensor_mount
+from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.street import Street
 
 _TILE = 16
@@ -40,8 +41,8 @@ def camera_mount(
         position: in the ego frame [m].
         yaw_deg, pitch_deg, roll_deg: turns about the ego's z, y and x axis, roll first.
     """
-    roll, pitch, yaw = np.radians([roll_deg, pitch_deg, yaw_deg])
-    return RigidTransform(rotation_from_angles(roll, pitch, yaw) @ _EGO_FROM_AHEAD, np.array(position))
+    ahead = sensor_mount(position=position, yaw_deg=yaw_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
+    return RigidTransform(ahead.rotation @ _EGO_FROM_AHEAD, ahead.translation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

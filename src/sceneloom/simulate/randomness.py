@@ -19,7 +19,6 @@ class Stream(IntEnum):
     FAULTS = 20
     DETECTIONS_3D = 21
     DETECTIONS_2D = 22
-    SCORES = 23
     RADAR = 10
     EXPOSURE = 11
 

@@ -6,6 +6,7 @@ from types import MappingProxyType
 
 from sceneloom.arrays import read_only
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.default_poses import default_poses
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import read_calibration
@@ -19,11 +20,8 @@ from sceneloom.formats.recording.trajectories import build_trajectories
 from sceneloom.scene import (
     GnssSensor,
     ImuSensor,
-    NoticeKind,
-    PosePath,
     Scene,
     Sensor,
-    Trajectory,
     VectorSamples,
 )
 
@@ -68,7 +66,7 @@ def _open(folder: Path, altitude: str, ledger: Ledger) -> Scene:
     columns = read_lines(data_path, ledger)
     calibration = read_calibration(folder, ledger)
     trajectories = build_trajectories(columns.poses, data_path, ledger)
-    ego_path = _default_path(trajectories, data_path, ledger)
+    ego_path = default_poses(trajectories, str(data_path), ledger)
     opened = OpenPictures()
     with ExitStack() as stack:
         stack.callback(opened.close)
@@ -93,21 +91,6 @@ def _open(folder: Path, altitude: str, ledger: Ledger) -> Scene:
         )
         stack.pop_all()
         return scene
-
-
-def _default_path(
-    trajectories: dict[tuple[str, str], Trajectory], data_path: Path, ledger: Ledger
-) -> PosePath | None:
-    default = next(iter(trajectories.values()), None)
-    if default is None:
-        return None
-    if default.quaternions_xyzw is None:
-        message = (
-            f"trajectory {default.name!r} holds positions without orientations, so the sensors have no poses"
-        )
-        ledger.note(NoticeKind.SKIPPED, "orientations-missing", str(data_path), message)
-        return None
-    return default.poses
 
 
 def _imu(columns: RecordingColumns) -> list[Sensor]:

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
+from sceneloom.formats.default_poses import default_poses
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.cameras import build_camera
 from sceneloom.formats.rig.doubts import note_doubts
@@ -21,7 +22,7 @@ from sceneloom.formats.rig.roots import open_root
 from sceneloom.formats.rig.trajectories import build_trajectory
 from sceneloom.formats.rig.transforms import Edge, FrameTree, read_transform
 from sceneloom.formats.rig.videos import VideoFile
-from sceneloom.scene import NoticeKind, PosePath, Scene, Sensor, Trajectory
+from sceneloom.scene import NoticeKind, Scene, Sensor, Trajectory
 
 _BUILDERS: Mapping[str, Callable[[Drive, Record, str], Sensor]] = MappingProxyType(
     {"lidar": build_lidar, "camera": build_camera, "imu": build_imu, "gnss": build_gnss}
@@ -53,7 +54,7 @@ def _open(manifest: Manifest, ledger: Ledger) -> Scene:
     faults = manifest.faults()
     tree = _frame_tree(manifest, faults, ledger)
     trajectories = _trajectories(manifest, tree, faults, ledger)
-    drive = Drive(manifest, tree, _default_path(trajectories, manifest, ledger), ledger)
+    drive = Drive(manifest, tree, default_poses(trajectories, str(manifest.path), ledger), ledger)
     closing = CloseVideos(drive.videos)
     sensors: list[Sensor] = []
     try:
@@ -150,21 +151,6 @@ def _trajectories(
             with _judging(place, faults, ledger):
                 trajectories[name] = build_trajectory(manifest, record, place, tree, ledger)
     return trajectories
-
-
-def _default_path(
-    trajectories: Mapping[str, Trajectory], manifest: Manifest, ledger: Ledger
-) -> PosePath | None:
-    default = next(iter(trajectories.values()), None)
-    if default is None:
-        return None
-    if default.quaternions_xyzw is None:
-        message = (
-            f"trajectory {default.name!r} holds positions without orientations, so the sensors have no poses"
-        )
-        ledger.note(NoticeKind.SKIPPED, "orientations-missing", str(manifest.path), message)
-        return None
-    return default.poses
 
 
 def _note_frames_and_roots(drive: Drive) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError
-from sceneloom.kernels.scan_matching import move_points
 from sceneloom.motion.odometry.configuration import OdometryConfiguration
 from sceneloom.motion.odometry.first_guess import SPEEDS, guess_motion
 from sceneloom.motion.odometry.local_map import LocalMap
@@ -27,7 +26,6 @@ _LONGEST_PREDICTION = 2.0
 _MOST_FAILURES = 5
 _DROP_EVERY = 10.0
 _RENEWAL_WAY = 15.0
-_EXCESS = 1.0
 
 
 class Outcome(StrEnum):
@@ -251,7 +249,7 @@ class LidarOdometry:
         before = self._state or state
         way = float(np.linalg.norm(state.position - before.position))
         self._drift = self._carried_drift(state)
-        self._drift += fit.state.covariance[:6, :6] * min(1.0, way / _RENEWAL_WAY) * _EXCESS
+        self._drift += fit.state.covariance[:6, :6] * min(1.0, way / _RENEWAL_WAY)
         self._state, self._last_good, self._failures = state, (sweep, state), 0
         self._map.insert(_to_world(sweep, state))
         if np.linalg.norm(state.position - self._cleaned_at) > _DROP_EVERY:
@@ -272,16 +270,7 @@ class LidarOdometry:
 
 def _to_world(sweep: Sweep, state: MotionState) -> Float64Array:
     points_world, arms = np.empty_like(sweep.points_ego), np.empty_like(sweep.points_ego)
-    move_points(
-        sweep.points_ego,
-        sweep.seconds,
-        state.rotation,
-        state.position,
-        state.turn_rate,
-        state.velocity,
-        points_world,
-        arms,
-    )
+    state.move(sweep.points_ego, sweep.seconds, points_world, arms)
     return points_world
 
 

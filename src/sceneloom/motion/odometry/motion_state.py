@@ -11,6 +11,7 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
+from sceneloom.kernels.scan_matching import move_points
 
 TURN, SHIFT, TURN_RATE, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 """Places of the four errors in a covariance of the state."""
@@ -43,6 +44,28 @@ class MotionState:
         turned = turn_matrix(self.turn_rate * dt)
         bend = 0.5 * dt * dt * np.cross(self.turn_rate, self.velocity)
         return turned @ self.rotation, self.position + dt * self.velocity + bend
+
+    def move(
+        self, points_ego: Float64Array, seconds: Float64Array, points_world: Float64Array, arms: Float64Array
+    ) -> None:
+        """Take points into the world, each at its own time.
+
+        Args:
+            points_ego: (N, 3) float64 [m].
+            seconds: (N,) float64, times after the state's.
+            points_world: (N, 3) float64 [m], written.
+            arms: (N, 3) float64 [m], written: from the ego to each point, along the world's axes.
+        """
+        move_points(
+            points_ego,
+            seconds,
+            self.rotation,
+            self.position,
+            self.turn_rate,
+            self.velocity,
+            points_world,
+            arms,
+        )
 
     def predicted(self, timestamp_ns: int, acceleration: float, turn_acceleration: float) -> "MotionState":
         """The state at a later time, with what accelerations of the given size add to its uncertainty.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.kernels.scan_matching import accumulate_normal_equations, move_points
+from sceneloom.kernels.scan_matching import accumulate_normal_equations
 from sceneloom.motion.odometry.local_map import LocalMap
 from sceneloom.motion.odometry.motion_state import MotionState
 
@@ -54,16 +54,7 @@ def fit_sweep(
     points_world, arms = np.empty((count, 3)), np.empty((count, 3))
     information, gradient, sums = np.empty((3, 6, 6)), np.empty((2, 6)), np.empty(4)
     for step in range(_MOST_STEPS):
-        move_points(
-            points_ego,
-            seconds,
-            state.rotation,
-            state.position,
-            state.turn_rate,
-            state.velocity,
-            points_world,
-            arms,
-        )
+        state.move(points_ego, seconds, points_world, arms)
         accumulate_normal_equations(
             points_world,
             arms,

@@ -139,12 +139,14 @@ class FusionTally:
     coloured: int = 0
     times: PointTimesTally = field(default_factory=PointTimesTally)
     timeless: int = 0
+    nowhere: int = 0
     unfused: dict[str, int] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame) -> None:
         """Count one sweep."""
         self.frames += 1
         self.points += len(frame.points)
+        self.nowhere += int(np.count_nonzero(~np.isfinite(frame.points.positions).all(axis=1)))
         self.times.add(frame.times)
         self.timeless += frame.times.kind is PointTimes.ABSENT and frame.lidar_id in self.moving
         if frame.unfused is not None:
@@ -170,7 +172,14 @@ class FusionTally:
 
     def notices(self) -> tuple[Notice, ...]:
         """What had to be assumed about the sweeps."""
-        return (*self.times.notices(), *self._timeless_notice())
+        return (*self.times.notices(), *self._timeless_notice(), *self._nowhere_notice())
+
+    def _nowhere_notice(self) -> list[Notice]:
+        if not self.nowhere:
+            return []
+        message = "points whose place is not finite were kept as they are; they get no colour and no depth"
+        place, kind = "sensors[].frames[].points.positions", NoticeKind.SKIPPED
+        return [Notice(kind=kind, code="points-not-finite", place=place, message=message, count=self.nowhere)]
 
     def _timeless_notice(self) -> list[Notice]:
         if not self.timeless:

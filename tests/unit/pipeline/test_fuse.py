@@ -406,6 +406,17 @@ def test_an_output_that_exists_is_told_before_the_way_is_found(drive: Scene, tmp
     assert told == []
 
 
+def test_points_whose_place_is_not_finite_are_counted(drive: Scene) -> None:
+    frames = list(drive.lidars[0].frames)
+    positions = frames[1].points.positions.copy()
+    positions[:7] = np.nan
+    frames[1] = replace(frames[1], points=replace(frames[1].points, positions=positions))
+    lidar = replace(drive.lidars[0], frames=LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]))
+    report = fuse(replace(drive, sensors=(*drive.cameras, lidar)))
+    assert {notice.code: notice.count for notice in report.notices}["points-not-finite"] == 7
+    assert "points-not-finite" not in {notice.code for notice in fuse(drive).notices}
+
+
 def test_a_drive_with_neither_trajectory_nor_lidar_says_what_to_do(drive: Scene) -> None:
     empty = replace(drive.lidars[0], frames=LazyFrames.of([], []))
     lost = replace(drive, trajectories={}, sensors=(*drive.cameras, empty))

@@ -55,6 +55,16 @@ def check_array(
     return int(array.shape[0])
 
 
+def check_count(name: str, values: Sequence[Any] | None, count: int) -> None:
+    """Check that a sequence, where there is one, has as many values as there are time stamps.
+
+    Raises:
+        ArrayError: it has more or fewer.
+    """
+    if values is not None and len(values) != count:
+        raise ArrayError(f"{name}: {len(values)} values for {count} timestamps; expected as many of both")
+
+
 def _expected(shape: Sequence[int | None], dtype: DTypeLike) -> str:
     lengths = ", ".join("N" if n is None else str(n) for n in shape)
     return f"expected ({lengths}) {np.dtype(dtype).name}"

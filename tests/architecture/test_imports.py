@@ -19,6 +19,7 @@ ROWS = (
     ("detections", "colouring"),
     ("checks",),
     ("formats",),
+    ("editing",),
     ("motion",),
     ("scene", "visibility"),
     ("cameras",),

@@ -1,6 +1,30 @@
 """The scene model, in the words of the Sensor Fusion Scene format, with IMU and GNSS added."""
 
-from sceneloom.scene.annotations import Annotation, CuboidAnnotation, CuboidPath, PlainAnnotation
+from sceneloom.scene.annotations import (
+    Activation,
+    Annotation,
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
+    CameraCalibration,
+    CuboidAnnotation,
+    CuboidPath,
+    EventAnnotation,
+    GroupAnnotation,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LinkAnnotation,
+    LocalizationAdjustment,
+    ObjectAnnotation,
+    PlainAnnotation,
+    PointPath,
+    PointProjection,
+    PointsAnnotation,
+    Projection,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
+)
 from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
 from sceneloom.scene.clouds import (
     LidarFrame,
@@ -12,6 +36,7 @@ from sceneloom.scene.clouds import (
     RadarSensor,
 )
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
+from sceneloom.scene.findings import Finding, Severity
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.notices import Notice, NoticeKind
@@ -24,31 +49,48 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
 
 __all__ = [
+    "Activation",
     "Annotation",
+    "AttributePath",
+    "Box2DAnnotation",
+    "BoxPath",
     "Boxes",
     "Boxes2D",
     "Boxes3D",
+    "CameraCalibration",
     "CameraSensor",
     "Coordinates",
     "CuboidAnnotation",
     "CuboidPath",
+    "EventAnnotation",
+    "Finding",
     "GnssSensor",
+    "GroupAnnotation",
     "Identifier",
     "ImuSensor",
+    "LabeledPoints",
+    "LabeledPointsAnnotation",
     "LazyFrames",
     "LidarFrame",
     "LidarPoints",
     "LidarSensor",
+    "LinkAnnotation",
+    "LocalizationAdjustment",
     "Notice",
     "NoticeKind",
+    "ObjectAnnotation",
     "OdometrySensor",
     "Picture",
     "PlainAnnotation",
     "PlainSensor",
+    "PointPath",
+    "PointProjection",
+    "PointsAnnotation",
     "PointsFrame",
     "PointsSensor",
     "PosePath",
     "PoseSamples",
+    "Projection",
     "RadarFrame",
     "RadarPoints",
     "RadarSensor",
@@ -58,7 +100,11 @@ __all__ = [
     "ScoreForm",
     "Sensor",
     "SensorType",
+    "Severity",
+    "ShapeAnnotation",
+    "ShapeType",
     "Trajectory",
     "VectorSamples",
+    "VertexPath",
     "VideoContent",
 ]

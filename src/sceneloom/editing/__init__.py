@@ -1,0 +1,1 @@
+"""Scenes out of scenes: cut, joined, thinned, moved, corrected."""

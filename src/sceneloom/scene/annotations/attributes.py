@@ -1,0 +1,43 @@
+"""Attributes: what is said about a scene, a sensor or an annotation, over time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array, check_array
+from sceneloom.errors import ArrayError
+from sceneloom.scene.types import NO_FIELDS, Identifier
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttributePath:
+    """The values of one attribute; each holds until the next.
+
+    Attributes:
+        name: what is said.
+        values: one per time stamp: text, a number, or a tuple of texts; whatever else a file has is kept as it is.
+        timestamps_ns: (N,) int64 [ns], or None where the file gives none.
+        sensor_id: of the only sensor that it holds for, or None.
+        static: whether it holds at all times; None where not said.
+        point_index: of the only point of a points annotation that it holds for, or None.
+        extras: further fields of the file, by name.
+
+    Source: "Attribute Path" of the SFS description; `point_index` is that of "Points Annotation / Keypoints".
+    """
+
+    name: str
+    values: tuple[Any, ...]
+    timestamps_ns: Int64Array | None = None
+    sensor_id: Identifier | None = None
+    static: bool | None = None
+    point_index: int | None = None
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        count = check_array("attribute.timestamps_ns", self.timestamps_ns, (None,), np.int64, optional=True)
+        if self.timestamps_ns is not None and not self.static and count != len(self.values):
+            raise ArrayError(
+                f"attribute {self.name!r}: {count} timestamps and {len(self.values)} values; expected as many of both"
+            )

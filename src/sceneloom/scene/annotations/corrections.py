@@ -1,0 +1,63 @@
+"""What is to be applied to a scene: corrections of its places, and of its cameras."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import NO_FIELDS, Identifier
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizationAdjustment:
+    """Poses A(t) that mend a scene's localisation, or lead from ego to world: p' = A(t) p.
+
+    Attributes:
+        id: unique among the scene's annotations.
+        poses: `corrected_from_given` over time.
+        parent_id: id of the parent annotation, or None.
+        extras: every other field of the file, by name.
+
+    Source: "Localization Adjustment Annotation" of the SFS description.
+    """
+
+    id: Identifier
+    poses: PosePath
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    @property
+    def type(self) -> str:
+        """`localization_adjustment`."""
+        return "localization_adjustment"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibration:
+    """What mends a camera: world_from_camera' = world_from_camera D(t), another lens, other times.
+
+    Attributes:
+        id: unique among the scene's annotations.
+        sensor_id: the camera.
+        poses: D(t), `camera_from_calibrated_camera`, or None.
+        intrinsics: the calibrated lens, or None.
+        time_offset_ns: to be added to the camera's times [ns], or None.
+        parent_id: id of the parent annotation, or None.
+        extras: every other field of the file, by name; those of `poses` and `intrinsics` under these names.
+
+    Source: "Camera Calibration Annotation" of the SFS description.
+    """
+
+    id: Identifier
+    sensor_id: Identifier
+    poses: PosePath | None = None
+    intrinsics: Camera | None = None
+    time_offset_ns: int | float | None = None
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    @property
+    def type(self) -> str:
+        """`camera_calibration`."""
+        return "camera_calibration"

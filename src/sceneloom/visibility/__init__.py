@@ -1,0 +1,1 @@
+"""Which sensor sees which object: boxes in pictures, points in boxes."""

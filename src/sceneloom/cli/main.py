@@ -5,13 +5,13 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from io import TextIOWrapper
 from types import FrameType, MappingProxyType
 from typing import Any, NoReturn
 
 import click
 
+from sceneloom.cli.verb_group import VerbGroup
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.version import __version__
 
@@ -21,33 +21,15 @@ VERBS = MappingProxyType(
         "info": "Say what is in a recording or a scene.",
         "fuse": "Fuse lidar and cameras of a drive into one scene.",
         "convert": "Write a recording or a scene in another format.",
-        "edit": "Change one thing of a drive: deskew its sweeps.",
+        "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "formats": "List the formats that can be read and written.",
     }
 )
 
 
-class VerbGroup(click.Group):
-    """Imports a verb's module only when that verb is called, so that `--help` is quick."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
-        """Names of the verbs, in the order of a first walk through them."""
-        return list(VERBS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        """Import one verb."""
-        if cmd_name not in VERBS:
-            return None
-        command: click.Command = getattr(import_module(f"sceneloom.cli.{cmd_name}"), cmd_name)
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """List the verbs from the table, without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(VERBS.items()))
-
-
-@click.group(cls=VerbGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=VerbGroup, verbs=VERBS, room="sceneloom.cli", context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, prog_name="sceneloom")
 def sceneloom() -> None:
     """Weave every sensor of a drive into one scene.

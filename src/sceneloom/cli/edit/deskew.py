@@ -1,4 +1,4 @@
-"""`sceneloom edit` and its verbs: a drive in, the same drive with one thing changed out."""
+"""`sceneloom edit deskew`: undo the motion during each lidar sweep."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.identifiers import known_id
 from sceneloom.cli.printing import (
     print_json,
     print_lines,
@@ -17,15 +18,9 @@ from sceneloom.cli.printing import (
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.deskew_report import DeskewReport
-    from sceneloom.scene import Identifier, Scene
 
 
-@click.group()
-def edit() -> None:
-    """Change one thing of a drive, and write the drive anew."""
-
-
-@edit.command()
+@click.command()
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="The .sfs file or folder to write."
@@ -80,7 +75,7 @@ def deskew(
             trajectory=trajectory,
             heading=heading,
             at=at,
-            lidar=_sensor_id(scene, lidar),
+            lidar=None if lidar is None else known_id(scene, lidar),
             start=start,
             stop=stop,
             lenient=reading["lenient"],
@@ -92,12 +87,6 @@ def deskew(
         print_json(report)
     else:
         _print_deskewing(report, quiet=quiet, verbose=verbose)
-
-
-def _sensor_id(scene: "Scene", said: str | None) -> "Identifier | None":
-    """The id as the scene has it: `7` may be a number there."""
-    ids = [sensor.id for sensor in scene.sensors]
-    return next((found for found in ids if said not in ids and str(found) == said), said)
 
 
 def _print_deskewing(report: "DeskewReport", *, quiet: bool, verbose: bool) -> None:

@@ -1,0 +1,19 @@
+"""The command `sceneloom edit` and the table of its verbs: a drive in, the same drive with one thing changed out."""
+
+from types import MappingProxyType
+
+import click
+
+from sceneloom.cli.verb_group import VerbGroup
+
+VERBS = MappingProxyType(
+    {
+        "deskew": "Undo the motion during each lidar sweep.",
+    }
+)
+"""Each verb stands in the module of its name, with `_` for `-`."""
+
+
+@click.group(cls=VerbGroup, verbs=VERBS, room="sceneloom.cli.edit")
+def edit() -> None:
+    """Change one thing of a drive, and write the drive anew."""

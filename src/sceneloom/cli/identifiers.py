@@ -1,0 +1,12 @@
+"""Ids of sensors and annotations as they are typed: all of them texts, though `7` may be a number in the scene."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sceneloom.scene import Identifier, Scene
+
+
+def known_id(scene: "Scene", said: str) -> "Identifier":
+    """The id of a sensor as the scene has it; the text itself where no sensor has such an id."""
+    ids = [sensor.id for sensor in scene.sensors]
+    return next((found for found in ids if said not in ids and str(found) == said), said)

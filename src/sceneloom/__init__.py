@@ -17,6 +17,7 @@ from sceneloom.errors import SceneloomError
 from sceneloom.version import __version__
 
 if TYPE_CHECKING:
+    from sceneloom.checks import validate
     from sceneloom.formats.sfs import SceneWriter
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
@@ -38,6 +39,7 @@ __all__ = [
     "iter_fused",
     "open",
     "simulate_street",
+    "validate",
     "write",
 ]
 
@@ -52,6 +54,7 @@ _ON_FIRST_USE = {
     "iter_fused": ("sceneloom.pipeline", "iter_fused"),
     "open": ("sceneloom.formats.table", "open_scene"),
     "simulate_street": ("sceneloom.simulate", "simulate_street"),
+    "validate": ("sceneloom.checks", "validate"),
     "write": ("sceneloom.formats.table", "write_scene"),
 }
 """Module and name there of everything that is imported when it is first asked for."""

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
 
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene import Scene, Severity
 
 
-class Hit(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Hit:
     """A place where a rule does not hold.
 
     Attributes:
@@ -42,7 +42,7 @@ Fix = Callable[[Scene], Scene]
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One rule; it has `find`, or `look`, or both.
+    """One rule; it has `find`, or `look`, or both; `look` with `conclude` judges frames together.
 
     Attributes:
         id: kebab case, stable ("quaternion-norm").
@@ -50,7 +50,8 @@ class Rule:
         summary: what holds in a sound scene, one sentence for the catalogue.
         remedy: what a person can do about a hit.
         find: looks at the whole scene without reading frames.
-        look: looks at one frame or picture; each is read once for all rules.
+        look: looks at one frame or picture; each is read once for all rules, and those of a sensor come in order.
+        conclude: says at the end what all frames together show; what `look` kept for it is in `Subject.cache`.
         fix: gives the scene mended: safe, idempotent, changing nothing else; None where a person has to decide.
         profiles: for which profiles it holds.
     """
@@ -61,5 +62,6 @@ class Rule:
     remedy: str
     find: Find | None = None
     look: Look | None = None
+    conclude: Find | None = None
     fix: Fix | None = None
     profiles: frozenset[CheckProfile] = ALL_PROFILES

@@ -1,10 +1,21 @@
 """What rules look at: a scene, and a frame of it that is in memory."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar, cast
 
-from sceneloom.scene import Annotation, Identifier, LidarFrame, Picture, RadarFrame, Scene, Sensor
+from sceneloom.scene import (
+    Annotation,
+    CameraSensor,
+    Identifier,
+    LidarFrame,
+    Picture,
+    RadarFrame,
+    Scene,
+    Sensor,
+)
+
+Table = TypeVar("Table")
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +26,7 @@ class FrameInHand:
         sensor: whose it is.
         sensor_path: `sensors[3]`.
         number: of the frame within its sensor.
-        frame: None where it could not be read.
+        frame: None where it could not be read; a picture is decoded already.
         fault: why it could not.
     """
 
@@ -28,9 +39,8 @@ class FrameInHand:
     @property
     def path(self) -> str:
         """`sensors[3].frames[12]`, or `sensors[3].pictures[12]`."""
-        return (
-            f"{self.sensor_path}.{'pictures' if isinstance(self.frame, Picture) else 'frames'}[{self.number}]"
-        )
+        name = "pictures" if isinstance(self.sensor, CameraSensor) else "frames"
+        return f"{self.sensor_path}.{name}[{self.number}]"
 
 
 @dataclass(frozen=True)
@@ -40,21 +50,61 @@ class Subject:
     Attributes:
         scene: as far as it could be read.
         header: the file's own header where it is an `.sfs` file, else None.
-        cache: tables that several rules need, each made once (`cached_property` of theirs).
+        sensor_paths: where each sensor of the scene stands in its file; empty: counted in the scene.
+        annotation_paths: where each annotation stands; empty: counted in the scene.
+        cache: what `table` keeps.
     """
 
     scene: Scene
     header: Mapping[str, Any] | None = None
+    sensor_paths: Sequence[str] = ()
+    annotation_paths: Sequence[str] = ()
     cache: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, things in (("sensors", self.scene.sensors), ("annotations", self.scene.annotations)):
+            attribute = f"{name.removesuffix('s')}_paths"
+            if len(getattr(self, attribute)) != len(things):
+                object.__setattr__(self, attribute, tuple(f"{name}[{k}]" for k in range(len(things))))
+
+    def table(self, name: str, make: Callable[["Subject"], Table]) -> Table:
+        """Give a table that several rules need; the first that asks has it made."""
+        if name not in self.cache:
+            self.cache[name] = make(self)
+        return cast("Table", self.cache[name])
+
+    def sensors(self) -> Iterator[tuple[str, Sensor]]:
+        """All sensors with their paths."""
+        return zip(self.sensor_paths, self.scene.sensors, strict=True)
+
+    def annotations(self) -> Iterator[tuple[str, Annotation]]:
+        """All annotations with their paths."""
+        return zip(self.annotation_paths, self.scene.annotations, strict=True)
 
     def sensor_path(self, sensor: Sensor) -> str:
         """`sensors[3]`."""
-        return f"sensors[{next(i for i, other in enumerate(self.scene.sensors) if other is sensor)}]"
+        return self.table("paths of sensors", _paths_of_sensors)[id(sensor)]
 
     def annotation_path(self, annotation: Annotation) -> str:
         """`annotations[3]`."""
-        return f"annotations[{next(i for i, a in enumerate(self.scene.annotations) if a is annotation)}]"
+        return self.table("paths of annotations", _paths_of_annotations)[id(annotation)]
 
     def has_sensor(self, sensor_id: Identifier) -> bool:
         """Whether the scene has a sensor of that id, of that very type."""
-        return any(s.id == sensor_id and type(s.id) is type(sensor_id) for s in self.scene.sensors)
+        return self.sensor(sensor_id) is not None
+
+    def sensor(self, sensor_id: Identifier) -> Sensor | None:
+        """The sensor of that id, of that very type, or None."""
+        return self.table("sensors by id", _sensors_by_id).get((type(sensor_id), sensor_id))
+
+
+def _paths_of_sensors(subject: Subject) -> dict[int, str]:
+    return {id(sensor): path for path, sensor in subject.sensors()}
+
+
+def _paths_of_annotations(subject: Subject) -> dict[int, str]:
+    return {id(annotation): path for path, annotation in subject.annotations()}
+
+
+def _sensors_by_id(subject: Subject) -> dict[tuple[type, Identifier], Sensor]:
+    return {(type(sensor.id), sensor.id): sensor for sensor in subject.scene.sensors}

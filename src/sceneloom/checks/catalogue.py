@@ -1,0 +1,40 @@
+"""All rules: one row per module that offers some."""
+
+from collections.abc import Iterable
+from importlib import import_module
+
+from sceneloom.checks.rule import CheckProfile, Rule
+from sceneloom.errors import OptionError
+
+RULE_MODULES: tuple[str, ...] = (
+    "sceneloom.checks.reading",
+    "sceneloom.checks.times",
+)
+"""The modules that offer `RULES`, in the order in which a person would look."""
+
+
+def all_rules() -> tuple[Rule, ...]:
+    """Every rule of every profile."""
+    return tuple(rule for module in RULE_MODULES for rule in import_module(module).RULES)
+
+
+def chosen_rules(
+    profile: CheckProfile | str, *, only: Iterable[str] = (), ignored: Iterable[str] = ()
+) -> tuple[Rule, ...]:
+    """The rules of a profile: only those that are named, but for those that are to be ignored.
+
+    Raises:
+        OptionError: there is no such profile, or no such rule.
+    """
+    profiles = [known.value for known in CheckProfile]
+    if profile not in profiles:
+        raise OptionError(f"profile {profile!r}; expected one of {', '.join(profiles)}")
+    rules, only, ignored = all_rules(), frozenset(only), frozenset(ignored)
+    known_ids = {rule.id for rule in rules}
+    for identifier in sorted((only | ignored) - known_ids):
+        raise OptionError(f"no rule {identifier!r}; `sceneloom validate --rules` lists them")
+    return tuple(
+        rule
+        for rule in rules
+        if CheckProfile(profile) in rule.profiles and rule.id not in ignored and (not only or rule.id in only)
+    )

@@ -1,0 +1,63 @@
+"""Runs rules over a scene: first those that look at the whole, then one frame after the other before all that look."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import FrameInHand, Subject
+from sceneloom.errors import SceneloomError
+from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Sensor
+
+Progress = Callable[[int, int], None]
+Hits = dict[str, list[Hit]]
+"""What was found, by the id of the rule, in the order of the rules."""
+
+
+def find_all(
+    subject: Subject, rules: Sequence[Rule], *, frames: bool = True, progress: Progress | None = None
+) -> Hits:
+    """Run rules over a scene.
+
+    Args:
+        subject: the scene.
+        rules: which.
+        frames: whether frames and pictures are read for the rules that look at them; each is read once.
+        progress: called with the number of frames done and of all.
+    """
+    hits: Hits = {rule.id: [] for rule in rules}
+    for rule in rules:
+        if rule.find is not None:
+            hits[rule.id].extend(rule.find(subject))
+    looking = [rule for rule in rules if rule.look is not None]
+    if not (frames and looking):
+        return hits
+    total = sum(len(_frames_of(sensor)) for sensor in subject.scene.sensors)
+    for done, frame in enumerate(_frames_in_hand(subject), start=1):
+        for rule in looking:
+            if rule.look is not None:
+                hits[rule.id].extend(rule.look(subject, frame))
+        if progress is not None:
+            progress(done, total)
+    return hits
+
+
+def _frames_in_hand(subject: Subject) -> Iterator[FrameInHand]:
+    """Read every frame and decode every picture once; one that cannot be read is handed out with its fault."""
+    for path, sensor in subject.sensors():
+        for number in range(len(_frames_of(sensor))):
+            try:
+                yield FrameInHand(sensor, path, number, _read(sensor, number))
+            except SceneloomError as error:
+                yield FrameInHand(sensor, path, number, None, str(error))
+
+
+def _frames_of(sensor: Sensor) -> Sequence[Any]:
+    if isinstance(sensor, CameraSensor):
+        return sensor.pictures
+    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor) else ()
+
+
+def _read(sensor: Sensor, number: int) -> Any:
+    if isinstance(sensor, CameraSensor):
+        return sensor.pictures[number].loaded()
+    return _frames_of(sensor)[number]

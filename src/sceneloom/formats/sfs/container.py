@@ -10,7 +10,7 @@ Source: scale-json-binary 0.0.7, whose files this reads; the format's descriptio
 import json
 import mmap
 from collections.abc import Callable, Mapping
-from itertools import pairwise
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from types import MappingProxyType
@@ -62,6 +62,28 @@ class RawBytes(np.ndarray[Any, Any]):
     """The bytes of an item that names no dtype; the field that they belong to decides what they are."""
 
 
+@dataclass(frozen=True, slots=True)
+class ItemFault:
+    """What is wrong with an item.
+
+    Attributes:
+        number: which entry of `$items` it is.
+        keys: the place that it names, as it stands in the item; None where it names none.
+        path: that place as text (`sensors[0].frames[3].points.positions`), empty where it names none.
+        problem: the value and what was expected.
+    """
+
+    number: int
+    keys: tuple[Any, ...] | None
+    path: str
+    problem: str
+
+    @property
+    def place(self) -> str:
+        """Where in the header the fault is, for messages."""
+        return f"{ITEMS}[{self.number}]" + (f" ({self.path})" if self.path else "")
+
+
 class Container:
     """An open `.sfs` file.
 
@@ -74,9 +96,16 @@ class Container:
         DataError: the file cannot be read, or its header or an item is wrong.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Map the file and decode its header."""
+    def __init__(self, path: Path, *, faults: list[ItemFault] | None = None) -> None:
+        """Map the file and decode its header.
+
+        Args:
+            path: the file.
+            faults: where items at fault are noted, in the order of `$items`; None stands in the place of each in the
+                header, if it has one. Without a list the first fault is raised.
+        """
         self.file = str(path)
+        self._faults = faults
         self._mapped = _map_file(path)
         self.identity = self._mapped.identity
         self.closed = False
@@ -119,20 +148,27 @@ class Container:
 
     def _place_items(self) -> None:
         extents: list[tuple[int, int, int]] = []
+        problems: dict[int, str] = {}
         for number, item in enumerate(self._items):
             try:
                 offset, length = self._place_item(item)
             except _ItemError as error:
-                raise DataError(self.file, _item_place(number, item), str(error)) from None
+                problems[number] = str(error)
+                if self._faults is None:
+                    break
+                continue
             if length:
                 extents.append((offset, offset + length, number))
-        extents.sort()
-        for (_, stop, before), (start, _, number) in pairwise(extents):
-            if start < stop:
-                place = _item_place(number, self._items[number])
-                raise DataError(
-                    self.file, place, f"starts at byte {start}, inside item {before}, which ends at {stop}"
-                )
+        problems |= _overlaps(extents)
+        for number in sorted(problems):
+            self._note_fault(_fault(number, self._items[number], problems[number]))
+
+    def _note_fault(self, fault: ItemFault) -> None:
+        if self._faults is None:
+            raise DataError(self.file, fault.place, fault.problem)
+        self._faults.append(fault)
+        if not fault.problem.startswith(_TAKEN):
+            _clear(self.header, fault.keys or ())
 
     def _place_item(self, item: Any) -> tuple[int, int]:
         if not isinstance(item, dict):
@@ -163,6 +199,9 @@ class Container:
 
 class _ItemError(ValueError):
     """What is wrong with an item."""
+
+
+_TAKEN = "its place in the header is taken already"
 
 
 def has_scene_header(path: Path) -> bool:
@@ -245,9 +284,33 @@ def _decode_again(text: bytes, problem: str, file: str) -> Any:
     raise DataError(file, "header", f"no valid JSON: {problem}")
 
 
-def _item_place(number: int, item: Any) -> str:
+def _overlaps(extents: list[tuple[int, int, int]]) -> dict[int, str]:
+    """Say of each item that starts inside an earlier one what is wrong; extents are (start, stop, number)."""
+    problems: dict[int, str] = {}
+    reached, holder = 0, 0
+    for start, stop, number in sorted(extents):
+        if start < reached:
+            problems[number] = f"starts at byte {start}, inside item {holder}, which ends at {reached}"
+        if stop > reached:
+            reached, holder = stop, number
+    return problems
+
+
+def _fault(number: int, item: Any, problem: str) -> ItemFault:
     keys = item.get("keys") if isinstance(item, dict) else None
-    return f"{ITEMS}[{number}] ({format_keys(keys)})" if isinstance(keys, list) else f"{ITEMS}[{number}]"
+    if not isinstance(keys, list):
+        return ItemFault(number, None, "", problem)
+    return ItemFault(number, tuple(keys), format_keys(keys), problem)
+
+
+def _clear(header: dict[str, Any], keys: tuple[Any, ...]) -> None:
+    """Put None in the place of an item at fault, where there is such a place."""
+    parent: Any = header
+    for key in keys[:-1]:
+        parent = _step(parent, key)
+    slot = _slot(parent, keys[-1]) if keys and isinstance(parent, dict | list) else None
+    if slot is not None:
+        cast("dict[str | int, Any]", parent)[slot] = None
 
 
 def _count(item: dict[str, Any], name: str) -> int:
@@ -290,7 +353,7 @@ def _put(header: dict[str, Any], keys: Any, array: AnyArray) -> None:
 
 def _slot(parent: dict[str, Any] | list[Any], key: Any) -> str | int | None:
     if isinstance(parent, dict):
-        return str(key) if isinstance(key, str | int) else None
+        return str(key) if isinstance(key, str | int) and str(key) in parent else None
     index = _index(key)
     return index if index is not None and index < len(parent) else None
 
@@ -299,5 +362,5 @@ def _fill(parent: dict[str, Any] | list[Any], slot: str | int, array: AnyArray) 
     holder = cast("dict[str | int, Any]", parent)
     held = parent.get(cast("str", slot)) if isinstance(parent, dict) else parent[cast("int", slot)]
     if isinstance(held, np.ndarray) or (held is not None and held not in ("", [], {})):
-        raise _ItemError("its place in the header is taken already")
+        raise _ItemError(_TAKEN)
     holder[slot] = array

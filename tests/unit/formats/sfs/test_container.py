@@ -119,6 +119,7 @@ def test_not_a_number_in_the_header_is_read_as_python_writes_it(opened):
         ({"shape": "six"}, "shape 'six'"),
         ({"keys": []}, "keys []"),
         ({"keys": "a"}, "keys 'a'"),
+        ({"keys": ["b"]}, "there is no b"),
         ({"keys": ["b", "c"]}, "there is no b"),
         ({"keys": ["list", 1]}, "there is no list[1]"),
         ({"keys": ["list", "-1"]}, "there is no list[-1]"),
@@ -148,6 +149,31 @@ def test_items_that_overlap_are_refused(opened):
 def test_two_items_for_one_place_are_refused(opened):
     error = refused(opened, {"a": ARRAY, "b": ARRAY}, keys=["a"])
     assert "taken already" in error.problem
+
+
+def test_all_faulty_items_are_collected_and_leave_nothing_in_their_places(tmp_path, encode_sfs):
+    path = tmp_path / "scene.sfs"
+    content = encode_sfs({"a": [{"b": ARRAY}], "c": ARRAY, "d": ARRAY, "e": ARRAY})
+    content = content.replace(b'"offset": 60', b'"offset": 40').replace(
+        b'"shape": [2, 3]}]', b'"shape": [7]}]   '
+    )
+    path.write_bytes(content)
+    faults = []
+    header = Container(path, faults=faults).header
+    assert [(fault.number, fault.path) for fault in faults] == [(2, "d"), (3, "e")]
+    assert faults[0].problem.startswith("starts at byte 40, inside item 1, which ends at 56")
+    assert faults[1].place == "$items[3] (e)"
+    assert header["d"] is None
+    assert header["e"] is None
+    np.testing.assert_array_equal(header["a"][0]["b"], ARRAY)
+
+
+def test_an_item_for_a_taken_place_leaves_what_stands_there(tmp_path, encode_sfs):
+    path = tmp_path / "scene.sfs"
+    path.write_bytes(encode_sfs({"a": ARRAY, "text": "words"}, keys=["text"]))
+    faults = []
+    assert Container(path, faults=faults).header == {"a": "", "text": "words"}
+    assert [fault.keys for fault in faults] == [("text",)]
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,9 @@ def find_all(
                 hits[rule.id].extend(rule.look(subject, frame))
         if progress is not None:
             progress(done, total)
+    for rule in looking:
+        if rule.conclude is not None:
+            hits[rule.id].extend(rule.conclude(subject))
     return hits
 
 

@@ -1,16 +1,15 @@
 """The boxes of a scene at a moment."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, check_array
-from sceneloom.geometry.euler import rotation_from_cuboid_angles
-from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations import CuboidAnnotation
+from sceneloom.scene.at import turned
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
@@ -56,29 +55,36 @@ class Boxes:
 
 
 class BoxTable:
-    """All boxes of a scene with their ways, to be asked for a moment."""
+    """All boxes of a scene with their ways, to be asked for a moment.
+
+    Attributes:
+        annotations: the cuboids of the scene that have a path, in order.
+        angles: how their angles are meant.
+    """
 
     def __init__(self, scene: Scene) -> None:
         """Collect the boxes; unit and order of their angles are those that the scene's metadata name."""
         found = [
             a for a in scene.annotations if isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns)
         ]
-        self._annotations = found
-        named: Any = scene.metadata.get("sceneloom")
-        ours = named if isinstance(named, Mapping) else {}
-        self._unit, self._order = ours.get("euler_unit", "degrees"), ours.get("euler_order", "xyz")
+        self.annotations = tuple(found)
+        self.angles = CuboidAngles.of(scene)
 
     @cached_property
     def _paths(self) -> tuple[Int64Array, Float64Array, Int64Array, Int64Array]:
         """Stamps and rows of all paths one after the other, and where each path begins and ends."""
-        paths = [annotation.path for annotation in self._annotations]
+        paths = [annotation.path for annotation in self.annotations]
         lengths = np.array([len(path.timestamps_ns) for path in paths], np.int64)
         stops = np.cumsum(lengths)
         stamps = np.concatenate([path.timestamps_ns for path in paths])
         return stamps, np.concatenate([path.values for path in paths]), stops - lengths, stops
 
     def at(self, time_ns: int) -> Boxes:
-        """Give the boxes that are there at a time [ns].
+        """Give the boxes that are there at a time [ns], as `find` does."""
+        return self.find(time_ns)[1]
+
+    def find(self, time_ns: int) -> tuple[Int64Array, Boxes]:
+        """Give the boxes that are there at a time [ns], and whose they are: rows (B,) of `annotations`.
 
         A box is there from its first stamp to its last, a stationary one always. Between two stamps centre and size
         go straight and the rotation turns the shorter way.
@@ -88,10 +94,10 @@ class BoxTable:
 
         Source: READING of "paths" in docs/CONVENTIONS.md.
         """
-        if not self._annotations:
-            return Boxes((), (), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)))
+        if not self.annotations:
+            return np.zeros(0, np.int64), Boxes((), (), *(np.zeros((0, n)) for n in (3, 3, 4)))
         stamps, values, starts, stops = self._paths
-        stationary = np.array([bool(annotation.stationary) for annotation in self._annotations])
+        stationary = np.array([bool(annotation.stationary) for annotation in self.annotations])
         there = np.flatnonzero(((stamps[starts] <= time_ns) & (time_ns <= stamps[stops - 1])) | stationary)
         passed = np.add.reduceat((stamps <= time_ns).astype(np.int64), starts)[there]
         last = stops[there] - 1
@@ -100,15 +106,11 @@ class BoxTable:
         span = np.maximum(stamps[after] - stamps[before], 1)
         share = np.clip((time_ns - stamps[before]) / span, 0.0, 1.0)
         rows = values[before, :6] + share[:, None] * (values[after, :6] - values[before, :6])
-        chosen = [self._annotations[k] for k in there.tolist()]
-        return Boxes(
+        chosen = [self.annotations[k] for k in there.tolist()]
+        return there, Boxes(
             tuple(annotation.id for annotation in chosen),
             tuple(annotation.label for annotation in chosen),
             np.ascontiguousarray(rows[:, 3:]),
             np.ascontiguousarray(rows[:, :3]),
-            slerp(self._turns(values[before, 6:]), self._turns(values[after, 6:]), share),
+            turned(self.angles, values[before, 6:], values[after, 6:], share),
         )
-
-    def _turns(self, angles_rpy: Float64Array) -> Float64Array:
-        matrices = rotation_from_cuboid_angles(angles_rpy, unit=self._unit, order=self._order)
-        return quaternion_from_matrix(matrices)

@@ -1,0 +1,229 @@
+"""Annotations at any time: between two stamps, exactly at one, before the first and after the last.
+
+Source: READING of "paths" in docs/CONVENTIONS.md.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.geometry.rotations import slerp
+from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations import (
+    AttributePath,
+    Box2DAnnotation,
+    CuboidAnnotation,
+    PointPath,
+    PointsAnnotation,
+    ShapeAnnotation,
+)
+
+STANDARD_ANGLES = CuboidAngles()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bracket:
+    """Between which rows of a path times lie.
+
+    Attributes:
+        before, after: (M,) int64, rows; the same one at a stamp and beyond the ends.
+        share: (M,) float64, how far on the way from `before` to `after`, 0 to 1.
+        there: (M,) bool, whether the path says anything at that time.
+    """
+
+    before: Int64Array
+    after: Int64Array
+    share: Float64Array
+    there: BoolArray
+
+    @classmethod
+    def of(cls, stamps_ns: Int64Array, times_ns: ArrayLike, *, stationary: bool = False) -> "Bracket":
+        """Find times (M,) [ns] among the stamps (N,) of a path, in order; of equal stamps the last one counts.
+
+        Args:
+            stamps_ns: the path's stamps.
+            times_ns: what is asked for.
+            stationary: the path holds at all times: its first row before it, its last row after it.
+        """
+        times = np.asarray(times_ns, np.int64).reshape(-1)
+        if len(stamps_ns) == 0:
+            none = np.zeros(len(times), np.int64)
+            return cls(none, none, np.zeros(len(times)), np.zeros(len(times), np.bool_))
+        last = len(stamps_ns) - 1
+        there = (times >= stamps_ns[0]) & (times <= stamps_ns[last])
+        before = np.clip(np.searchsorted(stamps_ns, times, side="right") - 1, 0, last)
+        inside = (times > stamps_ns[before]) & (before < last)
+        after = before + inside
+        span = np.maximum(stamps_ns[after] - stamps_ns[before], 1)
+        share = np.where(inside, (times - stamps_ns[before]) / span, 0.0)
+        return cls(before, after, share, there | stationary)
+
+    def blend(self, values: Float64Array) -> Float64Array:
+        """Go straight between the rows of values (N, …); rows of times that the path does not cover mean nothing."""
+        start = values[self.before]
+        share = self.share.reshape(-1, *(1,) * (values.ndim - 1))
+        between: Float64Array = start + share * (values[self.after] - start)
+        return between
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CuboidPoses:
+    """A cuboid at M times; of times at which it is not there all numbers are NaN.
+
+    Attributes:
+        centers_world: (M, 3) float64 [m].
+        sizes_lwh: (M, 3) float64 [m], length, width, height.
+        quaternions_xyzw: (M, 4) float64, `world_from_box`.
+        there: (M,) bool.
+    """
+
+    centers_world: Float64Array
+    sizes_lwh: Float64Array
+    quaternions_xyzw: Float64Array
+    there: BoolArray
+
+
+def turned(
+    angles: CuboidAngles, before_rpy: Float64Array, after_rpy: Float64Array, share: Float64Array
+) -> Float64Array:
+    """Turn from angles (M, 3) to others the shorter way; gives the quaternions (M, 4)."""
+    return slerp(angles.quaternions(before_rpy), angles.quaternions(after_rpy), share)
+
+
+def cuboid_poses(
+    annotation: CuboidAnnotation, times_ns: ArrayLike, *, angles: CuboidAngles = STANDARD_ANGLES
+) -> CuboidPoses:
+    """Give a cuboid at times (M,) [ns]: centre and size go straight, the rotation turns the shorter way.
+
+    It is there from its first stamp to its last, a stationary one always.
+
+    Args:
+        annotation: the cuboid.
+        times_ns: when.
+        angles: how its angles are meant; `CuboidAngles.of(scene)`.
+
+    Raises:
+        OptionError: unit or order of the angles is none of those known.
+    """
+    path = annotation.path
+    found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
+    if len(path.timestamps_ns) == 0:
+        nowhere = np.full((len(found.share), 4), np.nan)
+        return CuboidPoses(nowhere[:, :3], nowhere[:, :3], nowhere, found.there)
+    rows = found.blend(path.values[:, :6])
+    turns = turned(angles, path.values[found.before, 6:], path.values[found.after, 6:], found.share)
+    rows[~found.there], turns[~found.there] = np.nan, np.nan
+    return CuboidPoses(np.ascontiguousarray(rows[:, 3:]), rows[:, :3], turns, found.there)
+
+
+def cuboid_at(
+    annotation: CuboidAnnotation, times_ns: ArrayLike, *, angles: CuboidAngles = STANDARD_ANGLES
+) -> tuple[Float64Array, BoolArray]:
+    """Give the rows of a cuboid at times (M,) [ns], as a `CuboidPath` stores them.
+
+    Rows at stamps are those of the path, number by number. Between stamps the angles are the ones nearest to the row
+    before, so that they do not jump by whole turns.
+
+    Args:
+        annotation: the cuboid.
+        times_ns: when.
+        angles: how its angles are meant, and given; `CuboidAngles.of(scene)`.
+
+    Returns:
+        rows: (M, 9) float64; NaN where it is not there.
+        there: (M,) bool.
+
+    Raises:
+        OptionError: unit or order of the angles is none of those known.
+    """
+    path = annotation.path
+    found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
+    rows = np.full((len(found.share), 9), np.nan)
+    if len(path.timestamps_ns) == 0:
+        return rows, found.there
+    rows[:] = path.values[found.before]
+    moving = np.flatnonzero(found.there & (found.share > 0))
+    if len(moving):
+        start, stop = path.values[found.before[moving]], path.values[found.after[moving]]
+        share = found.share[moving]
+        rows[moving, :6] = start[:, :6] + share[:, None] * (stop[:, :6] - start[:, :6])
+        turns = turned(angles, start[:, 6:], stop[:, 6:], share)
+        differs = (start[:, 6:] != stop[:, 6:]).any(axis=1)
+        rows[moving[differs], 6:] = angles.from_quaternions(turns[differs], near=start[differs, 6:])
+    rows[~found.there] = np.nan
+    return rows, found.there
+
+
+def box_2d_at(annotation: Box2DAnnotation, times_ns: ArrayLike) -> tuple[Float64Array, BoolArray]:
+    """Give a box in pictures at times (M,) [ns]: rows (M, 4) `left top width height` [px], and where it is there.
+
+    Its edges go straight from stamp to stamp; it is there from the first stamp to the last, a stationary one always.
+    """
+    path = annotation.path
+    return _straight(path.timestamps_ns, path.values, times_ns, stationary=bool(annotation.stationary))
+
+
+def point_at(
+    path: PointPath, times_ns: ArrayLike, *, stationary: bool = False
+) -> tuple[Float64Array, BoolArray]:
+    """Give a named point at times (M,) [ns]: places (M, 3) [m], and where it is there."""
+    return _straight(path.timestamps_ns, path.values, times_ns, stationary=stationary)
+
+
+def points_at(annotation: PointsAnnotation, times_ns: ArrayLike) -> list[tuple[Float64Array, BoolArray]]:
+    """Give all points of an annotation at times (M,) [ns], each as `point_at` does."""
+    return [point_at(path, times_ns, stationary=bool(annotation.stationary)) for path in annotation.paths]
+
+
+def shape_at(annotation: ShapeAnnotation, times_ns: ArrayLike) -> list[Float64Array | None]:
+    """Give the vertices of a shape at times (M,) [ns]; None where it is not there.
+
+    Between two stamps with as many vertices each vertex goes straight; otherwise the earlier vertices hold.
+
+    Source: READING of "paths" in docs/CONVENTIONS.md.
+    """
+    path = annotation.path
+    found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
+    return [
+        _between(path.vertices, int(found.before[k]), int(found.after[k]), float(found.share[k]))
+        if found.there[k]
+        else None
+        for k in range(len(found.share))
+    ]
+
+
+def attribute_at(attribute: AttributePath, times_ns: ArrayLike) -> list[Any]:
+    """Give the value of an attribute at times (M,) [ns]: each holds until the next; None before the first.
+
+    One that is static, or has no stamps, holds its only value at all times.
+    """
+    times = np.asarray(times_ns, np.int64).reshape(-1)
+    stamps = attribute.timestamps_ns
+    if not attribute.values:
+        return [None] * len(times)
+    if attribute.static or stamps is None:
+        return [attribute.values[0]] * len(times)
+    rows = np.searchsorted(stamps, times, side="right") - 1
+    return [attribute.values[row] if row >= 0 else None for row in rows.tolist()]
+
+
+def _straight(
+    stamps_ns: Int64Array, values: Float64Array, times_ns: ArrayLike, *, stationary: bool
+) -> tuple[Float64Array, BoolArray]:
+    found = Bracket.of(stamps_ns, times_ns, stationary=stationary)
+    if len(stamps_ns) == 0:
+        return np.full((len(found.share), values.shape[1]), np.nan), found.there
+    rows = found.blend(values)
+    rows[~found.there] = np.nan
+    return rows, found.there
+
+
+def _between(vertices: tuple[Float64Array, ...], before: int, after: int, share: float) -> Float64Array:
+    start, stop = vertices[before], vertices[after]
+    if start.shape != stop.shape:
+        return start
+    between: Float64Array = start + share * (stop - start)
+    return between

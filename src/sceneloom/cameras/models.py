@@ -130,6 +130,23 @@ def project_unbounded(camera: Camera, points_camera: ArrayLike) -> Float64Array:
     return pixels
 
 
+def project_beyond_domain(model: str, numbers: ArrayLike, points_camera: ArrayLike) -> Float64Array:
+    """Project with the bare formulas of a model, beyond folds too: for those who search for a lens's numbers.
+
+    Args:
+        model: a name out of `MODELS`.
+        numbers: fx, fy, cx, cy and all coefficients of the model.
+        points_camera: (N, 3) float [m], camera frame, finite.
+
+    Returns:
+        (N, 2) float64 [px]; NaN for points that no lens of this model sees.
+    """
+    points = _rows("points_camera", points_camera, 3)
+    pixels = np.empty((len(points), 2))
+    _module(model).project_points(points, read_only((*np.asarray(numbers), np.inf), np.float64), pixels)
+    return pixels
+
+
 def project(camera: Camera, points_camera: ArrayLike) -> tuple[Float64Array, BoolArray]:
     """Project points into the picture.
 

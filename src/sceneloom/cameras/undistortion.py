@@ -55,7 +55,7 @@ class Undistortion:
     def seen(self) -> BoolArray:
         """(h, w) bool: which new pixels lie in the old picture."""
         size = np.array([self.source.width, self.source.height], np.float32)
-        inside: BoolArray = ((self.places >= -0.5) & (self.places < size - 0.5)).all(axis=-1)
+        inside: BoolArray = np.all((self.places >= -0.5) & (self.places < size - 0.5), axis=-1)
         return read_only(inside)
 
     def apply(self, rgb: UInt8Array, *, fill: int = 0) -> UInt8Array:

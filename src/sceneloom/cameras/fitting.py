@@ -1,0 +1,220 @@
+"""The lens of one model that comes nearest to a lens of another, and how many pixels it is off."""
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, read_only
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.least_squares import minimised
+from sceneloom.cameras.models import MODELS, check_camera, project_beyond_domain, project_unbounded, unproject
+from sceneloom.errors import CalibrationError, OptionError
+
+PERSPECTIVE_REACH = math.radians(80.0)
+"""How far off its axis a model that ends at 90 degrees is fitted: there it magnifies 33 times already."""
+
+_PLACES = ("fx", "fy", "cx", "cy")
+_FITTED_GRID, _MEASURED_GRID = (33, 25), (97, 73)
+_NEAR_AXIS = 1e-4
+_PRICE = 200.0
+"""A fit that gives up half a percent of the picture, where a polynomial folds, must be twice as good in the rest."""
+_BEHIND = (math.sin(math.radians(95.0)), 0.0, math.cos(math.radians(95.0)))
+_STAGES = (0, 1, 2, 4, 5, 8, 10, 100)
+"""How many coefficients are free in each stage, in the model's order."""
+_STARTS: Mapping[str, float] = {"xi": 1.0}
+"""Coefficients that begin at another value than 0: a mirror of that strength sees behind the camera."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A lens that stands in for another one, and how well.
+
+    Attributes:
+        camera: the lens.
+        largest_px: how far apart the two lenses put what the picture shows, at most [px].
+        rms_px: the root of the mean square of that distance [px].
+        share: which part of what the exact lens sees in its picture the other one can hold, 0 to 1; distances are
+            those of this part.
+        unheld_pixels: (K, 2) float64 [px], those of a grid over the picture that it cannot hold, such as those that
+            look behind the camera under a perspective model.
+    """
+
+    camera: Camera
+    largest_px: float
+    rms_px: float
+    share: float
+    unheld_pixels: Float64Array
+
+
+def fit(camera: Camera, model: str, *, fixed: Collection[str] = ()) -> Fit:
+    """Find the lens of a model that puts what the picture shows nearest to where the exact lens puts it.
+
+    The sum of squared distances over a grid of the picture's pixels is made least, by Levenberg's and Marquardt's
+    method, from the focal length that the lens has on its axis; coefficients are set free group by group.
+
+    Args:
+        camera: the exact lens.
+        model: a name out of `MODELS`.
+        fixed: numbers that stay: of "fx", "fy", "cx", "cy" as the exact lens has them; coefficients stay 0.
+
+    Raises:
+        CalibrationError: a model is unknown, or the exact lens sees nothing of its picture that the model could hold.
+        OptionError: the model has no number of a name in `fixed`.
+    """
+    check_camera(camera)
+    plain = Camera(model, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    check_camera(plain)
+    search = _Search.of(camera, plain, frozenset(fixed))
+    fits = [measured_fit(camera, found) for found in search.candidates()]
+    most = max(one.share for one in fits)
+    return min(fits, key=lambda one: one.rms_px * (1.0 + _PRICE * (most - one.share)))
+
+
+def measured_fit(exact: Camera, other: Camera) -> Fit:
+    """Measure how well a lens stands in for another, as it is.
+
+    Raises:
+        CalibrationError: a model is unknown, or the exact lens sees nothing of its picture.
+    """
+    pixels, rays = _seen_grid(exact, _MEASURED_GRID)
+    off = np.hypot(*(project_unbounded(other, rays) - pixels).T)
+    held = np.isfinite(off)
+    if _is_perspective(other):
+        held &= rays[:, 2] > math.cos(PERSPECTIVE_REACH)
+    off = off[held]
+    largest, rms = (
+        (float(off.max()), float(np.sqrt(np.mean(off * off)))) if len(off) else (math.inf, math.inf)
+    )
+    return Fit(other, largest, rms, float(held.mean()), read_only(pixels[~held]))
+
+
+def _seen_grid(camera: Camera, size: tuple[int, int]) -> tuple[Float64Array, Float64Array]:
+    """Pixels all over the picture, its edges included, and the rays along which they look; only those that do."""
+    columns = np.linspace(-0.5, camera.width - 0.5, size[0])
+    rows = np.linspace(-0.5, camera.height - 0.5, size[1])
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    rays = unproject(camera, pixels)
+    seen = np.isfinite(rays).all(axis=1)
+    if not seen.any():
+        raise CalibrationError(f"{camera.model} lens: no pixel of its picture looks anywhere; is it folded?")
+    return pixels[seen], rays[seen]
+
+
+def _is_perspective(camera: Camera) -> bool:
+    """Whether a lens ends at 90 degrees off its axis, whatever its coefficients are."""
+    names = MODELS[camera.model].coefficient_names
+    numbers = (1.0, 1.0, 0.0, 0.0, *(_STARTS.get(name, 0.0) for name in names))
+    return bool(np.isnan(project_beyond_domain(camera.model, numbers, [_BEHIND])).all())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """What is searched for.
+
+    Attributes:
+        exact: the lens to be replaced.
+        model: of the lens that replaces it.
+        fixed: names of numbers that stay.
+        pixels: (N, 2) of the exact lens.
+        rays: (N, 3) along which it looks there.
+    """
+
+    exact: Camera
+    model: str
+    fixed: frozenset[str]
+    pixels: Float64Array
+    rays: Float64Array
+
+    @classmethod
+    def of(cls, exact: Camera, plain: Camera, fixed: frozenset[str]) -> "_Search":
+        names = (*_PLACES, *MODELS[plain.model].coefficient_names)
+        unknown = sorted(fixed.difference(names))
+        if unknown:
+            raise OptionError(f"fixed {unknown[0]!r}; {plain.model} has {', '.join(names)}")
+        pixels, rays = _seen_grid(exact, _FITTED_GRID)
+        search = cls(exact, plain.model, fixed, pixels, rays)
+        usable = np.isfinite(search.project(search.start())).all(axis=1)
+        if _is_perspective(plain):
+            usable &= rays[:, 2] > math.cos(PERSPECTIVE_REACH)
+        if not usable.any():
+            raise CalibrationError(
+                f"{plain.model} holds nothing of what the {exact.model} lens sees; choose another model"
+            )
+        return cls(exact, plain.model, fixed, pixels[usable], rays[usable])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all numbers of the lens."""
+        return (*_PLACES, *MODELS[self.model].coefficient_names)
+
+    def project(self, numbers: Float64Array) -> Float64Array:
+        """Where the lens of these numbers puts the rays."""
+        return project_beyond_domain(self.model, numbers, self.rays)
+
+    def camera(self, numbers: Float64Array) -> Camera:
+        """The lens of these numbers."""
+        fx, fy, cx, cy, *coefficients = map(float, numbers)
+        return Camera(self.model, self.exact.width, self.exact.height, fx, fy, cx, cy, tuple(coefficients))
+
+    def start(self) -> Float64Array:
+        """A lens without distortion that magnifies on its axis as the exact one does."""
+        exact = self.exact
+        coefficients = [0.0 if name in self.fixed else _STARTS.get(name, 0.0) for name in self.names[4:]]
+        numbers = np.array([exact.fx, exact.fy, exact.cx, exact.cy, *coefficients])
+        wanted = _slopes_on_axis(lambda rays: project_unbounded(exact, rays))
+        found = _slopes_on_axis(lambda rays: project_beyond_domain(self.model, numbers, rays))
+        for k, name in enumerate(("fx", "fy")):
+            ratio = wanted[k] / found[k] if found[k] else math.nan
+            if name not in self.fixed and 0 < ratio < math.inf:
+                numbers[k] *= ratio
+        return numbers
+
+    def same_names(self) -> Float64Array:
+        """A lens with the coefficients of the exact one, as far as the model has some of those names."""
+        exact = self.exact
+        known = dict(zip(MODELS[exact.model].coefficient_names, exact.coefficients, strict=False))
+        coefficients = [0.0 if name in self.fixed else known.get(name, 0.0) for name in self.names[4:]]
+        return np.array([exact.fx, exact.fy, exact.cx, exact.cy, *coefficients])
+
+    def candidates(self) -> list[Camera]:
+        """The lens after each group of numbers that was set free, and the one from coefficients of equal names."""
+        numbers, found = self.start(), []
+        stages = self._stages()
+        for free in stages:
+            numbers = self._fitted(numbers, free)
+            found.append(numbers)
+        if self.model == self.exact.model:
+            found.append(self._fitted(self.same_names(), stages[-1]))
+        return [self.camera(one) for one in found if one[0] > 0 and one[1] > 0]
+
+    def _stages(self) -> list[BoolArray]:
+        """Which numbers are free, stage by stage; a model names its coefficients by how common they are."""
+        names = self.names
+        always = {*_PLACES, *_STARTS}
+        groups = [always | set(names[4 : 4 + count]) for count in _STAGES]
+        free = [np.array([n in group and n not in self.fixed for n in names]) for group in groups]
+        return [one for k, one in enumerate(free) if k == 0 or (one != free[k - 1]).any()]
+
+    def _fitted(self, numbers: Float64Array, free: BoolArray) -> Float64Array:
+        def residuals(values: Float64Array) -> Float64Array:
+            trial = numbers.copy()
+            trial[free] = values
+            return (self.project(trial) - self.pixels).ravel()
+
+        if not free.any():
+            return numbers
+        found = numbers.copy()
+        scale = np.maximum(np.abs(numbers[free]), np.where(np.arange(len(numbers)) < 4, 1.0, 1e-2)[free])
+        found[free] = minimised(residuals, numbers[free], scale)
+        return found
+
+
+def _slopes_on_axis(project: Callable[[Float64Array], Float64Array]) -> Float64Array:
+    """How many pixels a lens moves what moves by one radian, near its axis: to the right, and down."""
+    sin, cos = math.sin(_NEAR_AXIS), math.cos(_NEAR_AXIS)
+    right, left, down, up = project(
+        np.array([[sin, 0.0, cos], [-sin, 0.0, cos], [0.0, sin, cos], [0.0, -sin, cos]])
+    )
+    return np.array([right[0] - left[0], down[1] - up[1]]) / (2.0 * _NEAR_AXIS)

@@ -1,0 +1,130 @@
+"""Lenses that stand in for others: how near they come, told by measuring them anew."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras import Camera, project_unbounded, unproject
+from sceneloom.cameras.fitting import PERSPECTIVE_REACH, fit, measured_fit
+from sceneloom.cameras.least_squares import minimised
+from sceneloom.errors import CalibrationError, OptionError
+
+BARREL = Camera("brown_conrady", 1920, 1080, 1200.0, 1205.0, 959.0, 541.0, (-0.2, 0.06, 1e-3, -5e-4, -0.01))
+PLAIN = Camera("pinhole", 640, 480, 500.0, 510.0, 318.0, 242.0)
+FISHEYE = Camera("fisheye", 1280, 960, 600.0, 601.0, 640.0, 480.0, (0.05, -0.02, 0.01, -0.003))
+ALL_AROUND = Camera(
+    "fisheye", 640, 640, 140.0, 140.0, 319.5, 319.5
+)  # 130 degrees to each side at its corners
+PRISM_AND_TILT = ("s1", "s2", "s3", "s4", "tx", "ty")
+PLACES = ("fx", "fy", "cx", "cy")
+
+
+def largest_distance_px(exact, other, *, columns=200, rows=150):
+    """Over another grid than the fit's own."""
+    u, v = np.meshgrid(np.linspace(0, exact.width - 1, columns), np.linspace(0, exact.height - 1, rows))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
+    return np.nanmax(np.hypot(*(project_unbounded(other, unproject(exact, pixels)) - pixels).T))
+
+
+@pytest.mark.parametrize("camera", [BARREL, FISHEYE, PLAIN], ids=["barrel", "fisheye", "pinhole"])
+def test_a_lens_is_found_again_by_its_own_model(camera):
+    found = fit(camera, camera.model)
+    assert found.largest_px < 1e-6
+    assert found.share == 1
+    assert largest_distance_px(camera, found.camera) < 1e-6
+
+
+def test_a_pinhole_is_any_perspective_lens_without_distortion():
+    found = fit(PLAIN, "brown_conrady")
+    assert found.largest_px < 1e-6
+    assert [found.camera.fx, found.camera.fy, found.camera.cx, found.camera.cy] == pytest.approx(
+        [500.0, 510.0, 318.0, 242.0]
+    )
+
+
+def test_a_fisheye_below_eighty_degrees_is_held_by_the_rational_model():
+    found = fit(FISHEYE, "brown_conrady")
+    assert found.largest_px < 0.2
+    assert found.share == 1
+    assert largest_distance_px(FISHEYE, found.camera) == pytest.approx(found.largest_px, rel=0.2)
+
+
+def test_the_best_pinhole_for_a_barrel_magnifies_less_than_its_axis():
+    found = fit(BARREL, "pinhole")
+    at_corner = np.hypot(*(project_unbounded(found.camera, unproject(BARREL, [[0.0, 0.0]])) - [0.0, 0.0])[0])
+    assert found.camera.fx < BARREL.fx
+    assert 10 < found.rms_px < at_corner <= found.largest_px + 1e-9
+    # no other focal length does better in the mean
+    for factor in (0.99, 1.01):
+        worse = Camera(
+            "pinhole", 1920, 1080, *(found.camera.fx * factor, found.camera.fy * factor), 959.0, 541.0
+        )
+        assert measured_fit(BARREL, worse).rms_px > found.rms_px
+
+
+def test_numbers_that_are_fixed_stay():
+    found = fit(BARREL, "fisheye", fixed=PLACES)
+    assert [getattr(found.camera, name) for name in PLACES] == [1200.0, 1205.0, 959.0, 541.0]
+    assert found.largest_px > fit(BARREL, "fisheye").largest_px
+    without = fit(FISHEYE, "brown_conrady", fixed=("k4", "k5", "k6", *PRISM_AND_TILT)).camera
+    assert without.coefficients[5:8] == (0, 0, 0)
+    assert without.coefficients[10:] == (0,) * 6
+
+
+def test_prism_terms_that_have_no_place_are_taken_over_by_others():
+    prism = Camera(
+        "brown_conrady", 1920, 1080, *(1800.0, 1800.0, 959.5, 539.5), (*(0.0,) * 10, 5e-4, 0, -3e-4)
+    )
+    cut = Camera("brown_conrady", 1920, 1080, 1800.0, 1800.0, 959.5, 539.5)
+    found = fit(prism, "brown_conrady", fixed=PRISM_AND_TILT)
+    assert found.camera.coefficients[10:] == (0,) * 6
+    assert 3 * found.rms_px < measured_fit(prism, cut).rms_px
+
+
+def test_what_looks_behind_the_camera_cannot_be_held_by_a_perspective_model():
+    found = fit(ALL_AROUND, "brown_conrady")
+    rays = unproject(ALL_AROUND, found.unheld_pixels)
+    assert (rays[:, 2] <= math.cos(PERSPECTIVE_REACH) + 1e-12).all()
+    # a disk of 140 px per radian, out to 80 degrees, in a square of 640 px
+    assert found.share == pytest.approx(math.pi * (140 * PERSPECTIVE_REACH) ** 2 / 640**2, abs=0.01)
+    assert found.largest_px < 1
+
+
+def test_distances_are_measured_where_both_lenses_see():
+    shifted = Camera("pinhole", 640, 480, 500.0, 510.0, 321.0, 246.0)
+    measured = measured_fit(PLAIN, shifted)
+    assert measured.largest_px == pytest.approx(5.0)
+    assert measured.rms_px == pytest.approx(5.0)
+    assert measured.share == 1
+    assert len(measured.unheld_pixels) == 0
+
+
+def test_a_number_that_the_model_lacks_cannot_be_fixed():
+    with pytest.raises(OptionError, match="fixed 'xi'; fisheye has fx, fy, cx, cy, k1, k2, k3, k4"):
+        fit(BARREL, "fisheye", fixed=("xi",))
+
+
+def test_an_unknown_model_names_those_there_are():
+    with pytest.raises(CalibrationError, match="camera model 'periscope'; expected one of pinhole"):
+        fit(BARREL, "periscope")
+
+
+def test_a_lens_of_which_the_model_holds_nothing_is_refused():
+    backwards = Camera("fisheye", 64, 64, 40.0, 40.0, 150.0, 32.0)  # looks 122 to 214 degrees aside
+    with pytest.raises(CalibrationError, match="pinhole holds nothing of what the fisheye lens sees"):
+        fit(backwards, "pinhole")
+
+
+def test_the_least_sum_of_squares_of_rosenbrocks_valley_is_found():
+    def residuals(values):
+        return np.array([10 * (values[1] - values[0] ** 2), 1 - values[0]])
+
+    assert minimised(residuals, np.array([-1.2, 1.0]), np.ones(2)) == pytest.approx([1.0, 1.0], abs=1e-6)
+
+
+def test_a_search_does_not_step_where_nothing_is_defined():
+    def residuals(values):
+        return np.array([np.sqrt(values[0]) - 3.0]) if values[0] >= 0 else np.array([np.nan])
+
+    assert minimised(residuals, np.array([0.5]), np.ones(1)) == pytest.approx([9.0])

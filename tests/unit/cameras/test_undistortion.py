@@ -1,0 +1,164 @@
+"""Pictures of a known pattern, taken through a lens, against the pattern itself as a pinhole sees it."""
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras import Camera, project_unbounded, unproject
+from sceneloom.cameras.undistortion import WIDEST, Undistortion, undistort, undistorted_camera
+from sceneloom.errors import ArrayError, CalibrationError, OptionError
+
+BARREL = Camera("brown_conrady", 640, 400, 420.0, 430.0, 322.0, 195.0, (-0.28, 0.08, 1e-3, -5e-4, -0.01))
+PINCUSHION = Camera("brown_conrady", 640, 400, 420.0, 430.0, 322.0, 195.0, (0.25, 0.05))
+FISHEYE = Camera("fisheye", 640, 480, 200.0, 200.0, 318.0, 242.0, (0.05, -0.02, 0.01, -0.003))
+BEYOND = Camera("fisheye", 640, 640, 180.0, 180.0, 319.5, 319.5)  # its corners look 145 degrees off the axis
+CAMERAS = [BARREL, PINCUSHION, FISHEYE, BEYOND]
+EACH_CAMERA = pytest.mark.parametrize("camera", CAMERAS, ids=["barrel", "pincushion", "fisheye", "beyond"])
+
+
+def grid_pattern(rays):
+    """A soft chequered pattern over directions, 0 to 255 in three colours."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
+    waves = np.stack([np.sin(9 * x) * np.sin(9 * y), np.sin(13 * x + 1), np.cos(11 * y)], axis=-1)
+    return np.where(rays[..., 2:] > 0, 127.5 + 120 * waves, 0.0)
+
+
+def pixels_of(camera):
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    return np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float)
+
+
+def photograph(camera):
+    rays = unproject(camera, pixels_of(camera))
+    return np.rint(grid_pattern(rays)).astype(np.uint8).reshape(camera.height, camera.width, 3)
+
+
+def border_of(camera):
+    along = np.linspace(0.0, 1.0, 200)
+    right, down = camera.width - 1.0, camera.height - 1.0
+    return np.concatenate(
+        [
+            np.stack([along * right, np.zeros(200)], axis=1),
+            np.stack([along * right, np.full(200, down)], axis=1),
+            np.stack([np.zeros(200), along * down], axis=1),
+            np.stack([np.full(200, right), along * down], axis=1),
+        ]
+    )
+
+
+@pytest.mark.parametrize("camera", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+def test_a_pattern_seen_through_a_lens_becomes_the_pattern_as_a_pinhole_sees_it(camera):
+    rgb, seen = undistort(camera, photograph(camera))
+    target = undistorted_camera(camera)
+    pixels = pixels_of(target)
+    x, y = (pixels[:, 0] - target.cx) / target.fx, (pixels[:, 1] - target.cy) / target.fy
+    expected = grid_pattern(np.stack([x, y, np.ones(len(x))], axis=1)).reshape(400, 640, 3)
+    assert seen.all()
+    # waves of 13 rad per unit over 420 px: blending four pixels flattens them by 120 (13/420)²/8 = 0.015 levels,
+    # and both pictures round to whole ones
+    assert np.abs(rgb - expected).max() <= 1.1
+
+
+def test_a_picture_goes_from_one_distorted_lens_to_another():
+    other = Camera("fisheye", 500, 300, 400.0, 400.0, 249.5, 149.5, (-0.1, 0.02))
+    rgb, seen = undistort(BARREL, photograph(BARREL), to=other)
+    expected = grid_pattern(unproject(other, pixels_of(other))).reshape(300, 500, 3)
+    assert 0.5 < seen.mean() <= 1
+    assert np.abs(rgb - expected)[seen].max() <= 1.3  # at the border, half a pixel is the border's own colour
+
+
+@EACH_CAMERA
+def test_keeping_valid_pixels_only_shows_nothing_that_the_picture_does_not(camera):
+    maps = Undistortion.between(camera)
+    assert maps.seen.all()
+    assert maps.target.fx / maps.target.fy == pytest.approx(camera.fx / camera.fy)
+    larger = undistorted_camera(camera)
+    wider = Camera(
+        "pinhole", larger.width, larger.height, 0.97 * larger.fx, 0.97 * larger.fy, larger.cx, larger.cy
+    )
+    at_border = border_of(wider)
+    beyond = project_unbounded(camera, unproject(wider, at_border))
+    inside = ((beyond >= -0.5) & (beyond < [camera.width - 0.5, camera.height - 0.5])).all(axis=1)
+    off_axis = np.arccos(unproject(wider, at_border)[:, 2])
+    assert not inside.all() or off_axis.max() > WIDEST  # 3 % wider is too wide: it is the largest of its kind
+
+
+@pytest.mark.parametrize("camera", [BARREL, PINCUSHION, FISHEYE], ids=["barrel", "pincushion", "fisheye"])
+def test_keeping_all_shows_everything_that_the_picture_does(camera):
+    target = undistorted_camera(camera, keep=1.0)
+    rays = unproject(camera, border_of(camera))
+    places = project_unbounded(target, rays[np.arccos(rays[:, 2]) < WIDEST])
+    slack = 0.5  # the border was sampled at other places
+    assert (places > -slack).all()
+    assert (places < [target.width - 1 + slack, target.height - 1 + slack]).all()
+    touched = 5.0  # where the border is cut at WIDEST, the nearest sample of it lies a little inside
+    assert (places.min(axis=0) < touched).any()  # and not more than that: one pair of sides is touched
+    assert 0.2 < Undistortion.between(camera, target).seen.mean() < 1
+
+
+def test_between_all_and_valid_the_lens_goes_evenly():
+    ends = [undistorted_camera(BARREL, keep=keep) for keep in (0.0, 1.0)]
+    middle = undistorted_camera(BARREL, keep=0.5)
+    assert ends[1].fx < middle.fx < ends[0].fx
+    assert middle.fx == pytest.approx((ends[0].fx + ends[1].fx) / 2)
+    assert middle.cy == pytest.approx((ends[0].cy + ends[1].cy) / 2)
+
+
+def test_a_lens_that_sees_behind_itself_gives_a_picture_as_wide_as_a_pinhole_can_be():
+    target = undistorted_camera(BEYOND, keep=1.0)
+    corners = unproject(target, [[0.0, target.height / 2], [target.width - 1.0, target.height / 2]])
+    assert np.allclose(np.arccos(corners[:, 2]), WIDEST, atol=1e-3)
+
+
+def test_a_lens_without_distortion_stays_as_it_is():
+    camera = Camera("pinhole", 320, 240, 300.0, 310.0, 150.0, 125.0)
+    target = undistorted_camera(camera)
+    assert [target.fx, target.fy, target.cx, target.cy] == pytest.approx([300.0, 310.0, 150.0, 125.0])
+    rgb = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
+    out, seen = undistort(camera, rgb)
+    assert seen.all()
+    assert np.abs(out.astype(int) - rgb).max() <= 1  # float32 places blend neighbours with weights of 1e-5
+
+
+def test_another_size_shows_the_same_part():
+    target = undistorted_camera(BARREL, width=1280, height=800)
+    assert (target.width, target.height) == (1280, 800)
+    assert Undistortion.between(BARREL, target).seen.all()
+
+
+def test_pixels_that_no_old_pixel_fills_have_the_colour_asked_for_and_stand_in_the_mask():
+    rgb, seen = undistort(BARREL, np.full((400, 640, 3), 200, np.uint8), keep=1.0, fill=9)
+    assert 0 < seen.sum() < seen.size
+    assert (rgb[seen] == 200).all()
+    assert (rgb[~seen] == 9).all()
+
+
+def test_the_corners_of_a_picture_that_the_lens_cannot_explain_are_left_out():
+    folded = Camera(
+        "brown_conrady", 640, 480, 300.0, 300.0, 319.5, 239.5, (-0.45,)
+    )  # folds at 0.86 from the axis
+    assert np.isnan(unproject(folded, [[0.0, 0.0]])).all()
+    assert Undistortion.between(folded).seen.all()
+
+
+def test_maps_are_kept_for_all_pictures_of_a_lens_and_refuse_others():
+    maps = Undistortion.between(BARREL)
+    assert not maps.places.flags.writeable
+    with pytest.raises(ArrayError, match=r"rgb: \(480, 640, 3\)"):
+        maps.apply(np.zeros((480, 640, 3), np.uint8))
+    with pytest.raises(ArrayError, match="float64"):
+        maps.apply(np.zeros((400, 640, 3)))
+
+
+@pytest.mark.parametrize("keep", [-0.1, 1.5, float("nan")])
+def test_a_part_to_keep_that_is_none_is_refused(keep):
+    with pytest.raises(OptionError, match="expected a number from 0"):
+        undistorted_camera(BARREL, keep=keep)
+
+
+def test_a_picture_whose_middle_looks_too_far_aside_is_refused():
+    aside = Camera("fisheye", 64, 64, 20.0, 20.0, 90.0, 32.0)
+    with pytest.raises(
+        CalibrationError, match="the middle of its picture looks nowhere, or more than 75 degrees"
+    ):
+        undistorted_camera(aside)

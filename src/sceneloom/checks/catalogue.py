@@ -9,6 +9,14 @@ from sceneloom.errors import OptionError
 RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.reading",
     "sceneloom.checks.times",
+    "sceneloom.checks.references",
+    "sceneloom.checks.annotation_times",
+    "sceneloom.checks.attributes",
+    "sceneloom.checks.cuboids",
+    "sceneloom.checks.boxes_in_pictures",
+    "sceneloom.checks.shapes",
+    "sceneloom.checks.labelled_points",
+    "sceneloom.checks.corrections",
 )
 """The modules that offer `RULES`, in the order in which a person would look."""
 

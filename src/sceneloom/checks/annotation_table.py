@@ -1,0 +1,261 @@
+"""All annotations of a scene in a few long arrays, made once for all rules: loops over 20,000 paths would be slow."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
+from sceneloom.checks.rule import Hit
+from sceneloom.checks.subject import Subject
+from sceneloom.scene import (
+    Annotation,
+    Box2DAnnotation,
+    CameraCalibration,
+    CameraSensor,
+    CuboidAnnotation,
+    Identifier,
+    LocalizationAdjustment,
+    PointsAnnotation,
+    ShapeAnnotation,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartTable:
+    """Parts of annotations of one kind, such as all paths of cuboids, their rows one after another.
+
+    Attributes:
+        parts: P objects with time stamps (`CuboidPath`, `Projection`, …).
+        numbers: (P,) int64, number of the annotation of each.
+        suffixes: where each stands inside its annotation (`.path`, `.projections[1]`).
+        starts: (P + 1,) int64, first row of each part.
+        timestamps_ns: (R,) int64 [ns], those of all parts.
+    """
+
+    parts: Sequence[Any]
+    numbers: Int64Array
+    suffixes: Sequence[str]
+    starts: Int64Array
+    timestamps_ns: Int64Array
+
+    @classmethod
+    def of(cls, entries: Sequence[tuple[int, str, Any]]) -> "PartTable":
+        """Line up parts, each with the number of its annotation and its place in there."""
+        parts = [part for _, _, part in entries]
+        times = [part.timestamps_ns for part in parts]
+        starts = np.fromiter(accumulate(map(len, times), initial=0), np.int64, len(times) + 1)
+        return cls(
+            parts,
+            np.array([number for number, _, _ in entries], np.int64),
+            [suffix for _, suffix, _ in entries],
+            starts,
+            np.concatenate(times) if times else np.zeros(0, np.int64),
+        )
+
+    @property
+    def owners(self) -> Int64Array:
+        """(R,) int64: the part that each row belongs to."""
+        return np.repeat(np.arange(len(self.parts)), np.diff(self.starts))
+
+    @property
+    def inner(self) -> BoolArray:
+        """(R - 1,) bool: whether a row and the next one belong to one part."""
+        inner = np.ones(max(len(self.timestamps_ns) - 1, 0), bool)
+        ends = self.starts[1:-1]
+        inner[ends[(ends > 0) & (ends < len(self.timestamps_ns))] - 1] = False
+        return inner
+
+    def rows(self, values: Callable[[Any], AnyArray], columns: int) -> Float64Array:
+        """Join what the parts hold, (R, columns) float64."""
+        arrays = [values(part) for part in self.parts]
+        return np.concatenate(arrays) if arrays else np.zeros((0, columns))
+
+    def place(self, subject: Subject, part: int) -> str:
+        """Where a part stands in the file."""
+        return subject.annotation_paths[int(self.numbers[part])] + self.suffixes[part]
+
+    def hits(
+        self, subject: Subject, bad: BoolArray, say: Callable[[int], str], *, within: str = ""
+    ) -> Iterator[Hit]:
+        """Give one hit for each part that has rows at fault.
+
+        Args:
+            bad: (R,) bool, which rows are.
+            say: gives the message for a row.
+            within: what of the part is at fault (`.values`); the place of its first row at fault is named.
+        """
+        rows = np.flatnonzero(bad)
+        if len(rows) == 0:
+            return
+        parts = np.searchsorted(self.starts, rows, side="right") - 1
+        firsts = np.flatnonzero(np.diff(parts, prepend=-1))
+        counts = np.diff(firsts, append=len(rows))
+        for first, count in zip(firsts.tolist(), counts.tolist(), strict=True):
+            row, part = int(rows[first]), int(parts[first])
+            inside = f"{within}[{row - int(self.starts[part])}]" if within else ""
+            yield Hit(self.place(subject, part) + inside, say(row), count=count)
+
+
+def cuboid_paths(subject: Subject) -> PartTable:
+    """The paths of all cuboids."""
+    return _tables(subject)["cuboids"]
+
+
+def activations(subject: Subject) -> PartTable:
+    """The activations of all cuboids."""
+    return _tables(subject)["activations"]
+
+
+def projections(subject: Subject) -> PartTable:
+    """The projections of all cuboids."""
+    return _tables(subject)["projections"]
+
+
+def point_projections(subject: Subject) -> PartTable:
+    """The projections of all points of points annotations."""
+    return _tables(subject)["point_projections"]
+
+
+def box_paths(subject: Subject) -> PartTable:
+    """The paths of all boxes in pictures."""
+    return _tables(subject)["boxes"]
+
+
+def shape_paths(subject: Subject) -> PartTable:
+    """The paths of all shapes."""
+    return _tables(subject)["shapes"]
+
+
+def point_paths(subject: Subject) -> PartTable:
+    """The paths of all points of points annotations."""
+    return _tables(subject)["points"]
+
+
+def cuboid_rows(subject: Subject) -> Float64Array:
+    """The rows of all cuboids' paths, (R, 9) float64 as in `CuboidPath`."""
+    return subject.table(
+        "rows of cuboids", lambda inner: cuboid_paths(inner).rows(lambda path: path.values, 9)
+    )
+
+
+def _tables(subject: Subject) -> dict[str, PartTable]:
+    return subject.table("parts of annotations", _made_tables)
+
+
+Entries = list[tuple[int, str, Any]]
+
+
+def _made_tables(subject: Subject) -> dict[str, PartTable]:
+    names = ("cuboids", "activations", "projections", "point_projections", "boxes", "shapes", "points")
+    entries: dict[str, Entries] = {name: [] for name in names}
+    for number, annotation in enumerate(subject.scene.annotations):
+        if isinstance(annotation, CuboidAnnotation):
+            entries["cuboids"].append((number, ".path", annotation.path))
+            if annotation.activations:
+                _add(entries["activations"], number, ".activations", annotation.activations)
+            if annotation.projections:
+                _add(entries["projections"], number, ".projections", annotation.projections)
+        elif isinstance(annotation, Box2DAnnotation):
+            entries["boxes"].append((number, ".path", annotation.path))
+        elif isinstance(annotation, ShapeAnnotation):
+            entries["shapes"].append((number, ".path", annotation.path))
+        elif isinstance(annotation, PointsAnnotation):
+            _add(entries["points"], number, ".paths", annotation.paths)
+            for k, of_point in enumerate(annotation.projections):
+                _add(entries["point_projections"], number, f".projections[{k}]", of_point)
+    return {name: PartTable.of(found) for name, found in entries.items()}
+
+
+def _add(entries: Entries, number: int, name: str, parts: Sequence[Any]) -> None:
+    entries.extend((number, f"{name}[{k}]", part) for k, part in enumerate(parts))
+
+
+def camera_rows(subject: Subject, table: PartTable) -> Iterator[tuple[CameraSensor, Int64Array]]:
+    """Give each camera with the rows of a table that are about it, (K,) int64; cameras without rows are left out."""
+    numbers = {(type(camera.id), camera.id): n for n, camera in enumerate(subject.scene.cameras)}
+    annotations = subject.scene.annotations
+    owners = [
+        part if hasattr(part, "sensor_id") else annotations[number]
+        for part, number in zip(table.parts, table.numbers.tolist(), strict=True)
+    ]
+    of_parts = [numbers.get((type(owner.sensor_id), owner.sensor_id), -1) for owner in owners]
+    of_rows = np.repeat(np.array(of_parts, np.int64), np.diff(table.starts))
+    for number, camera in enumerate(subject.scene.cameras):
+        rows = np.flatnonzero(of_rows == number)
+        if len(rows):
+            yield camera, rows
+
+
+@dataclass(frozen=True, slots=True)
+class SensorMention:
+    """A place that names a sensor.
+
+    Attributes:
+        number: of the annotation.
+        suffix: where in it (`.projections[1].sensor_id`).
+        sensor_id: the id that stands there.
+        annotation: the annotation itself.
+        part: what names the sensor: the annotation, or an activation, a projection, an attribute, labelled points.
+    """
+
+    number: int
+    suffix: str
+    sensor_id: Identifier
+    annotation: Annotation
+    part: Any
+
+
+def sensor_mentions(subject: Subject) -> list[SensorMention]:
+    """All places in annotations that name a sensor."""
+    return subject.table("mentions of sensors", lambda inner: list(_mentions(inner)))
+
+
+_NAMING_PARTS = ("activations", "projections", "attributes", "labeled_points")
+
+
+def _mentions(subject: Subject) -> Iterator[SensorMention]:
+    for number, annotation in enumerate(subject.scene.annotations):
+        own = getattr(annotation, "sensor_id", None)
+        if own is not None:
+            yield SensorMention(number, ".sensor_id", own, annotation, annotation)
+        for name in _NAMING_PARTS:
+            for k, part in enumerate(getattr(annotation, name, ())):
+                for inside, named in _naming(part):
+                    suffix = f".{name}[{k}]{inside}.sensor_id"
+                    yield SensorMention(number, suffix, named.sensor_id, annotation, named)
+
+
+def _naming(part: Any) -> Iterator[tuple[str, Any]]:
+    """The parts of a part that name a sensor: the points of a points annotation have several projections each."""
+    if isinstance(part, tuple):
+        yield from ((f"[{k}]", inner) for k, inner in enumerate(part))
+    elif part.sensor_id is not None:
+        yield "", part
+
+
+def timed_parts(subject: Subject) -> PartTable:
+    """Everything of annotations that has time stamps, attributes and poses included."""
+    return subject.table("timed parts of annotations", _timed_parts)
+
+
+def _timed_parts(subject: Subject) -> PartTable:
+    tables = _tables(subject)
+    entries: Entries = [
+        (int(number), suffix, part)
+        for table in tables.values()
+        for number, suffix, part in zip(table.numbers, table.suffixes, table.parts, strict=True)
+    ]
+    for number, annotation in enumerate(subject.scene.annotations):
+        for k, attribute in enumerate(getattr(annotation, "attributes", ())):
+            if attribute.timestamps_ns is not None:
+                entries.append((number, f".attributes[{k}]", attribute))
+        poses = annotation.poses if isinstance(annotation, _WITH_POSES) else None
+        if poses is not None:
+            entries.append((number, ".poses", poses))
+    return PartTable.of(entries)
+
+
+_WITH_POSES = LocalizationAdjustment | CameraCalibration

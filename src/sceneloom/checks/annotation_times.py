@@ -1,0 +1,255 @@
+"""Rules about the times of annotations: in order, within the scene, and those of pictures where pictures are meant."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Int64Array, read_only
+from sceneloom.checks.annotation_table import (
+    PartTable,
+    camera_rows,
+    point_projections,
+    projections,
+    timed_parts,
+)
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.scene import (
+    AttributePath,
+    CuboidAnnotation,
+    EventAnnotation,
+    PointsAnnotation,
+    Scene,
+    Severity,
+)
+from sceneloom.scene.span import scene_period_ns, time_span
+
+_LEAST_TOLERANCE_NS = 1_000_000
+"""Times are written in microseconds and pictures are moved by half an exposure: a millisecond is no difference."""
+
+_SAME_PICTURE = 4
+"""A time within this part of a picture's interval means that picture."""
+
+
+def _not_increasing(subject: Subject) -> Iterator[Hit]:
+    table = timed_parts(subject)
+    times = table.timestamps_ns
+    bad = np.zeros(len(times), bool)
+    bad[1:] = (np.diff(times) <= 0) & table.inner
+
+    def say(row: int) -> str:
+        return f"{times[row]} ns after {times[row - 1]} ns; expected later times than those before"
+
+    return table.hits(subject, bad, say, within=".timestamps")
+
+
+def _sorted_times(scene: Scene) -> Scene:
+    """Sort paths by time and drop repeated rows; a path with two different rows at one time stays as it is."""
+    annotations = tuple(_with_sorted_parts(annotation) for annotation in scene.annotations)
+    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
+        return scene
+    return replace(scene, annotations=annotations)
+
+
+_PARTS = ("path", "paths", "activations", "projections", "attributes")
+
+
+def _with_sorted_parts(annotation: Any) -> Any:
+    changed = {}
+    for name in _PARTS:
+        part = getattr(annotation, name, None)
+        ordered = _ordered(part)
+        if ordered is not part:
+            changed[name] = ordered
+    return replace(annotation, **changed) if changed else annotation
+
+
+def _ordered(part: Any) -> Any:
+    if isinstance(part, tuple):
+        inner = tuple(_ordered(item) for item in part)
+        return part if all(new is old for new, old in zip(inner, part, strict=True)) else inner
+    times = getattr(part, "timestamps_ns", None)
+    if times is None or len(times) < 2 or (np.diff(times) > 0).all():
+        return part
+    columns = {name: getattr(part, name) for name in _COLUMNS if getattr(part, name, None) is not None}
+    if any(len(column) != len(times) for column in columns.values()):
+        return part
+    rows = _rows_in_order(times, columns)
+    if rows is None:
+        return part
+    return replace(
+        part,
+        timestamps_ns=read_only(times[rows]),
+        **{name: _taken(column, rows) for name, column in columns.items()},
+    )
+
+
+_COLUMNS = ("values", "vertices", "durations_ns", "cuboids", "boxes", "confirmed", "points", "positions")
+"""What parts of annotations hold for each time stamp."""
+
+
+def _rows_in_order(times: Int64Array, columns: dict[str, Any]) -> list[int] | None:
+    """The rows by time, each time once; None where two rows of one time differ."""
+    rows: list[int] = []
+    for row in np.argsort(times, kind="stable").tolist():
+        if not rows or times[row] != times[rows[-1]]:
+            rows.append(row)
+        elif any(not _alike(column[row], column[rows[-1]]) for column in columns.values()):
+            return None
+    return rows
+
+
+def _alike(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=True)
+    return bool(one == other)
+
+
+def _taken(column: Any, rows: Sequence[int]) -> Any:
+    return read_only(column[rows]) if isinstance(column, np.ndarray) else tuple(column[k] for k in rows)
+
+
+def _empty(subject: Subject) -> Iterator[Hit]:
+    table = timed_parts(subject)
+    for part in np.flatnonzero(np.diff(table.starts) == 0).tolist():
+        if table.suffixes[part].startswith(".path"):
+            yield Hit(table.place(subject, part), "no keyframes; expected at least one")
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, PointsAnnotation) and not annotation.paths:
+            yield Hit(f"{path}.paths", "no points; expected at least one")
+
+
+def _bounds(subject: Subject) -> tuple[int, int] | None:
+    """When annotations may begin and end [ns]: within the sensors' times and one sweep more at each end."""
+    span = time_span(subject.scene)
+    if span is None:
+        return None
+    period_ns = scene_period_ns(subject.scene)
+    return span[0] - period_ns, span[1] + period_ns
+
+
+def _outside(subject: Subject) -> Iterator[Hit]:
+    bounds = _bounds(subject)
+    if bounds is None:
+        return
+    table = timed_parts(subject)
+    first_ns, last_ns = bounds
+    outside = (table.timestamps_ns < first_ns) | (table.timestamps_ns > last_ns)
+    if outside.any():
+        outside &= ~_holds_always(subject, table)[table.owners]
+    yield from table.hits(
+        subject,
+        outside,
+        lambda row: _said_outside(int(table.timestamps_ns[row]), bounds),
+        within=".timestamps",
+    )
+    for path, event in _events(subject):
+        stop_ns = event.start_ns + max(event.duration_ns or 0, 0)
+        if event.start_ns > last_ns or stop_ns < first_ns:
+            yield Hit(f"{path}.start", _said_outside(event.start_ns, bounds))
+
+
+def _said_outside(time_ns: int, bounds: tuple[int, int]) -> str:
+    first_ns, last_ns = bounds
+    away = (first_ns - time_ns if time_ns < first_ns else time_ns - last_ns) / 1e9
+    side = "before the scene begins" if time_ns < first_ns else "after the scene ends"
+    return f"{away:.3f} s {side} ({time_ns} ns; the sensors' times are {first_ns} to {last_ns} ns)"
+
+
+def _holds_always(subject: Subject, table: PartTable) -> BoolArray:
+    """(P,) bool: what belongs to something that stands still, and static attributes, hold at all times."""
+    annotations = subject.scene.annotations
+    always = [
+        (isinstance(part, AttributePath) and bool(part.static))
+        or bool(getattr(annotations[number], "stationary", None))
+        for number, part in zip(table.numbers.tolist(), table.parts, strict=True)
+    ]
+    return np.array(always, bool)
+
+
+def _events(subject: Subject) -> Iterator[tuple[str, EventAnnotation]]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, EventAnnotation):
+            yield path, annotation
+
+
+def _negative_durations(subject: Subject) -> Iterator[Hit]:
+    for path, event in _events(subject):
+        if event.duration_ns is not None and not event.duration_ns >= 0:
+            yield Hit(f"{path}.duration", f"{event.duration_ns} ns; expected a duration of 0 or more")
+    for path, annotation in subject.annotations():
+        for k, activation in enumerate(
+            annotation.activations if isinstance(annotation, CuboidAnnotation) else ()
+        ):
+            bad = [row for row, length in enumerate(activation.durations_ns or ()) if not length >= 0]
+            if bad:
+                length = (activation.durations_ns or ())[bad[0]]
+                place = f"{path}.activations[{k}].durations[{bad[0]}]"
+                yield Hit(place, f"{length} ns; expected a duration of 0 or more", count=len(bad))
+
+
+def _without_picture(subject: Subject) -> Iterator[Hit]:
+    for table in (projections(subject), point_projections(subject)):
+        times_ns, bad = table.timestamps_ns, np.zeros(len(table.timestamps_ns), bool)
+        for camera, rows in camera_rows(subject, table):
+            bad[rows] = _far_from_pictures(camera.pictures.timestamps_ns, times_ns[rows])
+
+        def say(row: int, times_ns: Int64Array = times_ns) -> str:
+            return f"the camera has no picture at {times_ns[row]} ns"
+
+        yield from table.hits(subject, bad, say, within=".timestamps")
+
+
+def _far_from_pictures(pictures_ns: Int64Array, times_ns: Int64Array) -> BoolArray:
+    if len(pictures_ns) == 0:
+        return np.zeros(len(times_ns), bool)
+    pictures_ns = np.sort(pictures_ns)
+    interval_ns = int(np.median(np.diff(pictures_ns))) if len(pictures_ns) > 1 else 0
+    after = np.searchsorted(pictures_ns, times_ns)
+    before_ns = times_ns - pictures_ns[(after - 1).clip(0)]
+    after_ns = pictures_ns[after.clip(max=len(pictures_ns) - 1)] - times_ns
+    away_ns = np.minimum(np.abs(before_ns), np.abs(after_ns))
+    far: BoolArray = away_ns > max(_LEAST_TOLERANCE_NS, interval_ns // _SAME_PICTURE)
+    return far
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "annotation-times-increasing",
+        Severity.ERROR,
+        "The keyframes of a path, and the times of activations, projections and attributes, strictly increase.",
+        "Sort them by time; of two at one time, decide which is meant.",
+        find=_not_increasing,
+        fix=_sorted_times,
+    ),
+    Rule(
+        "annotation-path-empty",
+        Severity.WARNING,
+        "Every path has at least one keyframe.",
+        "Give it keyframes, or take the annotation out.",
+        find=_empty,
+    ),
+    Rule(
+        "annotation-outside-scene",
+        Severity.WARNING,
+        "Annotations lie within the time of the scene, give or take one sweep.",
+        "Look whether the annotations count time in another unit or from another start than the sensors.",
+        find=_outside,
+    ),
+    Rule(
+        "annotation-duration",
+        Severity.ERROR,
+        "Events and activations end no sooner than they begin.",
+        "Set the duration to how long it lasts.",
+        find=_negative_durations,
+    ),
+    Rule(
+        "projection-without-picture",
+        Severity.WARNING,
+        "The times of a projection are times of pictures of its camera.",
+        "Project at the times of the pictures.",
+        find=_without_picture,
+    ),
+)

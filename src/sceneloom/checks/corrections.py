@@ -1,0 +1,105 @@
+"""Rules about corrections of the localisation and of cameras: one of each, and where there is something to correct."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.scene import CameraCalibration, CameraSensor, Identifier, LocalizationAdjustment, Severity
+from sceneloom.scene.span import scene_period_ns, time_span
+
+
+def _adjustments(subject: Subject) -> list[tuple[str, LocalizationAdjustment]]:
+    return [(path, a) for path, a in subject.annotations() if isinstance(a, LocalizationAdjustment)]
+
+
+def _calibrations(subject: Subject) -> Iterator[tuple[str, CameraCalibration]]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, CameraCalibration):
+            yield path, annotation
+
+
+def _several_adjustments(subject: Subject) -> Iterator[Hit]:
+    found = _adjustments(subject)
+    for path, adjustment in found[1:]:
+        yield Hit(path, f"{adjustment.id!r} is one of {len(found)}, the first is {found[0][0]}; expected one")
+
+
+def _adjustment_short(subject: Subject) -> Iterator[Hit]:
+    span = time_span(subject.scene)
+    if span is None:
+        return
+    period_ns = scene_period_ns(subject.scene)
+    for path, adjustment in _adjustments(subject):
+        poses = adjustment.poses
+        if len(poses.timestamps_ns) < 2:
+            continue
+        missing_ns = max(poses.start_ns - span[0], span[1] - poses.stop_ns)
+        if missing_ns > period_ns:
+            told = f"{poses.start_ns} to {poses.stop_ns} ns; the sensors' times are {span[0]} to {span[1]} ns"
+            yield Hit(f"{path}.poses", told)
+
+
+def _several_calibrations(subject: Subject) -> Iterator[Hit]:
+    by_camera: dict[tuple[type, Identifier], list[str]] = defaultdict(list)
+    for path, calibration in _calibrations(subject):
+        by_camera[type(calibration.sensor_id), calibration.sensor_id].append(path)
+    for (_, sensor_id), paths in by_camera.items():
+        for path in paths[1:]:
+            yield Hit(path, f"camera {sensor_id!r} has {len(paths)}, the first is {paths[0]}; expected one")
+
+
+def _calibrates_nothing(subject: Subject) -> Iterator[Hit]:
+    for path, calibration in _calibrations(subject):
+        if calibration.poses is None and calibration.intrinsics is None and not calibration.time_offset_ns:
+            yield Hit(path, "neither poses nor intrinsics nor a time offset; expected one of them")
+
+
+def _other_picture_size(subject: Subject) -> Iterator[Hit]:
+    for path, calibration in _calibrations(subject):
+        sensor, lens = subject.sensor(calibration.sensor_id), calibration.intrinsics
+        if lens is None or not isinstance(sensor, CameraSensor):
+            continue
+        given, usual = (lens.width, lens.height), (sensor.camera.width, sensor.camera.height)
+        if given != usual:
+            told = f"{given[0]} x {given[1]} px; the camera's pictures are {usual[0]} x {usual[1]} px"
+            yield Hit(f"{path}.intrinsics", told)
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "localization-adjustments-several",
+        Severity.WARNING,
+        "A scene has one localization adjustment at most.",
+        "Keep one: in which order several are applied is not said.",
+        find=_several_adjustments,
+    ),
+    Rule(
+        "localization-adjustment-short",
+        Severity.WARNING,
+        "A localization adjustment covers the time of the scene, give or take one sweep.",
+        "Extend its poses to the scene's ends.",
+        find=_adjustment_short,
+    ),
+    Rule(
+        "camera-calibrations-several",
+        Severity.WARNING,
+        "A camera has one calibration annotation at most.",
+        "Keep one: in which order several are applied is not said.",
+        find=_several_calibrations,
+    ),
+    Rule(
+        "camera-calibration-empty",
+        Severity.WARNING,
+        "A camera calibration says something about poses, lens or time.",
+        "Take it out.",
+        find=_calibrates_nothing,
+    ),
+    Rule(
+        "camera-calibration-size",
+        Severity.WARNING,
+        "The lens of a camera calibration is for pictures of the camera's size.",
+        "Scale its numbers to the size of the pictures.",
+        find=_other_picture_size,
+    ),
+)

@@ -1,0 +1,255 @@
+"""Rules about cuboids: sizes that objects have, and motion that objects can make."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, read_only
+from sceneloom.checks.annotation_table import PartTable, cuboid_paths, cuboid_rows
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.geometry.euler import AngleUnit, rotation_from_cuboid_angles
+from sceneloom.scene import CuboidAnnotation, Scene, Severity
+
+_LARGEST_M = 100.0
+"""Beyond it even trams and ferries end; a building that long deserves a look."""
+
+_SMALLEST_M = 0.01
+
+_SIZE_FACTOR = 2.0
+_SIZE_CHANGE_M = 0.5
+"""Labels grow while more of an object is seen; doubling by more than this is another object."""
+
+_SLACK_M = 2.0
+_ACCELERATION = 20.0
+"""Twice what tyres hold on a road [m/s²]; with the slack it bounds how far a keyframe lies off the way."""
+
+_FASTEST = 100.0
+"""No vehicle on a road is faster [m/s]."""
+
+_STANDING_M = 1.0
+
+_TURN_DEG = 100.0
+_TURN_WITHIN_NS = 600_000_000
+"""Nothing on wheels turns that far within this time."""
+
+_MOVED_M = 1e-9
+
+
+def _not_finite(subject: Subject) -> Iterator[Hit]:
+    rows = cuboid_rows(subject)
+    bad = _in_any(~np.isfinite(rows))
+    return _hits(subject, bad, lambda row: f"{_numbers(rows[row])}; expected finite numbers")
+
+
+def _hits(subject: Subject, bad: BoolArray, say: Callable[[int], str]) -> Iterator[Hit]:
+    return cuboid_paths(subject).hits(subject, bad, say, within=".values")
+
+
+def _in_any(bad: BoolArray) -> BoolArray:
+    """(N,) bool: whether a row has a column at fault."""
+    return np.asarray(bad.any(axis=1))
+
+
+def _numbers(values: Float64Array) -> str:
+    return "[" + ", ".join(f"{value:g}" for value in values.tolist()) + "]"
+
+
+def _negative_size(subject: Subject) -> Iterator[Hit]:
+    sizes = cuboid_rows(subject)[:, :3]
+    bad = _in_any(sizes < 0)
+    return _hits(subject, bad, lambda row: f"size {_numbers(sizes[row])} m; expected positive lengths")
+
+
+def _positive_sizes(scene: Scene) -> Scene:
+    """Turn negative lengths positive: a box is the same seen from its other side."""
+    annotations = tuple(
+        _with_positive_size(a) if isinstance(a, CuboidAnnotation) else a for a in scene.annotations
+    )
+    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
+        return scene
+    return replace(scene, annotations=annotations)
+
+
+def _with_positive_size(cuboid: CuboidAnnotation) -> CuboidAnnotation:
+    values = cuboid.path.values
+    if not (values[:, :3] < 0).any():
+        return cuboid
+    positive = values.copy()
+    positive[:, :3] = np.abs(positive[:, :3])
+    return replace(cuboid, path=replace(cuboid.path, values=read_only(positive)))
+
+
+def _no_size(subject: Subject) -> Iterator[Hit]:
+    sizes = cuboid_rows(subject)[:, :3]
+    bad = _in_any(sizes == 0)
+    return _hits(subject, bad, lambda row: f"size {_numbers(sizes[row])} m; expected positive lengths")
+
+
+def _absurd_size(subject: Subject) -> Iterator[Hit]:
+    sizes = np.abs(cuboid_rows(subject)[:, :3])
+    bad = _in_any(((sizes > 0) & (sizes < _SMALLEST_M)) | ((sizes > _LARGEST_M) & np.isfinite(sizes)))
+    expected = f"expected {_SMALLEST_M:g} to {_LARGEST_M:g} m"
+    return _hits(subject, bad, lambda row: f"size {_numbers(sizes[row])} m; {expected}")
+
+
+def _size_changes(subject: Subject) -> Iterator[Hit]:
+    table, sizes = cuboid_paths(subject), np.abs(cuboid_rows(subject)[:, :3])
+    before, after = sizes[:-1], sizes[1:]
+    with np.errstate(invalid="ignore"):
+        smaller, larger = np.minimum(before, after), np.maximum(before, after)
+        jumps = (larger > _SIZE_FACTOR * smaller) & (larger - smaller > _SIZE_CHANGE_M) & np.isfinite(larger)
+    bad = _from_second(table, _in_any(jumps))
+    return _hits(
+        subject, bad, lambda row: f"size {_numbers(sizes[row])} m after {_numbers(sizes[row - 1])} m"
+    )
+
+
+def _from_second(table: PartTable, bad_steps: BoolArray) -> BoolArray:
+    """Mark the later row of each step that is bad and inside one path."""
+    bad = np.zeros(len(table.timestamps_ns), bool)
+    bad[1:] = bad_steps & table.inner
+    return bad
+
+
+def _jumps(subject: Subject) -> Iterator[Hit]:
+    """Find keyframes that no vehicle could reach, or that lie off the way between their neighbours."""
+    table, positions = cuboid_paths(subject), cuboid_rows(subject)[:, 3:6]
+    seconds = np.diff(table.timestamps_ns) / 1e9
+    forward = table.inner & (seconds > 0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        way = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+        bad = _from_second(table, forward & (way > _SLACK_M + _FASTEST * seconds))
+        reached, off = bad.copy(), _off_the_way(positions, seconds, forward)
+    bad |= off
+
+    def say(row: int) -> str:
+        if reached[row]:
+            return f"{way[row - 1]:.1f} m from the keyframe before, in {seconds[row - 1]:.3f} s"
+        return f"{_gap(positions, seconds, row):.1f} m off the way between the keyframes before and after"
+
+    return _hits(subject, bad, say)
+
+
+def _off_the_way(positions: Float64Array, seconds: Float64Array, forward: BoolArray) -> BoolArray:
+    off = np.zeros(len(positions), bool)
+    if len(positions) < 3:
+        return off
+    whole = np.where(forward[:-1] & forward[1:], seconds[:-1] + seconds[1:], 1.0)
+    share = (seconds[:-1] / whole)[:, None]
+    between = positions[:-2] * (1 - share) + positions[2:] * share
+    gaps = np.linalg.norm(positions[1:-1] - between, axis=1)
+    limit = _SLACK_M + _ACCELERATION / 2 * seconds[:-1] * seconds[1:]
+    off[1:-1] = forward[:-1] & forward[1:] & (gaps > limit)
+    return off
+
+
+def _gap(positions: Float64Array, seconds: Float64Array, row: int) -> float:
+    share = seconds[row - 1] / (seconds[row - 1] + seconds[row])
+    between = positions[row - 1] * (1 - share) + positions[row + 1] * share
+    return float(np.linalg.norm(positions[row] - between))
+
+
+def _standing_moves(subject: Subject) -> Iterator[Hit]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, CuboidAnnotation) and annotation.stationary:
+            positions = annotation.path.values[:, 3:6]
+            spread = float(np.linalg.norm(np.ptp(positions, axis=0))) if len(positions) > 1 else 0.0
+            if spread > _STANDING_M:
+                yield Hit(f"{path}.stationary", f"true, yet the keyframes lie {spread:.1f} m apart")
+
+
+def cuboid_headings(rows: Float64Array, unit: str, order: str) -> Float64Array:
+    """The direction in which cuboids point, (N, 3) float64: their x axis, under a reading of the angles."""
+    with np.errstate(invalid="ignore"):
+        return np.ascontiguousarray(
+            rotation_from_cuboid_angles(rows[:, 6:9], unit=unit, order=order)[:, :, 0]
+        )
+
+
+def said_reading(scene: Scene) -> tuple[str, str]:
+    """Unit and order of the angles as the scene says them, or as they are taken to be."""
+    ours = scene.metadata.get("sceneloom")
+    ours = ours if isinstance(ours, dict) else {}
+    return ours.get("euler_unit") or "degrees", ours.get("euler_order") or "xyz"
+
+
+def _turns(subject: Subject) -> Iterator[Hit]:
+    table, rows = cuboid_paths(subject), cuboid_rows(subject)
+    steps = np.diff(table.timestamps_ns)
+    unit, order = said_reading(subject.scene)
+    half_turn = 180.0 if unit == AngleUnit.DEGREES else np.pi
+    with np.errstate(invalid="ignore"):
+        reach = np.abs(np.diff(rows[:, 6:9], axis=0)).sum(axis=1) / half_turn * 180.0
+    # no cuboid turns by more than its three angles do together
+    may = table.inner & (steps > 0) & (steps <= _TURN_WITHIN_NS) & (reach > _TURN_DEG)
+    steps_chosen = np.flatnonzero(may)
+    before = cuboid_headings(rows[steps_chosen], unit, order)
+    after = cuboid_headings(rows[steps_chosen + 1], unit, order)
+    angles = np.degrees(np.arccos(np.sum(before * after, axis=1).clip(-1, 1)))
+    bad = np.zeros(len(rows), bool)
+    bad[steps_chosen[angles > _TURN_DEG] + 1] = True
+    angle_of = dict(zip((steps_chosen + 1).tolist(), angles.tolist(), strict=True))
+    return _hits(subject, bad, lambda row: f"turned by {angle_of[row]:.0f}° in {steps[row - 1] / 1e9:.3f} s")
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "cuboid-not-finite",
+        Severity.ERROR,
+        "All numbers of a cuboid are finite.",
+        "Take the keyframe out.",
+        find=_not_finite,
+    ),
+    Rule(
+        "cuboid-negative-size",
+        Severity.ERROR,
+        "No length of a cuboid is negative.",
+        "Take the length without its sign: the box is the same.",
+        find=_negative_size,
+        fix=_positive_sizes,
+    ),
+    Rule(
+        "cuboid-no-size",
+        Severity.ERROR,
+        "No length of a cuboid is zero.",
+        "Draw the cuboid as large as the object.",
+        find=_no_size,
+    ),
+    Rule(
+        "cuboid-size-absurd",
+        Severity.WARNING,
+        f"Cuboids are {_SMALLEST_M:g} m to {_LARGEST_M:g} m long, wide and high.",
+        "Look whether the lengths are in metres, and in the order length, width, height, position, angles.",
+        find=_absurd_size,
+    ),
+    Rule(
+        "cuboid-size-changes",
+        Severity.WARNING,
+        f"From keyframe to keyframe no length changes by more than {_SIZE_FACTOR:g} times and {_SIZE_CHANGE_M:g} m.",
+        "Look whether one path joins two objects.",
+        find=_size_changes,
+    ),
+    Rule(
+        "cuboid-jump",
+        Severity.WARNING,
+        "Cuboids move as objects can: no keyframe lies off the way between its neighbours or out of reach.",
+        "Look whether one path joins two objects, or a keyframe is misplaced.",
+        find=_jumps,
+    ),
+    Rule(
+        "cuboid-turn",
+        Severity.WARNING,
+        f"No cuboid turns by more than {_TURN_DEG:g}° within {_TURN_WITHIN_NS / 1e9:g} s.",
+        "Look whether front and back were mixed up in a keyframe.",
+        find=_turns,
+    ),
+    Rule(
+        "cuboid-stationary-moves",
+        Severity.WARNING,
+        f"The keyframes of a stationary cuboid lie within {_STANDING_M:g} m.",
+        "Take `stationary` out, or leave one keyframe.",
+        find=_standing_moves,
+    ),
+)

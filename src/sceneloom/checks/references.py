@@ -1,0 +1,254 @@
+"""Rules about ids: each stands for one annotation, and what is named exists and is of the right kind."""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from sceneloom.checks.annotation_table import SensorMention, sensor_mentions
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.scene import (
+    Annotation,
+    AttributePath,
+    Box2DAnnotation,
+    CameraCalibration,
+    CameraSensor,
+    GroupAnnotation,
+    Identifier,
+    LabeledPoints,
+    LidarSensor,
+    LinkAnnotation,
+    ObjectAnnotation,
+    PlainSensor,
+    PointProjection,
+    PointsSensor,
+    Projection,
+    RadarSensor,
+    Sensor,
+    Severity,
+    ShapeAnnotation,
+)
+
+Key = tuple[type, Identifier]
+
+
+def _key(identifier: Identifier) -> Key:
+    return type(identifier), identifier
+
+
+def _numbers_by_id(subject: Subject) -> dict[Key, int]:
+    return {_key(annotation.id): k for k, annotation in enumerate(subject.scene.annotations)}
+
+
+def _known_ids(subject: Subject) -> Mapping[Key, int]:
+    return subject.table("numbers of annotations by id", _numbers_by_id)
+
+
+def _unknown(kind: str, identifier: Identifier, known: Mapping[Key, Any]) -> str:
+    """Say that nothing has this id, and whether something has it as text in place of a number."""
+    twin: Identifier | None = str(identifier) if isinstance(identifier, int) else _as_integer(identifier)
+    if twin is not None and _key(twin) in known:
+        return f"{identifier!r} is no {kind}; there is one {twin!r}, which is another id"
+    return f"{identifier!r} is no {kind} of the scene"
+
+
+def _as_integer(text: str) -> int | None:
+    """The integer that a text stands for; ids with more digits than any counter has are not looked at."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else None
+
+
+def _unknown_parents(subject: Subject) -> Iterator[Hit]:
+    known = _known_ids(subject)
+    for path, annotation in subject.annotations():
+        if annotation.parent_id is not None and _key(annotation.parent_id) not in known:
+            yield Hit(f"{path}.parent_id", _unknown("annotation", annotation.parent_id, known))
+
+
+def _parent_cycles(subject: Subject) -> Iterator[Hit]:
+    """Follow each annotation's parents; one that is met again on the same way lies on a cycle."""
+    known, annotations = _known_ids(subject), subject.scene.annotations
+    settled: set[int] = set()
+    for start in range(len(annotations)):
+        way: dict[int, None] = {}
+        number: int | None = start
+        while number is not None and number not in settled and number not in way:
+            way[number] = None
+            parent_id = annotations[number].parent_id
+            number = None if parent_id is None else known.get(_key(parent_id))
+        if number is not None and number in way:
+            cycle = list(way)[list(way).index(number) :]
+            names = " in ".join(repr(annotations[k].id) for k in [*cycle[:5], number])
+            more = f" (and {len(cycle) - 5} more between)" if len(cycle) > 5 else ""
+            yield Hit(f"{subject.annotation_paths[number]}.parent_id", f"{names}{more}; expected no cycle")
+        settled.update(way)
+
+
+def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
+    known = {_key(sensor.id): sensor for sensor in subject.scene.sensors}
+    for mention in sensor_mentions(subject):
+        if _key(mention.sensor_id) not in known:
+            yield Hit(_place(subject, mention), _unknown("sensor", mention.sensor_id, known))
+
+
+def _place(subject: Subject, mention: SensorMention) -> str:
+    return subject.annotation_paths[mention.number] + mention.suffix
+
+
+_CLOUDS = (LidarSensor, RadarSensor, PointsSensor)
+
+
+def _wrong_sensors(subject: Subject) -> Iterator[Hit]:
+    for mention in sensor_mentions(subject):
+        sensor = subject.sensor(mention.sensor_id)
+        expected = _expected_sensor(mention.part)
+        if sensor is None or expected is None or isinstance(sensor, PlainSensor):
+            continue
+        classes, word = expected
+        if not isinstance(sensor, classes):
+            yield Hit(_place(subject, mention), f"{mention.sensor_id!r} is {_a(sensor)}; expected {word}")
+
+
+def _expected_sensor(part: Any) -> tuple[tuple[type, ...], str] | None:
+    """Which sensors a part can be about: those with pictures, or those with points; None: any."""
+    if isinstance(part, Projection | PointProjection | Box2DAnnotation | CameraCalibration):
+        return (CameraSensor,), "a camera"
+    if isinstance(part, ShapeAnnotation) and part.dimensions == 2:
+        return (CameraSensor,), "a camera"
+    return (_CLOUDS, "a sensor with points") if isinstance(part, LabeledPoints) else None
+
+
+def _a(sensor: Sensor) -> str:
+    word = str(sensor.type)
+    return f"{'an' if word[:1] in 'aeiou' else 'a'} {word}"
+
+
+def _links(subject: Subject) -> Iterator[tuple[str, LinkAnnotation]]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, LinkAnnotation):
+            yield path, annotation
+
+
+def _unknown_link_ends(subject: Subject) -> Iterator[Hit]:
+    known = _known_ids(subject)
+    for path, link in _links(subject):
+        for name in ("from_id", "to_id"):
+            identifier = getattr(link, name)
+            if _key(identifier) not in known:
+                yield Hit(f"{path}.{name}", _unknown("annotation", identifier, known))
+
+
+def _links_to_themselves(subject: Subject) -> Iterator[Hit]:
+    for path, link in _links(subject):
+        if _key(link.from_id) == _key(link.to_id):
+            yield Hit(path, f"leads from {link.from_id!r} to itself; expected two annotations")
+        elif _key(link.id) in (_key(link.from_id), _key(link.to_id)):
+            yield Hit(path, f"one end is the link {link.id!r} itself; expected two other annotations")
+
+
+def _unused(subject: Subject) -> Iterator[Hit]:
+    used = {_key(a.parent_id) for a in subject.scene.annotations if a.parent_id is not None}
+    for _, link in _links(subject):
+        used |= {_key(link.from_id), _key(link.to_id)}
+    for path, annotation in subject.annotations():
+        if _says_nothing(annotation) and _key(annotation.id) not in used:
+            yield Hit(
+                path, f"the {annotation.type} {annotation.id!r} has no members, no links and no attributes"
+            )
+
+
+def _says_nothing(annotation: Annotation) -> bool:
+    return isinstance(annotation, ObjectAnnotation | GroupAnnotation) and not annotation.attributes
+
+
+def _unused_attributes_of_points(subject: Subject) -> Iterator[Hit]:
+    for path, annotation in subject.annotations():
+        count = len(getattr(annotation, "paths", ()))
+        for k, attribute in enumerate(getattr(annotation, "attributes", ())):
+            index = attribute.point_index if isinstance(attribute, AttributePath) else None
+            if index is not None and not 0 <= index < count:
+                place = f"{path}.attributes[{k}].point_index"
+                yield Hit(place, f"{index}; the annotation has {count} points, counted from 0")
+
+
+def _spellings(subject: Subject) -> Iterator[Hit]:
+    """Group labels by their letters and digits alone; of several in a group, one spelling is meant."""
+    counts = Counter(
+        label for a in subject.scene.annotations if isinstance(label := getattr(a, "label", None), str)
+    )
+    groups: dict[str, list[str]] = defaultdict(list)
+    for label in counts:
+        groups["".join(letter for letter in label.casefold() if letter.isalnum())].append(label)
+    for letters, labels in groups.items():
+        if letters and len(labels) > 1:
+            usual = max(labels, key=lambda label: counts[label])
+            told = ", ".join(f"{label!r} ({counts[label]} times)" for label in labels)
+            rare = sum(counts[label] for label in labels if label != usual)
+            yield Hit("annotations", f"labels {told}; expected one spelling, as {usual!r}", count=rare)
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "annotation-parent-unknown",
+        Severity.ERROR,
+        "The parent that an annotation names is an annotation of the scene.",
+        'Name an annotation that exists, with the type of its id (1 is not "1"), or leave `parent_id` out.',
+        find=_unknown_parents,
+    ),
+    Rule(
+        "annotation-parent-cycle",
+        Severity.ERROR,
+        "No annotation is its own parent, nor a parent of its parents.",
+        "Leave one `parent_id` of the cycle out.",
+        find=_parent_cycles,
+    ),
+    Rule(
+        "annotation-sensor-unknown",
+        Severity.ERROR,
+        "Every sensor that an annotation names is a sensor of the scene.",
+        'Name a sensor that exists, with the type of its id (1 is not "1"), or take the part out.',
+        find=_unknown_sensors,
+    ),
+    Rule(
+        "annotation-sensor-type",
+        Severity.ERROR,
+        "Boxes and shapes in pictures, projections and camera calibrations are of cameras; labelled points are of "
+        "sensors with points.",
+        "Name the sensor that was meant.",
+        find=_wrong_sensors,
+    ),
+    Rule(
+        "link-end-unknown",
+        Severity.ERROR,
+        "Both ends of a link are annotations of the scene.",
+        "Name annotations that exist, or take the link out.",
+        find=_unknown_link_ends,
+    ),
+    Rule(
+        "link-to-itself",
+        Severity.WARNING,
+        "A link joins two different annotations.",
+        "Name the other annotation, or take the link out.",
+        find=_links_to_themselves,
+    ),
+    Rule(
+        "attribute-point-unknown",
+        Severity.ERROR,
+        "The point that an attribute of a points annotation is for is one of its points.",
+        "Count points from 0, in the order of `paths`.",
+        find=_unused_attributes_of_points,
+    ),
+    Rule(
+        "annotation-unused",
+        Severity.HINT,
+        "Objects and groups have members, links or attributes.",
+        "Take it out if nothing belongs to it.",
+        find=_unused,
+    ),
+    Rule(
+        "label-spellings",
+        Severity.HINT,
+        "A label is spelt in one way throughout a scene.",
+        "Rename the labels to one spelling.",
+        find=_spellings,
+    ),
+)

@@ -1,0 +1,251 @@
+"""Rules about shapes: enough vertices, edges that do not cross, and areas that are flat."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.checks.annotation_table import point_paths
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.scene import PointsAnnotation, Severity, ShapeAnnotation, ShapeType
+
+_AREAS = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
+_LINES = (ShapeType.POLYLINE, ShapeType.POLYLINE_2D)
+
+LEAST_VERTICES = {
+    **dict.fromkeys(_AREAS, 3),
+    **dict.fromkeys(_LINES, 2),
+    ShapeType.POINT: 1,
+    ShapeType.POINT_2D: 1,
+    ShapeType.POINT_TOPDOWN: 1,
+}
+"""How many vertices a shape needs."""
+
+_FLAT_SHARE = 0.01
+_FLAT_M = 0.02
+"""A polygon is flat if its vertices lie this near to a plane: by its size, and at least the noise of a lidar [m]."""
+
+_MOST_VERTICES = 1_000
+"""Longer outlines are not searched for crossings: the search grows with the square."""
+
+
+def _shapes(subject: Subject) -> Iterator[tuple[str, ShapeAnnotation]]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, ShapeAnnotation):
+            yield path, annotation
+
+
+def _hits_of(subject: Subject, judge: Callable[[ShapeAnnotation, Float64Array], str | None]) -> Iterator[Hit]:
+    """Give a hit for each shape that has keyframes of which `judge` says something; the first one is told."""
+    for path, shape in _shapes(subject):
+        found = [
+            (k, said) for k, v in enumerate(shape.path.vertices) if (said := judge(shape, v)) is not None
+        ]
+        if found:
+            first, message = found[0]
+            yield Hit(f"{path}.path.values[{first}]", message, count=len(found))
+
+
+def _too_few(subject: Subject) -> Iterator[Hit]:
+    def judge(shape: ShapeAnnotation, vertices: Float64Array) -> str | None:
+        least = LEAST_VERTICES[shape.type]
+        if len(vertices) < least:
+            return f"{len(vertices)} vertices; a {shape.type} has at least {least}"
+        return None
+
+    return _hits_of(subject, judge)
+
+
+def _several_points(subject: Subject) -> Iterator[Hit]:
+    def judge(shape: ShapeAnnotation, vertices: Float64Array) -> str | None:
+        if LEAST_VERTICES[shape.type] == 1 and len(vertices) > 1:
+            return f"{len(vertices)} vertices; a {shape.type} has one"
+        return None
+
+    return _hits_of(subject, judge)
+
+
+def _not_finite(subject: Subject) -> Iterator[Hit]:
+    def judge(_: ShapeAnnotation, vertices: Float64Array) -> str | None:
+        rows = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        return (
+            f"vertex {rows[0]} is {vertices[rows[0]].tolist()}; expected finite numbers"
+            if len(rows)
+            else None
+        )
+
+    yield from _hits_of(subject, judge)
+    table = point_paths(subject)
+    for number, path in enumerate(table.parts):
+        rows = np.flatnonzero(~np.isfinite(path.values).all(axis=1))
+        if len(rows):
+            place = f"{table.place(subject, number)}.values[{rows[0]}]"
+            yield Hit(place, f"{path.values[rows[0]].tolist()}; expected finite numbers", count=len(rows))
+
+
+def _not_flat(subject: Subject) -> Iterator[Hit]:
+    def judge(shape: ShapeAnnotation, vertices: Float64Array) -> str | None:
+        if shape.type != ShapeType.POLYGON or len(vertices) < 4 or not np.isfinite(vertices).all():
+            return None
+        away, size = _distance_from_plane(vertices)
+        if away <= max(_FLAT_M, _FLAT_SHARE * size):
+            return None
+        return f"a vertex lies {away:.3f} m off the plane of a polygon {size:.1f} m across"
+
+    return _hits_of(subject, judge)
+
+
+def _distance_from_plane(vertices: Float64Array) -> tuple[float, float]:
+    """How far the farthest vertex lies from the plane through all, and how large the polygon is [m]."""
+    centred = vertices - vertices.mean(axis=0)
+    normal = np.linalg.svd(centred, full_matrices=False)[2][2]
+    return float(np.abs(centred @ normal).max()), float(2 * np.linalg.norm(centred, axis=1).max())
+
+
+def _crossing(subject: Subject) -> Iterator[Hit]:
+    def judge(shape: ShapeAnnotation, vertices: Float64Array) -> str | None:
+        if shape.type not in _AREAS or not 4 <= len(vertices) <= _MOST_VERTICES:
+            return None
+        if not np.isfinite(vertices).all():
+            return None
+        pair = _crossing_edges(_in_its_plane(shape, vertices))
+        return None if pair is None else f"edges {pair[0]} and {pair[1]} cross; expected an outline"
+
+    return _hits_of(subject, judge)
+
+
+def _in_its_plane(shape: ShapeAnnotation, vertices: Float64Array) -> Float64Array:
+    """The outline in two dimensions, (V, 2): as drawn, from above, or in the plane that fits best."""
+    if shape.type != ShapeType.POLYGON:
+        return vertices[:, :2]
+    centred = vertices - vertices.mean(axis=0)
+    return np.asarray(centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T)
+
+
+def _crossing_edges(outline: Float64Array) -> tuple[int, int] | None:
+    """Find two edges that cross inside both; edges that only touch do not count.
+
+    Source: two segments cross if the ends of each lie on different sides of the other.
+    """
+    if np.array_equal(outline[0], outline[-1]):
+        outline = outline[:-1]
+    starts, stops = outline, np.roll(outline, -1, axis=0)
+    sides_of_starts = _sides(starts, stops, starts)
+    sides_of_stops = _sides(starts, stops, stops)
+    parted = sides_of_starts * sides_of_stops < 0
+    pairs = np.argwhere(np.triu(parted & parted.T, 1))
+    return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None
+
+
+def _sides(starts: Float64Array, stops: Float64Array, points: Float64Array) -> Float64Array:
+    """(E, P): on which side of each edge each point lies, -1, 0 or 1; 0 within rounding of the edge's line."""
+    along = stops - starts
+    away = points[None] - starts[:, None]
+    turns = along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
+    reach = np.abs(along).sum(axis=1)[:, None] * np.abs(away).sum(axis=2)
+    return np.asarray(np.where(np.abs(turns) <= 1e-9 * reach, 0.0, np.sign(turns)))
+
+
+def _counts_change(subject: Subject) -> Iterator[Hit]:
+    for path, shape in _shapes(subject):
+        counts = [len(vertices) for vertices in shape.path.vertices]
+        changes = [k for k in range(1, len(counts)) if counts[k] != counts[k - 1]]
+        if changes:
+            k = changes[0]
+            yield Hit(
+                f"{path}.path.values[{k}]",
+                f"{counts[k]} vertices after {counts[k - 1]}; between them no shape can be computed",
+                count=len(changes),
+            )
+
+
+def _points_of(subject: Subject) -> Iterator[tuple[str, PointsAnnotation]]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, PointsAnnotation):
+            yield path, annotation
+
+
+def _counts_of_points(subject: Subject) -> Iterator[Hit]:
+    for path, points in _points_of(subject):
+        count = len(points.paths)
+        if points.labels is not None and len(points.labels) != count:
+            yield Hit(f"{path}.labels", f"{len(points.labels)} labels for {count} points; expected as many")
+        if points.projections and len(points.projections) != count:
+            told = f"projections of {len(points.projections)} points, of {count}; expected as many"
+            yield Hit(f"{path}.projections", told)
+        for k, point in enumerate(points.paths):
+            if point.values.shape[1] != 3 and len(point.values):
+                told = f"{point.values.shape[1]} numbers in a row; expected x, y, z of one point"
+                yield Hit(f"{path}.paths[{k}].values", told)
+
+
+def _ids_of_points(subject: Subject) -> Iterator[Hit]:
+    for path, points in _points_of(subject):
+        seen: dict[tuple[type, object], int] = {}
+        for k, point in enumerate(points.paths):
+            if point.id is None:
+                continue
+            first = seen.setdefault((type(point.id), point.id), k)
+            if first != k:
+                yield Hit(f"{path}.paths[{k}].id", f"{point.id!r} is the id of paths[{first}], too")
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "shape-vertices",
+        Severity.ERROR,
+        "A polygon has three vertices or more, a polyline two, a point one.",
+        "Draw the missing vertices, or take the keyframe out.",
+        find=_too_few,
+    ),
+    Rule(
+        "point-of-several",
+        Severity.WARNING,
+        "A point has one vertex.",
+        "Make a points annotation or a polyline of it.",
+        find=_several_points,
+    ),
+    Rule(
+        "shape-not-finite",
+        Severity.ERROR,
+        "All numbers of shapes and points are finite.",
+        "Take the keyframe out.",
+        find=_not_finite,
+    ),
+    Rule(
+        "polygon-not-flat",
+        Severity.WARNING,
+        f"The vertices of a polygon in space lie in one plane, within {_FLAT_SHARE:.0%} of its size and {_FLAT_M:g} m.",
+        "Move the vertices into one plane; for an area on the ground use `polygon_topdown`.",
+        find=_not_flat,
+    ),
+    Rule(
+        "polygon-crosses-itself",
+        Severity.WARNING,
+        "The edges of a polygon do not cross.",
+        "Bring the vertices into order, or make two polygons.",
+        find=_crossing,
+    ),
+    Rule(
+        "vertex-count-changes",
+        Severity.HINT,
+        "A shape has equally many vertices in all keyframes, so that it is known between them.",
+        "Draw the same vertices in every keyframe.",
+        find=_counts_change,
+    ),
+    Rule(
+        "points-annotation-counts",
+        Severity.ERROR,
+        "A points annotation has a label and a list of projections for each point, and rows of x, y, z.",
+        "Give each point its own, in the order of `paths`.",
+        find=_counts_of_points,
+    ),
+    Rule(
+        "points-annotation-ids",
+        Severity.ERROR,
+        "The points of a points annotation have ids of their own.",
+        "Rename all but one.",
+        find=_ids_of_points,
+    ),
+)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Int64Array
+from sceneloom.arrays import AnyArray
 from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.drafts import SensorDraft
 from sceneloom.formats.sfs.spool import Spool
@@ -74,7 +74,8 @@ class ClockKeeper:
 
 def _moved(stamps: AnyArray, *, later: int, clock: FileClock, place: str) -> AnyArray:
     since = stamps.astype(np.int64) + later
-    check_stamps(since, clock, place)
+    if since.size:
+        check_stamps(int(since.min()), int(since.max()), clock, place)
     return since.astype(stamp_dtype(clock))
 
 
@@ -83,15 +84,15 @@ def stamp_dtype(clock: FileClock) -> type[np.unsignedinteger[Any]]:
     return np.uint64 if clock.tick_ns == 1 else np.uint32
 
 
-def check_stamps(stamps: Int64Array, clock: FileClock, place: str) -> None:
-    """Refuse point times that the file's integers cannot hold.
+def check_stamps(lowest: int, highest: int, clock: FileClock, place: str) -> None:
+    """Refuse point times, of which the first and the last stamp are given, that the file's integers cannot hold.
 
     Raises:
         OptionError: naming what would hold them.
     """
     limit = UINT64_MAX if clock.tick_ns == 1 else UINT32_MAX
-    if stamps.size and (int(stamps.min()) < 0 or int(stamps.max()) > limit):
-        seconds = (int(stamps.min()) if int(stamps.min()) < 0 else int(stamps.max())) * clock.tick_ns / 1e9
+    if lowest < 0 or highest > limit:
+        seconds = (lowest if lowest < 0 else highest) * clock.tick_ns / 1e9
         raise OptionError(
             f"{place}.points.timestamps: {seconds:.3f} s after the clock's zero; microseconds in 32 bits hold 0 to "
             "4294.967 s: choose another time offset, or `--time-unit nanoseconds`"

@@ -1,8 +1,8 @@
 """The container of `.sfs` files, writing side: arrays go to disk as they come, the header goes before them at the end.
 
 The first arrays are kept in memory; a file that stays small is then written at one go. When they become too many they
-are spooled to the draft behind space that is left for the header. A header that does not fit there goes to a second
-draft, and the arrays are copied behind it by the kernel.
+are spooled to the draft behind space that is left for the header. For a header that does not fit there the file system
+is asked to put space in front of the arrays; where it cannot, they are copied behind the header in a second draft.
 
 Every array starts at a multiple of 64 bytes in the file and is followed by at least 4 NULs.
 """
@@ -15,11 +15,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray
+from sceneloom.formats.sfs.allocation import BLOCK, allocate, insert
 
 ALIGNMENT = 64
 """A cache line, and enough for every dtype and vector instruction."""
@@ -27,7 +28,9 @@ ALIGNMENT = 64
 _NULS = bytes(2 * ALIGNMENT)
 _GAP = 4
 _IN_MEMORY = 8 << 20
-_BUFFER = 1 << 20
+_GATHERED = 1 << 20
+_SMALL = 1 << 16
+_ALLOCATED = 64 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,10 +62,11 @@ class Spool:
         """
         self._draft = draft
         self._reserve = reserve
-        self._file: BinaryIO = io.BytesIO()
+        self._file: io.FileIO | None = None
         self._start = 0
-        self._file.write(_NULS[:ALIGNMENT])
+        self._gathered = bytearray(ALIGNMENT)
         self._end = ALIGNMENT
+        self._allocated = 0
 
     def __enter__(self) -> Self:
         return self
@@ -70,65 +74,91 @@ class Spool:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
     def add(self, array: AnyArray) -> Blob:
         """Write an array, byte for byte, in little-endian order."""
-        values = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-        self._make_room(values.nbytes)
-        self._file.write(values.reshape(-1).view(np.uint8).data)
+        values = np.ascontiguousarray(array, _little_endian(array.dtype))
+        self._write(values.reshape(-1).view(np.uint8).data, values.nbytes)
         return self._added(values.nbytes, _name_of(values.dtype), tuple(array.shape))
 
     def add_file(self, path: Path) -> Blob:
         """Write the bytes of a file as an array of uint8."""
         length = path.stat().st_size
-        self._make_room(length)
-        with path.open("rb") as source:
-            shutil.copyfileobj(source, self._file, _BUFFER)
+        with path.open("rb", buffering=0) as source:
+            if length < _SMALL:
+                self._write(source.read(), length)
+            else:
+                _copy(source, 0, self._file_for(length))
         return self._added(length, "uint8", (length,))
 
     def change(self, blob: Blob, change: Callable[[AnyArray], AnyArray]) -> None:
         """Replace an array by one of the same shape and dtype."""
-        self._file.seek(self._start + blob.offset)
-        old = np.frombuffer(self._file.read(blob.length), blob.dtype).reshape(blob.shape)
-        self._file.seek(self._start + blob.offset)
-        self._file.write(change(old).astype(blob.dtype, copy=False).tobytes())
-        self._file.seek(self._start + self._end)
+        if self._file is None:
+            place = slice(blob.offset, blob.offset + blob.length)
+            old = bytes(self._gathered[place])
+            self._gathered[place] = _changed(old, blob, change)
+            return
+        file = self._file_for(0)
+        file.seek(self._start + blob.offset)
+        content = _changed(_read_all(file, blob.length), blob, change)
+        file.seek(self._start + blob.offset)
+        _write_all(file, content)
+        file.seek(self._start + self._end)
 
     def finish(self, header: bytes) -> None:
         """Put the header, padded with blanks, before the arrays; the draft is then complete."""
-        if self._start and len(header) <= self._start:
-            self._file.seek(0)
-            self._file.write(header.ljust(self._start))
-            self._file.close()
+        if self._file is None:
+            with self._draft.open("wb", buffering=0) as file:
+                _write_all(file, header.ljust(_aligned(len(header))), self._gathered)
             return
-        front = header.ljust(_aligned(len(header)))
-        target = self._draft if not self._start else self._draft.with_name(self._draft.name + ".whole")
-        self._file.flush()
-        with target.open("wb", buffering=0) as file:
+        file = self._file_for(0)
+        file.truncate(self._start + self._end)
+        missing = -(-max(0, len(header) - self._start) // BLOCK) * BLOCK
+        front = header.ljust(self._start + missing)
+        if missing and not insert(file.fileno(), missing):
+            self._copy_behind(front, file)
+        else:
+            file.seek(0)
             _write_all(file, front)
-            if isinstance(self._file, io.BytesIO):
-                _write_all(file, self._file.getbuffer())
-            else:
-                _copy(self._file, self._start, file)
-        self._file.close()
-        target.replace(self._draft)
+        file.close()
 
-    def _make_room(self, length: int) -> None:
-        """Move from memory to the draft as soon as the arrays become too many."""
-        if self._start or self._end + length <= _IN_MEMORY:
-            return
-        kept = self._file
-        self._file = self._draft.open("w+b", buffering=_BUFFER)
-        self._start = _aligned(self._reserve())
-        self._file.seek(self._start)
-        if isinstance(kept, io.BytesIO):
-            self._file.write(kept.getbuffer())
+    def _copy_behind(self, front: bytes, spooled: io.FileIO) -> None:
+        whole = self._draft.with_name(self._draft.name + ".whole")
+        with whole.open("wb", buffering=0) as file:
+            _write_all(file, front)
+            _copy(spooled, self._start, file)
+        spooled.close()
+        whole.replace(self._draft)
+
+    def _write(self, content: Any, length: int) -> None:
+        """Gather small arrays, write large ones; a caller may change its array as soon as this returns."""
+        in_memory = self._file is None and self._end + length <= _IN_MEMORY
+        if in_memory or (length < _SMALL and len(self._gathered) < _GATHERED):
+            self._gathered += content
+        else:
+            _write_all(self._file_for(length), content)
+
+    def _file_for(self, length: int) -> io.FileIO:
+        """Give the draft, opened at its first use, all gathered arrays written, with room for `length` bytes more."""
+        if self._file is None:
+            self._start = _aligned(self._reserve())
+            self._file = self._draft.open("w+b", buffering=0)
+            self._file.seek(self._start)
+        file, wanted = self._file, self._start + self._end + length
+        if length and wanted > self._allocated:
+            self._allocated = max(self._allocated, self._start) + max(_ALLOCATED, wanted - self._allocated)
+            allocate(file.fileno(), 0, self._allocated)
+        if self._gathered:
+            _write_all(file, self._gathered)
+            self._gathered = bytearray()
+        return file
 
     def _added(self, length: int, dtype: str, shape: tuple[int, ...]) -> Blob:
         blob = Blob(self._end, length, dtype, shape)
         end = _aligned(self._end + length + _GAP)
-        self._file.write(_NULS[: end - self._end - length])
+        self._gathered += _NULS[: end - self._end - length]
         self._end = end
         return blob
 
@@ -139,23 +169,40 @@ def _name_of(dtype: np.dtype[Any]) -> str:
     return dtype.name
 
 
+@lru_cache(maxsize=64)
+def _little_endian(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    return dtype.newbyteorder("<")
+
+
+def _changed(content: bytes, blob: Blob, change: Callable[[AnyArray], AnyArray]) -> bytes:
+    old = np.frombuffer(content, blob.dtype).reshape(blob.shape)
+    return change(old).astype(blob.dtype, copy=False).tobytes()
+
+
 def _aligned(length: int) -> int:
     return -(-length // ALIGNMENT) * ALIGNMENT
 
 
-def _write_all(file: Any, content: bytes | memoryview) -> None:
-    rest = memoryview(content)
-    while rest:
-        rest = rest[file.write(rest) :]
+def _write_all(file: io.FileIO, *contents: Any) -> None:
+    for content in contents:
+        rest = memoryview(content)
+        while rest:
+            rest = rest[file.write(rest) :]
 
 
-def _copy(source: BinaryIO, start: int, target: Any) -> None:
+def _read_all(file: io.FileIO, length: int) -> bytes:
+    content = bytearray()
+    while len(content) < length and (piece := file.read(length - len(content))):
+        content += piece
+    return bytes(content)
+
+
+def _copy(source: io.FileIO, start: int, target: io.FileIO) -> None:
     """Append what lies behind `start` of one file to another, inside the kernel where that is possible."""
-    source.seek(0, os.SEEK_END)
-    stop = source.tell()
+    stop = os.fstat(source.fileno()).st_size
     try:
         while start < stop:
             start += os.copy_file_range(source.fileno(), target.fileno(), stop - start, start)
     except (AttributeError, OSError):
         source.seek(start)
-        shutil.copyfileobj(source, target, _BUFFER)
+        shutil.copyfileobj(source, target, _GATHERED)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -77,30 +78,55 @@ class FileClock:
         quotient, rest = divmod(timestamp_ns - self.offset_ns, self.tick_ns)
         return quotient + (2 * rest > self.tick_ns or (2 * rest == self.tick_ns and quotient % 2 == 1))
 
+    def stamps_of_span(self, first_ns: int, last_ns: int) -> tuple[int, int]:
+        """Give the nearest stamps of the earliest and the latest of many times.
+
+        Raises:
+            TimeRangeError: the span from the offset to one of them does not fit 64 bits.
+        """
+        for timestamp_ns in (first_ns, last_ns):
+            checked_ns(timestamp_ns - self.offset_ns)
+        return self.stamp(first_ns), self.stamp(last_ns)
+
     def stamp_before(self, timestamp_ns: int) -> int:
         """Give the last stamp that is not later than an absolute time."""
         return (timestamp_ns - self.offset_ns) // self.tick_ns
 
-    def stamp_array(self, timestamps_ns: Int64Array) -> tuple[Int64Array, int]:
-        """Give the nearest stamps, (N,) int64, halves to even, and how many were not exact.
+    def stamp_array(
+        self,
+        timestamps_ns: Int64Array,
+        *,
+        dtype: type[np.integer[Any]] = np.int64,
+        span_ns: tuple[int, int] | None = None,
+    ) -> tuple[AnyArray, int]:
+        """Give the nearest stamps, (N,), halves to even, and how many were not exact.
+
+        Args:
+            timestamps_ns: (N,) int64 [ns].
+            dtype: of the stamps; the caller knows that it holds them.
+            span_ns: the earliest and the latest time, where the caller knows them already [ns].
 
         Raises:
             TimeRangeError: the span from the offset to a time does not fit 64 bits.
         """
         if timestamps_ns.size == 0:
-            return np.zeros(0, np.int64), 0
-        lowest = checked_ns(int(timestamps_ns.min()) - self.offset_ns)
-        highest = checked_ns(int(timestamps_ns.max()) - self.offset_ns)
+            return np.zeros(0, dtype), 0
+        first_ns, last_ns = span_ns or (int(timestamps_ns.min()), int(timestamps_ns.max()))
+        lowest, highest = checked_ns(first_ns - self.offset_ns), checked_ns(last_ns - self.offset_ns)
         since_offset = timestamps_ns - self.offset_ns
         if self.tick_ns == 1:
-            return since_offset, 0
+            return since_offset.astype(dtype, copy=False), 0
         if lowest > -_EXACT_QUOTIENT and highest < _EXACT_QUOTIENT:
-            stamps = np.rint(since_offset / self.tick_ns).astype(np.int64)
-            return stamps, int(np.count_nonzero(stamps * self.tick_ns != since_offset))
+            # a whole quotient is exact, and no other one is near enough to a whole number to look like one
+            quotients = since_offset / self.tick_ns
+            nearest = np.rint(quotients, out=since_offset.view(np.float64))
+            inexact = int(np.count_nonzero(np.not_equal(quotients, nearest)))
+            return nearest.astype(dtype), inexact
         quotient = since_offset // self.tick_ns
         # a half goes up only where that makes the stamp even; ticks are of even length
         stamps = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
-        return stamps, int(np.count_nonzero(since_offset - quotient * self.tick_ns))
+        inexact = int(np.count_nonzero(since_offset - quotient * self.tick_ns))
+        return stamps.astype(dtype, copy=False), inexact
 
     def duration_ns(self, duration: float) -> int | float:
         """Give a duration of the file in nanoseconds: an integer, if that is the same number when it is written."""

@@ -121,21 +121,26 @@ class CloudWriter:
     def _point_times(self, draft: SensorDraft, times_ns: Int64Array | None) -> Blob | None:
         if times_ns is None or (len(times_ns) == 0 and not self.profile.empty_point_times):
             return None
-        clock = self.keeper.clock if len(times_ns) == 0 else self.keeper.clock_for(int(times_ns.min()))
-        stamps, inexact = clock.stamp_array(times_ns)
+        clock, span_ns = self.keeper.clock, None
+        if len(times_ns):
+            span_ns = (int(times_ns.min()), int(times_ns.max()))
+            clock = self.keeper.clock_for(span_ns[0])
+            place = f"{draft.place}.frames[{len(draft.frames or [])}]"
+            check_stamps(*clock.stamps_of_span(*span_ns), clock, place)
+        stamps, inexact = clock.stamp_array(times_ns, dtype=stamp_dtype(clock), span_ns=span_ns)
         what = "rounded to whole microseconds, halves to even: at most 0.5 µs off"
         self.losses.add(f"{draft.place}.frames[].points.timestamps", what, count=inexact)
-        check_stamps(stamps, clock, f"{draft.place}.frames[{len(draft.frames or [])}]")
-        blob = self.spool.add(stamps.astype(stamp_dtype(clock)))
+        blob = self.spool.add(stamps)
         draft.point_times.append(blob)
         return blob
 
     def _check_reach(self, draft: SensorDraft, positions: Float32Array) -> None:
         if self.verbatim or draft.points_frame != PointsFrame.WORLD or len(positions) == 0:
             return
-        distances = np.abs(positions)
-        if float(np.nanmax(distances, initial=0.0)) <= FARTHEST:
+        # two passes without a copy; where a number is none, both are, and the slow way follows
+        if float(positions.min()) >= -FARTHEST and float(positions.max()) <= FARTHEST:
             return
+        distances = np.abs(positions)
         # a point that is infinitely far is no point, as one that is no number
         farthest = float(np.max(distances, initial=0.0, where=np.isfinite(distances)))
         if farthest > FARTHEST:

@@ -1,5 +1,6 @@
 """Ids of sensors and annotations as they are typed: all of them texts, though `7` may be a number in the scene."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -10,3 +11,8 @@ def known_id(scene: "Scene", said: str) -> "Identifier":
     """The id of a sensor as the scene has it; the text itself where no sensor has such an id."""
     ids = [sensor.id for sensor in scene.sensors]
     return next((found for found in ids if said not in ids and str(found) == said), said)
+
+
+def known_ids(scene: "Scene", said: Iterable[str]) -> "tuple[Identifier, ...] | None":
+    """The ids of sensors as the scene has them; None where none was said."""
+    return tuple(known_id(scene, one) for one in said) or None

@@ -9,6 +9,7 @@ from sceneloom.cli.verb_group import VerbGroup
 VERBS = MappingProxyType(
     {
         "deskew": "Undo the motion during each lidar sweep.",
+        "thin": "Keep fewer points, or fewer frames.",
     }
 )
 """Each verb stands in the module of its name, with `_` for `-`."""

@@ -1,0 +1,79 @@
+"""What all verbs of `sceneloom edit` share: their options, and how they run and report."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import print_json, print_losses, print_notices, progress_bar, several
+
+if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
+    from sceneloom.pipeline.edited import EditReport, Joining
+
+OUTPUT = click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="The file or folder to write; its suffix chooses the format.",
+)
+
+
+def editing(command: Callable[..., None]) -> Callable[..., None]:
+    """The argument and options of every verb that changes one drive; what `run_edit` takes."""
+    argument = click.argument("path", type=click.Path(path_type=Path))
+    return argument(OUTPUT(common(command)))
+
+
+def common(command: Callable[..., None]) -> Callable[..., None]:
+    """The options of reading, writing and printing."""
+    return options.writing_scenes(options.reading(options.printing(command)))
+
+
+def run_edit(
+    edit: str,
+    paths: Sequence[Path],
+    output: Path,
+    change: "Joining",
+    *,
+    overwrite: bool,
+    profile: str | None,
+    time_unit: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **reading: Any,
+) -> None:
+    """Read, change, write and print; `change` makes one scene out of those read."""
+    from sceneloom.pipeline.edited import edit_files
+
+    with progress_bar(f"edit {edit}", quiet=quiet) as progress:
+        report = edit_files(
+            edit,
+            paths,
+            output,
+            change,
+            reading=options.said(**reading),
+            progress=progress,
+            overwrite=overwrite,
+            **options.said(profile=profile, time_unit=time_unit),
+        )
+    if as_json:
+        print_json(report)
+    else:
+        print_edit(report, quiet=quiet, verbose=verbose)
+
+
+def print_edit(report: "EditReport", *, quiet: bool, verbose: bool) -> None:
+    """Print an edit for people."""
+    before, after = report.before, report.after
+    click.echo(f"{report.edit}: done in {report.seconds:.1f} s")
+    for noun in ("sensor", "frame", "point", "annotation"):
+        was, is_now = getattr(before, f"{noun}s"), getattr(after, f"{noun}s")
+        click.echo(several(was, noun) if was == is_now else f"{several(was, noun)} -> {is_now}")
+    click.echo(f"written: {report.output}")
+    if not quiet:
+        print_notices(report.notices, verbose=verbose)
+        print_losses(report.losses, verbose=verbose)

@@ -1,0 +1,43 @@
+"""The cameras of a scene that an edit is about."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from typing import Any
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.editing.record import key_of
+from sceneloom.errors import OptionError
+from sceneloom.scene import CameraSensor, Identifier, Scene
+
+
+def chosen_cameras(
+    scene: Scene, cameras: Iterable[Identifier] | None, *, unless: str | None = None
+) -> Iterator[tuple[int, CameraSensor]]:
+    """Give cameras with their places among the sensors.
+
+    Args:
+        scene: whose cameras.
+        cameras: ids of those wanted; None for all whose lens is not of the model `unless`.
+        unless: a model that needs no change.
+
+    Raises:
+        OptionError: the scene has no such camera, or none at all.
+    """
+    wanted = None if cameras is None else {key_of(scene.sensor(identifier).id) for identifier in cameras}
+    if not scene.cameras:
+        raise OptionError(f"{scene.source}: has no camera")
+    for index, sensor in enumerate(scene.sensors):
+        if wanted is None:
+            if isinstance(sensor, CameraSensor) and sensor.camera.model != unless:
+                yield index, sensor
+        elif key_of(sensor.id) in wanted:
+            if not isinstance(sensor, CameraSensor):
+                raise OptionError(
+                    f"{scene.source}: sensor {sensor.id!r} is a {sensor.type}; expected a camera"
+                )
+            yield index, sensor
+
+
+def lens_record(camera: Camera) -> dict[str, Any]:
+    """A lens as our metadata hold it."""
+    return {**asdict(camera), "coefficients": list(camera.coefficients)}

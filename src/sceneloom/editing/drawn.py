@@ -1,0 +1,127 @@
+"""What is drawn into pictures, when the pictures get another lens: boxes, lines, areas and points follow."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project_unbounded, unproject
+from sceneloom.editing.record import Key, key_of
+from sceneloom.scene import (
+    Annotation,
+    Box2DAnnotation,
+    BoxPath,
+    CuboidAnnotation,
+    PointProjection,
+    PointsAnnotation,
+    Projection,
+    ShapeAnnotation,
+    VertexPath,
+)
+
+CORNER = 0.5
+"""What is drawn counts from the picture's corner, pixels from the centre of the first one."""
+
+_SIDE = 9
+
+
+class LensChange:
+    """From one lens to another.
+
+    Attributes:
+        lost: how many drawn things were left out, since the new lens does not see all of them.
+    """
+
+    def __init__(self, before: Camera, after: Camera) -> None:
+        """Hold both lenses."""
+        self._before, self._after = before, after
+        self.lost = 0
+
+    def pixels(self, places: Float64Array) -> Float64Array:
+        """Move (N, 2) places in the corner convention; NaN where the new lens has none."""
+        rays = unproject(self._before, places - CORNER)
+        return project_unbounded(self._after, rays) + CORNER
+
+    def boxes(self, boxes: Float64Array) -> Float64Array:
+        """Move (N, 4) boxes `left top width height`: what bounds the moved outline; NaN where a part has no place."""
+        along = np.linspace(0.0, 1.0, _SIDE)
+        outline = np.concatenate(
+            [np.stack(pair, axis=1) for pair in _sides(along, np.zeros(_SIDE), np.ones(_SIDE))]
+        )
+        places = boxes[:, None, :2] + outline[None] * boxes[:, None, 2:]
+        moved = self.pixels(places.reshape(-1, 2)).reshape(places.shape)
+        low, high = moved.min(axis=1), moved.max(axis=1)
+        self.lost += int((np.isnan(low).any(axis=1) & np.isfinite(boxes).all(axis=1)).sum())
+        return np.concatenate([low, high - low], axis=1)
+
+
+def _sides(
+    along: Float64Array, zeros: Float64Array, ones: Float64Array
+) -> tuple[tuple[Float64Array, Float64Array], ...]:
+    return (along, zeros), (along, ones), (zeros, along), (ones, along)
+
+
+def redrawn(annotations: tuple[Annotation, ...], changes: Mapping[Key, LensChange]) -> tuple[Annotation, ...]:
+    """Move everything that is drawn into pictures of the cameras whose lens changes.
+
+    Rows of paths that the new lens does not see whole are left out, and an annotation of which nothing stays goes;
+    places of projections become null.
+    """
+    moved = (_moved(annotation, changes) for annotation in annotations)
+    return tuple(annotation for annotation in moved if annotation is not None)
+
+
+def _moved(annotation: Annotation, changes: Mapping[Key, LensChange]) -> Annotation | None:
+    if isinstance(annotation, Box2DAnnotation):
+        change = changes.get(key_of(annotation.sensor_id))
+        return annotation if change is None else _moved_box(annotation, change)
+    if isinstance(annotation, ShapeAnnotation) and annotation.dimensions == 2:
+        change = None if annotation.sensor_id is None else changes.get(key_of(annotation.sensor_id))
+        return annotation if change is None else _moved_shape(annotation, change)
+    if isinstance(annotation, CuboidAnnotation):
+        projections = tuple(_moved_projection(one, changes) for one in annotation.projections)
+        return replace(annotation, projections=projections)
+    if isinstance(annotation, PointsAnnotation):
+        lists = tuple(
+            tuple(_moved_point(one, changes) for one in per_point) for per_point in annotation.projections
+        )
+        return replace(annotation, projections=lists)
+    return annotation
+
+
+def _moved_box(annotation: Box2DAnnotation, change: LensChange) -> Box2DAnnotation | None:
+    path = annotation.path
+    values = change.boxes(path.values)
+    kept: BoolArray = np.isfinite(values).all(axis=1)
+    if not kept.any():
+        return None
+    return replace(annotation, path=BoxPath(path.timestamps_ns[kept], values[kept], path.extras))
+
+
+def _moved_shape(annotation: ShapeAnnotation, change: LensChange) -> ShapeAnnotation | None:
+    path = annotation.path
+    moved = [change.pixels(vertices) for vertices in path.vertices]
+    kept = [bool(np.isfinite(vertices).all()) for vertices in moved]
+    change.lost += len(kept) - sum(kept)
+    if not any(kept):
+        return None
+    vertices = tuple(one for one, keep in zip(moved, kept, strict=True) if keep)
+    return replace(annotation, path=VertexPath(path.timestamps_ns[np.array(kept)], vertices, path.extras))
+
+
+def _moved_projection(projection: Projection, changes: Mapping[Key, LensChange]) -> Projection:
+    change = changes.get(key_of(projection.sensor_id))
+    if change is None or projection.boxes is None:
+        return projection
+    return replace(projection, boxes=change.boxes(projection.boxes))
+
+
+def _moved_point(projection: PointProjection, changes: Mapping[Key, LensChange]) -> PointProjection:
+    change = changes.get(key_of(projection.sensor_id))
+    if change is None or projection.points is None:
+        return projection
+    moved = change.pixels(projection.points)
+    change.lost += int((np.isnan(moved).any(axis=1) & np.isfinite(projection.points).all(axis=1)).sum())
+    return replace(projection, points=moved)

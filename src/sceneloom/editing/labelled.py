@@ -1,0 +1,138 @@
+"""Labelled points that follow when frames or points are left out: their numbers change, or they go."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array, UInt32Array
+from sceneloom.editing.record import Key, key_of, skipped
+from sceneloom.scene import Annotation, LabeledPoints, LabeledPointsAnnotation, Notice
+
+Rows = Callable[[int | None], Int64Array | None]
+"""Gives the rows of the points that stay of a frame (by its old number), or of a sensor without frames (None); or
+None where all of them stay."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Renumbering:
+    """What becomes of the points of one sensor.
+
+    Attributes:
+        frames: old numbers of the frames that stay, ascending; None where all of them stay.
+        rows: which points of a frame stay; None where all of them do.
+    """
+
+    frames: Int64Array | None = None
+    rows: Rows | None = None
+
+
+@dataclass(slots=True)
+class _Tally:
+    points: int = 0
+    frames: int = 0
+    unplaced: int = 0
+    annotations: int = 0
+
+
+def renumbered(
+    annotations: Iterable[Annotation], renumberings: Mapping[Key, Renumbering]
+) -> tuple[tuple[Annotation, ...], tuple[Notice, ...]]:
+    """Give annotations whose labelled points follow their sensors; one without points goes.
+
+    Frames with labelled points are read now, all others when they are asked for.
+
+    Args:
+        annotations: of any kind.
+        renumberings: by sensor; sensors that are not named stay as they are.
+
+    Raises:
+        DataError: a frame with labelled points cannot be read.
+    """
+    tally = _Tally()
+    found = [
+        _renumbered(annotation, renumberings, tally)
+        if isinstance(annotation, LabeledPointsAnnotation)
+        else annotation
+        for annotation in annotations
+    ]
+    return tuple(annotation for annotation in found if annotation is not None), _told(tally)
+
+
+def _renumbered(
+    annotation: LabeledPointsAnnotation, renumberings: Mapping[Key, Renumbering], tally: _Tally
+) -> LabeledPointsAnnotation | None:
+    entries = [
+        _entry(entry, renumberings.get(key_of(entry.sensor_id)), tally) for entry in annotation.labeled_points
+    ]
+    kept = tuple(entry for entry in entries if entry is not None)
+    if annotation.labeled_points and not kept:
+        tally.annotations += 1
+        return None
+    return replace(annotation, labeled_points=kept)
+
+
+def _entry(entry: LabeledPoints, change: Renumbering | None, tally: _Tally) -> LabeledPoints | None:
+    if change is None:
+        return entry
+    number = entry.sensor_frame
+    if change.frames is not None:
+        if number is None:
+            # rows of a whole sensor with frames: no one says how they are counted
+            tally.unplaced += 1
+            return None
+        found = np.flatnonzero(change.frames == number)
+        if len(found) == 0:
+            tally.frames += 1
+            return None
+        entry = replace(entry, sensor_frame=int(found[0]))
+    rows = None if change.rows is None else change.rows(number)
+    if rows is None:
+        return entry
+    ids = new_ids(entry.point_ids, rows)
+    tally.points += len(entry.point_ids) - len(ids)
+    return replace(entry, point_ids=ids) if len(ids) else None
+
+
+def new_ids(point_ids: UInt32Array, rows: Int64Array) -> UInt32Array:
+    """Where the points with these old numbers stand among the rows that stay; the others are left out.
+
+    Args:
+        point_ids: (N,) uint32, old numbers.
+        rows: (M,) int64, ascending, old numbers of the points that stay.
+
+    Returns:
+        (K,) uint32, new numbers, K <= N.
+    """
+    places = np.searchsorted(rows, point_ids)
+    there = places < len(rows)
+    there[there] = rows[places[there]] == point_ids[there]
+    return places[there].astype(np.uint32)
+
+
+def _told(tally: _Tally) -> tuple[Notice, ...]:
+    place = "annotations[].labeled_points"
+    notices = (
+        skipped(
+            "labelled-points", place, "labelled points that are not in the scene any more", count=tally.points
+        ),
+        skipped(
+            "labelled-frames",
+            place,
+            "labels of frames that are not in the scene any more",
+            count=tally.frames,
+        ),
+        skipped(
+            "labelled-sensors",
+            place,
+            "labels of a whole sensor with frames: it is not said how its points are counted",
+            count=tally.unplaced,
+        ),
+        skipped(
+            "labelled-annotations",
+            "annotations",
+            "annotations without a labelled point left",
+            count=tally.annotations,
+        ),
+    )
+    return tuple(notice for notice in notices if notice.count)

@@ -1,0 +1,185 @@
+"""Scenes with fewer points and fewer frames."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from sceneloom.arrays import FloatArray, Int64Array
+from sceneloom.editing.chosen_points import CloudSensor, OnPoints, chosen_map, with_chosen_points
+from sceneloom.editing.labelled import Renumbering, renumbered
+from sceneloom.editing.record import Key, key_of, with_notices, with_ours
+from sceneloom.editing.voxels import KEEPERS, NEAREST, evenly, one_per_cube
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    CameraSensor,
+    Identifier,
+    LazyFrames,
+    LidarFrame,
+    LidarSensor,
+    PointsSensor,
+    RadarFrame,
+    RadarSensor,
+    Scene,
+    Sensor,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Thinning:
+    """How points are chosen; one after the other where several are given.
+
+    Attributes:
+        voxel: side of the cubes of which one point each stays [m].
+        keep: which one: "nearest" to the mean of the cube's points, or the "first".
+        share: how many of the points stay, 0 to 1, evenly spread over their rows.
+        points: how many points of a frame stay at most, evenly spread over their rows.
+    """
+
+    voxel: float | None = None
+    keep: str = NEAREST
+    share: float | None = None
+    points: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.voxel is not None and not 0 < self.voxel < np.inf:
+            raise OptionError(f"voxel {self.voxel}; expected a positive number of metres")
+        if self.keep not in KEEPERS:
+            raise OptionError(f"keep {self.keep!r}; expected one of {', '.join(KEEPERS)}")
+        if self.share is not None and not 0 < self.share <= 1:
+            raise OptionError(f"share {self.share}; expected more than 0 and at most 1")
+        if self.points is not None and self.points < 1:
+            raise OptionError(f"points {self.points}; expected 1 or more")
+
+    @property
+    def changes(self) -> bool:
+        """Whether any point can go."""
+        return self.voxel is not None or self.share is not None or self.points is not None
+
+    def rows(self, positions: FloatArray) -> Int64Array:
+        """The rows that stay of points (N, 3) [m], ascending."""
+        rows = np.arange(len(positions))
+        if self.voxel is not None:
+            rows = one_per_cube(positions, self.voxel, keep=self.keep)
+        if self.share is not None:
+            rows = rows[evenly(len(rows), round(len(rows) * self.share))]
+        if self.points is not None:
+            rows = rows[evenly(len(rows), self.points)]
+        return rows
+
+    def __call__(self, frame: LidarFrame | RadarFrame) -> Int64Array:
+        """The rows that stay of a frame."""
+        return self.rows(frame.points.positions)
+
+
+def thin_scene(
+    scene: Scene,
+    *,
+    voxel: float | None = None,
+    keep: str = NEAREST,
+    share: float | None = None,
+    points: int | None = None,
+    every: int = 1,
+    sensors: Iterable[Identifier] | None = None,
+    on_points: OnPoints | None = None,
+) -> Scene:
+    """Give a scene with fewer points in its clouds, or fewer frames; points are chosen when frames are read.
+
+    A point that stays keeps everything that is known of it, and labelled points follow: frames that have some are
+    read now. Points whose place is not finite go where `voxel` is given.
+
+    Args:
+        scene: as it is.
+        voxel: side of the cubes of which one point each stays [m], in the frame in which the points are given.
+        keep: which one: "nearest" to the mean of the cube's points, or the "first".
+        share: how many of the points stay, 0 to 1, evenly spread over their rows.
+        points: how many points of a frame, or of a map, stay at most.
+        every: of lidars, radars and cameras only every so many-th frame stays, from the first.
+        sensors: ids of the only sensors to thin; None for all.
+        on_points: told of each frame that is read.
+
+    Raises:
+        OptionError: a value cannot be followed, there is nothing to do, or no sensor has such an id.
+        DataError: a frame with labelled points cannot be read.
+    """
+    thinning = Thinning(voxel, keep, share, points)
+    if every < 1:
+        raise OptionError(f"every {every}; expected 1 or more")
+    if every == 1 and not thinning.changes:
+        raise OptionError("nothing to thin by; expected one of voxel, share, points or every")
+    chosen = (
+        {key_of(s.id) for s in scene.sensors}
+        if sensors is None
+        else {key_of(scene.sensor(i).id) for i in sensors}
+    )
+    changes: dict[Key, Renumbering] = {}
+    thinned = tuple(
+        _thinned(sensor, thinning, every, changes, on_points) if key_of(sensor.id) in chosen else sensor
+        for sensor in scene.sensors
+    )
+    annotations, notices = renumbered(scene.annotations, changes)
+    said = {"voxel": voxel, "keep": keep if voxel else None, "share": share, "points": points, "every": every}
+    entry = {name: value for name, value in said.items() if value is not None}
+    changed = replace(scene, sensors=thinned, annotations=annotations)
+    return with_notices(with_ours(changed, thinned=entry), notices)
+
+
+def _thinned(
+    sensor: Sensor,
+    thinning: Thinning,
+    every: int,
+    changes: dict[Key, Renumbering],
+    on_points: OnPoints | None,
+) -> Sensor:
+    """Thin one sensor, and note what became of the numbers of its frames and points."""
+    key = key_of(sensor.id)
+    if isinstance(sensor, CameraSensor):
+        return every_picture(sensor, every)
+    if isinstance(sensor, PointsSensor) and thinning.changes:
+        rows = thinning.rows(sensor.positions)
+        changes[key] = Renumbering(rows=partial(_always, rows))
+        return chosen_map(sensor, rows)
+    if isinstance(sensor, LidarSensor):
+        return _thinned_cloud(sensor, thinning, every, changes, on_points)
+    if isinstance(sensor, RadarSensor):
+        return _thinned_cloud(sensor, thinning, every, changes, on_points)
+    return sensor
+
+
+def _thinned_cloud(
+    sensor: CloudSensor,
+    thinning: Thinning,
+    every: int,
+    changes: dict[Key, Renumbering],
+    on_points: OnPoints | None,
+) -> CloudSensor:
+    frames = sensor.frames
+    numbers = np.arange(0, len(frames), every)
+    if not thinning.changes:
+        changes[key_of(sensor.id)] = Renumbering(numbers)
+        return replace(sensor, frames=frames[::every])
+    changes[key_of(sensor.id)] = Renumbering(numbers, partial(_rows_of, frames, thinning))
+    return replace(sensor, frames=with_chosen_points(frames, thinning, sensor.id, on_points)[::every])
+
+
+def every_picture(camera: CameraSensor, every: int) -> CameraSensor:
+    """A camera with every so many-th of its pictures, from the first."""
+    if every == 1:
+        return camera
+    video = camera.video
+    if video is not None:
+        indices = range(len(camera.pictures)) if video.frame_indices is None else video.frame_indices
+        video = replace(video, frame_indices=tuple(indices[::every]))
+    fps = None if camera.fps is None else camera.fps / every
+    return replace(camera, pictures=camera.pictures[::every], video=video, fps=fps)
+
+
+def _always(rows: Int64Array, number: int | None) -> Int64Array:  # noqa: ARG001 - a map has one frame only
+    return rows
+
+
+def _rows_of(
+    frames: LazyFrames[LidarFrame] | LazyFrames[RadarFrame], thinning: Thinning, number: int | None
+) -> Int64Array | None:
+    return None if number is None else thinning(frames[number])

@@ -1,0 +1,123 @@
+"""Scenes whose pictures are as a camera without distortion would have taken them."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+from sceneloom.arrays import UInt8Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
+from sceneloom.editing.chosen_cameras import chosen_cameras, lens_record
+from sceneloom.editing.drawn import LensChange, redrawn
+from sceneloom.editing.record import Key, key_of, ours_of, skipped, with_notices, with_ours
+from sceneloom.scene import CameraSensor, Identifier, LazyFrames, Picture, Scene
+
+_LENSES_KEPT = 4
+_OF_OLD_PIXELS = frozenset({"features"})
+"""Fields of single pictures that hold places in them."""
+
+
+def undistort_scene(
+    scene: Scene,
+    *,
+    cameras: Iterable[Identifier] | None = None,
+    keep: float = 0.0,
+    width: int | None = None,
+    height: int | None = None,
+) -> Scene:
+    """Give the scene with pinholes for lenses; pictures are resampled when they are decoded.
+
+    Poses and mountings stay. What is drawn into the pictures follows. The lenses that took the pictures stand in
+    the metadata, as `sceneloom.undistorted`.
+
+    Args:
+        scene: as it is.
+        cameras: ids of the only cameras to change; None for all whose lens is not a pinhole already.
+        keep: 0 for pictures all of whose pixels the old ones show, 1 for ones that show all that the old ones do.
+        width, height: size of the new pictures [px]; None for that of the old ones.
+
+    Raises:
+        OptionError: a camera is not there, or a value cannot be followed.
+        CalibrationError: a lens cannot be computed with, or is none that a pinhole can stand for.
+    """
+    sensors: list[Any] = list(scene.sensors)
+    changes: dict[Key, LensChange] = {}
+    entries = list(ours_of(scene).get("undistorted") or ())
+    for index, sensor in chosen_cameras(
+        scene, cameras, unless="pinhole" if width is height is None else None
+    ):
+        target = undistorted_camera(sensor.camera, keep=keep, width=width, height=height)
+        sensors[index] = _undistorted_camera_sensor(sensor, target)
+        changes[key_of(sensor.id)] = LensChange(sensor.camera, target)
+        entries.append({"sensor": sensor.id, "keep": keep, "camera": lens_record(sensor.camera)})
+    annotations = redrawn(scene.annotations, changes)
+    changed = replace(scene, sensors=tuple(sensors), annotations=annotations)
+    message = "what is drawn into pictures was left out where the pictures without distortion do not reach"
+    lost = sum(change.lost for change in changes.values())
+    return with_notices(
+        with_ours(changed, undistorted=entries or None),
+        [skipped("drawn-beyond-picture", "annotations", message, count=lost)],
+    )
+
+
+def _undistorted_camera_sensor(sensor: CameraSensor, target: Camera) -> CameraSensor:
+    pictures = LazyFrames(sensor.pictures.timestamps_ns, _Undistorted(sensor.pictures, _Maps(target)))
+    return replace(
+        sensor, camera=target, pictures=pictures, video=None, extras=_without_distortion(sensor.extras)
+    )
+
+
+def _without_distortion(extras: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Further fields of a camera, but those of a distortion that is no more."""
+    intrinsics = extras.get("intrinsics")
+    if not isinstance(intrinsics, Mapping):
+        return extras
+    kept = {name: value for name, value in intrinsics.items() if name != "distortion"}
+    return MappingProxyType({**extras, "intrinsics": kept})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Maps:
+    """The maps from each lens of a camera to the new one; they are computed anew where they are unpickled."""
+
+    target: Camera
+    known: dict[Camera, Undistortion] = field(default_factory=dict)
+
+    def of(self, camera: Camera) -> Undistortion:
+        if camera not in self.known:
+            while len(self.known) >= _LENSES_KEPT:
+                self.known.pop(next(iter(self.known)))
+            self.known[camera] = Undistortion.between(camera, self.target)
+        return self.known[camera]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Maps, (self.target,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Undistorted:
+    """Reads pictures; what `LazyFrames` asks for."""
+
+    pictures: LazyFrames[Picture]
+    maps: _Maps
+
+    def __call__(self, k: int) -> Picture:
+        picture = self.pictures[k]
+        extras = {name: value for name, value in picture.extras.items() if name not in _OF_OLD_PIXELS}
+        return replace(
+            picture,
+            camera=self.maps.target,
+            decode=_Decode(picture, self.maps),
+            encoded=None,
+            extras=MappingProxyType(extras),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Decode:
+    picture: Picture
+    maps: _Maps
+
+    def __call__(self) -> UInt8Array:
+        return self.maps.of(self.picture.camera).apply(self.picture.rgb)

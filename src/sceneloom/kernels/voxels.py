@@ -1,0 +1,105 @@
+"""One point of each cube of space: the first that fell into it, or the one nearest to the mean of its points."""
+
+import math
+
+import numba
+import numpy as np
+from numba import float64, int64, types
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.surface_map import first_place
+
+MOST_CUBES = 2.0**62
+"""Cubes along an axis whose numbers a point may bear: beyond, an int64 does not hold them."""
+
+EQUALLY_NEAR = 1.0 - 1e-9
+"""Squared distances nearer to each other than this are equal: the mean of two points is as near to one as to the other,
+and its rounding must not decide."""
+
+_READ_F64_2D = types.Array(float64, 2, "C", readonly=True)
+
+
+@numba.njit(int64(_READ_F64_2D, float64, int64[::1]), cache=True, nogil=True, error_model="numpy")
+def number_cubes(points: Float64Array, side: float, numbers: Int64Array) -> int:
+    """Number the cubes of side `side` [m] that points fall into, in the order in which they are met.
+
+    A cube holds its lower faces and not its upper ones, on either side of the origin.
+
+    Args:
+        points: (N, 3) [m]; one that is not finite, or too far away to be told, falls into none.
+        numbers: (N,) number of each point's cube is written here, -1 for none.
+
+    Returns:
+        How many cubes there are.
+    """
+    length = 1024
+    while length < 2 * points.shape[0]:
+        length *= 2
+    mask, count = length - 1, 0
+    table = np.full(length, -1, np.int64)
+    cubes = np.empty((points.shape[0], 3), np.int64)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0] / side, points[i, 1] / side, points[i, 2] / side
+        if not (abs(x) < MOST_CUBES and abs(y) < MOST_CUBES and abs(z) < MOST_CUBES):
+            numbers[i] = -1
+            continue
+        ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
+        place = first_place(ix * 73856093 ^ iy * 19349663 ^ iz * 83492791, mask)
+        while table[place] >= 0:
+            k = table[place]
+            if cubes[k, 0] == ix and cubes[k, 1] == iy and cubes[k, 2] == iz:
+                break
+            place = (place + 1) & mask
+        if table[place] < 0:
+            table[place] = count
+            cubes[count, 0], cubes[count, 1], cubes[count, 2] = ix, iy, iz
+            count += 1
+        numbers[i] = table[place]
+    return count
+
+
+@numba.njit(types.void(int64[::1], int64[::1]), cache=True, nogil=True)
+def first_of_cubes(numbers: Int64Array, chosen: Int64Array) -> None:
+    """Write the row of the first point of each cube to `chosen` (C,); `numbers` (N,) as `number_cubes` gives them."""
+    count = 0
+    for i in range(numbers.shape[0]):
+        if numbers[i] == count:
+            chosen[count] = i
+            count += 1
+
+
+@numba.njit(types.void(_READ_F64_2D, int64[::1], int64[::1]), cache=True, nogil=True, error_model="numpy")
+def nearest_of_cubes(points: Float64Array, numbers: Int64Array, chosen: Int64Array) -> None:
+    """Write the row of that point of each cube to `chosen` which is nearest to the mean of the cube's points.
+
+    Of equally near ones it is the first.
+
+    Args:
+        points: (N, 3) [m].
+        numbers: (N,) as `number_cubes` gives them.
+        chosen: (C,) the rows of the first points; those of the nearest ones afterwards.
+    """
+    count = chosen.shape[0]
+    means, held = np.zeros((count, 3)), np.zeros(count)
+    for i in range(points.shape[0]):
+        cube = numbers[i]
+        if cube >= 0:
+            held[cube] += 1.0
+            for axis in range(3):
+                # relative to the first point, so that the sum loses no digits far from the origin
+                means[cube, axis] += points[i, axis] - points[chosen[cube], axis]
+    for cube in range(count):
+        for axis in range(3):
+            means[cube, axis] = points[chosen[cube], axis] + means[cube, axis] / held[cube]
+    least = np.full(count, np.inf)
+    for i in range(points.shape[0]):
+        cube = numbers[i]
+        if cube < 0:
+            continue
+        apart = 0.0
+        for axis in range(3):
+            away = points[i, axis] - means[cube, axis]
+            apart += away * away
+        if apart < least[cube] * EQUALLY_NEAR:
+            least[cube] = apart
+            chosen[cube] = i

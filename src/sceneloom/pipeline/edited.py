@@ -1,0 +1,224 @@
+"""Edits as jobs: read drives, change them, write the outcome, say what was done."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import msgspec
+
+from sceneloom.editing.chosen_points import OnPoints
+from sceneloom.formats.loss import LossReport
+from sceneloom.formats.output import check_output
+from sceneloom.formats.table import format_for_output, open_scene, write_scene
+from sceneloom.motion.ego_motion import Progress
+from sceneloom.scene import (
+    CameraSensor,
+    Identifier,
+    LazyFrames,
+    LidarFrame,
+    LidarSensor,
+    Notice,
+    PointsSensor,
+    RadarFrame,
+    RadarSensor,
+    Scene,
+    Sensor,
+)
+from sceneloom.scene.span import frame_times
+
+Change = Callable[[Scene, OnPoints], Scene]
+"""Makes a scene out of a scene; may tell of the points of each frame that is read, before and after."""
+
+Joining = Callable[[Sequence[Scene], OnPoints], Scene]
+"""Makes a scene out of several."""
+
+Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
+
+
+class SceneCounts(msgspec.Struct, frozen=True, kw_only=True):
+    """How much is in a scene.
+
+    Attributes:
+        sensors, annotations: how many of them.
+        frames: sweeps, radar cycles and pictures.
+        points: of sweeps, radar cycles and maps.
+    """
+
+    sensors: int
+    frames: int
+    points: int
+    annotations: int
+
+
+class EditReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One edit.
+
+    Attributes:
+        edit: which one ("crop").
+        sources: what was read.
+        output: what was written.
+        before: what was in the sources; points of frames that were left out are not counted.
+        after: what is in the output.
+        seconds: how long it took.
+        notices: what was assumed, repaired or left out, on reading and by the edit.
+        losses: what the output could not hold.
+    """
+
+    edit: str
+    sources: tuple[str, ...]
+    output: str
+    before: SceneCounts
+    after: SceneCounts
+    seconds: float
+    notices: tuple[Notice, ...]
+    losses: LossReport
+
+
+def edit_file(
+    edit: str,
+    source: str | Path,
+    output: str | Path,
+    change: Change,
+    *,
+    reading: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    **writing: Any,
+) -> EditReport:
+    """Read a drive, change it, and write it; arguments and errors as in `edit_files`."""
+    return edit_files(
+        edit,
+        [source],
+        output,
+        lambda scenes, on_points: change(scenes[0], on_points),
+        reading=reading,
+        progress=progress,
+        overwrite=overwrite,
+        **writing,
+    )
+
+
+def edit_files(
+    edit: str,
+    sources: Sequence[str | Path],
+    output: str | Path,
+    change: Joining,
+    *,
+    reading: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    **writing: Any,
+) -> EditReport:
+    """Read drives, make one scene of them, and write it.
+
+    Args:
+        edit: name of the edit, for the report.
+        sources: files or folders of any format.
+        output: a file or a folder, by its suffix in any format that can be written.
+        change: makes the scene.
+        reading: reading options, for all sources.
+        progress: told after each sweep and radar cycle that is written.
+        overwrite: whether an output that exists may be replaced.
+        writing: further options of the output's format.
+
+    Raises:
+        OutputError: the output exists, or cannot be written.
+        SceneloomError: a source is wrong, or cannot be edited so.
+    """
+    begun = time.perf_counter()
+    format_for_output(Path(output))
+    check_output(Path(output), overwrite=overwrite)
+    tally = _Tally(progress)
+    with ExitStack() as stack:
+        scenes = [stack.enter_context(open_scene(source, **(reading or {}))) for source in sources]
+        changed = change(scenes, tally.add_before)
+        losses = write_scene(_watched(changed, tally), output, overwrite=overwrite, **writing)
+    return EditReport(
+        edit=edit,
+        sources=tuple(map(str, sources)),
+        output=str(output),
+        before=_counts(scenes, tally.points_before(scenes)),
+        after=_counts([changed], tally.points_after([changed])),
+        seconds=time.perf_counter() - begun,
+        notices=changed.notices,
+        losses=losses,
+    )
+
+
+FrameKey = tuple[type, Identifier, int]
+
+
+@dataclass(slots=True)
+class _Tally:
+    """Counts the points of frames; each frame once, however often it is read."""
+
+    progress: Progress | None
+    total: int = 0
+    before: dict[FrameKey, int] = field(default_factory=dict)
+    after: dict[FrameKey, int] = field(default_factory=dict)
+
+    def add_before(self, sensor_id: Identifier, k: int, points: int, left: int) -> None:
+        del left
+        self.before[type(sensor_id), sensor_id, k] = points
+
+    def add_after(self, sensor_id: Identifier, k: int, points: int) -> None:
+        self.after[type(sensor_id), sensor_id, k] = points
+        if self.progress is not None:
+            self.progress(len(self.after), self.total)
+
+    def points_before(self, scenes: Sequence[Scene]) -> int:
+        """What the edit told of; an edit that tells nothing leaves all points where they are."""
+        return _map_points(scenes) + sum((self.before or self.after).values())
+
+    def points_after(self, scenes: Sequence[Scene]) -> int:
+        return _map_points(scenes) + sum(self.after.values())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Watched(Generic[Cloud]):
+    """Reads frames and counts their points."""
+
+    frames: LazyFrames[Cloud]
+    sensor_id: Identifier
+    tally: _Tally
+
+    def __call__(self, k: int) -> Cloud:
+        frame = self.frames[k]
+        self.tally.add_after(self.sensor_id, k, len(frame.points))
+        return frame
+
+
+def _watched(scene: Scene, tally: _Tally) -> Scene:
+    """The scene that tells the tally of each frame that is read."""
+    clouds = [sensor for sensor in scene.sensors if isinstance(sensor, LidarSensor | RadarSensor)]
+    tally.total = sum(len(sensor.frames) for sensor in clouds)
+    return replace(scene, sensors=tuple(_watched_sensor(sensor, tally) for sensor in scene.sensors))
+
+
+def _watched_sensor(sensor: Sensor, tally: _Tally) -> Sensor:
+    if isinstance(sensor, LidarSensor):
+        stamps = sensor.frames.timestamps_ns
+        return replace(sensor, frames=LazyFrames(stamps, _Watched(sensor.frames, sensor.id, tally)))
+    if isinstance(sensor, RadarSensor):
+        stamps = sensor.frames.timestamps_ns
+        return replace(sensor, frames=LazyFrames(stamps, _Watched(sensor.frames, sensor.id, tally)))
+    return sensor
+
+
+def _map_points(scenes: Sequence[Scene]) -> int:
+    maps = [s for scene in scenes for s in scene.sensors if isinstance(s, PointsSensor)]
+    return sum(len(sensor.positions) for sensor in maps)
+
+
+def _counts(scenes: Sequence[Scene], points: int) -> SceneCounts:
+    framed = (LidarSensor, RadarSensor, CameraSensor)
+    sensors = [sensor for scene in scenes for sensor in scene.sensors]
+    return SceneCounts(
+        sensors=len(sensors),
+        frames=sum(len(frame_times(sensor)) for sensor in sensors if isinstance(sensor, framed)),
+        points=points,
+        annotations=sum(len(scene.annotations) for scene in scenes),
+    )

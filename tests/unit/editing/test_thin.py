@@ -1,0 +1,152 @@
+"""Thinned scenes: which points and frames stay, and that what is known of them follows."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from sceneloom.editing import thin_scene
+from sceneloom.editing.voxels import evenly, one_per_cube
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    PointsSensor,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+    Scene,
+)
+
+
+def lidar_frame(k, count=100):
+    """Points along x, 0.1 m apart, on both sides of zero; everything that is known of a point bears its number."""
+    numbers = np.arange(count)
+    positions = np.zeros((count, 3), np.float32)
+    positions[:, 0] = (numbers - count // 2) * 0.1 + 0.05
+    return LidarFrame(
+        k * 100,
+        LidarPoints(
+            positions,
+            numbers.astype(np.uint8),
+            np.repeat(numbers[:, None], 3, 1).astype(np.uint8),
+            numbers.astype(np.int64) + k * 100,
+            numbers.astype(np.uint16),
+            numbers.astype(np.uint8),
+            extras={"echo": numbers.astype(np.float64), "calibration": np.zeros(3)},
+        ),
+    )
+
+
+def scene_of(frames=6, annotations=()):
+    """A lidar, a radar and a map."""
+    times = [k * 100 for k in range(frames)]
+    lidar = LidarSensor("top", LazyFrames.of([lidar_frame(k) for k in range(frames)], times))
+    cycles = [
+        RadarFrame(t, RadarPoints(np.zeros((4, 3), np.float32), lengths=np.arange(4, dtype=np.float32)))
+        for t in times
+    ]
+    chart = PointsSensor("map", np.array([[-0.1, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], np.float32))
+    return Scene((lidar, RadarSensor("radar", LazyFrames.of(cycles, times)), chart), tuple(annotations))
+
+
+def labels(frame, *ids, sensor="top"):
+    """Labelled points of a frame."""
+    return LabeledPoints(sensor, np.array(ids, np.uint32), frame)
+
+
+def test_one_point_of_each_cube_stays_with_all_that_is_known_of_it():
+    points = thin_scene(scene_of(), voxel=1.0).sensor("top").frames[2].points
+    # ten points to a cube; the middle ones, rows 4 and 5, are equally near to the mean but for float32
+    rows = points.rings.astype(int)
+    assert len(points) == 10
+    assert np.isin(rows % 10, [4, 5]).all()
+    for array in (points.intensities, points.camera_index, points.timestamps_ns - 200, points.extras["echo"]):
+        np.testing.assert_array_equal(array, rows)
+    np.testing.assert_array_equal(points.colors[:, 1], rows)
+    np.testing.assert_array_equal(points.positions, lidar_frame(2).points.positions[rows])
+    assert len(points.extras["calibration"]) == 3
+
+
+def test_the_first_point_of_a_cube_stays_where_that_is_asked_for():
+    points = thin_scene(scene_of(), voxel=1.0, keep="first").sensor("top").frames[0].points
+    assert points.rings.tolist() == list(range(0, 100, 10))
+
+
+def test_a_cube_at_the_origin_is_as_large_as_others():
+    positions = np.array([[-0.4, 0, 0], [0.4, 0, 0], [0.6, 0, 0]], np.float32)
+    assert one_per_cube(positions, 1.0, keep="first").tolist() == [0, 1]
+
+
+def test_shares_and_counts_are_spread_evenly():
+    assert evenly(10, 10).tolist() == list(range(10))
+    assert evenly(10, 5).tolist() == [1, 3, 5, 7, 9]
+    assert evenly(3, 7).tolist() == [0, 1, 2]
+    assert evenly(7, 1).tolist() == [3]
+    thinned = thin_scene(scene_of(), share=0.25)
+    assert {len(frame.points) for frame in thinned.sensor("top").frames} == {25}
+    assert len(thin_scene(scene_of(), points=7).sensor("top").frames[0].points) == 7
+    assert thin_scene(scene_of(), share=0.5).sensor("radar").frames[0].points.lengths.tolist() == [1.0, 3.0]
+
+
+def test_every_other_frame_of_the_named_sensors_stays():
+    thinned = thin_scene(scene_of(), every=4, sensors=["radar"])
+    assert thinned.sensor("radar").frames.timestamps_ns.tolist() == [0, 400]
+    assert len(thinned.sensor("top").frames) == 6
+    assert thinned.metadata["sceneloom"]["thinned"] == {"every": 4}
+
+
+def test_labelled_points_follow_the_points_and_frames_that_stay():
+    entries = (
+        labels(0, 4, 5, 14, 15, 99),
+        labels(1, 7),
+        labels(2, 0, 90, 91),
+        labels(None, 1, 2, sensor="map"),
+    )
+    scene = scene_of(
+        annotations=[LabeledPointsAnnotation("a", entries), LabeledPointsAnnotation("b", entries[1:2])]
+    )
+    thinned = thin_scene(scene, voxel=1.0, keep="first", every=2)
+    assert [annotation.id for annotation in thinned.annotations] == ["a"]
+    found = thinned.annotations[0].labeled_points
+    assert [(entry.sensor_id, entry.sensor_frame, entry.point_ids.tolist()) for entry in found] == [
+        ("top", 1, [0, 9]),
+        ("map", None, [1]),
+    ]
+    told = {notice.code: notice.count for notice in thinned.notices}
+    assert told == {"labelled-points": 7, "labelled-frames": 2, "labelled-annotations": 1}
+
+
+def test_points_that_are_nowhere_go():
+    positions = np.array([[0, 0, 0], [np.nan, 0, 0], [5, 0, 0]], np.float32)
+    assert one_per_cube(positions, 1.0).tolist() == [0, 2]
+
+
+def test_a_thinned_scene_can_go_to_another_process():
+    thinned = thin_scene(scene_of(), voxel=1.0)
+    again = pickle.loads(pickle.dumps(thinned.sensor("top")))
+    np.testing.assert_array_equal(
+        again.frames[3].points.positions, thinned.sensor("top").frames[3].points.positions
+    )
+
+
+@pytest.mark.parametrize(
+    ("said", "problem"),
+    [
+        ({}, "nothing to thin by"),
+        ({"voxel": 0.0}, "voxel 0.0"),
+        ({"voxel": float("nan")}, "voxel nan"),
+        ({"share": 1.5}, "share 1.5"),
+        ({"points": 0}, "points 0"),
+        ({"every": 0}, "every 0"),
+        ({"voxel": 1.0, "keep": "last"}, "keep 'last'"),
+        ({"voxel": 1.0, "sensors": ["nose"]}, "no sensor 'nose'"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused(said, problem):
+    with pytest.raises(OptionError, match=problem):
+        thin_scene(scene_of(), **said)

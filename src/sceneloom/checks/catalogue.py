@@ -3,7 +3,9 @@
 from collections.abc import Iterable
 from importlib import import_module
 
-from sceneloom.checks.rule import CheckProfile, Rule
+import msgspec
+
+from sceneloom.checks.rule import ALL_PROFILES, CheckProfile, Rule
 from sceneloom.errors import OptionError
 
 RULE_MODULES: tuple[str, ...] = (
@@ -45,4 +47,39 @@ def chosen_rules(
         rule
         for rule in rules
         if CheckProfile(profile) in rule.profiles and rule.id not in ignored and (not only or rule.id in only)
+    )
+
+
+class RuleRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One rule as a list of rules tells it.
+
+    Attributes:
+        id: of the rule.
+        severity: how bad a finding is.
+        summary: what holds in a sound scene.
+        remedy: what a person can do.
+        fixable: whether `--fix` mends it.
+        only_in: the profiles that it is limited to; () for all.
+    """
+
+    id: str
+    severity: str
+    summary: str
+    remedy: str
+    fixable: bool
+    only_in: tuple[str, ...] = ()
+
+
+def catalogue() -> tuple[RuleRow, ...]:
+    """All rules, those of one room together."""
+    return tuple(
+        RuleRow(
+            id=rule.id,
+            severity=rule.severity.value,
+            summary=rule.summary,
+            remedy=rule.remedy,
+            fixable=rule.fix is not None,
+            only_in=() if rule.profiles == ALL_PROFILES else tuple(sorted(p.value for p in rule.profiles)),
+        )
+        for rule in all_rules()
     )

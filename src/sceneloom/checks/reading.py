@@ -1,10 +1,38 @@
-"""Rules about what cannot be read."""
+"""Rules about what cannot be read, and what a reader remarked."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
-from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import Severity
+from sceneloom.scene import NoticeKind, Scene, Severity
+
+_TOLD_BY_RULES = frozenset(
+    {"at-fault", "item-at-fault", "mended", "no-poses", "no-pictures", "unknown-distortion"}
+)
+"""Notices of readers that other rules tell better."""
+
+
+def _faults_of(*codes: str) -> Find:
+    """Tell the faults of some codes that the reader found."""
+
+    def find(subject: Subject) -> Iterator[Hit]:
+        return (Hit(fault.where, fault.problem) for fault in subject.faults if fault.code in codes)
+
+    return find
+
+
+def _notices_of(kind: NoticeKind) -> Find:
+    def find(subject: Subject) -> Iterator[Hit]:
+        for notice in subject.scene.notices:
+            if notice.kind == kind and notice.code not in _TOLD_BY_RULES:
+                yield Hit(notice.place, notice.message, notice.count)
+
+    return find
+
+
+def _as_read(scene: Scene) -> Scene:
+    """What the reader brought into order needs only to be written."""
+    return scene
 
 
 def _unreadable(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
@@ -13,12 +41,98 @@ def _unreadable(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
         yield Hit(frame.path, frame.fault)
 
 
+def _rule(
+    identifier: str,
+    code: str,
+    summary: str,
+    remedy: str,
+    fix: Callable[[Scene], Scene] | None = None,
+) -> Rule:
+    return Rule(identifier, Severity.ERROR, summary, remedy, find=_faults_of(code), fix=fix)
+
+
+FAULT_RULES: tuple[Rule, ...] = (
+    _rule(
+        "file-readable",
+        "unreadable",
+        "The file or folder can be read.",
+        "Export it again; of a file that was cut off, `sceneloom salvage` takes out what is whole.",
+    ),
+    _rule(
+        "version-known",
+        "version",
+        "The file says a version that begins with 1.0 or 5.1.",
+        "Write `version` as 1.0 if the file follows the description of the format.",
+    ),
+    _rule(
+        "fields-valid",
+        "malformed",
+        "Every field has the kind, dtype, shape and length that the format says, and required fields are there.",
+        "Correct the field where the file is made; `--fix` leaves the sensor or annotation out.",
+    ),
+    _rule(
+        "arrays-whole",
+        "item",
+        "Every array lies inside the file, overlaps no other, and its keys lead to a place of the header.",
+        "Write the file again; `--fix` leaves the array out, and what cannot be without it.",
+    ),
+    _rule(
+        "ids-unique",
+        "duplicate-id",
+        "No two sensors and no two annotations share an id.",
+        "Give each its own id; `--fix` keeps the first of them.",
+    ),
+    _rule(
+        "quaternion-norm",
+        "quaternion-norm",
+        "Quaternions of poses have length 1, within 0.01.",
+        "Normalise them; the direction that they tell stays.",
+        _as_read,
+    ),
+    _rule(
+        "pose-times-increasing",
+        "pose-times-increasing",
+        "Poses have strictly increasing times.",
+        "Sort the poses by time, and leave out those that stand there twice.",
+        _as_read,
+    ),
+    _rule(
+        "poses-finite",
+        "not-finite",
+        "Poses hold finite numbers only.",
+        "Leave the pose out, or compute it again; between its neighbours it is interpolated.",
+    ),
+)
+"""Rules that hold only where a file was read, each for one code of the reader's faults."""
+
 RULES: tuple[Rule, ...] = (
+    *FAULT_RULES,
     Rule(
         "frame-readable",
         Severity.ERROR,
         "Every frame can be read and every picture decoded.",
         "Record or export the frame again, or leave it out.",
         look=_unreadable,
+    ),
+    Rule(
+        "reading-skipped",
+        Severity.HINT,
+        "Nothing had to be left out on reading.",
+        "See whether what was left out is needed.",
+        find=_notices_of(NoticeKind.SKIPPED),
+    ),
+    Rule(
+        "reading-repaired",
+        Severity.HINT,
+        "Nothing had to be brought into order on reading.",
+        "Correct it where the data are made, so that every program reads the same.",
+        find=_notices_of(NoticeKind.REPAIRED),
+    ),
+    Rule(
+        "reading-assumed",
+        Severity.HINT,
+        "Nothing had to be assumed on reading.",
+        "Say it with the option of that name if it is otherwise; writing the scene records it.",
+        find=_notices_of(NoticeKind.ASSUMED),
     ),
 )

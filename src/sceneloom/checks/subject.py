@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
+from sceneloom.formats.sfs.faults import PlacedFault
 from sceneloom.scene import (
     Annotation,
     CameraSensor,
@@ -50,6 +51,7 @@ class Subject:
     Attributes:
         scene: as far as it could be read.
         header: the file's own header where it is an `.sfs` file, else None.
+        faults: what was found wrong while the file was read.
         sensor_paths: where each sensor of the scene stands in its file; empty: counted in the scene.
         annotation_paths: where each annotation stands; empty: counted in the scene.
         cache: what `table` keeps.
@@ -57,6 +59,7 @@ class Subject:
 
     scene: Scene
     header: Mapping[str, Any] | None = None
+    faults: tuple[PlacedFault, ...] = ()
     sensor_paths: Sequence[str] = ()
     annotation_paths: Sequence[str] = ()
     cache: dict[str, Any] = field(default_factory=dict)

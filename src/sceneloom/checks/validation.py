@@ -1,21 +1,66 @@
 """`sceneloom.validate`: a path or a scene in, findings out."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from sceneloom.checks.catalogue import chosen_rules
+from sceneloom.checks.fixing import mended
+from sceneloom.checks.opening import open_subject
+from sceneloom.checks.reading import FAULT_RULES
 from sceneloom.checks.report import PLACES, ValidationReport, counts_of, findings_of, is_passed
+from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.checks.walk import Progress, find_all
-from sceneloom.formats.table import open_scene
-from sceneloom.scene import Scene
+from sceneloom.checks.walk import Hits, Progress, find_all
+from sceneloom.formats.output import check_output
+from sceneloom.formats.table import format_for_output, write_scene
+from sceneloom.scene import Finding, Scene
+
+
+@dataclass(frozen=True, slots=True)
+class _Terms:
+    """How a scene is checked."""
+
+    profile: str
+    strict: bool
+    frames: bool
+    rules: tuple[Rule, ...]
+    places: int | None
+    progress: Progress | None
+
+    def hits(self, subject: Subject) -> Hits:
+        """Run the rules; of what could not be read at all, only those that say why."""
+        if subject.faults and not (subject.scene.sensors or subject.scene.annotations):
+            told = {rule.id for rule in FAULT_RULES}
+            return find_all(subject, [rule for rule in self.rules if rule.id in told], frames=False)
+        return find_all(subject, self.rules, frames=self.frames, progress=self.progress)
+
+    def report(self, subject: Subject, hits: Hits) -> ValidationReport:
+        """Put what was found into a report."""
+        findings = findings_of(hits, self.rules, places=self.places)
+        counts = counts_of(findings)
+        return ValidationReport(
+            source=subject.scene.source,
+            format=subject.scene.format,
+            profile=self.profile,
+            strict=self.strict,
+            passed=is_passed(counts, strict=self.strict),
+            findings=findings,
+            counts=counts,
+            rules=tuple(rule.id for rule in self.rules),
+            frames_read=self.frames,
+        )
 
 
 def validate(
     source: str | Path | Scene,
     *,
     profile: str = "sfs",
+    fix: str | Path | None = None,
+    overwrite: bool = False,
     strict: bool = False,
     frames: bool = True,
     rules: Iterable[str] = (),
@@ -24,47 +69,79 @@ def validate(
     progress: Progress | None = None,
     **reading: Any,
 ) -> ValidationReport:
-    """Check a scene, a recording or a rig by the rules of a profile.
+    """Check a scene, a recording or a rig by the rules of a profile, and mend what can be mended without a choice.
 
     Args:
         source: a file or folder, or a scene that is open.
         profile: "sfs", or "scale" for what Scale's own library loads and validates.
+        fix: where to write the scene with all safe fixes applied; the findings are then those of what was written.
+        overwrite: whether `fix` may be replaced.
         strict: let warnings count, too.
         frames: read every frame and picture; without, only what is known at opening is checked.
         rules: ids of the only rules to run; () for all.
         ignore: ids of rules that are not to be run.
         places: so many places of one rule are told singly, the others counted; None for all.
         progress: called with the number of frames done and of all.
-        reading: reading options of the format.
+        reading: reading options of the format; faulty parts are never an error here.
+
+    Returns:
+        The report; where nothing could be written to `fix`, its `output` is None.
 
     Raises:
         UnknownFormatError: no format fits the path.
-        OptionError: there is no such profile or rule.
+        OptionError: there is no such profile, rule or reading option.
+        OutputError: `fix` exists, or cannot be written.
+        DataError: a frame that `fix` would need cannot be read.
     """
-    if not isinstance(source, Scene):
-        with open_scene(source, **reading) as scene:
-            return validate(
-                scene,
-                profile=profile,
-                strict=strict,
-                frames=frames,
-                rules=rules,
-                ignore=ignore,
-                places=places,
-                progress=progress,
-            )
-    chosen = chosen_rules(profile, only=rules, ignored=ignore)
-    hits = find_all(Subject(source), chosen, frames=frames, progress=progress)
-    findings = findings_of(hits, chosen, places=places)
-    counts = counts_of(findings)
-    return ValidationReport(
-        source=source.source,
-        format=source.format,
-        profile=profile,
-        strict=strict,
-        passed=is_passed(counts, strict=strict),
-        findings=findings,
-        counts=counts,
-        rules=tuple(rule.id for rule in chosen),
-        frames_read=frames,
+    terms = _Terms(
+        profile, strict, frames, chosen_rules(profile, only=rules, ignored=ignore), places, progress
     )
+    if fix is not None:
+        check_output(Path(fix), overwrite=overwrite)
+    subject = Subject(source) if isinstance(source, Scene) else open_subject(Path(source), **reading)
+    try:
+        hits = terms.hits(subject)
+        report = terms.report(subject, hits)
+        if fix is None or not _can_be_written(subject):
+            return report
+        scene, applied = mended(subject.scene, terms.rules, hits)
+        _write(scene, Path(fix), profile, overwrite=overwrite)
+    finally:
+        if subject.scene is not source:
+            subject.scene.close()
+    return _after_fixing(report, applied, Path(fix), terms)
+
+
+def _can_be_written(subject: Subject) -> bool:
+    """Whether the scene means what its file means: not if its clock, say, had to be guessed."""
+    is_empty = not (subject.scene.sensors or subject.scene.annotations)
+    return not any(fault.vital for fault in subject.faults) and not (subject.faults and is_empty)
+
+
+def _write(scene: Scene, path: Path, profile: str, *, overwrite: bool) -> None:
+    options = {"profile": profile} if format_for_output(path).name == "sfs" else {}
+    write_scene(scene, path, overwrite=overwrite, **options)
+
+
+def _after_fixing(
+    before: ValidationReport, applied: frozenset[str], output: Path, terms: _Terms
+) -> ValidationReport:
+    """Check what was written, and say what of the findings before is mended or was left out."""
+    subject = open_subject(output)
+    with subject.scene:
+        after = terms.report(subject, terms.hits(subject))
+    still = {(finding.rule, finding.path) for finding in after.findings}
+    gone = [finding for finding in before.findings if (finding.rule, finding.path) not in still]
+    return msgspec.structs.replace(
+        after,
+        source=before.source,
+        format=before.format,
+        fixed=tuple(finding for finding in gone if finding.rule in applied),
+        left_out=_left_out(gone, applied),
+        output=str(output),
+    )
+
+
+def _left_out(gone: Sequence[Finding], applied: frozenset[str]) -> tuple[Finding, ...]:
+    unmended = {rule.id for rule in FAULT_RULES if rule.fix is None} - applied
+    return tuple(finding for finding in gone if finding.rule in unmended)

@@ -21,6 +21,7 @@ VERBS = MappingProxyType(
         "info": "Say what is in a recording or a scene.",
         "fuse": "Fuse lidar and cameras of a drive into one scene.",
         "convert": "Write a recording or a scene in another format.",
+        "validate": "Check a drive or a scene by rules, and mend what can be mended safely.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "formats": "List the formats that can be read and written.",
     }

@@ -7,9 +7,16 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import ArrayError, CalibrationError
-from sceneloom.formats.sfs.records import FieldError
+from sceneloom.formats.sfs.records import Faults, FieldError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PosePath
+
+
+NORM_TOLERANCE = 0.01
+"""How far from 1 the norm of a quaternion may be. Source: our reading of "PosePath", in docs/CONVENTIONS.md."""
+
+_LEAST_NORM = 1e-3
+"""A quaternion shorter than this tells no direction that could be trusted."""
 
 
 def rows_of(values: Any, columns: int) -> Float64Array:
@@ -51,6 +58,62 @@ def path_of(record: Mapping[str, Any]) -> PosePath | None:
             return PosePath(timestamps_ns, rows[:, :3], rows[:, 3:])
     except ArrayError as error:
         raise FieldError(str(error).removeprefix("poses").lstrip(".: ")) from None
+
+
+def mended_path_of(record: Mapping[str, Any], faults: Faults) -> PosePath | None:
+    """Make the PosePath of a `poses` record, brought into order where that leaves nothing to choose.
+
+    Quaternions of another length than 1 are normalised, poses out of order are sorted, and poses that stand there
+    twice are taken once; each is a mended fault. None where the record is empty, or has further faults.
+    """
+    try:
+        timestamps_ns, rows = times_of(record["timestamps"]), rows_of(record["values"], 7)
+        if not np.isfinite(rows).all():
+            for k in np.flatnonzero(~np.isfinite(rows).all(axis=1)).tolist():
+                problem = f"{rows[k].tolist()}; expected finite numbers"
+                faults.add(("poses", "values", k), problem, code="not-finite")
+            return None
+        if len(timestamps_ns) == len(rows) > 0:
+            timestamps_ns, rows = _in_order(timestamps_ns, rows, faults)
+            rows = _normalised(rows, faults)
+        return path_of({"timestamps": timestamps_ns, "values": rows})
+    except FieldError as error:
+        faults.add(("poses",), str(error), code=error.code)
+        return None
+
+
+def _in_order(
+    timestamps_ns: Int64Array, rows: Float64Array, faults: Faults
+) -> tuple[Int64Array, Float64Array]:
+    """Sort poses by time and drop those that stand there twice, if no two of one time differ."""
+    backwards = np.flatnonzero(np.diff(timestamps_ns) <= 0)
+    if not len(backwards):
+        return timestamps_ns, rows
+    order = np.argsort(timestamps_ns, kind="stable")
+    times_ns, sorted_rows = timestamps_ns[order], rows[order]
+    twice = np.diff(times_ns) == 0
+    if (sorted_rows[1:][twice] != sorted_rows[:-1][twice]).any():
+        return timestamps_ns, rows
+    for k in backwards.tolist():
+        problem = f"{timestamps_ns[k + 1]} ns after {timestamps_ns[k]} ns; expected strictly increasing times"
+        faults.add(("poses", "timestamps", k + 1), problem, code="pose-times-increasing", mended=True)
+    kept = np.concatenate(([True], ~twice))
+    return times_ns[kept], sorted_rows[kept]
+
+
+def _normalised(rows: Float64Array, faults: Faults) -> Float64Array:
+    """Bring quaternions to length 1 where they are off by more than rounding but tell a direction."""
+    with np.errstate(over="ignore"):
+        norms = np.linalg.norm(rows[:, 3:], axis=1)
+    off = np.abs(norms - 1.0) > NORM_TOLERANCE
+    if not off.any() or not ((norms > _LEAST_NORM) & np.isfinite(norms)).all():
+        return rows
+    for k in np.flatnonzero(off).tolist():
+        problem = f"a quaternion of norm {norms[k]:.6g}; expected 1 within {NORM_TOLERANCE}"
+        faults.add(("poses", "values", k), problem, code="quaternion-norm", mended=True)
+    mended = rows.copy()
+    mended[off, 3:] /= norms[off, None]
+    return mended
 
 
 def further_of_poses(values: Mapping[str, Any]) -> dict[str, Any]:

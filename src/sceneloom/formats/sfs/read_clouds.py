@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.container import format_keys
-from sceneloom.formats.sfs.poses import further_of_poses, mount_of, path_of
+from sceneloom.formats.sfs.poses import further_of_poses, mended_path_of, mount_of
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import Source
 from sceneloom.formats.sfs.times import TimeRangeError
@@ -48,7 +48,7 @@ def read_lidar(source: Source, values: Record, place: Place, faults: Faults) -> 
     frames = values.pop("frames")
     relative = _check_frames(source, frames, place, faults)
     moving = read_moving(source, values, place, faults, frame_count=len(frames))
-    if faults:
+    if faults.unmended:
         return None
     note = source.note(values["id"])
     read = _frame_reader(source, frames, place, relative=relative, make=_lidar_frame)
@@ -69,7 +69,7 @@ def read_radar(source: Source, values: Record, place: Place, faults: Faults) -> 
     _restore_lengths(frames, note, faults)
     relative = _check_frames(source, frames, place, faults)
     moving = read_moving(source, values, place, faults, frame_count=len(frames))
-    if faults:
+    if faults.unmended:
         return None
     read = _frame_reader(source, frames, place, relative=relative, make=_radar_frame)
     return RadarSensor(
@@ -135,12 +135,10 @@ def read_moving(source: Source, values: Record, place: Place, faults: Faults, *,
 
 def _poses(source: Source, values: Record, place: Place, faults: Faults) -> PosePath | None:
     record = values.get("poses")
-    try:
-        path = None if record is None else path_of(record)
-    except FieldError as error:
-        faults.add(("poses",), str(error))
-        return None
-    if path is None:
+    found = Faults()
+    path = None if record is None else mended_path_of(record, found)
+    faults.extend(found)
+    if path is None and not found:
         message = "no poses; expected where the sensor was"
         source.notice(NoticeKind.SKIPPED, "no-poses", (*place, "poses"), message)
     return path
@@ -245,7 +243,7 @@ def _aligned(array: AnyArray) -> AnyArray:
 
 def _check_frames(source: Source, frames: list[Record], place: Place, faults: Faults) -> bool:
     """Check that the arrays of each frame are of one length; say whether point times count from the frame's start."""
-    if faults:
+    if faults.unmended:
         return False
     for index, frame in enumerate(frames):
         _check_counts(frame["points"], ("frames", index, "points"), faults)

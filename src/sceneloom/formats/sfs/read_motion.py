@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import Any
 
 from sceneloom.errors import ArrayError
-from sceneloom.formats.sfs.poses import path_of
+from sceneloom.formats.sfs.poses import mended_path_of
 from sceneloom.formats.sfs.read_clouds import Record, rest_of
-from sceneloom.formats.sfs.records import Faults, FieldError, Place
+from sceneloom.formats.sfs.records import Faults, Place
 from sceneloom.formats.sfs.source import Source
 from sceneloom.scene import (
     GnssSensor,
@@ -24,10 +24,8 @@ from sceneloom.scene import (
 def read_odometry(source: Source, values: Record, place: Place, faults: Faults) -> OdometrySensor | None:
     """Make an odometry sensor of its record."""
     del place
-    try:
-        path = path_of(values["poses"])
-    except FieldError as error:
-        faults.add(("poses",), str(error))
+    path = mended_path_of(values["poses"], faults)
+    if path is None and faults.unmended:
         return None
     if path is None:
         faults.add(("poses",), "empty; expected at least one pose")

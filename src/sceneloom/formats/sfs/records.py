@@ -1,7 +1,7 @@
 """Reading records by the table of fields: kinds are checked, times become nanoseconds, unknown fields stay."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,29 +14,50 @@ from sceneloom.formats.sfs.times import INT64_MAX, INT64_MIN, FileClock, TimeRan
 Place = tuple[str | int, ...]
 """Where something stands inside the header, as keys."""
 
+MALFORMED = "malformed"
+"""The code of a fault that has no code of its own."""
+
 
 class FieldError(ValueError):
-    """A value is not what its field holds."""
+    """A value is not what its field holds; `code` as in `Fault`."""
+
+    def __init__(self, problem: str, code: str = MALFORMED) -> None:
+        super().__init__(problem)
+        self.code = code
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that is wrong in a header: where, and what."""
+    """One thing that is wrong in a header.
+
+    Attributes:
+        place: where.
+        problem: what, with the value and what was expected.
+        code: the kind of fault, kebab case.
+        mended: whether it was brought into order on reading, so that nothing has to be left out for it.
+    """
 
     place: Place
     problem: str
+    code: str = MALFORMED
+    mended: bool = False
 
 
 class Faults(list[Fault]):
     """All faults found so far."""
 
-    def add(self, place: Place, problem: str) -> None:
+    def add(self, place: Place, problem: str, *, code: str = MALFORMED, mended: bool = False) -> None:
         """Note one more."""
-        self.append(Fault(place, problem))
+        self.append(Fault(place, problem, code, mended))
 
     def take(self, other: "Faults", place: Place) -> None:
         """Note the faults of a part that stands at `place`."""
-        self.extend(Fault((*place, *fault.place), fault.problem) for fault in other)
+        self.extend(replace(fault, place=(*place, *fault.place)) for fault in other)
+
+    @property
+    def unmended(self) -> bool:
+        """Whether one of them was not brought into order."""
+        return any(not fault.mended for fault in self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,12 @@
 """What the readers of sensors and annotations share: the file, its clock, what was asked for, what was noticed."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.sfs.container import Container, format_keys
+from sceneloom.errors import OptionError
+from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
+from sceneloom.formats.sfs.faults import PlacedFault
 from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.records import Fault, Faults, Place, RecordReader
 from sceneloom.formats.sfs.times import FileClock
@@ -52,6 +53,8 @@ class Source:
         options: of the caller.
         notices: collected on the way.
         notes: what our metadata says about sensors, by id.
+        faults: collected on the way.
+        left_out: the places of sensors and annotations that are at fault.
     """
 
     container: Container
@@ -60,6 +63,8 @@ class Source:
     options: ReadingOptions
     notices: list[Notice] = field(default_factory=list)
     notes: dict[tuple[type, Identifier], Mapping[str, Any]] = field(default_factory=dict)
+    faults: list[PlacedFault] = field(default_factory=list)
+    left_out: set[Place] = field(default_factory=set)
 
     @property
     def file(self) -> str:
@@ -80,32 +85,44 @@ class Source:
         if notice not in self.notices:
             self.notices.append(notice)
 
-    def raise_faults(self, faults: Faults, place: Place) -> None:
-        """Raise the first fault, if there is one, and say how many more there are.
+    def collect(self, faults: Faults, place: Place) -> None:
+        """Note faults of what no scene can do without; whoever is lenient is refused for them, too."""
+        self.faults.extend(self._placed(fault, place, vital=True) for fault in faults)
 
-        Raises:
-            DataError: naming the place, and the item where an array is at fault.
-        """
-        if faults:
-            others = len(faults) - 1
-            more = f"; and {others} more fault{'s' * (others > 1)}" if others else ""
-            raise DataError(self.file, self._where(place, faults[0]), faults[0].problem + more)
+    raise_faults = collect
+
+    def collect_items(self, items: Sequence[ItemFault]) -> None:
+        """Note faults of arrays; nothing stands in their places."""
+        for item in items:
+            fault = PlacedFault(
+                item.path or f"{ITEMS}[{item.number}]", item.problem, "item", item=item.number
+            )
+            self.faults.append(fault)
+            if self.options.lenient:
+                message = f"left out: {fault.where}: {item.problem}"
+                self.notice(NoticeKind.SKIPPED, "item-at-fault", item.keys or (ITEMS, item.number), message)
+
+    def found_faults(self) -> tuple[PlacedFault, ...]:
+        """All faults, but not that a value is missing whose array is at fault."""
+        arrays = {fault.path for fault in self.faults if fault.code == "item"}
+        return tuple(f for f in self.faults if f.code == "item" or f.path not in arrays)
 
     def settle(self, faults: Faults, place: Place) -> bool:
-        """Say whether a part is sound; one that is not is left out if the caller is lenient.
-
-        Raises:
-            DataError: the part is at fault and the caller is not lenient.
-        """
+        """Note the faults of a part, and say whether the scene can have it: it is sound, or was brought into order."""
+        self.faults.extend(self._placed(fault, place, vital=False) for fault in faults)
         if not faults:
             return True
-        if not self.options.lenient:
-            self.raise_faults(faults, place)
-        message = f"left out: {self._where(place, faults[0])}: {faults[0].problem}"
-        self.notice(NoticeKind.SKIPPED, "at-fault", place, message, count=len(faults))
-        return False
+        kept = not faults.unmended
+        if not kept:
+            self.left_out.add(place)
+        if self.options.lenient:
+            kind = NoticeKind.REPAIRED if kept else NoticeKind.SKIPPED
+            first = self.faults[-len(faults)]
+            message = f"{'mended' if kept else 'left out'}: {first.where}: {first.problem}"
+            self.notice(kind, "mended" if kept else "at-fault", place, message, count=len(faults))
+        return kept
 
-    def _where(self, place: Place, fault: Fault) -> str:
-        where = format_keys((*place, *fault.place))
-        number = self.container.item_number(where)
-        return where if number is None else f"{where} ($items[{number}])"
+    def _placed(self, fault: Fault, place: Place, *, vital: bool) -> PlacedFault:
+        path = format_keys((*place, *fault.place))
+        number = self.container.item_number(path)
+        return PlacedFault(path, fault.problem, fault.code, mended=fault.mended, vital=vital, item=number)

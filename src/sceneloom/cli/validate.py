@@ -1,0 +1,146 @@
+"""`sceneloom validate`."""
+
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import print_json, progress_bar, several
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from sceneloom.checks import ValidationReport
+    from sceneloom.scene import Finding
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path), required=False)
+@click.option(
+    "--profile",
+    type=click.Choice(["sfs", "scale"]),
+    default="sfs",
+    show_default=True,
+    help="`scale`: also what Scale's own library refuses.",
+)
+@click.option("--strict", is_flag=True, help="Warnings count as errors do.")
+@click.option("--quick", is_flag=True, help="Read no frames and pictures.")
+@click.option(
+    "--fix",
+    type=click.Path(path_type=Path),
+    metavar="OUT",
+    help="Write the scene to OUT with all safe fixes applied.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
+@click.option("--rule", "rules", multiple=True, metavar="ID", help="Run this rule only; may be said again.")
+@click.option("--ignore", multiple=True, metavar="ID", help="Leave this rule out; may be said again.")
+@click.option("--rules", "list_rules", is_flag=True, help="List the rules and stop.")
+@options.reading
+@options.printing
+@click.pass_context
+def validate(
+    context: click.Context,
+    /,
+    path: Path | None,
+    profile: str,
+    strict: bool,
+    quick: bool,
+    fix: Path | None,
+    overwrite: bool,
+    rules: tuple[str, ...],
+    ignore: tuple[str, ...],
+    list_rules: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **reading: Any,
+) -> None:
+    """Check a scene, recording or rig, and say what is wrong, where, and what to do; exit 1 where it does not pass.
+
+    Every finding names the rule, its place in the file, the value and what was expected. `--fix OUT` writes what
+    can be mended without a choice, checks that, and tells what is left.
+    """
+    if list_rules:
+        _print_rules(as_json=as_json)
+        return
+    if path is None:
+        raise click.UsageError("Missing argument 'PATH'.", context)
+    from sceneloom.checks import PLACES
+    from sceneloom.checks import validate as validate_scene
+
+    with progress_bar("checking", quiet=quiet) as progress:
+        report = validate_scene(
+            path,
+            profile=profile,
+            fix=fix,
+            overwrite=overwrite,
+            strict=strict,
+            frames=not quick,
+            rules=rules,
+            ignore=ignore,
+            places=None if as_json or verbose else PLACES,
+            progress=progress,
+            **options.said(**reading),
+        )
+    if as_json:
+        print_json(report)
+    else:
+        _print_report(report, asked_to_fix=fix is not None, quiet=quiet)
+    if not report.passed or (fix is not None and report.output is None):
+        context.exit(1)
+
+
+def _print_rules(*, as_json: bool) -> None:
+    from sceneloom.checks import catalogue
+
+    rows = catalogue()
+    if as_json:
+        print_json(rows)
+        return
+    for row in rows:
+        marks = [row.severity, *(["fix"] if row.fixable else []), *row.only_in]
+        click.echo(f"{row.id} ({', '.join(marks)})\n    {row.summary}\n    {row.remedy}")
+
+
+def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool) -> None:
+    found = ", ".join(several(count, severity) for severity, count in report.counts.items() if count)
+    verdict = "passed" if report.passed else "not passed"
+    read = "" if report.frames_read else "; frames were not read"
+    click.echo(
+        f"{report.output or report.source}: {report.format}, profile {report.profile}: {verdict}, "
+        f"{found or 'nothing found'}{read}"
+    )
+    _print_findings([f for f in report.findings if not (quiet and f.severity == "hint")])
+    if report.output is not None:
+        _print_changes("fixed", report.fixed)
+        _print_changes("left out", report.left_out)
+        click.echo(f"written: {report.output}")
+    elif asked_to_fix:
+        click.echo("nothing was written: what is at fault decides what the rest means", err=True)
+
+
+def _print_findings(findings: "Sequence[Finding]") -> None:
+    """Findings under their rules, the remedy once for each."""
+    for severity, of_severity in groupby(findings, key=lambda finding: finding.severity):
+        click.echo(f"{severity}s")
+        for rule, group in groupby(of_severity, key=lambda finding: finding.rule):
+            listed = list(group)
+            fixable = ", --fix mends it" if listed[0].fixable else ""
+            click.echo(f"  {rule}: {several(sum(f.count for f in listed), 'time')}{fixable}")
+            for finding in listed:
+                click.echo(f"    {_line(finding)}")
+            click.echo(f"    → {listed[0].remedy}")
+
+
+def _print_changes(title: str, findings: "Sequence[Finding]") -> None:
+    if findings:
+        click.echo(title)
+    for finding in findings:
+        click.echo(f"  {finding.rule}: {_line(finding)}")
+
+
+def _line(finding: "Finding") -> str:
+    times = f" ({finding.count} times)" if finding.count > 1 else ""
+    return ": ".join(filter(None, (finding.path, finding.message))) + times

@@ -1,0 +1,22 @@
+"""All faults of a file at once, with the scene of all that is sound."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from sceneloom.errors import DataError
+from sceneloom.formats.sfs.faults import Examination, PlacedFault
+from sceneloom.formats.sfs.reading import read_all
+from sceneloom.formats.sfs.source import ReadingOptions
+
+
+def examine(path: Path, options: ReadingOptions | None = None) -> Examination:
+    """Read a file as far as it is sound, and give every fault of it with its place; nothing is raised for them.
+
+    Args:
+        path: the file; only its header is read.
+        options: what the file does not say itself; `lenient` plays no part.
+    """
+    try:
+        return read_all(path, replace(options or ReadingOptions(), lenient=False))
+    except DataError as error:
+        return Examination(None, (PlacedFault(error.place, error.problem, "unreadable", vital=True),))

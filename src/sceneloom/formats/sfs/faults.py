@@ -1,0 +1,68 @@
+"""The faults of a whole file, each with its place, and the error that tells of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sceneloom.errors import DataError
+from sceneloom.formats.sfs.records import MALFORMED
+from sceneloom.scene import Scene
+
+_TOLD = 4
+"""So many places of further faults stand in an error."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedFault:
+    """One thing that is wrong in a file.
+
+    Attributes:
+        path: where in the header (`sensors[3].frames[12].points.colors`).
+        problem: what, with the value and what was expected.
+        code: the kind of fault, kebab case.
+        mended: whether it was brought into order on reading.
+        vital: whether no scene can do without the part that is at fault.
+        item: number of the item that fills the place, where it is an array.
+    """
+
+    path: str
+    problem: str
+    code: str = MALFORMED
+    mended: bool = False
+    vital: bool = False
+    item: int | None = None
+
+    @property
+    def where(self) -> str:
+        """The path, with the item's number where there is one."""
+        return self.path if self.item is None else f"{self.path} ($items[{self.item}])"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examination:
+    """A file with all that is wrong in it.
+
+    Attributes:
+        scene: what is sound, and what could be brought into order; None where nothing can be read.
+        faults: in the order of the file.
+        header: the file's header without `$items`, arrays in their places; None where it cannot be decoded.
+        sensor_paths: where each sensor of the scene stands in the file.
+        annotation_paths: where each annotation of the scene stands in the file.
+    """
+
+    scene: Scene | None
+    faults: tuple[PlacedFault, ...]
+    header: Mapping[str, Any] | None = None
+    sensor_paths: tuple[str, ...] = ()
+    annotation_paths: tuple[str, ...] = ()
+
+
+def error_of(file: str, faults: Sequence[PlacedFault]) -> DataError:
+    """The error of a file with at least one fault: the first with its problem, the places of the next ones."""
+    first, others = faults[0], faults[1:]
+    problem = first.problem
+    if others:
+        problem += "; also at fault: " + ", ".join(fault.where for fault in others[:_TOLD])
+    if len(others) > _TOLD:
+        problem += f" and {len(others) - _TOLD} more; `sceneloom validate FILE` lists all"
+    return DataError(file, first.where, problem)

@@ -1,5 +1,7 @@
 """Scenes out of scenes: cut, joined, thinned, moved, corrected."""
 
+from sceneloom.editing.lenses import convert_lenses
 from sceneloom.editing.thin import thin_scene
+from sceneloom.editing.undistortion import undistort_scene
 
-__all__ = ["thin_scene"]
+__all__ = ["convert_lenses", "thin_scene", "undistort_scene"]

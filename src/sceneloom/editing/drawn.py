@@ -94,7 +94,7 @@ def _moved(annotation: Annotation, changes: Mapping[Key, LensChange]) -> Annotat
 def _moved_box(annotation: Box2DAnnotation, change: LensChange) -> Box2DAnnotation | None:
     path = annotation.path
     values = change.boxes(path.values)
-    kept: BoolArray = np.isfinite(values).all(axis=1)
+    kept: BoolArray = np.all(np.isfinite(values), axis=1)
     if not kept.any():
         return None
     return replace(annotation, path=BoxPath(path.timestamps_ns[kept], values[kept], path.extras))

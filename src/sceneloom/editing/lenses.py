@@ -7,7 +7,7 @@ from typing import Any
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import Fit, fit
 from sceneloom.editing.chosen_cameras import chosen_cameras, lens_record
-from sceneloom.editing.record import assumed, ours_of, with_notices, with_ours
+from sceneloom.editing.record import assumed, ours_of, skipped, with_notices, with_ours
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.scene import CameraSensor, Identifier, LazyFrames, Notice, Picture, Scene
 
@@ -57,6 +57,9 @@ def convert_lenses(
                 "camera": lens_record(sensor.camera),
             }
         )
+    if not notices:
+        message = f"every lens is told as {model} already; none was changed"
+        notices.append(skipped("nothing-to-convert", "sensors", message))
     changed = replace(scene, sensors=tuple(sensors))
     return with_notices(with_ours(changed, lenses=entries or None), notices)
 

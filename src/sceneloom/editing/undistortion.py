@@ -55,9 +55,13 @@ def undistort_scene(
     changed = replace(scene, sensors=tuple(sensors), annotations=annotations)
     message = "what is drawn into pictures was left out where the pictures without distortion do not reach"
     lost = sum(change.lost for change in changes.values())
+    nothing = "every lens is a pinhole already; no picture was changed"
     return with_notices(
         with_ours(changed, undistorted=entries or None),
-        [skipped("drawn-beyond-picture", "annotations", message, count=lost)],
+        [
+            skipped("drawn-beyond-picture", "annotations", message, count=lost),
+            skipped("nothing-to-undistort", "sensors", nothing, count=int(not changes)),
+        ],
     )
 
 

@@ -10,6 +10,8 @@ VERBS = MappingProxyType(
     {
         "deskew": "Undo the motion during each lidar sweep.",
         "thin": "Keep fewer points, or fewer frames.",
+        "undistort": "Resample pictures so that their lenses are pinholes.",
+        "lens": "Tell the lenses by another model, as near as it comes.",
     }
 )
 """Each verb stands in the module of its name, with `_` for `-`."""

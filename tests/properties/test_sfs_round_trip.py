@@ -9,9 +9,11 @@ from hypothesis.extra import numpy as hnp
 from sceneloom.formats.sfs import FORMAT, write_scene
 from sceneloom.formats.sfs.times import FileClock, chosen_offset_ns
 from sceneloom.scene import (
+    AttributePath,
     Coordinates,
     CuboidAnnotation,
     CuboidPath,
+    EventAnnotation,
     GnssSensor,
     ImuSensor,
     LazyFrames,
@@ -19,7 +21,6 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     OdometrySensor,
-    PlainAnnotation,
     PointsFrame,
     PosePath,
     Scene,
@@ -138,16 +139,17 @@ def scenes(draw):
         start_ns + np.arange(count, dtype=np.int64) * 7,
         draw(hnp.arrays(np.float64, (count, 9), elements=st.floats(-1e9, 1e9))),
     )
-    attributes = [{"name": draw(NAMES), "timestamps": [start_ns + 1], "values": [draw(NUMBERS)]}]
+    attributes = (AttributePath(draw(NAMES), (draw(NUMBERS),), np.array([start_ns + 1])),)
     cuboid = CuboidAnnotation(
         draw(IDS),
         path,
         draw(st.none() | NAMES),
         draw(st.none() | st.booleans()),
-        None,
-        {"attributes": attributes},
+        attributes=attributes,
     )
-    other = PlainAnnotation("event", "event", {"start": start_ns + 9, **draw(extras_beside("start"))})
+    other = EventAnnotation(
+        "event", start_ns + 9, extras=draw(extras_beside("start", "duration", "sensor_id"))
+    )
     way = Trajectory("truth", np.array([start_ns]), np.ones((1, 3)), None, np.array([0.1]))
     annotations = (cuboid,) if cuboid.id == "event" else (cuboid, other)
     return Scene(
@@ -155,7 +157,7 @@ def scenes(draw):
         annotations,
         trajectories={"truth": way},
         metadata=draw(st.dictionaries(NAMES.filter(lambda name: name != "sceneloom"), JSON, max_size=2)),
-        attributes=tuple(attributes),
+        attributes=attributes,
     )
 
 

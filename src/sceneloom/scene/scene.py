@@ -6,7 +6,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from sceneloom.errors import OptionError
-from sceneloom.scene.annotations import Annotation
+from sceneloom.scene.annotations import Annotation, AttributePath
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
@@ -43,7 +43,7 @@ class Scene:
         sensors: all sensors, ids unique.
         annotations: what is said about the scene.
         trajectories: the known ways of the ego through the world, by name, the default one first.
-        attributes: attribute paths of the scene and its sensors, as the file has them, times in nanoseconds.
+        attributes: what is said about the scene and its sensors.
         metadata: free fields.
         time_offset_ns: what a file's clock leaves out of its stamps [ns]; all our times include it.
         source: where the scene comes from, for messages.
@@ -58,7 +58,7 @@ class Scene:
     sensors: tuple[Sensor, ...]
     annotations: tuple[Annotation, ...] = ()
     trajectories: Mapping[str, Trajectory] = field(default_factory=lambda: NO_FIELDS)
-    attributes: tuple[Mapping[str, Any], ...] = ()
+    attributes: tuple[AttributePath, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
     time_offset_ns: int = 0
     source: str = "scene"

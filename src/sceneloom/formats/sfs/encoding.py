@@ -20,6 +20,10 @@ Items = list[tuple[Place, Blob]]
 """The arrays below a record, each with its place."""
 
 
+class StandingTime(int):
+    """The time of something that holds at all times [ns]; it is written as one that the file can hold."""
+
+
 class ArraySink(Protocol):
     """Takes the arrays of records."""
 
@@ -182,6 +186,8 @@ def _write_time(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any
 
 
 def _write_times(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
+    if isinstance(value, StandingTime):
+        return [max(writer.clock.stamp(value), 0)]
     if isinstance(value, np.ndarray) and value.dtype.kind in "iu" and value.ndim == 1:
         stamps, inexact = writer.clock.stamp_array(value.astype(np.int64))
         writer.rounded += inexact

@@ -2,18 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from sceneloom.scene import Annotation, CuboidAnnotation, Identifier
+from sceneloom.arrays import read_only
+from sceneloom.formats.sfs.annotation_parts import attribute_values
+from sceneloom.formats.sfs.poses import times_of
+from sceneloom.scene import Annotation, AttributePath, Identifier
 
-Attribute = Mapping[str, Any]
+Record = Mapping[str, Any]
 
 
 def restore_exact_attributes(
-    records: Any, annotations: tuple[Annotation, ...], attributes: tuple[Attribute, ...]
-) -> tuple[tuple[Annotation, ...], tuple[Attribute, ...]]:
+    records: Any, annotations: tuple[Annotation, ...], attributes: tuple[AttributePath, ...]
+) -> tuple[tuple[Annotation, ...], tuple[AttributePath, ...]]:
     """Put exact times and values back where the written ones still stand.
 
     Args:
@@ -22,7 +25,7 @@ def restore_exact_attributes(
         attributes: of the scene.
     """
     of_scene = [record for record in records if record.get("annotation_id") is None]
-    by_annotation: dict[tuple[type, Identifier], list[Attribute]] = {}
+    by_annotation: dict[tuple[type, Identifier], list[Record]] = {}
     for record in records:
         identifier = record.get("annotation_id")
         if identifier is not None:
@@ -32,48 +35,51 @@ def restore_exact_attributes(
             _restored(annotation, by_annotation.get((type(annotation.id), annotation.id), []))
             for annotation in annotations
         )
-    return annotations, tuple(_restored_list(attributes, of_scene))
+    return annotations, _restored_attributes(attributes, of_scene)
 
 
-def _restored(annotation: Annotation, records: Sequence[Attribute]) -> Annotation:
-    fields = annotation.extras if isinstance(annotation, CuboidAnnotation) else annotation.fields
-    attributes = fields.get("attributes")
-    if not records or not isinstance(attributes, list):
+def _restored(annotation: Annotation, records: Sequence[Record]) -> Annotation:
+    attributes = getattr(annotation, "attributes", ())
+    if not records or not attributes:
         return annotation
-    changed = {**fields, "attributes": _restored_list(attributes, records)}
-    if isinstance(annotation, CuboidAnnotation):
-        return replace(annotation, extras=changed)
-    return replace(annotation, fields=changed)
+    restored: Any = replace(cast("Any", annotation), attributes=_restored_attributes(attributes, records))
+    return cast("Annotation", restored)
 
 
-def _restored_list(attributes: Sequence[Attribute], records: Sequence[Attribute]) -> list[Attribute]:
+def _restored_attributes(
+    attributes: Sequence[AttributePath], records: Sequence[Record]
+) -> tuple[AttributePath, ...]:
     restored = list(attributes)
     for record in records:
         index = record["index"]
-        if 0 <= index < len(restored) and _equal(restored[index].get("values"), record["written"]):
-            restored[index] = {
-                **restored[index],
-                "timestamps": record["timestamps"],
-                "values": record["values"],
-            }
-    return restored
+        if not 0 <= index < len(restored):
+            continue
+        values = attribute_values(record["values"])
+        times_ns = read_only(times_of(record["timestamps"]))
+        written_still = _identical(attribute_values(record["written"]), restored[index].values)
+        if written_still and (len(values) == len(times_ns) or restored[index].static):
+            restored[index] = replace(restored[index], timestamps_ns=times_ns, values=values)
+    return tuple(restored)
 
 
 def simplified_attributes(
-    attributes: Sequence[Attribute], annotation_id: Identifier | None
-) -> tuple[list[Attribute], list[Attribute]]:
+    attributes: Sequence[Record], annotation_id: Identifier | None
+) -> tuple[list[Record], list[Record]]:
     """Give attributes as Scale's library takes them, and the records that keep what was changed.
 
     Numbers become integers: an attribute with fractions is counted in thousandths. Static attributes keep their first
     time stamp.
     """
-    simplified: list[Attribute] = []
-    records: list[Attribute] = []
+    simplified: list[Record] = []
+    records: list[Record] = []
     for index, attribute in enumerate(attributes):
         times, values = _listed(attribute.get("timestamps")), _listed(attribute.get("values"))
         written = _integers(values)
         kept = 1 if attribute.get("static") else len(values)
         written, written_times = written[:kept], times[:kept]
+        if attribute.get("timestamps") is None:
+            simplified.append(attribute)
+            continue
         simplified.append({**attribute, "timestamps": written_times, "values": written})
         if written_times != times or not _identical(written, values):
             record = {"index": index, "timestamps": times, "values": values, "written": written}
@@ -81,20 +87,13 @@ def simplified_attributes(
     return simplified, records
 
 
-def thousandths(attribute: Attribute) -> Attribute:
+def thousandths(attribute: Record) -> Record:
     """Give one attribute with integers for numbers."""
     return {**attribute, "values": _integers(_listed(attribute.get("values")))}
 
 
 def _listed(values: Any) -> list[Any]:
     return [] if values is None else values.tolist() if isinstance(values, np.ndarray) else list(values)
-
-
-def _equal(a: Any, b: Any) -> bool:
-    try:
-        return bool(_listed(a) == _listed(b))
-    except ValueError:  # arrays among the values, which no attribute of ours has
-        return False
 
 
 def _integers(values: Sequence[Any]) -> list[Any]:

@@ -188,6 +188,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _needs("name", Kind.TEXT),
         _SENSOR,
         Field("static", Kind.FLAG),
+        Field("point_index", Kind.INTEGER),
         Field("timestamps", Kind.TIMES, unit="file"),
         Field("values", Kind.LIST),
     ),

@@ -1,5 +1,6 @@
 """Lenses as the format can say them, and how many pixels are lost where it cannot."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
+from sceneloom.formats.sfs.drafts import with_further
 
 _GRID = 33
 
@@ -44,6 +46,16 @@ def intrinsics_record(camera: Camera) -> dict[str, Any]:
     if camera.model != "pinhole":
         record["distortion"] = {"model": camera.model, "params": list(camera.coefficients)}
     return record
+
+
+def merged_intrinsics(record: dict[str, Any], further: Any) -> dict[str, Any]:
+    """Add unknown fields of an `intrinsics` record and of its `distortion`; known ones win."""
+    if not isinstance(further, Mapping):
+        return record
+    of_distortion = further.get("distortion")
+    if isinstance(of_distortion, Mapping):
+        record["distortion"] = with_further(record.get("distortion") or {}, of_distortion)
+    return with_further(record, further)
 
 
 def difference_px(exact: Camera, written: Camera) -> float | None:

@@ -171,7 +171,7 @@ def attribute_fits(attribute: Record) -> bool:
 
 def _value_fits(value: Any) -> bool:
     return isinstance(value, str | int) or (
-        isinstance(value, list) and all(isinstance(v, str) for v in value)
+        isinstance(value, list | tuple) and all(isinstance(v, str) for v in value)
     )
 
 

@@ -1,16 +1,47 @@
-"""Annotations of a file."""
+"""Annotations of a file: from records to the model's classes."""
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from sceneloom.arrays import read_only
-from sceneloom.errors import ArrayError
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.sfs.annotation_parts import (
+    check_counts,
+    further,
+    noting,
+    read_poses,
+    row_path,
+    vertices_of,
+)
+from sceneloom.formats.sfs.annotation_record import AnnotationRecord
 from sceneloom.formats.sfs.fields import ANNOTATION_RECORDS, annotation_record
-from sceneloom.formats.sfs.poses import rows_of, times_of
+from sceneloom.formats.sfs.poses import times_of
+from sceneloom.formats.sfs.read_cameras import further_of_intrinsics, read_lens
+from sceneloom.formats.sfs.read_cuboids import read_cuboid
+from sceneloom.formats.sfs.read_keypoints import read_keypoints
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import Source
-from sceneloom.scene import Annotation, CuboidAnnotation, CuboidPath, NoticeKind, PlainAnnotation
-
-_TAKEN = frozenset({"id", "type", "path", "label", "stationary", "parent_id"})
+from sceneloom.scene import (
+    Annotation,
+    Box2DAnnotation,
+    BoxPath,
+    CameraCalibration,
+    EventAnnotation,
+    GroupAnnotation,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LinkAnnotation,
+    LocalizationAdjustment,
+    NoticeKind,
+    ObjectAnnotation,
+    PlainAnnotation,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
+)
+from sceneloom.scene.annotations.shapes import DIMENSIONS
 
 
 def read_annotations(source: Source, raw: Any, place: Place) -> tuple[Annotation, ...]:
@@ -24,7 +55,7 @@ def read_annotations(source: Source, raw: Any, place: Place) -> tuple[Annotation
     if not isinstance(raw, list):
         faults = Faults()
         faults.add((), "expected a list of annotations")
-        source.raise_faults(faults, place)
+        source.collect(faults, place)
         return ()
     annotations = []
     for index, item in enumerate(raw):
@@ -49,34 +80,136 @@ def _read_annotation(source: Source, raw: Any, place: Place, faults: Faults) -> 
     values = source.reader(forgiving=not known).read(raw, annotation_record(type_name), faults)
     if not known and not isinstance(values.get("id"), str | int):
         faults.add(("id",), f"{values.get('id')!r}; expected text or an integer")
-    if faults:
+    if faults.unmended:
         return None
-    if type_name == "cuboid":
-        return _cuboid(values, faults)
-    fields = {name: value for name, value in values.items() if name not in {"id", "type"}}
-    return PlainAnnotation(values["id"], type_name, fields)
+    build = _BUILDERS.get(type_name, _plain)
+    return build(AnnotationRecord(source, {**values, "type": type_name}, place, faults))
 
 
-def _cuboid(values: dict[str, Any], faults: Faults) -> CuboidAnnotation | None:
-    path = values["path"]
-    try:
-        timestamps_ns, rows = times_of(path["timestamps"]), rows_of(path["values"], 9)
-        cuboids = CuboidPath(read_only(timestamps_ns), read_only(rows))
-    except FieldError as error:
-        faults.add(("path", "values"), str(error))
+def _plain(found: AnnotationRecord) -> PlainAnnotation:
+    return PlainAnnotation(found.id, found.values["type"], further(found.values, "id", "type"))
+
+
+def _box_2d(found: AnnotationRecord) -> Box2DAnnotation | None:
+    record = found.values["path"]
+    fields = found.fields("label", "stationary", "parent_id", "attributes", taken=("sensor_id", "path"))
+    path = row_path(record, 4, found.faults, ("path",))
+    if path is None:
         return None
-    except ArrayError as error:
-        faults.add(("path",), str(error).removeprefix("cuboid.path."))
-        return None
-    extras = {name: value for name, value in values.items() if name not in _TAKEN}
-    further = {name: value for name, value in path.items() if name not in {"timestamps", "values"}}
-    if further:
-        extras["path"] = further
-    return CuboidAnnotation(
-        values["id"],
-        cuboids,
-        label=values.get("label"),
-        stationary=values.get("stationary"),
-        parent_id=values.get("parent_id"),
-        extras=extras,
+    box = BoxPath(*path, extras=further(record, "timestamps", "values"))
+    return Box2DAnnotation(found.id, found.values["sensor_id"], box, **fields)
+
+
+def _shape(found: AnnotationRecord) -> ShapeAnnotation | None:
+    kind, record, faults = ShapeType(found.values["type"]), found.values["path"], found.faults
+    closing = ("is_closed",) if kind is ShapeType.POLYLINE else ()
+    names = ("sensor_id", *closing, "label", "stationary", "parent_id", "attributes")
+    fields = found.fields(*names, taken=("path",))
+    vertices, flat = vertices_of(record["values"], DIMENSIONS[kind], faults, ("path", "values"))
+    if not faults.unmended:
+        if flat:
+            found.note_flat("path", "values")
+        with noting(faults, ("path",)):
+            path = _vertex_path(record, vertices)
+            return ShapeAnnotation(found.id, kind, path, **fields)
+    return None
+
+
+def _vertex_path(record: Mapping[str, Any], vertices: tuple[Any, ...]) -> VertexPath:
+    times = times_of(record["timestamps"])
+    check_counts(times, vertices)
+    return VertexPath(read_only(times), vertices, extras=further(record, "timestamps", "values"))
+
+
+def _event(found: AnnotationRecord) -> EventAnnotation:
+    fields = found.fields("label", "sensor_id", "parent_id", "attributes", taken=("start", "duration"))
+    return EventAnnotation(
+        found.id, found.values["start"], duration_ns=found.values.get("duration"), **fields
     )
+
+
+def _labeled_points(found: AnnotationRecord) -> LabeledPointsAnnotation:
+    names = ("label", "is_instance", "parent_id", "attributes")
+    parts = [
+        LabeledPoints(
+            record["sensor_id"],
+            record["point_ids"],
+            sensor_frame=record.get("sensor_frame"),
+            extras=further(record, "sensor_id", "point_ids", "sensor_frame"),
+        )
+        for record in found.values["labeled_points"]
+    ]
+    fields = found.fields(*names, taken=("labeled_points",))
+    return LabeledPointsAnnotation(found.id, tuple(parts), type=found.values["type"], **fields)
+
+
+def _object(found: AnnotationRecord) -> ObjectAnnotation:
+    return ObjectAnnotation(
+        found.id, type=found.values["type"], **found.fields("label", "parent_id", "attributes")
+    )
+
+
+def _group(found: AnnotationRecord) -> GroupAnnotation:
+    return GroupAnnotation(found.id, **found.fields("label", "parent_id", "attributes"))
+
+
+def _link(found: AnnotationRecord) -> LinkAnnotation:
+    names = ("from_id", "to_id", "label", "is_bidirectional", "sensor_id", "parent_id", "attributes")
+    return LinkAnnotation(found.id, **found.fields(*names))
+
+
+def _adjustment(found: AnnotationRecord) -> LocalizationAdjustment | None:
+    poses = read_poses(found.values, found.faults)
+    if poses is None:
+        return None
+    fields = found.fields("parent_id", taken=("poses",))
+    fields["extras"] |= _further_of_poses(found)
+    return LocalizationAdjustment(found.id, poses, **fields)
+
+
+def _calibration(found: AnnotationRecord) -> CameraCalibration | None:
+    poses, lens = read_poses(found.values, found.faults), _lens(found)
+    if found.faults.unmended:
+        return None
+    fields = found.fields("sensor_id", "parent_id", taken=("poses", "intrinsics", "time_offset"))
+    fields["extras"] |= _further_of_poses(found)
+    if lens is not None:
+        fields["extras"] |= further_of_intrinsics(found.values["intrinsics"])
+    time_offset_ns = found.values.get("time_offset")
+    return CameraCalibration(found.id, poses=poses, intrinsics=lens, time_offset_ns=time_offset_ns, **fields)
+
+
+def _further_of_poses(found: AnnotationRecord) -> dict[str, Any]:
+    unknown = further(found.values.get("poses") or {}, "timestamps", "values")
+    return {"poses": unknown} if unknown else {}
+
+
+def _lens(found: AnnotationRecord) -> Camera | None:
+    intrinsics = found.values.get("intrinsics")
+    if intrinsics is None:
+        return None
+    try:
+        return read_lens(found.source, intrinsics, None, (*found.place, "intrinsics"))
+    except (FieldError, CalibrationError) as error:
+        found.faults.add(("intrinsics",), str(error))
+        return None
+
+
+_BUILDERS: Mapping[str, Callable[[AnnotationRecord], Annotation | None]] = MappingProxyType(
+    {
+        "cuboid": read_cuboid,
+        "box_2d": _box_2d,
+        **dict.fromkeys(ShapeType, _shape),
+        "points": read_keypoints,
+        "event": _event,
+        "labeled_points": _labeled_points,
+        "point_segmentation": _labeled_points,
+        "localization_adjustment": _adjustment,
+        "camera_calibration": _calibration,
+        "object": _object,
+        "attributes": _object,
+        "link": _link,
+        "group": _group,
+    }
+)
+"""What makes each type of annotation; other types stay plain."""

@@ -36,9 +36,9 @@ def read_camera(source: Source, values: Record, place: Place, faults: Faults) ->
     except (FieldError, CalibrationError) as error:
         inner.add(("pictures",), f"our note: {error}")
     faults.extend(inner)
-    if inner:
+    if inner.unmended:
         return None
-    extras = {**rest_of(values), **_further(intrinsics), **content.further}
+    extras = {**rest_of(values), **further_of_intrinsics(intrinsics), **content.further}
     pictures = _pictures(source, content, own, exposure_ns(extras, 0), place)
     return CameraSensor(
         values["id"], lens, pictures, video=content.video, fps=content.fps, **moving, extras=extras
@@ -120,7 +120,7 @@ def _coefficients(source: Source, model: str, params: Any, place: Place) -> tupl
     return coefficients
 
 
-def _further(intrinsics: Record) -> Record:
+def further_of_intrinsics(intrinsics: Record) -> Record:
     """Unknown fields of `intrinsics` and `distortion`, which the model has no object for."""
     known = {"fx", "fy", "cx", "cy", "width", "height", "distortion"}
     unknown = {name: value for name, value in intrinsics.items() if name not in known}

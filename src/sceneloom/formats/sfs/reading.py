@@ -4,13 +4,15 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.sfs.container import Container
+from sceneloom.formats.sfs.annotation_parts import read_attributes
+from sceneloom.formats.sfs.container import Container, ItemFault, format_keys
 from sceneloom.formats.sfs.exactness import restore_exact_attributes
+from sceneloom.formats.sfs.faults import Examination, error_of
 from sceneloom.formats.sfs.fields import SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
 from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.garbage import collector_paused
@@ -24,16 +26,29 @@ from sceneloom.formats.sfs.read_motion import (
     read_plain_sensor,
     read_trajectories,
 )
-from sceneloom.formats.sfs.records import Faults, Place, RecordReader
+from sceneloom.formats.sfs.records import MALFORMED, Faults, Place, RecordReader
 from sceneloom.formats.sfs.source import ReadingOptions, Source
 from sceneloom.formats.sfs.times import INT64_MAX, READABLE_TICKS_NS, FileClock, TimeRangeError, scaled
-from sceneloom.scene import Annotation, CuboidAnnotation, Notice, NoticeKind, Scene, Sensor
+from sceneloom.scene import (
+    Annotation,
+    AttributePath,
+    CuboidAnnotation,
+    Identifier,
+    Notice,
+    NoticeKind,
+    Scene,
+    Sensor,
+)
 
 VERSIONS = ("1.0", "5.1")
 """Beginnings of the versions that we read."""
 
 DEFAULT_EULER = {"euler_unit": "degrees", "euler_order": "xyz"}
 """How the angles of cuboids are read where nothing says it. Source: `CuboidPath.from_matrix` of Scale's library."""
+
+Thing = TypeVar("Thing", Sensor, Annotation)
+
+_DEFAULT_TICK_NS = READABLE_TICKS_NS["microseconds"]
 
 OURS = "sceneloom"
 """Our entry of the scene's metadata."""
@@ -71,11 +86,25 @@ def read_scene(path: Path, options: ReadingOptions) -> Scene:
     """Open a file as a scene; only its header is read.
 
     Raises:
-        DataError: the file is at fault.
+        DataError: the file is at fault; the error tells the first places.
+    """
+    examination = read_all(path, options)
+    refused = [fault for fault in examination.faults if fault.vital or not options.lenient]
+    if refused or examination.scene is None:
+        raise error_of(str(path), refused)
+    return examination.scene
+
+
+def read_all(path: Path, options: ReadingOptions) -> Examination:
+    """Read all of a file that is sound, and note every fault.
+
+    Raises:
+        DataError: not even the header can be read.
     """
     try:
         with collector_paused():
-            return _scene(Container(path), options)
+            items: list[ItemFault] = []
+            return _examination(Container(path, faults=items), items, options)
     except RecursionError:
         raise DataError(path, "header", "nested too deeply") from None
     except OptionError as error:
@@ -85,18 +114,26 @@ def read_scene(path: Path, options: ReadingOptions) -> Scene:
 def _parts_again(options: ReadingOptions, path: Path) -> FileParts:
     """Open a file again for what a scene of it reads; annotations and the like are in the scene already."""
     with collector_paused():
-        source, ours, _ = _source(Container(path), options)
+        source, ours, _ = _source(Container(path, faults=[]), options)
         _all_sensors(source, ours)
     return source.parts
 
 
 def _source(container: Container, options: ReadingOptions) -> tuple[Source, dict[str, Any], dict[str, Any]]:
     """Begin with a file: what its readers share, our metadata and the free ones."""
-    _check_version(container)
-    metadata, raw = _metadata(container)
     parts = FileParts(container, partial(_parts_again, options))
-    source = Source(container, parts, _clock(container, raw), options)
+    source = Source(container, parts, FileClock(_DEFAULT_TICK_NS, 0), options)
+    _check_version(source)
+    metadata, raw = _metadata(source)
+    source.clock = _clock(source, raw)
     return source, _read_ours(source, raw), metadata
+
+
+def _all_annotations(source: Source, ours: dict[str, Any]) -> tuple[Annotation, ...]:
+    return (
+        *read_annotations(source, source.container.header.get("annotations"), ("annotations",)),
+        *read_annotations(source, ours.get("annotations"), ("metadata", OURS, "annotations")),
+    )
 
 
 def _all_sensors(source: Source, ours: dict[str, Any]) -> tuple[Sensor, ...]:
@@ -106,26 +143,25 @@ def _all_sensors(source: Source, ours: dict[str, Any]) -> tuple[Sensor, ...]:
     )
 
 
-def _scene(container: Container, options: ReadingOptions) -> Scene:
+def _examination(container: Container, items: list[ItemFault], options: ReadingOptions) -> Examination:
     header = container.header
     source, ours, metadata = _source(container, options)
-    sensors = _all_sensors(source, ours)
-    annotations = (
-        *read_annotations(source, header.get("annotations"), ("annotations",)),
-        *read_annotations(source, ours.get("annotations"), ("metadata", OURS, "annotations")),
-    )
-    attributes = (*_attributes(source), *(ours.get("attributes") or ()))
+    source.collect_items(items)
+    sensors, sensor_paths = _unique(source, _all_sensors(source, ours), "sensors", ours)
+    annotations, annotation_paths = _unique(source, _all_annotations(source, ours), "annotations", ours)
+    attributes = _attributes(source, header.get("attributes"))
     faults = Faults()
+    aside = read_attributes(ours.get("attributes"), faults)
     trajectories = read_trajectories(
         ours.get("trajectories"), sensors, ("metadata", OURS, "trajectories"), faults
     )
-    source.raise_faults(faults, ())
+    source.collect(faults, ())
     annotations, attributes = restore_exact_attributes(
-        ours.get("exact_attributes") or [], annotations, attributes
+        ours.get("exact_attributes") or [], annotations, (*attributes, *aside)
     )
     kept = {name: value for name, value in ours.items() if name not in _ABSORBED}
     kept |= _euler(source, ours, annotations)
-    return Scene(
+    scene = Scene(
         sensors,
         annotations,
         trajectories=trajectories,
@@ -138,76 +174,126 @@ def _scene(container: Container, options: ReadingOptions) -> Scene:
         extras={name: value for name, value in header.items() if name not in _ROOT},
         on_close=source.parts.close,
     )
+    return Examination(scene, source.found_faults(), header, sensor_paths, annotation_paths)
 
 
-def _check_version(container: Container) -> None:
-    version = container.header.get("version")
+def _unique(
+    source: Source, things: tuple[Thing, ...], kind: str, ours: Any
+) -> tuple[tuple[Thing, ...], tuple[str, ...]]:
+    """Leave out those whose id another had before; give the others with their places in the file."""
+    places = [
+        *_kept_places(source, source.container.header.get(kind), (kind,)),
+        *_kept_places(source, ours.get(kind), ("metadata", OURS, kind)),
+    ]
+    first: dict[tuple[type, Identifier], str] = {}
+    kept: list[Thing] = []
+    for thing, place in zip(things, places, strict=True):
+        path = format_keys(place)
+        before = first.setdefault((type(thing.id), thing.id), path)
+        if before == path:
+            kept.append(thing)
+            continue
+        faults = Faults()
+        faults.add(("id",), f"{thing.id!r} is used twice, first by {before}", code="duplicate-id")
+        source.settle(faults, place)
+    return tuple(kept), tuple(first.values())
+
+
+def _kept_places(source: Source, raw: Any, root: Place) -> list[Place]:
+    """The places of all entries of a list but those that were left out."""
+    places = [(*root, k) for k in range(len(raw) if isinstance(raw, list) else 0)]
+    return [place for place in places if place not in source.left_out]
+
+
+def _check_version(source: Source) -> None:
+    version = source.container.header.get("version")
     if not isinstance(version, str) or not version.startswith(VERSIONS):
         expected = " or ".join(f"{known}*" for known in VERSIONS)
-        raise DataError(container.file, "version", f"{version!r}; expected {expected}")
+        _root_fault(source, ("version",), f"{version!r}; expected {expected}", code="version")
 
 
-def _metadata(container: Container) -> tuple[dict[str, Any], Any]:
+def _root_fault(source: Source, place: Place, problem: str, *, code: str = MALFORMED) -> None:
+    faults = Faults()
+    faults.add(place, problem, code=code)
+    source.collect(faults, ())
+
+
+def _metadata(source: Source) -> tuple[dict[str, Any], Any]:
     """Part the free metadata from ours."""
-    metadata = container.header.get("metadata")
+    metadata = source.container.header.get("metadata")
     if metadata is None:
         return {}, {}
     if not isinstance(metadata, dict):
-        raise DataError(container.file, "metadata", f"a {type(metadata).__name__}; expected an object")
+        _root_fault(source, ("metadata",), f"a {type(metadata).__name__}; expected an object")
+        return {}, {}
     ours = metadata.get(OURS)
     return {name: value for name, value in metadata.items() if name != OURS}, {} if ours is None else ours
 
 
-def _clock(container: Container, ours: Any) -> FileClock:
-    unit = container.header.get("time_unit")
+def _clock(source: Source, ours: Any) -> FileClock:
+    """The clock that the root tells; what it tells wrongly is taken as if it said nothing."""
+    header = source.container.header
+    unit = header.get("time_unit")
     if unit is not None and not (isinstance(unit, str) and unit in READABLE_TICKS_NS):
-        raise DataError(
-            container.file, "time_unit", f"{unit!r}; expected one of {', '.join(READABLE_TICKS_NS)}"
-        )
-    tick_ns = READABLE_TICKS_NS[unit or "microseconds"]
-    offset = container.header.get("time_offset")
+        _root_fault(source, ("time_unit",), f"{unit!r}; expected one of {', '.join(READABLE_TICKS_NS)}")
+        unit = None
+    tick_ns = READABLE_TICKS_NS[unit] if unit else _DEFAULT_TICK_NS
+    offset = header.get("time_offset")
     if offset is not None and type(offset) not in (int, float):
-        raise DataError(container.file, "time_offset", f"{offset!r}; expected an integer")
+        _root_fault(source, ("time_offset",), f"{offset!r}; expected an integer")
+        offset = None
     shift_ns = ours.get("time_shift_ns") if isinstance(ours, dict) else None
     if shift_ns is not None and type(shift_ns) is not int:
-        raise DataError(
-            container.file, f"metadata.{OURS}.time_shift_ns", f"{shift_ns!r}; expected an integer"
-        )
+        _root_fault(source, ("metadata", OURS, "time_shift_ns"), f"{shift_ns!r}; expected an integer")
+        shift_ns = None
+    return FileClock(tick_ns, _offset_ns(source, offset or 0, tick_ns, shift_ns or 0))
+
+
+def _offset_ns(source: Source, offset: float, tick_ns: int, shift_ns: int) -> int:
     try:
-        offset_ns = scaled(offset or 0, tick_ns) - (shift_ns or 0)
+        offset_ns = scaled(offset, tick_ns) - shift_ns
     except TimeRangeError as error:
-        raise DataError(container.file, "time_offset", str(error)) from None
+        _root_fault(source, ("time_offset",), str(error))
+        return 0
     if abs(offset_ns) > INT64_MAX:
-        raise DataError(container.file, "time_offset", f"{offset}; expected a time of at most 292 years")
-    return FileClock(tick_ns, offset_ns)
+        _root_fault(source, ("time_offset",), f"{offset}; expected a time of at most 292 years")
+        return 0
+    return offset_ns
 
 
 def _read_ours(source: Source, raw: Any) -> dict[str, Any]:
     """Read our metadata; a fault in it is a fault of the file."""
     faults = Faults()
     ours = RecordReader(source.clock).read(raw, OURS, faults)
-    source.raise_faults(faults, ("metadata", OURS))
+    source.collect(faults, ("metadata", OURS))
+    ours = _without(ours, faults)
     for note in ours.get("sensor_notes") or []:
         source.notes[type(note["id"]), note["id"]] = note
     for record in ours.get("notices") or []:
-        source.notices.append(_notice(source, record))
+        try:
+            source.notices.append(msgspec.convert(record, Notice))
+        except msgspec.ValidationError as error:
+            _root_fault(source, ("metadata", OURS, "notices"), str(error))
     return ours
 
 
-def _notice(source: Source, record: Mapping[str, Any]) -> Notice:
-    try:
-        return msgspec.convert(record, Notice)
-    except msgspec.ValidationError as error:
-        raise DataError(source.file, f"metadata.{OURS}.notices", str(error)) from None
+def _without(ours: dict[str, Any], faults: Faults) -> dict[str, Any]:
+    """Our metadata without the entries of lists that are at fault."""
+    wrong = {fault.place[:2] for fault in faults}
+    return {
+        name: [item for k, item in enumerate(value) if (name, k) not in wrong]
+        if isinstance(value, list)
+        else value
+        for name, value in ours.items()
+    }
 
 
 def _sensors(source: Source, raw: Any, place: Place) -> list[Sensor]:
     if raw is None:
         return []
-    faults = Faults()
     if not isinstance(raw, list):
-        faults.add((), "expected a list of sensors")
-    source.raise_faults(faults, place)
+        _root_fault(source, place, "expected a list of sensors")
+        return []
     sensors = []
     for index, item in enumerate(raw):
         faults = Faults()
@@ -234,12 +320,13 @@ def _sensor(source: Source, raw: Any, place: Place, faults: Faults) -> Sensor | 
     return _SENSOR_READERS.get(known, read_plain_sensor)(source, values, place, faults)
 
 
-def _attributes(source: Source) -> tuple[Mapping[str, Any], ...]:
+def _attributes(source: Source, raw: Any) -> tuple[AttributePath, ...]:
+    """Make the attributes of the scene and its sensors."""
     faults = Faults()
-    part = {"version": "", "attributes": source.container.header.get("attributes")}
-    attributes = source.reader().read(part, "scene", faults).get("attributes") or []
-    source.raise_faults(faults, ())
-    return tuple(attributes)
+    records = source.reader().read({"version": "", "attributes": raw}, "scene", faults).get("attributes")
+    attributes = () if faults else read_attributes(records, faults)
+    source.collect(faults, ())
+    return attributes
 
 
 def _euler(source: Source, ours: Mapping[str, Any], annotations: tuple[Annotation, ...]) -> dict[str, str]:

@@ -5,7 +5,13 @@ from typing import Any
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
-from sceneloom.formats.sfs.lenses import difference_px, intrinsics_record, same_lens, written_lens
+from sceneloom.formats.sfs.lenses import (
+    difference_px,
+    intrinsics_record,
+    merged_intrinsics,
+    same_lens,
+    written_lens,
+)
 from sceneloom.formats.sfs.picture_notes import camera_record
 from sceneloom.formats.sfs.write_records import gnss_fields, imu_fields, points_fields
 from sceneloom.scene import (
@@ -80,19 +86,10 @@ def _camera(sensor: CameraSensor, losses: Losses, *, any_distortion: bool) -> Se
         losses.add(
             f"{draft.place}.intrinsics.distortion", what, kept="metadata.sceneloom.sensor_notes[].camera"
         )
-    draft.fields["intrinsics"] = _merged_intrinsics(
+    draft.fields["intrinsics"] = merged_intrinsics(
         intrinsics_record(written), sensor.extras.get("intrinsics")
     )
     return draft
-
-
-def _merged_intrinsics(record: dict[str, Any], further: Any) -> dict[str, Any]:
-    if not isinstance(further, Mapping):
-        return record
-    of_distortion = further.get("distortion")
-    if isinstance(of_distortion, Mapping):
-        record["distortion"] = with_further(record.get("distortion") or {}, of_distortion)
-    return with_further(record, further)
 
 
 def _odometry(sensor: OdometrySensor, _: Losses) -> SensorDraft:

@@ -1,15 +1,12 @@
-"""The model's sensors, annotations and trajectories as records: the words of the file, times in nanoseconds."""
+"""The model's sensors, trajectories and notices as records: the words of the file, times in nanoseconds."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.drafts import with_further
 from sceneloom.scene import (
-    Annotation,
-    CuboidAnnotation,
     GnssSensor,
     ImuSensor,
     Notice,
@@ -20,35 +17,6 @@ from sceneloom.scene import (
 
 _GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
 _TRAJECTORY_ARRAYS = ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds")
-
-
-def annotation_record(annotation: Annotation) -> dict[str, Any]:
-    """Make the record of an annotation.
-
-    Raises:
-        OptionError: a cuboid has a number that is not finite.
-    """
-    if not isinstance(annotation, CuboidAnnotation):
-        return {"id": annotation.id, "type": annotation.type, **annotation.fields}
-    values = annotation.path.values
-    if not np.isfinite(values).all():
-        row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
-        raise OptionError(
-            f"annotations[{annotation.id}].path.values[{row}]: {values[row].tolist()}; expected finite numbers"
-        )
-    path = {"timestamps": annotation.path.timestamps_ns, "values": values}
-    further = annotation.extras.get("path")
-    return with_further(
-        {
-            "id": annotation.id,
-            "type": annotation.type,
-            "parent_id": annotation.parent_id,
-            "label": annotation.label,
-            "stationary": annotation.stationary,
-            "path": with_further(path, further if isinstance(further, Mapping) else {}),
-        },
-        annotation.extras,
-    )
 
 
 def points_fields(sensor: PointsSensor) -> dict[str, Any]:

@@ -20,9 +20,10 @@ from sceneloom.formats.sfs.reading import OURS
 from sceneloom.formats.sfs.sensor_drafts import draft_of
 from sceneloom.formats.sfs.spool import Spool
 from sceneloom.formats.sfs.times import TICKS_NS, chosen_offset_ns
+from sceneloom.formats.sfs.write_annotations import annotation_record, attribute_record
 from sceneloom.formats.sfs.write_clouds import CloudWriter
 from sceneloom.formats.sfs.write_pictures import CameraDraft, PictureWriter, note_losses
-from sceneloom.formats.sfs.write_records import annotation_record, notice_record, trajectory_record
+from sceneloom.formats.sfs.write_records import notice_record, trajectory_record
 from sceneloom.scene import (
     Annotation,
     CameraSensor,
@@ -278,7 +279,7 @@ class SceneWriter:
         """
         self.set_metadata(scene.metadata)
         self._contents.extras.update({name: v for name, v in scene.extras.items() if name not in _ROOT})
-        self._contents.attributes.extend(scene.attributes)
+        self._contents.attributes.extend(map(attribute_record, scene.attributes))
         if scene.notices:
             self._contents.ours["notices"] = [notice_record(notice) for notice in scene.notices]
         for annotation in scene.annotations:

@@ -17,6 +17,7 @@ from sceneloom.errors import ArrayError, CalibrationError, OptionError, OutputEr
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    AttributePath,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -477,7 +478,7 @@ def test_what_a_recording_cannot_hold_is_named_field_by_field(tmp_path):
         radar,
         PlainSensor("odd", "sonar", {}),
         annotations=(box,),
-        attributes=({"name": "weather"},),
+        attributes=(AttributePath("weather", ()),),
         metadata={"city": "Turku", "recording": {}},
         extras={"future": 1},
     )

@@ -269,46 +269,23 @@ def test_cuboids_are_typed_and_keep_every_other_field(open_header, make):
     assert annotation.path.timestamps_ns.tolist() == [1000, 11_000]
     assert annotation.path.values[0].tolist() == row
     assert (annotation.label, annotation.stationary, annotation.parent_id) == ("car", False, None)
-    assert annotation.extras["attributes"][0]["timestamps"] == [5000]
-    assert annotation.extras["activations"][0]["timestamps"] == [2000]
-    assert annotation.extras["activations"][0]["durations"] == [2500]
-    assert annotation.extras["projections"][0]["boxes"] == [None]
-    assert annotation.extras["path"] == {"smooth": True}
-    assert annotation.extras["colour"] == "red"
+    assert annotation.attributes[0].timestamps_ns.tolist() == [5000]
+    assert annotation.attributes[0].values == (1.5,)
+    assert annotation.activations[0].timestamps_ns.tolist() == [2000]
+    assert annotation.activations[0].durations_ns == (2500,)
+    assert np.isnan(annotation.projections[0].boxes).all()
+    assert annotation.path.extras == {"smooth": True}
+    assert annotation.extras == {"colour": "red"}
 
 
-def test_other_annotations_stay_as_they_are_with_times_in_nanoseconds(open_header, make):
+def test_annotations_of_unknown_types_stay_as_they_are_with_times_in_nanoseconds(open_header, make):
     path = {"timestamps": [3], "values": [[0.5, 1.5]]}
-    annotations = [
-        {"id": 1, "type": "point_2d", "sensor_id": "c", "path": path},
-        {"id": 2, "type": "event", "start": 5, "duration": 1.5},
-        {
-            "id": 3,
-            "type": "points",
-            "paths": [{"id": 0, **path}],
-            "projections": [[{"sensor_id": 1, "timestamps": [2]}]],
-        },
-        {"id": 4, "type": "camera_calibration", "sensor_id": "c", "time_offset": 4},
-        {"id": 5, "type": "future", "path": path, "start": "soon", "depth": {"timestamps": [9]}},
-        {
-            "id": 6,
-            "type": "labeled_points",
-            "label": "x",
-            "labeled_points": [{"sensor_id": 1, "point_ids": [4, 5]}],
-        },
-    ]
-    scene = open_header(make.scene(annotations=annotations, time_offset=1))
-    by_id = {annotation.id: annotation for annotation in scene.annotations}
-    assert all(isinstance(annotation, PlainAnnotation) for annotation in scene.annotations)
-    assert by_id[1].fields["path"] == {"timestamps": [4000], "values": [[0.5, 1.5]]}
-    assert by_id[2].fields == {"start": 6000, "duration": 1500}
-    assert by_id[3].fields["paths"][0]["timestamps"] == [4000]
-    assert by_id[3].fields["projections"][0][0]["timestamps"] == [3000]
-    assert by_id[4].fields["time_offset"] == 4000
-    assert by_id[5].fields["path"]["timestamps"] == [4000]
-    assert by_id[5].fields["start"] == "soon"
-    assert by_id[5].fields["depth"] == {"timestamps": [9]}
-    assert by_id[6].fields["labeled_points"][0]["point_ids"].dtype == np.uint32
+    unknown = {"id": 5, "type": "future", "path": path, "start": "soon", "depth": {"timestamps": [9]}}
+    (annotation,) = open_header(make.scene(annotations=[unknown], time_offset=1)).annotations
+    assert isinstance(annotation, PlainAnnotation)
+    assert annotation.fields["path"] == {"timestamps": [4000], "values": [[0.5, 1.5]]}
+    assert annotation.fields["start"] == "soon"
+    assert annotation.fields["depth"] == {"timestamps": [9]}
 
 
 def test_an_event_without_a_start_is_an_object(open_header, make):
@@ -492,15 +469,19 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
         (annotated(type="cuboid"), "annotations[0].path", "missing; expected an object"),
         (
             annotated(type="cuboid", path={**PATH, "values": [[1.0]]}),
-            "annotations[0].path.values",
-            "rows of 9",
+            "annotations[0].path.values[0]",
+            "1 numbers; expected 9 numbers",
         ),
         (
             annotated(type="cuboid", path={**PATH, "timestamps": [1, "2"]}),
             "annotations[0].path.timestamps",
             "[1]: '2'",
         ),
-        (annotated(type="cuboid", path={**PATH, "timestamps": []}), "annotations[0].path", "expected (0, 9)"),
+        (
+            annotated(type="cuboid", path={**PATH, "timestamps": []}),
+            "annotations[0].path",
+            "expected as many of both",
+        ),
         (annotated(type="cuboid", path=PATH, label=5), "annotations[0].label", "5; expected text"),
         (annotated(type="link", from_id=1), "annotations[0].to_id", "missing; expected an id"),
         (
@@ -516,9 +497,15 @@ def test_a_fault_is_refused_with_its_place(open_header, make, header, place, pro
     assert problem in error.problem
 
 
-def test_further_faults_of_a_part_are_counted(open_header, make):
-    error = refused(open_header, make.scene(make.lidar(id=None, frames=None)))
-    assert error.problem.endswith("; and 1 more fault")
+def test_an_error_tells_the_places_of_further_faults(open_header, make):
+    error = refused(open_header, make.scene(make.lidar(id=None, frames=None), version="9"))
+    assert error.place == "version"
+    assert error.problem.endswith("; also at fault: sensors[0].id, sensors[0].frames")
+
+
+def test_an_error_counts_the_faults_beyond_the_first_ones(open_header, make):
+    error = refused(open_header, make.scene(*(make.lidar(id=None) for _ in range(7))))
+    assert error.problem.endswith("sensors[4].id and 2 more; `sceneloom validate FILE` lists all")
 
 
 def test_lenient_reading_leaves_faulty_parts_out_with_a_notice(open_header, make):

@@ -12,7 +12,8 @@ POSES = {
     "values": [[1.5, 2, 3, 0, 0, 0, 1], [1.5, 2, 3, 0, 0, 0.6, 0.8]],
     "smoothed": True,
 }
-PATH = {"timestamps": [5, 6], "values": [[0.25, 1.5], [3, 4]], "closed": "no"}
+PATH = {"timestamps": [5, 6], "values": [[0.25, 1.5, 3], [3, 4, -5.5]], "closed": "no"}
+FLAT_PATH = {"timestamps": [5, 6], "values": [[0.25, 1.5, 3, 4], [3, 4, 5, 6]], "closed": "no"}
 ATTRIBUTES = [
     {"name": "speed", "sensor_id": "top", "static": False, "timestamps": [5, 7], "values": [1.5, -2]},
     {"name": "colour", "static": True, "timestamps": [5, 6], "values": ["red", ["a", "b"]], "by": "hand"},
@@ -107,7 +108,14 @@ def header():
             "meta": {"deep": [{"array": TWO}]},
         },
         *(
-            {"id": f"shape {name}", "type": name, "sensor_id": "front", "path": PATH, **flat, "unknown": name}
+            {
+                "id": f"shape {name}",
+                "type": name,
+                "sensor_id": "front",
+                "path": FLAT_PATH if name in FLAT_SHAPES else PATH,
+                **flat,
+                "unknown": name,
+            }
             for name in SHAPES
         ),
         {
@@ -132,7 +140,20 @@ def header():
             ],
         },
         {"id": 4, "type": "localization_adjustment", "poses": POSES},
-        {"id": 5, "type": "camera_calibration", "sensor_id": "front", "time_offset": -3, "poses": POSES},
+        {
+            "id": 5,
+            "type": "camera_calibration",
+            "sensor_id": "front",
+            "time_offset": -3,
+            "poses": POSES,
+            "intrinsics": {
+                **dict.fromkeys(("fx", "fy", "cx", "cy"), 1.5),
+                "width": 8,
+                "height": 6,
+                "distortion": {"model": "fisheye", "params": [0.1, 0.2, 0.3, 0.4], "fit": 0.1},
+                "skew": 0.0,
+            },
+        },
         {"id": "o", "type": "object", "label": "thing"},
         {"id": 6, "type": "link", "label": "l", "from_id": "c", "to_id": 1, "is_bidirectional": True},
         {"id": 7, "type": "group", "label": "g"},
@@ -206,7 +227,7 @@ def test_times_are_equal_in_another_unit(open_header, tmp_path, header):
     np.testing.assert_array_equal(
         after.sensors[0].frames[0].points.timestamps_ns, before.sensors[0].frames[0].points.timestamps_ns
     )
-    assert after.annotations[0].extras["activations"][0]["durations"] == [2500]
+    assert after.annotations[0].activations[0].durations_ns == (2500,)
 
 
 @pytest.mark.parametrize("with_sensor", [True, False])

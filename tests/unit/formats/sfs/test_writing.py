@@ -9,12 +9,14 @@ from sceneloom.scene import (
     Coordinates,
     CuboidAnnotation,
     CuboidPath,
+    EventAnnotation,
+    LabeledPoints,
+    LabeledPointsAnnotation,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
     OdometrySensor,
-    PlainAnnotation,
     PointsFrame,
     PosePath,
     RadarFrame,
@@ -184,13 +186,12 @@ def test_an_annotation_before_everything_else_moves_the_offset_too(target):
         writer.add_sensor(lidar(poses=path_at(late)))
         writer.add_frame("top", sweep(late, [late, late]))
         ids = np.array([0, 1], np.uint32)
-        labels = {"label": "x", "labeled_points": [{"sensor_id": "top", "point_ids": ids}]}
-        writer.add_annotation(PlainAnnotation(1, "labeled_points", labels))
-        writer.add_annotation(PlainAnnotation(2, "event", {"start": early}))
+        writer.add_annotation(LabeledPointsAnnotation(1, (LabeledPoints("top", ids),), label="x"))
+        writer.add_annotation(EventAnnotation(2, early))
     scene = FORMAT.open(target)
     assert scene.time_offset_ns == early
-    assert scene.annotations[1].fields["start"] == early
-    assert scene.annotations[0].fields["labeled_points"][0]["point_ids"].tolist() == [0, 1]
+    assert scene.annotations[1].start_ns == early
+    assert scene.annotations[0].labeled_points[0].point_ids.tolist() == [0, 1]
     assert scene.sensors[0].frames[0].points.timestamps_ns.tolist() == [late, late]
 
 
@@ -201,11 +202,11 @@ def test_arrays_of_the_header_stay_with_their_fields_when_the_offset_moves(targe
     with SceneWriter(target, profile="scale", metadata={"grid": grid, "again": grid}) as writer:
         writer.add_sensor(lidar(poses=path_at(late), extras={"chart": chart}))
         writer.add_frame("top", sweep(late, [late, late]))
-        writer.add_annotation(PlainAnnotation(2, "event", {"start": early, "drawn": TWO}))
+        writer.add_annotation(EventAnnotation(2, early, extras={"drawn": TWO}))
     scene = FORMAT.open(target)
     assert scene.time_offset_ns == early
     np.testing.assert_array_equal(scene.sensors[0].extras["chart"], chart)
-    np.testing.assert_array_equal(scene.annotations[0].fields["drawn"], TWO)
+    np.testing.assert_array_equal(scene.annotations[0].extras["drawn"], TWO)
     np.testing.assert_array_equal(scene.metadata["grid"], grid)
     np.testing.assert_array_equal(scene.metadata["again"], grid)
     assert "within 100 s" in next(iter(writer.losses)).what

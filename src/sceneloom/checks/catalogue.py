@@ -11,6 +11,8 @@ from sceneloom.errors import OptionError
 RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.reading",
     "sceneloom.checks.times",
+    "sceneloom.checks.points",
+    "sceneloom.checks.pictures",
     "sceneloom.checks.references",
     "sceneloom.checks.annotation_times",
     "sceneloom.checks.attributes",

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, check_array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations import CuboidAnnotation
@@ -94,23 +94,41 @@ class BoxTable:
 
         Source: READING of "paths" in docs/CONVENTIONS.md.
         """
-        if not self.annotations:
-            return np.zeros(0, np.int64), Boxes((), (), *(np.zeros((0, n)) for n in (3, 3, 4)))
+        there = np.flatnonzero(self._there(time_ns))
+        return there, self.placed(there, time_ns)
+
+    def placed(self, rows: Int64Array, time_ns: int) -> Boxes:
+        """Give some boxes at a time [ns], by rows of `annotations`; each holds beyond its first and last stamp.
+
+        Raises:
+            OptionError: unit or order of the angles is none of those known.
+        """
+        if len(rows) == 0:
+            return Boxes((), (), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)))
         stamps, values, starts, stops = self._paths
-        stationary = np.array([bool(annotation.stationary) for annotation in self.annotations])
-        there = np.flatnonzero(((stamps[starts] <= time_ns) & (time_ns <= stamps[stops - 1])) | stationary)
-        passed = np.add.reduceat((stamps <= time_ns).astype(np.int64), starts)[there]
-        last = stops[there] - 1
-        before = np.clip(starts[there] + passed - 1, starts[there], last)
+        passed = np.add.reduceat((stamps <= time_ns).astype(np.int64), starts)[rows]
+        last = stops[rows] - 1
+        before = np.clip(starts[rows] + passed - 1, starts[rows], last)
         after = np.minimum(before + 1, last)
         span = np.maximum(stamps[after] - stamps[before], 1)
         share = np.clip((time_ns - stamps[before]) / span, 0.0, 1.0)
-        rows = values[before, :6] + share[:, None] * (values[after, :6] - values[before, :6])
-        chosen = [self.annotations[k] for k in there.tolist()]
-        return there, Boxes(
+        blended = values[before, :6] + share[:, None] * (values[after, :6] - values[before, :6])
+        chosen = [self.annotations[k] for k in rows.tolist()]
+        return Boxes(
             tuple(annotation.id for annotation in chosen),
             tuple(annotation.label for annotation in chosen),
-            np.ascontiguousarray(rows[:, 3:]),
-            np.ascontiguousarray(rows[:, :3]),
+            np.ascontiguousarray(blended[:, 3:]),
+            np.ascontiguousarray(blended[:, :3]),
             turned(self.angles, values[before, 6:], values[after, 6:], share),
         )
+
+    def _there(self, time_ns: int) -> BoolArray:
+        if not self.annotations:
+            return np.zeros(0, np.bool_)
+        stamps, _, starts, stops = self._paths
+        covered: BoolArray = (stamps[starts] <= time_ns) & (time_ns <= stamps[stops - 1])
+        return covered | self._stationary
+
+    @cached_property
+    def _stationary(self) -> BoolArray:
+        return np.array([bool(annotation.stationary) for annotation in self.annotations], np.bool_)

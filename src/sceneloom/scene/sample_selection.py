@@ -64,8 +64,8 @@ def select(
         raise OptionError(f"tolerance {tolerance_ns} ns; expected 0 or more")
     if lidars is None:
         lidars = () if isinstance(counted, LidarSensor) else [lidar.id for lidar in scene.lidars[:1]]
-    chosen_lidars = _chosen(scene, "lidar", scene.lidars, lidars)
-    chosen_cameras = _chosen(scene, "camera", scene.cameras, cameras)
+    chosen_lidars = chosen_sensors(scene, "lidar", scene.lidars, lidars)
+    chosen_cameras = chosen_sensors(scene, "camera", scene.cameras, cameras)
     if isinstance(counted, LidarSensor):
         chosen_lidars = (counted, *(lidar for lidar in chosen_lidars if lidar is not counted))
     elif not any(camera is counted for camera in chosen_cameras):
@@ -76,7 +76,7 @@ def select(
         counted,
         chosen_lidars,
         chosen_cameras,
-        _chosen(scene, "radar", radars_there, radars),
+        chosen_sensors(scene, "radar", radars_there, radars),
         trajectory,
         _period_ns(counted, chosen_lidars) if tolerance_ns is None else tolerance_ns,
     )
@@ -97,7 +97,12 @@ def _reference(scene: Scene, wanted: Identifier) -> LidarSensor | CameraSensor:
     )
 
 
-def _chosen(scene: Scene, kind: str, there: tuple[Kind, ...], wanted: Choice) -> tuple[Kind, ...]:
+def chosen_sensors(scene: Scene, kind: str, there: tuple[Kind, ...], wanted: Choice) -> tuple[Kind, ...]:
+    """Find the sensors of one kind that are wanted, in that order.
+
+    Raises:
+        OptionError: the scene has no such sensor.
+    """
     if isinstance(wanted, str) and wanted == ALL:
         return there
     ids = [wanted] if isinstance(wanted, str | int) else list(wanted)

@@ -1,0 +1,264 @@
+"""How many points of each lidar frame lie in each cuboid, and which."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, UInt32Array
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions, rotate_vectors
+from sceneloom.kernels.path_transform import transform_by_path
+from sceneloom.kernels.points_in_boxes import find_points_in_boxes
+from sceneloom.scene import Identifier, LidarFrame, LidarSensor, Scene
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.point_times import timed_frame
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.sample_boxes import Boxes, BoxTable
+from sceneloom.scene.sample_places import WORLD, choose_ego, place_of_points
+from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
+from sceneloom.scene.span import sweep_period_ns
+
+Progress = Callable[[int, int], None]
+
+_KNOT_NS = 10_000_000
+"""Boxes that are met point by point are placed so often during a sweep [ns]; between, they go straight."""
+_MOST_KNOTS = 101
+_NOTHING = np.zeros(0, np.int64)
+_NO_POINTS = np.zeros(0, np.uint32)
+_MEASURED = "measured_timestamps_ns"
+"""The further array of a deskewed sweep's points that says when each was measured [ns]."""
+
+
+class Moment(StrEnum):
+    """When boxes and sensor are taken to be where they are."""
+
+    FRAME = "frame"
+    """At the frame's stamp: right for sweeps that were deskewed to it."""
+    POINTS = "points"
+    """At each point's own time: right for sweeps as measured, and for deskewed ones in the world."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameCounts:
+    """The points of one lidar in the cuboids.
+
+    Attributes:
+        lidar_id: the lidar.
+        timestamps_ns: (F,) int64 [ns], of its frames.
+        counts: (F, A) int64, points in each cuboid; 0 where it is not there.
+        there: (F, A) bool, whether the cuboid is there and it is known where the frame's points are.
+        point_ids: of each frame the rows (N,) uint32 of the points in a cuboid, by its number among the A, where there
+            are any; None where they were not asked for.
+    """
+
+    lidar_id: Identifier
+    timestamps_ns: Int64Array
+    counts: Int64Array
+    there: BoolArray
+    point_ids: Sequence[Mapping[int, UInt32Array]] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCounts:
+    """The points in the cuboids of a scene.
+
+    Attributes:
+        annotation_ids: A ids of the cuboids that have a path, in the order of the scene.
+        lidars: one entry per lidar.
+        unplaced: frames that were not counted, because it is not known where their sensor was.
+    """
+
+    annotation_ids: tuple[Identifier, ...]
+    lidars: tuple[FrameCounts, ...]
+    unplaced: int = 0
+
+
+def count_points(
+    scene: Scene,
+    *,
+    lidars: Choice = ALL,
+    moment: Moment | str = Moment.FRAME,
+    trajectory: str | EgoMotion | None = None,
+    listed: bool = False,
+    margin: float = 0.0,
+    progress: Progress | None = None,
+) -> PointCounts:
+    """Count the points of each lidar frame in each cuboid; a point on a face counts, and in every cuboid it is in.
+
+    Frames are read one after the other and not kept.
+
+    Args:
+        scene: with cuboids in its world.
+        lidars: whose frames: "all", an id, or several.
+        moment: when the boxes and the sensor are taken to be where they are.
+        trajectory: name of the ego's way, as for `Scene.samples`.
+        listed: also list the points.
+        margin: how far outside its faces a cuboid still has points [m].
+        progress: told after each frame how many are done, and of how many.
+
+    Raises:
+        OptionError: there is no such lidar, trajectory or moment.
+        PoseError: it is not known where a lidar's points are in the world.
+        DataError: a frame cannot be read.
+    """
+    if moment not in tuple(Moment):
+        raise OptionError(f"moment {str(moment)!r}; expected one of {', '.join(Moment)}")
+    chosen = chosen_sensors(scene, "lidar", scene.lidars, lidars)
+    table, ego = BoxTable(scene), choose_ego(scene, trajectory)
+    found: list[FrameCounts] = []
+    total, done, unplaced = sum(len(lidar.frames) for lidar in chosen), 0, 0
+    for lidar in chosen:
+        counter = _Counter(table, lidar, _points_place(scene, lidar, ego), Moment(moment), margin, listed)
+        rows: list[_Row | None] = []
+        for frame in lidar.frames:
+            rows.append(counter.count(frame))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        unplaced += sum(row is None for row in rows)
+        found.append(_gathered(lidar, len(table.annotations), rows, listed=listed))
+    return PointCounts(tuple(annotation.id for annotation in table.annotations), tuple(found), unplaced)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Row:
+    """What was counted in one frame: of the cuboids `there` (B,) how many points (B,), and which."""
+
+    there: Int64Array
+    counts: Int64Array
+    point_ids: tuple[UInt32Array, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Moving:
+    """Boxes at K knots, as the kernel takes them, and where among the knots each point was measured."""
+
+    centers: Float64Array
+    rotations: Float64Array
+    halves: Float64Array
+    places: Float64Array
+
+    @classmethod
+    def of(cls, boxes: Sequence[Boxes], places: Float64Array, margin: float) -> "_Moving":
+        sizes = np.stack([each.sizes_lwh for each in boxes])
+        return cls(
+            np.stack([each.centers_world for each in boxes]),
+            np.stack([each.rotations_world for each in boxes]),
+            np.where(sizes >= 0.0, sizes / 2.0 + margin, -1.0),
+            places,
+        )
+
+    @property
+    def usable(self) -> Int64Array:
+        """Rows of the boxes all of whose numbers are finite."""
+        finite = np.isfinite(self.centers).all(axis=(0, 2)) & np.isfinite(self.halves).all(axis=(0, 2))
+        return np.flatnonzero(finite & np.isfinite(self.rotations).all(axis=(0, 2, 3)))
+
+    def count(self, points: FloatArray, *, listed: bool) -> tuple[Int64Array, tuple[UInt32Array, ...]]:
+        """Count the points in each box, and list them."""
+        rows = self.usable
+        counts = np.zeros(self.centers.shape[1], np.int64)
+        if len(rows) == 0:
+            return counts, (_NO_POINTS,) * len(counts) if listed else ()
+        cloud, places = np.ascontiguousarray(points), self.places
+        centers, turns = self.centers[:, rows].copy(), self.rotations[:, rows].copy()
+        halves, found = self.halves[:, rows].copy(), np.zeros(len(rows), np.int64)
+        find_points_in_boxes(cloud, places, centers, turns, halves, found, _NOTHING)
+        counts[rows] = found
+        if not listed:
+            return counts, ()
+        stops, ids = np.cumsum(found) - found, np.empty(int(found.sum()), np.int64)
+        if len(ids):
+            find_points_in_boxes(cloud, places, centers, turns, halves, stops, ids)
+        lists = [_NO_POINTS] * len(counts)
+        for row, part in zip(
+            rows.tolist(), np.split(ids.astype(np.uint32), np.cumsum(found)[:-1]), strict=True
+        ):
+            lists[row] = part
+        return counts, tuple(lists)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Counter:
+    """Counts the points of one lidar's frames; `place` takes its points as stored into the world."""
+
+    table: BoxTable
+    lidar: LidarSensor
+    place: PoseSource
+    moment: Moment
+    margin: float
+    listed: bool
+
+    def count(self, frame: LidarFrame) -> _Row | None:
+        """Count in one frame; None where it is not known where its points are."""
+        if self.moment is Moment.POINTS:
+            timed = timed_frame(frame, sweep_period_ns(self.lidar)).frame
+            if timed.points.timestamps_ns is not None and len(timed.points):
+                return self._at_points(timed)
+        return self._at_frame(frame)
+
+    def _at_frame(self, frame: LidarFrame) -> _Row | None:
+        """Take the boxes into the frame of the points: there are fewer of them."""
+        there, boxes = self.table.find(frame.timestamp_ns)
+        pose = self.place.at(np.array([frame.timestamp_ns], np.int64))
+        position, turn = pose.positions[0], pose.quaternions_xyzw[0]
+        if not np.isfinite(position).all():
+            return None
+        back = conjugate_quaternion(turn)
+        moved = replace(
+            boxes,
+            centers_world=rotate_vectors(back, boxes.centers_world - position),
+            quaternions_xyzw=multiply_quaternions(back, boxes.quaternions_xyzw),
+        )
+        return self._row(there, _Moving.of([moved], np.zeros(0), self.margin), frame.points.positions)
+
+    def _at_points(self, frame: LidarFrame) -> _Row | None:
+        """Take each point into the world at its own time, and the boxes to the times of the points."""
+        points = frame.points
+        times = np.asarray(points.timestamps_ns, np.int64)
+        path, reach_ns = self.place.path, self.place.reach_ns
+        if not path.endless and (
+            times.min() < path.start_ns - reach_ns or times.max() > path.stop_ns + reach_ns
+        ):
+            return None
+        positions: FloatArray = points.positions
+        if self.place is not WORLD:
+            positions = np.empty(positions.shape)
+            transform_by_path(
+                np.ascontiguousarray(points.positions), times, np.ascontiguousarray(self.place.mount.matrix[:3]),
+                path.timestamps_ns, path.positions, path.quaternions_xyzw, positions,
+            )  # fmt: skip
+        measured = points.extras.get(_MEASURED, times)
+        first, last = int(measured.min()), int(measured.max())
+        count = min(max(-(-(last - first) // _KNOT_NS) + 1, 2), _MOST_KNOTS)
+        knots = np.rint(np.linspace(first, last, count)).astype(np.int64)
+        there, _ = self.table.find(int(np.median(measured)))
+        boxes = [self.table.placed(there, int(knot)) for knot in knots]
+        places = (measured - first) * ((count - 1) / max(last - first, 1))
+        return self._row(there, _Moving.of(boxes, places, self.margin), positions)
+
+    def _row(self, there: Int64Array, boxes: _Moving, points: FloatArray) -> _Row:
+        return _Row(there, *boxes.count(points, listed=self.listed))
+
+
+def _points_place(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None) -> PoseSource:
+    place = place_of_points(scene, lidar, ego)
+    if place.source is None:
+        raise PoseError(
+            f"{scene.source}: it is not known where the points of lidar {lidar.id!r} are in the world; it needs poses "
+            "of its own, or a mounting on the ego and a trajectory with orientations"
+        )
+    return place.source
+
+
+def _gathered(lidar: LidarSensor, count: int, rows: Sequence[_Row | None], *, listed: bool) -> FrameCounts:
+    counts, there = np.zeros((len(rows), count), np.int64), np.zeros((len(rows), count), np.bool_)
+    lists: list[Mapping[int, UInt32Array]] = []
+    for k, row in enumerate(rows):
+        lists.append({})
+        if row is not None:
+            counts[k, row.there], there[k, row.there] = row.counts, True
+            lists[k] = {b: ids for b, ids in zip(row.there.tolist(), row.point_ids, strict=False) if len(ids)}
+    return FrameCounts(lidar.id, lidar.frames.timestamps_ns, counts, there, lists if listed else None)

@@ -1,0 +1,206 @@
+"""Counting points in cuboids, against the simulated street and against every pair by the formula."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry.boxes import points_in_box
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    AttributePath,
+    CuboidAnnotation,
+    CuboidPath,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    PointsFrame,
+    PosePath,
+    Scene,
+    Trajectory,
+)
+from sceneloom.simulate import LidarSpec, TrafficSpec, simulate_street
+from sceneloom.visibility.counted import with_counts, with_labeled_points
+from sceneloom.visibility.points import count_points
+
+ON_FACES = 0.02
+"""Share of the points of an object that lie on its faces within what a straight path between samples is off."""
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """A street with traffic, as seen by a lidar that turns while everything moves."""
+    return simulate_street(
+        3, frames=2, lidar=LidarSpec(beams=32, steps=400), cameras=(), traffic=TrafficSpec()
+    )
+
+
+def exact_counts(drive, k, instances):
+    """The points of sweep k as measured, in the exact boxes at each point's own time."""
+    frame = drive.scene.lidars[0].frames[k]
+    times = frame.points.timestamps_ns
+    moments, which = np.unique(times, return_inverse=True)
+    boxes = drive.truth.boxes(moments)
+    poses = drive.truth.world_from_ego(moments).interpolate(moments)
+    mount = drive.scene.lidars[0].mount
+    counts = dict.fromkeys(instances, 0)
+    for moment in range(len(moments)):
+        pose = RigidTransform.from_quaternion(poses.positions[moment], poses.quaternions_xyzw[moment])
+        world = (pose @ mount).apply(frame.points.positions[which == moment])
+        for column, instance in enumerate(boxes.instances.tolist()):
+            center = boxes.centers_world[moment, column]
+            near = np.linalg.norm(world - center, axis=1) < np.linalg.norm(boxes.sizes_lwh[column])
+            if instance in counts and boxes.present[moment, column] and near.any():
+                half = boxes.yaws[moment, column] / 2
+                turn = np.array([0, 0, np.sin(half), np.cos(half)])
+                counts[instance] += int(
+                    points_in_box(world[near], center, boxes.sizes_lwh[column], turn).sum()
+                )
+    return counts
+
+
+def test_points_in_moving_boxes_of_a_moving_lidar_are_counted_at_their_own_times(drive):
+    found = count_points(drive.scene, moment="points")
+    instances = [int(str(identifier).rsplit("-", 1)[1]) for identifier in found.annotation_ids]
+    for k in range(2):
+        expected = exact_counts(drive, k, instances)
+        exact = np.array([expected[instance] for instance in instances])
+        assert exact.sum() > 1_000
+        away = np.abs(found.lidars[0].counts[k] - exact)
+        assert away.sum() <= ON_FACES * exact.sum()
+
+
+def test_points_of_one_moment_miss_those_that_moved_meanwhile(drive):
+    at_points = count_points(drive.scene, moment="points").lidars[0].counts
+    at_frame = count_points(drive.scene).lidars[0].counts
+    assert at_frame.sum() < 0.95 * at_points.sum()
+
+
+def a_scene(positions, *, frame=PointsFrame.SENSOR, coordinates_path=None, cuboids=None, times_ns=(0,)):
+    points = LidarPoints(np.asarray(positions, np.float32))
+    frames = LazyFrames.of([LidarFrame(t, points) for t in times_ns], times_ns)
+    mount = RigidTransform(np.eye(3), np.array([0.0, 0.0, 2.0]))
+    lidar = LidarSensor("lidar", frames, mount=mount, points_frame=frame)
+    ways = {} if coordinates_path is None else {"way": coordinates_path}
+    return Scene((lidar,), cuboids or (), trajectories=ways)
+
+
+def a_box(identifier, values, stamps=(0, 1_000_000_000), **more):
+    rows = np.tile(np.asarray(values, np.float64), (len(stamps), 1))
+    return CuboidAnnotation(identifier, CuboidPath(np.array(stamps, np.int64), rows), **more)
+
+
+def straight_way():
+    """10 m/s along x, turned a quarter to the left all the time."""
+    turn = np.tile([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], (2, 1))
+    return Trajectory("way", np.array([0, 1_000_000_000]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), turn)
+
+
+def test_points_of_a_sensor_are_met_where_the_sensor_was():
+    # 3 m ahead of a sensor that looks along the world's y, at x = 5 m and z = 2 m half a second later
+    box = a_box("a", [1, 1, 1, 5, 3, 2, 0, 0, 0])
+    scene = a_scene([[3.0, 0, 0]], coordinates_path=straight_way(), cuboids=(box,), times_ns=(0, 500_000_000))
+    assert count_points(scene).lidars[0].counts[:, 0].tolist() == [0, 1]
+
+
+def test_points_in_the_world_need_no_poses():
+    box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 45])
+    scene = a_scene([[1.2, 0, 0], [0.9, 0.9, 0]], frame=PointsFrame.WORLD, cuboids=(box,))
+    assert count_points(scene).lidars[0].counts.tolist() == [[1]]
+
+
+def test_a_point_counts_in_every_box_that_it_lies_in_and_those_that_ended_have_none():
+    boxes = (
+        a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0]),
+        a_box("b", [1, 1, 1, 0, 0, 0, 0, 0, 0]),
+        a_box("gone", [9, 9, 9, 0, 0, 0, 0, 0, 0], stamps=(5, 6)),
+        a_box("stands", [9, 9, 9, 0, 0, 0, 0, 0, 0], stamps=(5,), stationary=True),
+        a_box("upside down", [-9, 9, 9, 0, 0, 0, 0, 0, 0]),
+        a_box("nowhere", [9, 9, 9, np.nan, 0, 0, 0, 0, 0]),
+    )
+    found = count_points(a_scene([[0.1, 0.2, 0.3]], frame=PointsFrame.WORLD, cuboids=boxes)).lidars[0]
+    assert found.counts.tolist() == [[1, 1, 0, 1, 0, 0]]
+    assert found.there.tolist() == [[True, True, False, True, True, True]]
+
+
+def test_frames_beyond_the_way_are_counted_as_unplaced():
+    box = a_box("a", [9, 9, 9, 0, 0, 0, 0, 0, 0], stationary=True)
+    times_ns = (0, 100_000_000, 200_000_000, 9_000_000_000)
+    scene = a_scene([[0, 0, 0]], coordinates_path=straight_way(), cuboids=(box,), times_ns=times_ns)
+    for moment in ("frame", "points"):
+        found = count_points(scene, moment=moment)
+        assert found.unplaced == 1
+        assert found.lidars[0].there[:, 0].tolist() == [True, True, True, False]
+
+
+def test_a_lidar_that_is_nowhere_is_refused():
+    scene = a_scene([[0, 0, 0]], cuboids=(a_box("a", [9, 9, 9, 0, 0, 0, 0, 0, 0]),))
+    with pytest.raises(PoseError, match="trajectory"):
+        count_points(scene)
+
+
+def test_a_moment_that_is_not_known_is_refused():
+    with pytest.raises(OptionError, match="'noon'; expected one of frame, points"):
+        count_points(a_scene([[0, 0, 0]], frame=PointsFrame.WORLD), moment="noon")
+
+
+def test_counts_become_an_attribute_of_each_cuboid_and_of_each_lidar():
+    older = AttributePath("points", (99,), np.array([0]), sensor_id="lidar")
+    elsewhere = AttributePath("points", (7,), np.array([0]), sensor_id="other")
+    box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], stamps=(0, 2), attributes=(older, elsewhere))
+    scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 1, 2, 3))
+    counted = with_counts(scene, count_points(scene)).annotations[0]
+    kept, told = counted.attributes
+    assert kept is elsewhere
+    assert (told.name, told.sensor_id, told.values) == ("points", "lidar", (1, 1, 1))
+    assert told.timestamps_ns.tolist() == [0, 1, 2]
+
+
+def test_points_in_cuboids_become_labelled_points():
+    boxes = (a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], label="car"), a_box(7, [1, 1, 1, 50, 0, 0, 0, 0, 0]))
+    scene = a_scene(
+        [[9, 9, 9], [0, 0, 0], [1, 1, 1]], frame=PointsFrame.WORLD, cuboids=boxes, times_ns=(0, 1)
+    )
+    counts = count_points(scene, listed=True)
+    once = with_labeled_points(scene, counts)
+    twice = with_labeled_points(once, counts)
+    assert [each.id for each in twice.annotations] == ["a", 7, "a:points"]
+    made = twice.annotations[2]
+    assert isinstance(made, LabeledPointsAnnotation)
+    assert (made.label, made.parent_id, made.is_instance) == ("car", "a", True)
+    assert [(e.sensor_id, e.sensor_frame, e.point_ids.tolist()) for e in made.labeled_points] == [
+        ("lidar", 0, [1, 2]),
+        ("lidar", 1, [1, 2]),
+    ]
+
+
+def test_labels_need_the_points_listed():
+    scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD)
+    with pytest.raises(OptionError, match="listed=True"):
+        with_labeled_points(scene, count_points(scene))
+
+
+def test_frames_without_points_hold_none():
+    box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0])
+    scene = a_scene(np.zeros((0, 3)), frame=PointsFrame.WORLD, cuboids=(box,))
+    for moment in ("frame", "points"):
+        found = count_points(scene, moment=moment, listed=True).lidars[0]
+        assert found.counts.tolist() == [[0]]
+        assert found.point_ids == [{}]
+
+
+def test_a_scene_without_cuboids_is_counted_to_nothing():
+    found = count_points(a_scene([[0, 0, 0]], frame=PointsFrame.WORLD))
+    assert found.annotation_ids == ()
+    assert found.lidars[0].counts.shape == (1, 0)
+
+
+def test_a_lidar_with_a_path_of_its_own_is_placed_by_it():
+    box = a_box("a", [1, 1, 1, 0, 0, 10, 0, 0, 0])
+    scene = a_scene([[0, 0, 0]], cuboids=(box,))
+    poses = PosePath(np.array([0]), np.array([[0.0, 0, 10]]), np.array([[0.0, 0, 0, 1]]), endless=True)
+    lidar = replace(scene.lidars[0], mount=None, poses=poses)
+    assert count_points(replace(scene, sensors=(lidar,))).lidars[0].counts.tolist() == [[1]]

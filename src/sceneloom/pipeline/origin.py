@@ -8,17 +8,14 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array
+from sceneloom.pipeline.moved_annotations import annotation_can_move, moved_annotation
 from sceneloom.scene import (
-    Annotation,
     CameraSensor,
     Coordinates,
-    CuboidAnnotation,
-    CuboidPath,
     LazyFrames,
     LidarFrame,
     LidarSensor,
     OdometrySensor,
-    PlainAnnotation,
     PlainSensor,
     PointsFrame,
     PointsSensor,
@@ -29,33 +26,14 @@ from sceneloom.scene import (
     Trajectory,
 )
 
-_WITHOUT_PLACE = frozenset(
-    {
-        "box_2d",
-        "polyline_2d",
-        "polygon_2d",
-        "point_2d",
-        "event",
-        "labeled_points",
-        "point_segmentation",
-        "camera_calibration",
-        "object",
-        "attributes",
-        "link",
-        "group",
-    }
-)
-"""Types of annotations that say nothing about places in the world. Source: "Annotations" of the SFS description."""
-
 Posed = TypeVar("Posed", LidarSensor, RadarSensor, CameraSensor)
 Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
 
 
 def can_move(scene: Scene) -> bool:
     """Whether everything that has a place in the world can be seen from another origin."""
-    return not any(isinstance(sensor, PlainSensor) for sensor in scene.sensors) and not any(
-        isinstance(annotation, PlainAnnotation) and annotation.type not in _WITHOUT_PLACE
-        for annotation in scene.annotations
+    return not any(isinstance(sensor, PlainSensor) for sensor in scene.sensors) and all(
+        map(annotation_can_move, scene.annotations)
     )
 
 
@@ -65,7 +43,7 @@ def moved_scene(scene: Scene, origin_world: Float64Array) -> Scene:
         scene,
         sensors=tuple(_moved_sensor(sensor, origin_world) for sensor in scene.sensors),
         trajectories={name: _moved_trajectory(way, origin_world) for name, way in scene.trajectories.items()},
-        annotations=tuple(_moved_annotation(annotation, origin_world) for annotation in scene.annotations),
+        annotations=tuple(moved_annotation(annotation, origin_world) for annotation in scene.annotations),
     )
 
 
@@ -123,14 +101,6 @@ def _moved_odometry(sensor: OdometrySensor, origin_world: Float64Array) -> Odome
 
 def _moved_trajectory(way: Trajectory, origin_world: Float64Array) -> Trajectory:
     return replace(way, positions=way.positions - origin_world)
-
-
-def _moved_annotation(annotation: Annotation, origin_world: Float64Array) -> Annotation:
-    if not isinstance(annotation, CuboidAnnotation):
-        return annotation
-    values = annotation.path.values.copy()
-    values[:, 3:6] -= origin_world
-    return replace(annotation, path=CuboidPath(annotation.path.timestamps_ns, values))
 
 
 _MOVES: Mapping[type, Callable[[Any, Float64Array], Sensor]] = MappingProxyType(

@@ -12,18 +12,32 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
 from sceneloom.pipeline.woven import EGO_ID
 from sceneloom.scene import (
+    Activation,
+    Annotation,
     Coordinates,
+    CuboidAnnotation,
+    CuboidPath,
     LazyFrames,
     LidarFrame,
+    LocalizationAdjustment,
+    ObjectAnnotation,
     OdometrySensor,
     Picture,
     PlainAnnotation,
+    PointPath,
+    PointProjection,
+    PointsAnnotation,
     PointsFrame,
     PointsSensor,
+    PosePath,
+    Projection,
     RadarFrame,
     RadarPoints,
     RadarSensor,
     Scene,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
 )
 from sceneloom.scene.pose_source import PoseSource
 
@@ -78,17 +92,61 @@ def test_what_rides_on_the_ego_or_a_sensor_does_not_move(drive: Scene, tmp_path:
         )
 
 
-@pytest.mark.parametrize(("kind", "moves"), [("polyline", False), ("object", True)])
+STAND = PosePath.identity()
+CORNERS = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+
+
+@pytest.mark.parametrize(
+    ("annotation", "moves"),
+    [
+        (PlainAnnotation("x", "future", {}), False),
+        (LocalizationAdjustment("x", STAND), False),
+        (ObjectAnnotation("x"), True),
+    ],
+    ids=["unknown", "adjustment", "object"],
+)
 def test_the_origin_stays_where_an_annotation_could_not_move_along(
-    drive: Scene, tmp_path: Path, kind: str, moves: bool
+    drive: Scene, tmp_path: Path, annotation: Annotation, moves: bool
 ) -> None:
-    fields = {"path": {"timestamps": [0], "values": [[1.0, 2.0, 3.0]]}} if kind == "polyline" else {}
-    fuse(replace(drive, annotations=(PlainAnnotation("x", kind, fields),)), tmp_path / "drive.sfs")
+    fuse(replace(drive, annotations=(annotation,)), tmp_path / "drive.sfs")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         place = np.array(scene.metadata["sceneloom"]["world_from_file"])[:3, 3]
         np.testing.assert_array_equal(place, origin_of(drive) if moves else 0)
         expected = origin_of(drive) - place
         np.testing.assert_allclose(scene.sensor(EGO_ID).poses.positions[0], expected, atol=1e-12)
+
+
+def test_places_of_annotations_move_with_the_origin_and_pixels_stay(drive: Scene, tmp_path: Path) -> None:
+    stamps, row = np.zeros(1, np.int64), np.arange(9.0)[None]
+    annotations = (
+        CuboidAnnotation(
+            "box",
+            CuboidPath(stamps, row),
+            activations=(Activation("lidar", stamps, cuboids=row),),
+            projections=(Projection("front", stamps, boxes=np.ones((1, 4)), cuboids=row * np.nan),),
+        ),
+        ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(stamps, (CORNERS,))),
+        ShapeAnnotation("drawn", ShapeType.POLYLINE_2D, VertexPath(stamps, (CORNERS[:, :2],)), "front"),
+        PointsAnnotation(
+            "keys",
+            (PointPath(stamps, CORNERS[:1]),),
+            projections=((PointProjection("front", stamps, positions=CORNERS[1:]),),),
+        ),
+    )
+    fuse(replace(drive, annotations=annotations), tmp_path / "drive.sfs")
+    origin = origin_of(drive)
+    assert np.abs(origin).max() > 1
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        box, lane, drawn, keys = scene.annotations
+    expected = row - np.concatenate([np.zeros(3), origin, np.zeros(3)])
+    np.testing.assert_array_equal(box.path.values, expected)
+    np.testing.assert_array_equal(box.activations[0].cuboids, expected)
+    assert np.isnan(box.projections[0].cuboids).all()
+    np.testing.assert_array_equal(box.projections[0].boxes, 1)
+    np.testing.assert_array_equal(lane.path.vertices[0], CORNERS - origin)
+    np.testing.assert_array_equal(drawn.path.vertices[0], CORNERS[:, :2])
+    np.testing.assert_array_equal(keys.paths[0].values, CORNERS[:1] - origin)
+    np.testing.assert_array_equal(keys.projections[0][0].positions, CORNERS[1:] - origin)
 
 
 def test_the_ego_gets_another_id_where_a_sensor_has_its_own(drive: Scene, tmp_path: Path) -> None:

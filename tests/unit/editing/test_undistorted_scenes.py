@@ -1,0 +1,184 @@
+"""Scenes through a distorted lens, against the same street seen by a pinhole."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras import Camera, project_unbounded, unproject
+from sceneloom.cameras.undistortion import undistorted_camera
+from sceneloom.editing import undistort_scene
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    Box2DAnnotation,
+    BoxPath,
+    CameraSensor,
+    CuboidAnnotation,
+    CuboidPath,
+    LazyFrames,
+    Picture,
+    PointPath,
+    PointProjection,
+    PointsAnnotation,
+    Projection,
+    Scene,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
+)
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+BARREL = Camera("brown_conrady", 320, 200, 210.0, 215.0, 161.0, 98.0, (-0.28, 0.08, 1e-3, -5e-4, -0.01))
+PINHOLE = undistorted_camera(BARREL)
+TIME = np.array([0], np.int64)
+
+
+def street(camera):
+    spec = CameraSpec(camera, supersampling=4)
+    return simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=(spec,)).scene
+
+
+def scene_of(camera, *annotations, count=1):
+    rgb = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), np.uint8)
+    pictures = [Picture.of(k, camera, rgb) for k in range(count)]
+    sensor = CameraSensor("front", camera, LazyFrames.of(pictures, list(range(count))))
+    return Scene((sensor,), annotations)
+
+
+def moved(pixels, before=BARREL, after=PINHOLE):
+    """Corner convention in and out: half a pixel off the centres."""
+    return project_unbounded(after, unproject(before, np.asarray(pixels, float) - 0.5)) + 0.5
+
+
+@pytest.fixture(scope="module")
+def distorted():
+    return street(BARREL)
+
+
+def test_pictures_are_those_that_a_pinhole_takes_of_the_same_street(distorted):
+    undistorted, expected = undistort_scene(distorted), street(PINHOLE)
+    assert undistorted.cameras[0].camera == PINHOLE
+    for ours, theirs in zip(undistorted.cameras[0].pictures, expected.cameras[0].pictures, strict=True):
+        assert ours.camera == PINHOLE
+        assert ours.timestamp_ns == theirs.timestamp_ns
+        off = np.abs(ours.rgb.astype(int) - theirs.rgb).max(axis=2)
+        # each picture is sampled on its own grid: outlines and textures finer than a pixel differ, areas do not
+        assert np.median(off) <= 2
+        assert np.mean(off > 40) < 0.03
+        assert np.corrcoef(ours.rgb.ravel(), theirs.rgb.ravel())[0, 1] > 0.98
+
+
+def test_poses_mountings_and_everything_else_stay(distorted):
+    before, after = distorted.cameras[0], undistort_scene(distorted).cameras[0]
+    assert after.poses is before.poses
+    assert after.mount is before.mount
+    assert np.array_equal(after.pictures.timestamps_ns, before.pictures.timestamps_ns)
+    assert undistort_scene(distorted).lidars == distorted.lidars
+
+
+def test_the_lens_that_took_the_pictures_stands_in_the_metadata(distorted):
+    ours = undistort_scene(distorted, keep=1.0).metadata["sceneloom"]["undistorted"]
+    assert ours[0]["sensor"] == distorted.cameras[0].id
+    assert ours[0]["keep"] == 1.0
+    assert ours[0]["camera"]["model"] == "brown_conrady"
+    assert tuple(ours[0]["camera"]["coefficients"]) == BARREL.coefficients
+
+
+@pytest.mark.parametrize("name", ["drive.sfs", "drive"])
+def test_undistorted_scenes_are_written_and_read(distorted, tmp_path, name):
+    sceneloom.write(undistort_scene(distorted, width=160, height=100), tmp_path / name)
+    with sceneloom.open(tmp_path / name) as scene:
+        assert scene.cameras[0].camera == undistorted_camera(BARREL, width=160, height=100)
+        assert [picture.rgb.shape for picture in scene.cameras[0].pictures] == [(100, 160, 3)] * 2
+
+
+def test_pictures_with_lenses_of_their_own_all_get_the_same_new_one():
+    other = Camera("brown_conrady", 320, 200, 215.0, 215.0, 160.0, 100.0, (-0.2,))
+    rgb = np.full((200, 320, 3), 77, np.uint8)
+    pictures = [Picture.of(0, BARREL, rgb), Picture.of(1, other, rgb)]
+    scene = Scene((CameraSensor("front", BARREL, LazyFrames.of(pictures, [0, 1])),))
+    found = undistort_scene(scene).cameras[0].pictures
+    assert [picture.camera for picture in found] == [PINHOLE, PINHOLE]
+    assert (found[1].rgb == 77).mean() > 0.9
+
+
+def test_pictures_can_be_pickled_for_other_processes(distorted):
+    pictures = undistort_scene(distorted).cameras[0].pictures
+    again = pickle.loads(pickle.dumps(pictures))
+    assert np.array_equal(again[1].rgb, pictures[1].rgb)
+
+
+def test_encoded_pictures_and_places_of_features_are_no_longer_true():
+    scene = scene_of(BARREL)
+    picture = scene.cameras[0].pictures[0]
+    picture = Picture(
+        0, BARREL, picture.decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg"
+    )
+    scene = Scene((CameraSensor("front", BARREL, LazyFrames.of([picture], [0])),))
+    found = undistort_scene(scene).cameras[0].pictures[0]
+    assert found.encoded is None
+    assert dict(found.extras) == {"number": 3}
+
+
+def test_boxes_become_what_bounds_their_bent_outline():
+    box = Box2DAnnotation("b", "front", BoxPath(TIME, np.array([[60.0, 50.0, 120.0, 80.0]])))
+    other = Box2DAnnotation("o", "rear", BoxPath(TIME, np.array([[60.0, 50.0, 120.0, 80.0]])))
+    found, untouched = undistort_scene(scene_of(BARREL, box, other)).annotations
+    along = np.linspace(0, 1, 200)
+    sides = [(along, 0 * along), (along, 0 * along + 1), (0 * along, along), (0 * along + 1, along)]
+    outline = np.concatenate([np.stack(side, axis=1) for side in sides])
+    places = moved(outline * [120, 80] + [60, 50])
+    left, top, width, height = found.path.values[0]
+    assert np.allclose([left, top], places.min(axis=0), atol=0.1)  # nine places stand for each side
+    assert np.allclose([left + width, top + height], places.max(axis=0), atol=0.1)
+    assert untouched is other
+
+
+def test_shapes_points_and_projections_follow():
+    vertices = np.array([[40.5, 30.0], [100.0, 150.0], [200.0, 60.0]])
+    shape = ShapeAnnotation("s", ShapeType.POLYGON_2D, VertexPath(TIME, (vertices,)), sensor_id="front")
+    space = ShapeAnnotation("a", ShapeType.POLYGON, VertexPath(TIME, (np.zeros((3, 3)),)))
+    gone = np.full((1, 4), np.nan)
+    seen = np.array([[90.0, 60.0, 4.0, 4.0]])
+    projection = Projection("front", np.array([0, 1], np.int64), boxes=np.concatenate([seen, gone]))
+    cuboid = CuboidAnnotation("c", CuboidPath(TIME, np.ones((1, 9))), projections=(projection,))
+    point = PointProjection("front", TIME, points=np.array([[70.0, 80.0]]))
+    points = PointsAnnotation("p", (PointPath(TIME, np.zeros((1, 3))),), projections=((point,),))
+    scene = undistort_scene(scene_of(BARREL, shape, space, cuboid, points))
+    assert np.allclose(scene.annotations[0].path.vertices[0], moved(vertices))
+    assert scene.annotations[1] is space
+    boxes = scene.annotations[2].projections[0].boxes
+    assert np.allclose(boxes[0, :2] + boxes[0, 2:] / 2, moved([[92.0, 62.0]]), atol=0.05)
+    assert np.isnan(boxes[1]).all()
+    assert np.allclose(scene.annotations[3].projections[0][0].points, moved([[70.0, 80.0]]))
+    assert "drawn-beyond-picture" not in [notice.code for notice in scene.notices]
+
+
+def test_what_a_pinhole_cannot_show_is_left_out_and_counted():
+    wide = Camera("fisheye", 640, 640, 180.0, 180.0, 319.5, 319.5)
+    corner = np.array([[2.0, 2.0]])  # 144 degrees off the axis
+    lone = ShapeAnnotation("lone", ShapeType.POINT_2D, VertexPath(TIME, (corner,)), sensor_id="front")
+    times = np.array([0, 5], np.int64)
+    values = np.array([[300.0, 300.0, 9.0, 9.0], [0.0, 0.0, 9.0, 9.0]])
+    box = Box2DAnnotation("box", "front", BoxPath(times, values))
+    scene = undistort_scene(scene_of(wide, lone, box))
+    assert [annotation.id for annotation in scene.annotations] == ["box"]
+    assert scene.annotations[0].path.timestamps_ns.tolist() == [0]
+    assert [(n.code, n.count) for n in scene.notices] == [("drawn-beyond-picture", 2)]
+
+
+def test_a_drive_of_pinholes_stays_as_it_is_with_a_notice():
+    scene = scene_of(PINHOLE)
+    found = undistort_scene(scene)
+    assert found.sensors == scene.sensors
+    assert [notice.code for notice in found.notices] == ["nothing-to-undistort"]
+
+
+def test_only_cameras_can_be_undistorted(distorted):
+    with pytest.raises(OptionError, match="no sensor 'periscope'"):
+        undistort_scene(distorted, cameras=["periscope"])
+    with pytest.raises(OptionError, match="is a lidar; expected a camera"):
+        undistort_scene(distorted, cameras=[distorted.lidars[0].id])
+    with pytest.raises(OptionError, match="has no camera"):
+        undistort_scene(Scene(()))

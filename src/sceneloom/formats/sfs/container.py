@@ -106,6 +106,7 @@ class Container:
         """
         self.file = str(path)
         self._faults = faults
+        self._numbers: dict[str, int] | None = None
         self._mapped = _map_file(path)
         self.identity = self._mapped.identity
         self.closed = False
@@ -141,10 +142,10 @@ class Container:
 
     def item_number(self, place: str) -> int | None:
         """Find the item that fills a place such as `sensors[0].frames[3].points.positions`."""
-        for number, item in enumerate(self._items):
-            if format_keys(item["keys"], self.header) == place:
-                return number
-        return None
+        if self._numbers is None:
+            named = ((n, item.get("keys")) for n, item in enumerate(self._items) if isinstance(item, dict))
+            self._numbers = {format_keys(k, self.header): n for n, k in named if isinstance(k, list)}
+        return self._numbers.get(place)
 
     def _place_items(self) -> None:
         extents: list[tuple[int, int, int]] = []

@@ -11,7 +11,6 @@ from sceneloom.formats.sfs.records import Faults, FieldError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PosePath
 
-
 NORM_TOLERANCE = 0.01
 """How far from 1 the norm of a quaternion may be. Source: our reading of "PosePath", in docs/CONVENTIONS.md."""
 

@@ -89,8 +89,6 @@ class Source:
         """Note faults of what no scene can do without; whoever is lenient is refused for them, too."""
         self.faults.extend(self._placed(fault, place, vital=True) for fault in faults)
 
-    raise_faults = collect
-
     def collect_items(self, items: Sequence[ItemFault]) -> None:
         """Note faults of arrays; nothing stands in their places."""
         for item in items:

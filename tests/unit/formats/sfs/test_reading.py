@@ -450,14 +450,14 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
             "2 timestamps",
         ),
         (
-            faulty(poses={"timestamps": [1, 1], "values": [[0, 0, 0, 0, 0, 0, 1]] * 2}),
+            faulty(poses={"timestamps": [1, 1], "values": [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]}),
             "sensors[0].poses",
             "timestamps_ns[1]: 1000; expected strictly increasing",
         ),
         (
             faulty(poses={"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}),
-            "sensors[0].poses",
-            "norm 2.0000",
+            "sensors[0].poses.values[0]",
+            "norm 2; expected 1",
         ),
         (faulty(poses={"timestamps": [0], "values": [["0"] * 7]}), "sensors[0].poses", "something else"),
         (

@@ -3,6 +3,7 @@
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import (
     MODELS,
+    Chart,
     check_camera,
     lens_vector,
     project,
@@ -14,6 +15,7 @@ from sceneloom.cameras.models import (
 __all__ = [
     "MODELS",
     "Camera",
+    "Chart",
     "check_camera",
     "lens_vector",
     "project",

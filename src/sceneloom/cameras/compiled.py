@@ -33,12 +33,12 @@ PICTURE_SIGNATURE = int64(
     float32[::1],
 )
 ROWS_SIGNATURE = void(_READ_ONLY_ROWS, _READ_ONLY_NUMBERS, float64[:, ::1])
+FOLD_SIGNATURE = float64(_READ_ONLY_NUMBERS)
 
 # Of the fast mathematics only fused multiply-add: the others would let a NaN slip through the tests.
-INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "inline": "always"}
-KERNEL: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "cache": True}
-
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+KERNEL: dict[str, Any] = {**PART, "cache": True}
+INLINE: dict[str, Any] = {**PART, "forceinline": True}
 
 BLOCK = 512
 """Points that are projected at once, by vector instructions, before those in the picture are picked out."""

@@ -12,22 +12,43 @@ model".
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float32, njit
+from numba import njit
 
-from sceneloom.cameras.compiled import (
-    INLINE,
-    KERNEL,
-    PICTURE_SIGNATURE,
-    ROWS_SIGNATURE,
-    camera_coordinates,
-    in_picture,
-    pose_numbers,
-)
+from sceneloom.cameras.compiled import INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
 from sceneloom.cameras.domain import first_positive_root
+from sceneloom.cameras.formulas import distance_at, formula_of, plane_of_pixel, project_point
+from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
+from sceneloom.cameras.off_axis import pixel_off_axis, plane_of_centred_pixel
 
-_ITERATIONS = 60
+
+class FisheyeLens(NamedTuple):
+    """The numbers of a lens, as the compiled functions take them apart."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    k3: float
+    k4: float
+    limit: float
+
+
+formula_of(FisheyeLens, project_point)(pixel_off_axis)
+formula_of(FisheyeLens, plane_of_pixel)(plane_of_centred_pixel)
+
+
+@formula_of(FisheyeLens, distance_at)
+def _distance(angle: Any, lens: Any) -> Any:
+    s = angle * angle
+    return (
+        angle * (1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * lens.k4)))),
+        1.0 + s * (3.0 * lens.k1 + s * (5.0 * lens.k2 + s * (7.0 * lens.k3 + s * 9.0 * lens.k4))),
+    )
 
 
 def domain_limit(coefficients: tuple[float, ...]) -> float:
@@ -38,27 +59,8 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _radius(angle, k1, k2, k3, k4):  # type: ignore[no-untyped-def]
-    s = angle * angle
-    return angle * (1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
-
-
-@njit(**INLINE)
-def _slope(angle, k1, k2, k3, k4):  # type: ignore[no-untyped-def]
-    s = angle * angle
-    return 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4)))
-
-
-@njit(**INLINE)
-def _project(x, y, z, fx, fy, cx, cy, k1, k2, k3, k4, limit):  # type: ignore[no-untyped-def]
-    off_axis = math.sqrt(x * x + y * y)
-    if off_axis == 0.0:
-        return (cx, cy) if z > 0.0 else (math.nan, math.nan)
-    angle = math.atan2(off_axis, z)
-    if not angle < limit:
-        return math.nan, math.nan
-    scale = _radius(angle, k1, k2, k3, k4) / off_axis
-    return fx * (x * scale) + cx, fy * (y * scale) + cy
+def _lens(n):  # type: ignore[no-untyped-def]
+    return FisheyeLens(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8])
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)
@@ -66,62 +68,16 @@ def project_into_picture(  # type: ignore[no-untyped-def]
     points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
 ):
     """Keep the points that fall into the picture; see `compiled`."""
-    fx, fy, cx, cy, k1, k2, k3, k4, limit = (
-        lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8],
-    )  # fmt: skip
-    pose, count = pose_numbers(camera_from_world), 0
-    for i in range(len(points_world)):
-        x, y, z = camera_coordinates(points_world[i, 0], points_world[i, 1], points_world[i, 2], pose)
-        u, v = _project(x, y, z, fx, fy, cx, cy, k1, k2, k3, k4, limit)
-        column, row = float32(u), float32(v)
-        # The test is made on what is stored: rounding that to the nearest pixel must stay inside the picture.
-        if in_picture(column, row, width, height):
-            point_ids[count], depths[count] = i, z
-            pixels[count, 0], pixels[count, 1] = column, row
-            count += 1
-    return count
+    return pick_points(points_world, camera_from_world, _lens(lens), width, height, point_ids, pixels, depths)
 
 
 @njit(ROWS_SIGNATURE, **KERNEL)
 def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    for i in range(len(points_camera)):
-        x, y, z = points_camera[i, 0], points_camera[i, 1], points_camera[i, 2]
-        pixels[i, 0], pixels[i, 1] = _project(
-            x, y, z, lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8]
-        )
-
-
-@njit(**INLINE)
-def _angle(radius, k1, k2, k3, k4, limit):  # type: ignore[no-untyped-def]
-    """Solve θd(θ) = radius by Newton's method, kept between bounds of the root; NaN where there is none."""
-    low, high = 0.0, limit
-    if not radius <= _radius(limit, k1, k2, k3, k4):
-        return math.nan
-    angle = min(radius, 0.5 * limit)
-    for _ in range(_ITERATIONS):
-        excess = _radius(angle, k1, k2, k3, k4) - radius
-        if excess > 0.0:
-            high = angle
-        else:
-            low = angle
-        better = angle - excess / _slope(angle, k1, k2, k3, k4)
-        if not low <= better <= high:
-            better = 0.5 * (low + high)
-        if abs(better - angle) <= 1e-15 * (1.0 + angle):
-            return better
-        angle = better
-    return angle
+    place_points(points_camera, _lens(lens), pixels)
 
 
 @njit(ROWS_SIGNATURE, **KERNEL)
 def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    for i in range(len(pixels)):
-        x, y = (pixels[i, 0] - lens[2]) / lens[0], (pixels[i, 1] - lens[3]) / lens[1]
-        radius = math.sqrt(x * x + y * y)
-        angle = _angle(radius, lens[4], lens[5], lens[6], lens[7], lens[8])
-        scale = math.sin(angle) / radius if radius > 0.0 else 1.0
-        rays[i, 0] = x * scale
-        rays[i, 1] = y * scale
-        rays[i, 2] = math.cos(angle)
+    look_off_axis(pixels, _lens(lens), rays)

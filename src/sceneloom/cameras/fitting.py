@@ -47,6 +47,15 @@ class Fit:
     share: float
     unheld_pixels: Float64Array
 
+    def message(self, exact: Camera) -> str:
+        """Say in words how well the lens stands in for the exact one."""
+        missing = 100.0 * (1.0 - self.share)
+        beyond = f", and {missing:.2g} % of the picture cannot be held" if self.share < 1 else ""
+        return (
+            f"{exact.model} lens told as {self.camera.model}, off by up to {self.largest_px:.2g} px, "
+            f"{self.rms_px:.2g} px in the mean square{beyond}"
+        )
+
 
 def fit(camera: Camera, model: str, *, fixed: Collection[str] = ()) -> Fit:
     """Find the lens of a model that puts what the picture shows nearest to where the exact lens puts it.
@@ -67,7 +76,31 @@ def fit(camera: Camera, model: str, *, fixed: Collection[str] = ()) -> Fit:
     plain = Camera(model, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     check_camera(plain)
     search = _Search.of(camera, plain, frozenset(fixed))
-    fits = [measured_fit(camera, found) for found in search.candidates()]
+    return _best([measured_fit(camera, found) for found in search.candidates()])
+
+
+def nearest(camera: Camera, models: Mapping[str, Collection[str]]) -> Fit:
+    """Find the lens that comes nearest out of several models.
+
+    Args:
+        camera: the exact lens.
+        models: names out of `MODELS`, each with its `fixed` numbers as in `fit`.
+
+    Raises:
+        CalibrationError: a model is unknown, or none holds anything of what the exact lens sees.
+    """
+    fits, refusals = list[Fit](), list[CalibrationError]()
+    for model, fixed in models.items():
+        try:
+            fits.append(fit(camera, model, fixed=fixed))
+        except CalibrationError as error:
+            refusals.append(error)
+    if not fits:
+        raise refusals[0]
+    return _best(fits)
+
+
+def _best(fits: list[Fit]) -> Fit:
     most = max(one.share for one in fits)
     return min(fits, key=lambda one: one.rms_px * (1.0 + _PRICE * (most - one.share)))
 

@@ -1,0 +1,81 @@
+"""Panorama whose columns and rows are angles: longitude about the camera's y axis, and latitude. ASSUMED.
+
+    u = fx atan2(X, Z) + cx,  v = fy atan2(Y, sqrt(X² + Z²)) + cy
+
+All directions but straight up and down have a pixel; the seam is behind the camera, where u jumps by 2 π fx.
+
+Source: the Sensor Fusion Scene format names the model; the formula is that of panoramas of the name, and assumed
+since its owner's library computes one that is not a number nearly everywhere.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from numba import njit
+
+from sceneloom.cameras.angles import sine_and_cosine
+from sceneloom.cameras.compiled import INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.formulas import (
+    formula_of,
+    project_point,
+    ray_of_pixel,
+)
+from sceneloom.cameras.loops import look_along, pick_points, place_points
+from sceneloom.cameras.panorama import HALF_TURN, NEAREST, azimuth, azimuth_of_column
+
+
+class EquirectangularLens(NamedTuple):
+    """The numbers of a lens, as the compiled functions take them apart."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    limit: float
+
+
+@formula_of(EquirectangularLens, project_point)
+def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
+    side = math.sqrt(x * x + z * z)
+    u, v = lens.fx * azimuth(x, z) + lens.cx, lens.fy * azimuth(y, side) + lens.cy
+    return (u if side > NEAREST * abs(y) else math.nan), v
+
+
+@formula_of(EquirectangularLens, ray_of_pixel)
+def _ray(u: Any, v: Any, lens: Any) -> Any:
+    sine, cosine = sine_and_cosine(azimuth_of_column(u, lens))
+    latitude = (v - lens.cy) / lens.fy
+    down, level = sine_and_cosine(latitude)
+    if not (abs(latitude) < HALF_TURN and level > NEAREST):
+        level, down = math.nan, math.nan
+    return sine * level, down, cosine * level
+
+
+def domain_limit(_coefficients: tuple[float, ...]) -> float:
+    """Half a turn, to each side."""
+    return math.pi
+
+
+@njit(**INLINE)
+def _lens(n):  # type: ignore[no-untyped-def]
+    return EquirectangularLens(n[0], n[1], n[2], n[3], n[4])
+
+
+@njit(PICTURE_SIGNATURE, **KERNEL)
+def project_into_picture(  # type: ignore[no-untyped-def]
+    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
+):
+    """Keep the points that fall into the picture; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _lens(lens), width, height, point_ids, pixels, depths)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+    """Give a pixel for every point; see `compiled`."""
+    place_points(points_camera, _lens(lens), pixels)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel; see `compiled`."""
+    look_along(pixels, _lens(lens), rays)

@@ -1,0 +1,139 @@
+"""Fisheye projection with six radial, two tangential and four thin-prism coefficients.
+
+With θ the angle between the point's direction and the axis, t = (p1, p2)
+
+    θd = θ (1 + k1 θ² + … + k6 θ¹²),  p = θd (X, Y) / sqrt(X² + Y²),  r = |p|
+    (x', y') = p + 2 (p·t) p + r² t + (s1 r² + s2 r⁴, s3 r² + s4 r⁴)
+
+The domain is the cone θ < limit, π at most, within which the mapping does not fold.
+
+Source: Project Aria documentation, "Camera intrinsic models", Fisheye624. Its p1 and p2 have changed places with
+OpenCV's.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from sceneloom.cameras.bending import bend_image, stretch
+from sceneloom.cameras.charts import (
+    by_angle,
+    ray_of_angle,
+)
+from sceneloom.cameras.compiled import FOLD_SIGNATURE, INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.domain import first_positive_root
+from sceneloom.cameras.folds import radius_without_fold
+from sceneloom.cameras.formulas import (
+    distort,
+    formula_of,
+    plane_of_pixel,
+    project_point,
+    ray_of_chart,
+)
+from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.cameras.off_axis import plane_of_centred_pixel
+
+
+class RadTanPrismLens(NamedTuple):
+    """The numbers of a lens, as the compiled functions take them apart."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    k3: float
+    k4: float
+    k5: float
+    k6: float
+    p1: float
+    p2: float
+    s1: float
+    s2: float
+    s3: float
+    s4: float
+    limit: float
+
+
+formula_of(RadTanPrismLens, plane_of_pixel)(plane_of_centred_pixel)
+
+
+@formula_of(RadTanPrismLens, project_point)
+def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
+    a, b, square = by_angle(x, y, z)
+    x, y, _, _, _, _ = distort(a, b, lens)
+    known = square < lens.limit * lens.limit
+    return (lens.fx * x + lens.cx if known else math.nan), lens.fy * y + lens.cy
+
+
+@formula_of(RadTanPrismLens, ray_of_chart)
+def _ray(a: Any, b: Any, lens: Any) -> Any:
+    return ray_of_angle(a, b)
+
+
+@formula_of(RadTanPrismLens, distort)
+def _distort(a: Any, b: Any, lens: Any) -> Any:
+    s = a * a + b * b
+    g = 1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * (lens.k4 + s * (lens.k5 + s * lens.k6)))))
+    g_s = lens.k4 * 4.0 + s * (5.0 * lens.k5 + s * 6.0 * lens.k6)
+    g_s = lens.k1 + s * (2.0 * lens.k2 + s * (3.0 * lens.k3 + s * g_s))
+    return bend_image(stretch(a, b, g, g_s), lens.p2, lens.p1, lens.s1, lens.s2, lens.s3, lens.s4)
+
+
+def domain_limit(coefficients: tuple[float, ...]) -> float:
+    """The angle off the axis up to which no two rays share a pixel, π at most."""
+    slope = [(2 * i + 1) * k for i, k in zip(range(6, 0, -1), reversed(coefficients[:6]), strict=True)]
+    limit = min(math.pi, math.sqrt(first_positive_root([*slope, 1.0])))
+    return float(fold_radius(np.array((1.0, 1.0, 0.0, 0.0, *coefficients, limit))))
+
+
+@njit(**INLINE)
+def _lens(n):  # type: ignore[no-untyped-def]
+    return RadTanPrismLens(
+        n[0],
+        n[1],
+        n[2],
+        n[3],
+        n[4],
+        n[5],
+        n[6],
+        n[7],
+        n[8],
+        n[9],
+        n[10],
+        n[11],
+        n[12],
+        n[13],
+        n[14],
+        n[15],
+        n[16],
+    )
+
+
+@njit(PICTURE_SIGNATURE, **KERNEL)
+def project_into_picture(  # type: ignore[no-untyped-def]
+    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
+):
+    """Keep the points that fall into the picture; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _lens(lens), width, height, point_ids, pixels, depths)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+    """Give a pixel for every point; see `compiled`."""
+    place_points(points_camera, _lens(lens), pixels)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel; see `compiled`."""
+    look_through_chart(pixels, _lens(lens), rays)
+
+
+@njit(FOLD_SIGNATURE, **KERNEL)
+def fold_radius(lens):  # type: ignore[no-untyped-def]
+    """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
+    return radius_without_fold(_lens(lens))

@@ -1,0 +1,88 @@
+"""Fisheye projection whose polynomial gives the distance from the picture's centre in pixels. ASSUMED.
+
+With θ the angle between the point's direction and the axis
+
+    r = k1 + k2 θ + k3 θ² + k4 θ³ + k5 θ⁴ [px],  (u, v) = (cx, cy) + r (X, Y) / sqrt(X² + Y²)
+
+fx and fy take no part. The domain is where 0 <= r, in the cone θ < limit, π at most, within which r grows. With
+k1 other than 0 a point right ahead has no pixel.
+
+Source: the Sensor Fusion Scene format names the model and that it has k1 to k5; that they are these is assumed after
+other lenses of the name, whose polynomial gives pixels from the angle.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from numba import njit
+
+from sceneloom.cameras.compiled import INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.domain import first_positive_root
+from sceneloom.cameras.formulas import (
+    distance_at,
+    formula_of,
+    plane_of_pixel,
+    project_point,
+)
+from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
+from sceneloom.cameras.off_axis import pixel_off_axis, plane_of_centred_pixel
+
+
+class FthetaLens(NamedTuple):
+    """The numbers of a lens, as the compiled functions take them apart."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    k3: float
+    k4: float
+    k5: float
+    limit: float
+
+
+formula_of(FthetaLens, project_point)(pixel_off_axis)
+formula_of(FthetaLens, plane_of_pixel)(plane_of_centred_pixel)
+
+
+@formula_of(FthetaLens, distance_at)
+def _distance(angle: Any, lens: Any) -> Any:
+    return (
+        lens.k1 + angle * (lens.k2 + angle * (lens.k3 + angle * (lens.k4 + angle * lens.k5))),
+        lens.k2 + angle * (2.0 * lens.k3 + angle * (3.0 * lens.k4 + angle * 4.0 * lens.k5)),
+    )
+
+
+def domain_limit(coefficients: tuple[float, ...]) -> float:
+    """The angle off the axis at which the distance from the centre stops growing, π at most."""
+    _, k2, k3, k4, k5 = coefficients
+    if not k2 > 0.0:
+        return 0.0
+    return min(math.pi, first_positive_root([4 * k5, 3 * k4, 2 * k3, k2]))
+
+
+@njit(**INLINE)
+def _lens(n):  # type: ignore[no-untyped-def]
+    return FthetaLens(1.0, 1.0, n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9])
+
+
+@njit(PICTURE_SIGNATURE, **KERNEL)
+def project_into_picture(  # type: ignore[no-untyped-def]
+    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
+):
+    """Keep the points that fall into the picture; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _lens(lens), width, height, point_ids, pixels, depths)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+    """Give a pixel for every point; see `compiled`."""
+    place_points(points_camera, _lens(lens), pixels)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel; see `compiled`."""
+    look_off_axis(pixels, _lens(lens), rays)

@@ -1,0 +1,193 @@
+"""Kannala and Brandt's full fisheye projection: radial, and asymmetric both along and across the direction.
+
+With θ the angle between the point's direction and the axis, and φ = atan2(Y, X)
+
+    r = θ (1 + k0 θ² + k1 θ⁴ + k2 θ⁶ + k3 θ⁸)
+    Δr = (l1 θ + l2 θ³ + l3 θ⁵) (i1 cos φ + i2 sin φ + i3 cos 2φ + i4 sin 2φ)
+    Δt = (m1 θ + m2 θ³ + m3 θ⁵) (j1 cos φ + j2 sin φ + j3 cos 2φ + j4 sin 2φ)
+    (x', y') = (r + Δr) (cos φ, sin φ) + Δt (-sin φ, cos φ)
+
+The domain is the cone θ < limit, π at most, within which the mapping does not fold.
+
+Source: Kannala and Brandt 2006, "A Generic Camera Model and Calibration Method for Conventional, Wide-Angle, and
+Fish-Eye Lenses", eq. 6, 8, 9 and 10 (there the factor of θ is k1). The order of the coefficients is that of the
+Spectacular AI recording format.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from sceneloom.cameras.charts import (
+    by_angle,
+    ray_of_angle,
+)
+from sceneloom.cameras.compiled import FOLD_SIGNATURE, INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.domain import first_positive_root
+from sceneloom.cameras.folds import radius_without_fold
+from sceneloom.cameras.formulas import (
+    distort,
+    formula_of,
+    plane_of_pixel,
+    project_point,
+    ray_of_chart,
+)
+from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.cameras.off_axis import plane_of_centred_pixel
+
+
+class KannalaBrandt18Lens(NamedTuple):
+    """The numbers of a lens, as the compiled functions take them apart."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k0: float
+    k1: float
+    k2: float
+    k3: float
+    l1: float
+    l2: float
+    l3: float
+    i1: float
+    i2: float
+    i3: float
+    i4: float
+    m1: float
+    m2: float
+    m3: float
+    j1: float
+    j2: float
+    j3: float
+    j4: float
+    limit: float
+
+
+formula_of(KannalaBrandt18Lens, plane_of_pixel)(plane_of_centred_pixel)
+
+
+@formula_of(KannalaBrandt18Lens, project_point)
+def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
+    a, b, square = by_angle(x, y, z)
+    x, y, _, _, _, _ = distort(a, b, lens)
+    known = square < lens.limit * lens.limit
+    return (lens.fx * x + lens.cx if known else math.nan), lens.fy * y + lens.cy
+
+
+@formula_of(KannalaBrandt18Lens, ray_of_chart)
+def _ray(a: Any, b: Any, lens: Any) -> Any:
+    return ray_of_angle(a, b)
+
+
+@formula_of(KannalaBrandt18Lens, distort)
+def _distort(a: Any, b: Any, lens: Any) -> Any:
+    s = a * a + b * b
+    angle = math.sqrt(s)
+    cosine, sine = (a / angle, b / angle) if angle > 0.0 else (1.0, 0.0)
+    cosine_2, sine_2 = cosine * cosine - sine * sine, 2.0 * cosine * sine
+    g = 1.0 + s * (lens.k0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3)))
+    slope = 1.0 + s * (3.0 * lens.k0 + s * (5.0 * lens.k1 + s * (7.0 * lens.k2 + s * 9.0 * lens.k3)))
+    along, along_slope = _amplitude(s, lens.l1, lens.l2, lens.l3)
+    across, across_slope = _amplitude(s, lens.m1, lens.m2, lens.m3)
+    in_i, in_i_turn = _wave(cosine, sine, cosine_2, sine_2, lens.i1, lens.i2, lens.i3, lens.i4)
+    in_j, in_j_turn = _wave(cosine, sine, cosine_2, sine_2, lens.j1, lens.j2, lens.j3, lens.j4)
+    # Both parts over θ, and the slopes along and across the direction, of which (xx, xy, yx, yy) is a turn.
+    out, aside = g + along * in_i, across * in_j
+    out_out, out_aside = slope + along_slope * in_i, along * in_i_turn - aside
+    aside_out, aside_aside = across_slope * in_j, out + across * in_j_turn
+    return (
+        a * out - b * aside,
+        b * out + a * aside,
+        *_turned(cosine, sine, out_out, out_aside, aside_out, aside_aside),
+    )
+
+
+@njit(**INLINE)
+def _amplitude(s, c1, c2, c3):  # type: ignore[no-untyped-def]
+    """Give c1 θ + c2 θ³ + c3 θ⁵ over θ, and its slope over θ, with s = θ²."""
+    return c1 + s * (c2 + s * c3), c1 + s * (3.0 * c2 + s * 5.0 * c3)
+
+
+@njit(**INLINE)
+def _wave(cosine, sine, cosine_2, sine_2, w1, w2, w3, w4):  # type: ignore[no-untyped-def]
+    """Give w1 cos φ + w2 sin φ + w3 cos 2φ + w4 sin 2φ, and its slope over φ."""
+    return (
+        w1 * cosine + w2 * sine + w3 * cosine_2 + w4 * sine_2,
+        w2 * cosine - w1 * sine + 2.0 * (w4 * cosine_2 - w3 * sine_2),
+    )
+
+
+@njit(**INLINE)
+def _turned(c, s, pp, pq, qp, qq):  # type: ignore[no-untyped-def]
+    """Give a matrix of the directions along (c, s) and across in those of x and y."""
+    return (
+        c * c * pp - c * s * (pq + qp) + s * s * qq,
+        c * s * (pp - qq) + c * c * pq - s * s * qp,
+        c * s * (pp - qq) + c * c * qp - s * s * pq,
+        s * s * pp + c * s * (pq + qp) + c * c * qq,
+    )
+
+
+def domain_limit(coefficients: tuple[float, ...]) -> float:
+    """The angle off the axis up to which no two rays share a pixel, π at most."""
+    k0, k1, k2, k3 = coefficients[:4]
+    limit = min(math.pi, math.sqrt(first_positive_root([9 * k3, 7 * k2, 5 * k1, 3 * k0, 1.0])))
+    return float(fold_radius(np.array((1.0, 1.0, 0.0, 0.0, *coefficients, limit))))
+
+
+@njit(**INLINE)
+def _lens(n):  # type: ignore[no-untyped-def]
+    return KannalaBrandt18Lens(
+        n[0],
+        n[1],
+        n[2],
+        n[3],
+        n[4],
+        n[5],
+        n[6],
+        n[7],
+        n[8],
+        n[9],
+        n[10],
+        n[11],
+        n[12],
+        n[13],
+        n[14],
+        n[15],
+        n[16],
+        n[17],
+        n[18],
+        n[19],
+        n[20],
+        n[21],
+        n[22],
+    )
+
+
+@njit(PICTURE_SIGNATURE, **KERNEL)
+def project_into_picture(  # type: ignore[no-untyped-def]
+    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
+):
+    """Keep the points that fall into the picture; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _lens(lens), width, height, point_ids, pixels, depths)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+    """Give a pixel for every point; see `compiled`."""
+    place_points(points_camera, _lens(lens), pixels)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel; see `compiled`."""
+    look_through_chart(pixels, _lens(lens), rays)
+
+
+@njit(FOLD_SIGNATURE, **KERNEL)
+def fold_radius(lens):  # type: ignore[no-untyped-def]
+    """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
+    return radius_without_fold(_lens(lens))

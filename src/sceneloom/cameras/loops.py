@@ -1,0 +1,137 @@
+"""The loops that all projection models share, by blocks that fit the processor's cache and its vectors.
+
+Each is compiled for every model, with the model's own formulas of `formulas` inside.
+"""
+
+import math
+
+import numpy as np
+from numba import float32, int64, njit, uint64
+
+from sceneloom.cameras.angles import sine_and_cosine
+from sceneloom.cameras.compiled import BLOCK, PART, camera_coordinates, in_picture, pose_numbers
+from sceneloom.cameras.formulas import plane_of_pixel, project_point, ray_of_chart, ray_of_pixel
+from sceneloom.cameras.solving import angle_at, approach_angle, approach_place, place_at
+
+
+@njit(**PART)
+def _project_block(flat_points, pose, lens, columns, rows, depths):  # type: ignore[no-untyped-def]
+    """Project as many points as the outputs have room for."""
+    for i in range(len(columns)):
+        x, y, z = camera_coordinates(flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2], pose)
+        u, v = project_point(x, y, z, lens)
+        columns[i], rows[i], depths[i] = float32(u), float32(v), float32(z)
+
+
+@njit(**PART)
+def _keep_in_picture(  # type: ignore[no-untyped-def]
+    first_id, columns, rows, block_depths, width, height, count, point_ids, flat_pixels, depths
+):
+    """Append those of a block's points that lie in the picture to the outputs; give the new count.
+
+    The test is made on the float32 pixels that are stored: rounding them to the nearest must stay in the picture.
+    `count` is unsigned, which spares the test for indices from the end.
+    """
+    for i in range(len(columns)):
+        if in_picture(columns[i], rows[i], width, height):
+            point_ids[count], depths[count] = first_id + i, block_depths[i]
+            flat_pixels[uint64(2) * count], flat_pixels[uint64(2) * count + uint64(1)] = columns[i], rows[i]
+            count += uint64(1)
+    return count
+
+
+@njit(**PART)
+def pick_points(  # type: ignore[no-untyped-def]
+    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
+):
+    """Keep the points that fall into the picture; see `compiled`."""
+    pose = pose_numbers(camera_from_world)
+    flat_points, flat_pixels = points_world.reshape(points_world.size), pixels.reshape(pixels.size)
+    room = np.empty((3, BLOCK), np.float32)
+    count = uint64(0)
+    for start in range(0, len(points_world), BLOCK):
+        size = min(BLOCK, len(points_world) - start)
+        u, v, z = room[0, :size], room[1, :size], room[2, :size]
+        _project_block(flat_points[3 * start : 3 * (start + size)], pose, lens, u, v, z)
+        count = _keep_in_picture(start, u, v, z, width, height, count, point_ids, flat_pixels, depths)
+    return int64(count)
+
+
+@njit(**PART)
+def _place(flat_points, lens, flat_pixels):  # type: ignore[no-untyped-def]
+    for i in range(len(flat_points) // 3):
+        u, v = project_point(flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2], lens)
+        flat_pixels[2 * i], flat_pixels[2 * i + 1] = u, (math.nan if math.isnan(u) else v)
+
+
+@njit(**PART)
+def place_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+    """Give a pixel for every point; see `compiled`."""
+    _place(points_camera.reshape(points_camera.size), lens, pixels.reshape(pixels.size))
+
+
+@njit(**PART)
+def look_along(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel of a model that can be solved for it; see `compiled`."""
+    for i in range(len(pixels)):
+        rays[i, 0], rays[i, 1], rays[i, 2] = ray_of_pixel(pixels[i, 0], pixels[i, 1], lens)
+
+
+@njit(**PART)
+def _approach_angles(flat_pixels, lens, xs, ys, angles):  # type: ignore[no-untyped-def]
+    for i in range(len(angles)):
+        xs[i], ys[i] = plane_of_pixel(flat_pixels[2 * i], flat_pixels[2 * i + 1], lens)
+        angles[i] = approach_angle(math.sqrt(xs[i] * xs[i] + ys[i] * ys[i]), lens)
+
+
+@njit(**PART)
+def _turn_to_rays(xs, ys, angles, flat_rays):  # type: ignore[no-untyped-def]
+    for i in range(len(angles)):
+        distance = math.sqrt(xs[i] * xs[i] + ys[i] * ys[i])
+        sine, cosine = sine_and_cosine(angles[i])
+        scale = sine / distance if distance > 0.0 else sine
+        flat_rays[3 * i], flat_rays[3 * i + 1], flat_rays[3 * i + 2] = xs[i] * scale, ys[i] * scale, cosine
+
+
+@njit(**PART)
+def look_off_axis(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel of a model in which the angle decides on the distance; see `compiled`."""
+    flat_pixels, flat_rays = pixels.reshape(pixels.size), rays.reshape(rays.size)
+    room = np.empty((3, BLOCK))
+    for start in range(0, len(pixels), BLOCK):
+        stop = min(start + BLOCK, len(pixels))
+        xs, ys, angles = room[0, : stop - start], room[1, : stop - start], room[2, : stop - start]
+        _approach_angles(flat_pixels[2 * start : 2 * stop], lens, xs, ys, angles)
+        for i in range(len(angles)):
+            if math.isnan(angles[i]):
+                angles[i] = angle_at(math.sqrt(xs[i] * xs[i] + ys[i] * ys[i]), lens)
+        _turn_to_rays(xs, ys, angles, flat_rays[3 * start : 3 * stop])
+
+
+@njit(**PART)
+def _approach_places(flat_pixels, lens, xs, ys, flat_places):  # type: ignore[no-untyped-def]
+    for i in range(len(xs)):
+        xs[i], ys[i] = plane_of_pixel(flat_pixels[2 * i], flat_pixels[2 * i + 1], lens)
+        flat_places[2 * i], flat_places[2 * i + 1] = approach_place(xs[i], ys[i], lens)
+
+
+@njit(**PART)
+def _raise_to_rays(flat_places, lens, flat_rays):  # type: ignore[no-untyped-def]
+    for i in range(len(flat_places) // 2):
+        x, y, z = ray_of_chart(flat_places[2 * i], flat_places[2 * i + 1], lens)
+        flat_rays[3 * i], flat_rays[3 * i + 1], flat_rays[3 * i + 2] = x, y, z
+
+
+@njit(**PART)
+def look_through_chart(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel of a model that distorts a plane chart of the rays; see `compiled`."""
+    flat_pixels, flat_rays = pixels.reshape(pixels.size), rays.reshape(rays.size)
+    room, places = np.empty((2, BLOCK)), np.empty(2 * BLOCK)
+    for start in range(0, len(pixels), BLOCK):
+        size = min(BLOCK, len(pixels) - start)
+        xs, ys, found = room[0, :size], room[1, :size], places[: 2 * size]
+        _approach_places(flat_pixels[2 * start : 2 * (start + size)], lens, xs, ys, found)
+        for i in range(size):
+            if math.isnan(found[2 * i]):
+                found[2 * i], found[2 * i + 1] = place_at(xs[i], ys[i], lens)
+        _raise_to_rays(found, lens, flat_rays[3 * start : 3 * (start + size)])

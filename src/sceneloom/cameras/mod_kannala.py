@@ -1,0 +1,92 @@
+"""Fisheye projection with an arctangent within: an odd polynomial of atan(θ), and the tangent of that.
+
+With θ the angle between the point's direction and the axis, and f = atan(θ)
+
+    r = f (1 + k1 f² + k2 f⁴ + k3 f⁶ + k4 f⁸),  (x', y') = tan(r) (X, Y) / sqrt(X² + Y²)
+
+Without coefficients the distance from the centre is θ itself. The domain is the cone θ < limit, π at most, within
+which r grows and stays below π/2.
+
+Source: the Sensor Fusion Scene format names the model and its coefficients; the formula is the one that its owner's
+library computes, which ends it at θ = π/2.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from numba import njit
+
+from sceneloom.cameras.angles import angle_off_axis, sine_and_cosine
+from sceneloom.cameras.compiled import INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.domain import first_positive_root
+from sceneloom.cameras.formulas import (
+    distance_at,
+    formula_of,
+    plane_of_pixel,
+    project_point,
+)
+from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
+from sceneloom.cameras.off_axis import pixel_off_axis, plane_of_centred_pixel
+
+_JUST_INSIDE = 1.0 - 1e-9
+
+
+class ModKannalaLens(NamedTuple):
+    """The numbers of a lens, as the compiled functions take them apart."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    k3: float
+    k4: float
+    limit: float
+
+
+formula_of(ModKannalaLens, project_point)(pixel_off_axis)
+formula_of(ModKannalaLens, plane_of_pixel)(plane_of_centred_pixel)
+
+
+@formula_of(ModKannalaLens, distance_at)
+def _distance(angle: Any, lens: Any) -> Any:
+    f = angle_off_axis(angle, 1.0)
+    s = f * f
+    r = f * (1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * lens.k4))))
+    r_f = 1.0 + s * (3.0 * lens.k1 + s * (5.0 * lens.k2 + s * (7.0 * lens.k3 + s * 9.0 * lens.k4)))
+    sine, cosine = sine_and_cosine(r)
+    return sine / cosine, r_f / (cosine * cosine * (1.0 + angle * angle))
+
+
+def domain_limit(coefficients: tuple[float, ...]) -> float:
+    """The angle off the axis at which r stops growing or reaches π/2, π at most."""
+    k1, k2, k3, k4 = coefficients
+    fold = math.sqrt(first_positive_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]))
+    pole = first_positive_root([k4, 0.0, k3, 0.0, k2, 0.0, k1, 0.0, 1.0, -math.pi / 2])
+    return math.tan(min(math.atan(math.pi), fold, _JUST_INSIDE * pole))
+
+
+@njit(**INLINE)
+def _lens(n):  # type: ignore[no-untyped-def]
+    return ModKannalaLens(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8])
+
+
+@njit(PICTURE_SIGNATURE, **KERNEL)
+def project_into_picture(  # type: ignore[no-untyped-def]
+    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
+):
+    """Keep the points that fall into the picture; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _lens(lens), width, height, point_ids, pixels, depths)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+    """Give a pixel for every point; see `compiled`."""
+    place_points(points_camera, _lens(lens), pixels)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel; see `compiled`."""
+    look_off_axis(pixels, _lens(lens), rays)

@@ -1,0 +1,122 @@
+"""Projection over a shifted unit sphere, with radial and tangential distortion: mirrors and very wide lenses.
+
+With P the distance of the point, x = X/(Z + ξ P), y = Y/(Z + ξ P), s = x² + y², a = x + lx and b = y + ly
+
+    x' = a g + 2 p1 a b + p2 (s + 2 a²),  y' = b g + p1 (s + 2 b²) + 2 p2 a b
+    g = 1 + k1 s + k2 s² + k3 s³ + k4 s⁴
+
+The domain is the disk sqrt(s) < limit in which the mapping does not fold; with ξ > 1 also the nearer part of the
+sphere, 1 + ξ Z/P > 0. It may reach behind the plane of the camera.
+
+Source: Mei and Rives 2007, "Single View Point Omnidirectional Camera Calibration from Planar Grids", eq. 1 to 5. The
+order of the coefficients, and lx and ly, are those of the Sensor Fusion Scene format; that k4 takes part is assumed.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from sceneloom.cameras.bending import shift_and_decentre
+from sceneloom.cameras.charts import (
+    by_sphere,
+    ray_of_sphere,
+    sphere_rim,
+)
+from sceneloom.cameras.compiled import FOLD_SIGNATURE, INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.domain import first_positive_root
+from sceneloom.cameras.folds import radius_without_fold
+from sceneloom.cameras.formulas import (
+    distort,
+    formula_of,
+    plane_of_pixel,
+    project_point,
+    ray_of_chart,
+)
+from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.cameras.off_axis import plane_of_centred_pixel
+
+
+class OmnidirectionalLens(NamedTuple):
+    """The numbers of a lens, as the compiled functions take them apart."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    k3: float
+    k4: float
+    p1: float
+    p2: float
+    xi: float
+    lx: float
+    ly: float
+    limit: float
+
+
+formula_of(OmnidirectionalLens, plane_of_pixel)(plane_of_centred_pixel)
+
+
+@formula_of(OmnidirectionalLens, project_point)
+def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
+    a, b, square = by_sphere(x, y, z, lens.xi)
+    x, y, _, _, _, _ = distort(a, b, lens)
+    known = square < lens.limit * lens.limit
+    return (lens.fx * x + lens.cx if known else math.nan), lens.fy * y + lens.cy
+
+
+@formula_of(OmnidirectionalLens, ray_of_chart)
+def _ray(a: Any, b: Any, lens: Any) -> Any:
+    return ray_of_sphere(a, b, lens.xi)
+
+
+@formula_of(OmnidirectionalLens, distort)
+def _distort(a: Any, b: Any, lens: Any) -> Any:
+    s = a * a + b * b
+    g = 1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * lens.k4)))
+    g_s = lens.k1 + s * (2.0 * lens.k2 + s * (3.0 * lens.k3 + s * 4.0 * lens.k4))
+    return shift_and_decentre(a, b, g, g_s, lens.lx, lens.ly, lens.p1, lens.p2)
+
+
+def domain_limit(coefficients: tuple[float, ...]) -> float:
+    """The distance from the axis on the plane of the sphere up to which no two rays share a pixel."""
+    k1, k2, k3, k4, _, _, xi, _, _ = coefficients
+    fold = math.sqrt(first_positive_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]))
+    limit = min(fold, sphere_rim(xi))
+    return float(fold_radius(np.array((1.0, 1.0, 0.0, 0.0, *coefficients, limit))))
+
+
+@njit(**INLINE)
+def _lens(n):  # type: ignore[no-untyped-def]
+    return OmnidirectionalLens(
+        n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11], n[12], n[13]
+    )
+
+
+@njit(PICTURE_SIGNATURE, **KERNEL)
+def project_into_picture(  # type: ignore[no-untyped-def]
+    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
+):
+    """Keep the points that fall into the picture; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _lens(lens), width, height, point_ids, pixels, depths)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+    """Give a pixel for every point; see `compiled`."""
+    place_points(points_camera, _lens(lens), pixels)
+
+
+@njit(ROWS_SIGNATURE, **KERNEL)
+def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+    """Give a unit ray for every pixel; see `compiled`."""
+    look_through_chart(pixels, _lens(lens), rays)
+
+
+@njit(FOLD_SIGNATURE, **KERNEL)
+def fold_radius(lens):  # type: ignore[no-untyped-def]
+    """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
+    return radius_without_fold(_lens(lens))

@@ -1,0 +1,127 @@
+"""Undoing a distortion: Newton's method, first a few steps without a test, then carefully where they did not do.
+
+Within its domain a lens takes no two places to one (see `domain`), so a solution that lies inside is the one.
+"""
+
+import math
+
+from numba import njit
+
+from sceneloom.cameras.compiled import INLINE, PART
+from sceneloom.cameras.formulas import distance_at, distort
+
+_QUICK_STEPS = 4
+_ITERATIONS = 60
+_SMALLEST_STEP = 1e-4
+_EXACT = 1e-14
+_GOOD = 1e-12
+_INSIDE = 1.0 - 1e-12
+
+
+@njit(**INLINE)
+def approach_angle(distance, lens):  # type: ignore[no-untyped-def]
+    """Solve distance_at(angle) = distance by a few steps; NaN where they do not suffice."""
+    at_axis, slope = distance_at(0.0, lens)
+    angle = (distance - at_axis) / slope
+    for _ in range(_QUICK_STEPS):
+        found, slope = distance_at(angle, lens)
+        angle -= (found - distance) / slope
+    found, _ = distance_at(angle, lens)
+    solved = (abs(found - distance) <= _EXACT * (1.0 + distance)) & (angle >= 0.0) & (angle < lens.limit)
+    return angle if solved else math.nan
+
+
+@njit(**PART)
+def angle_at(distance, lens):  # type: ignore[no-untyped-def]
+    """Solve distance_at(angle) = distance, kept between bounds of the solution; NaN where there is none."""
+    low, high = 0.0, lens.limit
+    nearest, _ = distance_at(low, lens)
+    farthest, _ = distance_at(high, lens)
+    if not nearest <= distance <= farthest:
+        return math.nan
+    angle = 0.5 * high
+    for _ in range(_ITERATIONS):
+        found, slope = distance_at(angle, lens)
+        if found > distance:
+            high = angle
+        else:
+            low = angle
+        better = angle - (found - distance) / slope
+        if not low <= better <= high:
+            better = 0.5 * (low + high)
+        if abs(better - angle) <= 1e-15 * (1.0 + angle):
+            return better
+        angle = better
+    return angle
+
+
+@njit(**INLINE)
+def approach_place(x, y, lens):  # type: ignore[no-untyped-def]
+    """Solve distort(a, b) = x, y by a few steps; NaN where they do not suffice."""
+    a, b = x, y
+    for _ in range(_QUICK_STEPS):
+        to_x, to_y, xx, xy, yx, yy = distort(a, b, lens)
+        off_x, off_y = to_x - x, to_y - y
+        share = 1.0 / (xx * yy - xy * yx)
+        a, b = a + (xy * off_y - yy * off_x) * share, b + (yx * off_x - xx * off_y) * share
+    to_x, to_y, _, _, _, _ = distort(a, b, lens)
+    off = abs(to_x - x) + abs(to_y - y)
+    solved = (off <= _EXACT * (1.0 + abs(x) + abs(y))) & (a * a + b * b < lens.limit * lens.limit)
+    return (a if solved else math.nan), b
+
+
+@njit(**INLINE)
+def _distort_beyond(a, b, lens):  # type: ignore[no-untyped-def]
+    """`distort`, continued beyond the domain by its rim's image and the distance from the rim.
+
+    So a search may leave the domain and come back, and a place that only lies beyond is found, and refused.
+    """
+    from_axis = math.sqrt(a * a + b * b)
+    rim = _INSIDE * lens.limit
+    if from_axis <= rim:
+        return distort(a, b, lens)
+    along_a, along_b = a / from_axis, b / from_axis
+    x, y, xx, xy, yx, yy = distort(rim * along_a, rim * along_b, lens)
+    beyond, turn = from_axis - rim, rim / from_axis
+    # On the rim only turning moves the image: the projector across the axis, and the outward rest.
+    aa, ab, bb = turn * along_b * along_b, -turn * along_a * along_b, turn * along_a * along_a
+    return (
+        x + beyond * along_a,
+        y + beyond * along_b,
+        xx * aa + xy * ab + 1.0 - aa,
+        xx * ab + xy * bb - ab,
+        yx * aa + yy * ab - ab,
+        yx * ab + yy * bb + 1.0 - bb,
+    )
+
+
+@njit(**PART)
+def place_at(x, y, lens):  # type: ignore[no-untyped-def]
+    """Solve distort(a, b) = x, y with steps that are halved until they come nearer; NaN where nothing solves it."""
+    if not lens.limit > 0.0 or not abs(x) + abs(y) < math.inf:
+        return math.nan, math.nan
+    size = math.sqrt(x * x + y * y)
+    start = 1.0 if size < lens.limit else 0.9 * lens.limit / size
+    a, b = start * x, start * y
+    to_x, to_y, xx, xy, yx, yy = _distort_beyond(a, b, lens)
+    off_x, off_y = to_x - x, to_y - y
+    off = math.sqrt(off_x * off_x + off_y * off_y)
+    for _ in range(_ITERATIONS):
+        if off <= _EXACT * (1.0 + size):
+            break
+        share = 1.0 / (xx * yy - xy * yx)
+        step_a, step_b = (xy * off_y - yy * off_x) * share, (yx * off_x - xx * off_y) * share
+        before, part = off, 1.0
+        while part > _SMALLEST_STEP and not off < before:
+            new_a, new_b = a + part * step_a, b + part * step_b
+            to_x, to_y, xx, xy, yx, yy = _distort_beyond(new_a, new_b, lens)
+            off_x, off_y = to_x - x, to_y - y
+            off = math.sqrt(off_x * off_x + off_y * off_y)
+            part *= 0.5
+        if not off < before:
+            off = before
+            break
+        a, b = new_a, new_b
+    if off <= _GOOD * (1.0 + size) and a * a + b * b < lens.limit * lens.limit:
+        return a, b
+    return math.nan, math.nan

@@ -47,7 +47,7 @@ def convert_lenses(
         lenses = _Lenses(model, f"sensors[{sensor.id}].camera", limit_px, share)
         found = lenses.fit(sensor.camera)
         sensors[index] = _with_lens(sensor, found.camera, lenses)
-        notices.append(assumed("lens-fitted", lenses.place, fit_message(sensor.camera, found)))
+        notices.append(assumed("lens-fitted", lenses.place, found.message(sensor.camera)))
         entries.append(
             {
                 "sensor": sensor.id,
@@ -62,17 +62,6 @@ def convert_lenses(
         notices.append(skipped("nothing-to-convert", "sensors", message))
     changed = replace(scene, sensors=tuple(sensors))
     return with_notices(with_ours(changed, lenses=entries or None), notices)
-
-
-def fit_message(exact: Camera, found: Fit) -> str:
-    """Say in words how well a lens stands in for another."""
-    beyond = (
-        "" if found.share == 1 else f", and {100 * (1 - found.share):.2g} % of the picture cannot be held"
-    )
-    return (
-        f"{exact.model} lens told as {found.camera.model}: off by up to {found.largest_px:.2g} px, "
-        f"{found.rms_px:.2g} px in the mean square{beyond}"
-    )
 
 
 def _with_lens(sensor: CameraSensor, camera: Camera, lenses: "_Lenses") -> CameraSensor:
@@ -95,7 +84,7 @@ class _Lenses:
         found = fit(camera, self.model)
         if not found.largest_px <= self.limit_px or found.share < self.share:
             raise CalibrationError(
-                f"{self.place}: {fit_message(camera, found)}; expected at most {self.limit_px:g} px and "
+                f"{self.place}: {found.message(camera)}; expected at most {self.limit_px:g} px and "
                 f"{100 * (1 - self.share):g} %: choose another model or other limits"
             )
         return found

@@ -61,7 +61,7 @@ def test_edit_lens_tells_how_far_off_the_new_lens_is(call: Call, distorted: Path
     outcome = call("edit", "lens", distorted, "-o", tmp_path / "drive", "--model", "fisheye", "--json")
     assert outcome.code == 0
     notices = {notice["code"]: notice["message"] for notice in json.loads(outcome.out)["notices"]}
-    assert "brown_conrady lens told as fisheye: off by up to" in notices["lens-fitted"]
+    assert "brown_conrady lens told as fisheye, off by up to" in notices["lens-fitted"]
     with sceneloom.open(tmp_path / "drive") as scene:
         assert scene.cameras[0].camera.model == "fisheye"
 

@@ -34,7 +34,7 @@ def test_the_new_lens_shows_what_the_old_one_does_within_what_is_told():
     assert tuple(entry["camera"]["coefficients"]) == FISHEYE.coefficients
     notice = scene.notices[0]
     assert (notice.code, notice.place) == ("lens-fitted", "sensors[front].camera")
-    assert "fisheye lens told as brown_conrady: off by up to" in notice.message
+    assert "fisheye lens told as brown_conrady, off by up to" in notice.message
 
 
 def test_pictures_have_their_own_lenses_converted_too():
@@ -47,7 +47,7 @@ def test_pictures_have_their_own_lenses_converted_too():
 
 def test_a_lens_that_comes_no_nearer_than_the_limit_is_refused_with_its_distance():
     with pytest.raises(
-        CalibrationError, match=r"sensors\[front\].camera: fisheye lens told as pinhole: off by up to"
+        CalibrationError, match=r"sensors\[front\].camera: fisheye lens told as pinhole, off by up to"
     ):
         convert_lenses(scene_of(FISHEYE), "pinhole")
     assert convert_lenses(scene_of(FISHEYE), "pinhole", limit_px=500).cameras[0].camera.model == "pinhole"

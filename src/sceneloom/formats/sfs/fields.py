@@ -296,6 +296,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         Field("poses_endless", Kind.FLAG),
         Field("coordinates", Kind.TEXT),
         Field("camera", Kind.RECORD, record="camera"),
+        Field("written_camera", Kind.RECORD, record="camera"),
         Field("pictures", Kind.RECORD, record="pictures_note"),
         Field("lengths", Kind.LIST, unit="m/s"),
     ),

@@ -189,7 +189,7 @@ def _lens(found: AnnotationRecord) -> Camera | None:
     if intrinsics is None:
         return None
     try:
-        return read_lens(found.source, intrinsics, None, (*found.place, "intrinsics"))
+        return read_lens(found.source, intrinsics, {}, (*found.place, "intrinsics"))
     except (FieldError, CalibrationError) as error:
         found.faults.add(("intrinsics",), str(error))
         return None

@@ -25,7 +25,7 @@ def read_camera(source: Source, values: Record, place: Place, faults: Faults) ->
     intrinsics = values.pop("intrinsics")
     inner = Faults()
     try:
-        lens = read_lens(source, intrinsics, note.get("camera"), (*place, "intrinsics"))
+        lens = read_lens(source, intrinsics, note, (*place, "intrinsics"))
     except (FieldError, CalibrationError) as error:
         faults.add(("intrinsics",), str(error))
         return None
@@ -83,8 +83,11 @@ def _content(source: Source, values: Record, lens: Camera, place: Place) -> Pict
     return no_content()
 
 
-def read_lens(source: Source, intrinsics: Record, noted: Mapping[str, Any] | None, place: Place) -> Camera:
-    """Make a lens of an `intrinsics` record, or of our note where the record is a reduced form of it.
+def read_lens(source: Source, intrinsics: Record, note: Mapping[str, Any], place: Place) -> Camera:
+    """Make a lens of an `intrinsics` record, or of our note where the record stands in for the lens noted there.
+
+    A record that was changed since it was written counts, not the note. Files of before the fit have no lens as
+    written in the note: there the focal lengths and the centre tell.
 
     Raises:
         FieldError: the distortion is not what its model has.
@@ -93,9 +96,11 @@ def read_lens(source: Source, intrinsics: Record, noted: Mapping[str, Any] | Non
     distortion = intrinsics.get("distortion") or {}
     model = distortion.get("model") or "pinhole"
     written = lens_of(intrinsics, model, _coefficients(source, model, distortion.get("params"), place))
-    if noted is None:
+    if note.get("camera") is None:
         return written
-    exact = camera_of(noted)
+    exact = camera_of(note["camera"])
+    if note.get("written_camera") is not None:
+        return exact if camera_of(note["written_camera"]) == written else written
     same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
     return exact if same else written
 

@@ -5,13 +5,7 @@ from typing import Any
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
-from sceneloom.formats.sfs.lenses import (
-    difference_px,
-    intrinsics_record,
-    merged_intrinsics,
-    same_lens,
-    written_lens,
-)
+from sceneloom.formats.sfs.lenses import intrinsics_record, merged_intrinsics, written_lens
 from sceneloom.formats.sfs.picture_notes import camera_record
 from sceneloom.formats.sfs.write_records import gnss_fields, imu_fields, points_fields
 from sceneloom.scene import (
@@ -77,15 +71,11 @@ def _cloud(sensor: Any, losses: Losses) -> SensorDraft:
 def _camera(sensor: CameraSensor, losses: Losses, *, any_distortion: bool) -> SensorDraft:
     draft = SensorDraft(sensor.id, "camera", _fields(sensor))
     draft.poses, draft.mount, draft.coordinates = sensor.poses, sensor.mount, sensor.coordinates.value
-    written = written_lens(sensor.camera, any_model=any_distortion)
-    if not same_lens(sensor.camera, written):
-        draft.note["camera"] = camera_record(sensor.camera)
-        off_px = difference_px(sensor.camera, written)
-        how_far = "by an unknown number of pixels" if off_px is None else f"by up to {off_px:.3g} px"
-        what = f"{sensor.camera.model} written as {written.model}, off {how_far}"
-        losses.add(
-            f"{draft.place}.intrinsics.distortion", what, kept="metadata.sceneloom.sensor_notes[].camera"
-        )
+    written, how_far = written_lens(sensor.camera, any_model=any_distortion)
+    if how_far is not None:
+        draft.note |= {"camera": camera_record(sensor.camera), "written_camera": camera_record(written)}
+        kept = "metadata.sceneloom.sensor_notes[].camera"
+        losses.add(f"{draft.place}.intrinsics.distortion", how_far, kept=kept)
     draft.fields["intrinsics"] = merged_intrinsics(
         intrinsics_record(written), sensor.extras.get("intrinsics")
     )

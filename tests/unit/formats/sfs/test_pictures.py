@@ -7,7 +7,7 @@ import pytest
 import simplejpeg
 from PIL import Image
 
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
 from sceneloom.formats.sfs.mp4 import video_codec
@@ -257,9 +257,34 @@ def test_lenses_that_the_format_lacks_are_kept_and_their_error_is_said(target, d
     assert not any(read.coefficients[count:])
 
 
-def test_the_error_of_a_dropped_coefficient_is_that_of_the_formula(target):
+def said_distance_px(report):
+    return float(
+        next(loss.what for loss in report if "distortion" in loss.field).split("up to ")[1].split()[0]
+    )
+
+
+def test_a_lens_that_the_format_lacks_is_fitted_and_the_error_that_is_left_is_said(target, decode_sfs):
+    # at the corner (16, 8) px from the centre x' = x + s1 r²: about 40 · 0.01 · (0.4² + 0.2²) = 0.08 px
     lens = Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.0,) * 10 + (0.01, 0, 0, 0, 0, 0))
     report = write_scene(Scene((camera([], camera=lens),)), target)
-    off_px = float(next(iter(report)).what.split("up to ")[1].split()[0])
-    # at the corner (16, 8) px from the centre x' = x + s1 r²: about 40 · 0.01 · (0.4² + 0.2²) = 0.08 px
-    assert off_px == pytest.approx(0.08, rel=0.02)
+    record = decode_sfs(target.read_bytes())["sensors"][0]["intrinsics"]
+    numbers = [record[name] for name in ("width", "height", "fx", "fy", "cx", "cy")]
+    model, params = record["distortion"]["model"], record["distortion"]["params"]
+    written = Camera(model, *numbers, tuple(params))
+    u, v = np.meshgrid(np.linspace(-0.5, 31.5, 50), np.linspace(-0.5, 15.5, 40))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    off = np.hypot(*(project_unbounded(written, unproject(lens, pixels)) - pixels).T)
+    assert off.max() == pytest.approx(said_distance_px(report), rel=0.05)
+    assert off.max() < 0.04
+    assert FORMAT.open(target).cameras[0].camera == lens
+
+
+def test_a_written_lens_that_was_changed_since_counts_and_not_the_note(target, encode_sfs, decode_sfs):
+    lens = Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.0,) * 10 + (0.01, 0, 0, 0, 0, 0))
+    write_scene(Scene((camera([], camera=lens),)), target)
+    header = decode_sfs(target.read_bytes())
+    header["sensors"][0]["intrinsics"]["distortion"]["params"][0] = 0.25
+    target.write_bytes(encode_sfs(header))
+    read = FORMAT.open(target).cameras[0].camera
+    assert read.coefficients[0] == 0.25
+    assert not any(read.coefficients[10:])

@@ -11,7 +11,12 @@ from sceneloom.errors import OptionError
 RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.reading",
     "sceneloom.checks.times",
+    "sceneloom.checks.point_times",
+    "sceneloom.checks.poses",
+    "sceneloom.checks.sensors",
+    "sceneloom.checks.cameras",
     "sceneloom.checks.points",
+    "sceneloom.checks.point_frames",
     "sceneloom.checks.pictures",
     "sceneloom.checks.references",
     "sceneloom.checks.annotation_times",

@@ -1,0 +1,213 @@
+"""A rule about the frame of points: they stay with the sensor, or match from frame to frame, in the one that is said.
+
+Two tests. By distance: points lie around their sensor, so a frame in which they are far from it is not theirs; this
+needs a sensor that is far from the origin at some time. By overlap: what stands still is at the same place in the
+world in two frames, so the frame in which more points of one sweep meet points of another one is theirs; this needs
+a sensor that moves by metres between the two. What is flat looks alike from everywhere: points near the ground, as
+the lowest in their surroundings tell it, are left out.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.checks.point_places import places_at, point_places, sensor_place, transform_at
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import FrameInHand, Subject
+from sceneloom.scene import (
+    Identifier,
+    LidarFrame,
+    LidarSensor,
+    PointsFrame,
+    RadarFrame,
+    RadarSensor,
+    Severity,
+)
+
+_LOOKED_AT = 4
+"""So many frames of a sensor are looked at, spread over the drive, and one more for each to compare it with."""
+
+_KEPT_POINTS = 40_000
+
+_NEARER = 3.0
+_NEARER_M = 30.0
+"""Another frame is the right one if the points then lie this much nearer to the sensor, by factor and by metres."""
+
+_LEAST_MOVE_M = 1.5
+_LARGEST_MOVE_M = 30.0
+"""Two frames are compared if the sensor moved by so much between them: less shows nothing, more sees other things."""
+
+_ASKED_POINTS = 3_000
+_MEETS_M = 0.3
+_OFF_GROUND_M = 0.5
+_CELL_M = 4.0
+_LEAST_ASKED = 100
+_MORE_OVERLAP, _MORE_TIMES = 0.15, 1.5
+"""Another frame is the right one if so many more of the points meet, as a share and as a factor."""
+
+
+@dataclass(slots=True, eq=False)
+class Sweep:
+    """Some points of a frame as stored, (K, 3) float64 [m], and its time [ns]."""
+
+    timestamp_ns: int
+    points: Float64Array
+
+
+@dataclass(slots=True, eq=False)
+class Sweeps:
+    """The frames of one sensor that are looked at: which ones, in which pairs, and those seen so far."""
+
+    path: str
+    sensor: LidarSensor | RadarSensor
+    wanted: frozenset[int]
+    pairs: tuple[tuple[int, int], ...]
+    seen: dict[int, Sweep] = field(default_factory=dict)
+
+
+def _all_sweeps(subject: Subject) -> dict[tuple[type, Identifier], Sweeps]:
+    return subject.table("sweeps for the frame of points", lambda _: {})
+
+
+def _keep(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    """Keep some points of the frames that are looked at."""
+    yield from ()
+    sensor = frame.sensor
+    if not isinstance(sensor, LidarSensor | RadarSensor):
+        return
+    known, key = _all_sweeps(subject), (type(sensor.id), sensor.id)
+    if key not in known:
+        known[key] = _planned(subject, frame.sensor_path, sensor)
+    if frame.number in known[key].wanted and isinstance(frame.frame, LidarFrame | RadarFrame):
+        positions = frame.frame.points.positions
+        some = positions[:: len(positions) // _KEPT_POINTS + 1].astype(np.float64)
+        some = some[np.isfinite(some).all(axis=1) & some.any(axis=1)]
+        known[key].seen[frame.number] = Sweep(frame.frame.timestamp_ns, some)
+
+
+def _planned(subject: Subject, path: str, sensor: LidarSensor | RadarSensor) -> Sweeps:
+    """Choose frames spread over the drive, and to each one from which the sensor has moved far enough."""
+    place, count = sensor_place(subject, sensor), len(sensor.frames)
+    if place is None:
+        return Sweeps(path, sensor, frozenset(), ())
+    spread = np.unique(np.linspace(0, count - 1, _LOOKED_AT).astype(int)).tolist()
+    where = places_at(place, sensor)
+    pairs: dict[tuple[int, int], None] = {}
+    for number in spread:
+        with np.errstate(invalid="ignore"):
+            moved = np.linalg.norm(where - where[number], axis=1)
+            others = np.flatnonzero((moved > _LEAST_MOVE_M) & (moved < _LARGEST_MOVE_M))
+        if len(others):
+            other = int(others[np.argmin(np.abs(others - number))])
+            pairs[min(number, other), max(number, other)] = None
+    return Sweeps(path, sensor, frozenset(spread) | {n for pair in pairs for n in pair}, tuple(pairs))
+
+
+def _wrong_frame(subject: Subject) -> Iterator[Hit]:
+    for sweeps in _all_sweeps(subject).values():
+        told = _by_distance(subject, sweeps) or _by_overlap(subject, sweeps)
+        if told is not None:
+            yield Hit(f"{sweeps.path}.frames[].points", told, count=len(sweeps.sensor.frames))
+
+
+def _by_distance(subject: Subject, sweeps: Sweeps) -> str | None:
+    """Compare how far the middle point of each frame is from the sensor, under each reading."""
+    place = sensor_place(subject, sweeps.sensor)
+    said, middles = sweeps.sensor.points_frame, dict[PointsFrame, float]()
+    for reading, source in point_places(subject, sweeps.sensor).items():
+        away = []
+        for sweep in sweeps.seen.values():
+            world_from_points = transform_at(source, sweep.timestamp_ns)
+            world_from_sensor = None if place is None else transform_at(place, sweep.timestamp_ns)
+            if world_from_points is None or world_from_sensor is None or len(sweep.points) == 0:
+                continue
+            to_sensor = world_from_points.apply(sweep.points) - world_from_sensor.translation
+            away.append(float(np.median(np.linalg.norm(to_sensor, axis=1))))
+        if away:
+            middles[reading] = max(away)
+    if said not in middles:
+        return None
+    nearest = min(middles, key=lambda reading: middles[reading])
+    if middles[said] < _NEARER * middles[nearest] or middles[said] < middles[nearest] + _NEARER_M:
+        return None
+    return (
+        f"taken as {_in(said)} half of the points lie more than {middles[said]:.0f} m from the sensor, "
+        f"taken as {_in(nearest)} {middles[nearest]:.0f} m; said is {said.value}"
+    )
+
+
+def _in(frame: PointsFrame) -> str:
+    return f"{frame.value} coordinates"
+
+
+def _by_overlap(subject: Subject, sweeps: Sweeps) -> str | None:
+    """Compare how many points of one frame meet points of another, under each reading."""
+    said = sweeps.sensor.points_frame
+    if isinstance(sweeps.sensor, RadarSensor):
+        return None
+    shares: dict[PointsFrame, list[float]] = {}
+    for pair in sweeps.pairs:
+        one, other = (sweeps.seen.get(number) for number in pair)
+        if one is not None and other is not None:
+            for reading, share in _overlaps(subject, sweeps.sensor, one, other).items():
+                shares.setdefault(reading, []).append(share)
+    means = {reading: float(np.mean(found)) for reading, found in shares.items()}
+    if said not in means:
+        return None
+    best = max(means, key=lambda reading: means[reading])
+    if means[best] < max(means[said] + _MORE_OVERLAP, means[said] * _MORE_TIMES):
+        return None
+    count = len(shares[said])
+    return (
+        f"taken as {_in(said)} {means[said]:.0%} of the points off the ground meet points of another frame, "
+        f"taken as {_in(best)} {means[best]:.0%} ({count} pairs of frames); said is {said.value}"
+    )
+
+
+def _overlaps(subject: Subject, lidar: LidarSensor, one: Sweep, other: Sweep) -> Mapping[PointsFrame, float]:
+    """The share of points of one frame that meet points of another, under each reading that places both."""
+    shares = {}
+    for reading, source in point_places(subject, lidar).items():
+        to_world = transform_at(source, one.timestamp_ns), transform_at(source, other.timestamp_ns)
+        if to_world[0] is None or to_world[1] is None:
+            continue
+        share = _meeting(to_world[0].apply(one.points), to_world[1].apply(other.points))
+        if share is not None:
+            shares[reading] = share
+    return shares
+
+
+def _meeting(points: Float64Array, others: Float64Array) -> float | None:
+    """The share of points off the ground with another frame's point within reach; None for too few."""
+    from scipy.spatial import cKDTree
+
+    asked = points[_off_ground(points)]
+    asked = asked[:: len(asked) // _ASKED_POINTS + 1]
+    if len(asked) < _LEAST_ASKED or len(others) < _LEAST_ASKED:
+        return None
+    distances, _ = cKDTree(others).query(asked, distance_upper_bound=_MEETS_M)
+    return float(np.isfinite(distances).mean())
+
+
+def _off_ground(points: Float64Array) -> BoolArray:
+    """(N,) bool: well above the lowest point of the same patch of ground; z is up in the world."""
+    cells: Int64Array = np.floor(points[:, :2] / _CELL_M).astype(np.int64)
+    _, inverse = np.unique(cells, axis=0, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    lowest = np.full(int(inverse.max(initial=-1)) + 1, np.inf)
+    np.minimum.at(lowest, inverse, points[:, 2])
+    return np.asarray(points[:, 2] > lowest[inverse] + _OFF_GROUND_M)
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "points-in-another-frame",
+        Severity.WARNING,
+        "Points lie around their sensor, and match from frame to frame, in the frame that they are said to be in.",
+        "Open the file with `--points-frame world`, `ego` or `sensor`, and write it again.",
+        look=_keep,
+        conclude=_wrong_frame,
+    ),
+)

@@ -22,6 +22,7 @@ RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.annotation_times",
     "sceneloom.checks.attributes",
     "sceneloom.checks.cuboids",
+    "sceneloom.checks.cuboid_angles",
     "sceneloom.checks.boxes_in_pictures",
     "sceneloom.checks.shapes",
     "sceneloom.checks.labelled_points",

@@ -7,7 +7,17 @@ from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene import NoticeKind, Scene, Severity
 
 _TOLD_BY_RULES = frozenset(
-    {"at-fault", "item-at-fault", "mended", "no-poses", "no-pictures", "unknown-distortion"}
+    {
+        "at-fault",
+        "item-at-fault",
+        "mended",
+        "no-pictures",
+        "no-poses",
+        "relative-point-times",
+        "short-distortion",
+        "unknown-distortion",
+        "video-and-images",
+    }
 )
 """Notices of readers that other rules tell better."""
 

@@ -1,30 +1,35 @@
-"""Rules about the times of frames, pictures and poses."""
+"""Rules about the times of frames and pictures, and of the scene's clock."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.checks.reordering import with_sorted_frames
 from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, stamps_of
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Sensor, Severity
+from sceneloom.formats.sfs.times import chosen_offset_ns
+from sceneloom.scene import CameraSensor, Scene, Severity
+from sceneloom.scene.span import time_span
+
+HIGHEST_RATE_HZ = 100
+"""More frames a second, on average, are no frames. Source: `MAX_FPS` of Scale's validator."""
+
+LATEST_START_NS = 100_000_000_000
+"""A file's stamps count from somewhere near its beginning. Source: `max_init_frame_ts` of Scale's validator."""
+
+_EARLIEST_EPOCH_NS = 631_152_000_000_000_000
+"""1990-01-01 since 1970: stamps beyond it are dates, not times of a drive [ns]."""
+
+_GAP = 1.75
+_DOUBLED = 0.1
+_JITTER = 0.25
+_FPS_TOLERANCE = 0.05
+_FEWEST_FOR_A_RATE = 4
 
 
-def stamps_of(sensor: Sensor) -> Int64Array:
-    """The times of a sensor's frames or pictures, (N,) int64 [ns]; none for sensors without frames."""
-    if isinstance(sensor, CameraSensor):
-        return sensor.pictures.timestamps_ns
-    if isinstance(sensor, LidarSensor | RadarSensor):
-        return sensor.frames.timestamps_ns
-    return np.zeros(0, np.int64)
-
-
-def frames_path(sensor_path: str, sensor: Sensor) -> str:
-    """`sensors[3].frames`, or `sensors[3].pictures`."""
-    return f"{sensor_path}.{'pictures' if isinstance(sensor, CameraSensor) else 'frames'}"
-
-
-def _times_not_increasing(subject: Subject) -> Iterator[Hit]:
+def _not_increasing(subject: Subject) -> Iterator[Hit]:
     for path, sensor in subject.sensors():
         stamps_ns = stamps_of(sensor)
         for k in np.flatnonzero(np.diff(stamps_ns) <= 0).tolist():
@@ -32,12 +37,150 @@ def _times_not_increasing(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"{frames_path(path, sensor)}[{k + 1}]", problem)
 
 
+def _too_many_a_second(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        stamps_ns = stamps_of(sensor)
+        if len(stamps_ns) > 1:
+            mean_ns = float(np.mean(np.diff(stamps_ns)))
+            if 0 <= mean_ns < 1e9 / HIGHEST_RATE_HZ:
+                rate = f"{1e9 / mean_ns:.1f}" if mean_ns else "endlessly many"
+                problem = f"{rate} frames a second; expected at most {HIGHEST_RATE_HZ}"
+                yield Hit(frames_path(path, sensor), problem)
+
+
+def _gaps(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        stamps_ns = stamps_of(sensor)
+        if len(stamps_ns) < _FEWEST_FOR_A_RATE:
+            continue
+        intervals, usual = np.diff(stamps_ns), period_ns(stamps_ns)
+        for k in np.flatnonzero(intervals > _GAP * usual).tolist():
+            missing = round(intervals[k] / usual) - 1
+            problem = (
+                f"{seconds(intervals[k])} to the next frame, {seconds(usual)} usually; {missing} seem missing"
+            )
+            yield Hit(f"{frames_path(path, sensor)}[{k}]", problem, max(missing, 1))
+
+
+def _doubled(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        stamps_ns = stamps_of(sensor)
+        if len(stamps_ns) < _FEWEST_FOR_A_RATE:
+            continue
+        intervals, usual = np.diff(stamps_ns), period_ns(stamps_ns)
+        for k in np.flatnonzero((intervals > 0) & (intervals < _DOUBLED * usual)).tolist():
+            problem = f"{seconds(intervals[k])} after the frame before, {seconds(usual)} usually"
+            yield Hit(f"{frames_path(path, sensor)}[{k + 1}]", problem)
+
+
+def _uneven(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        stamps_ns = stamps_of(sensor)
+        usual = period_ns(stamps_ns)
+        intervals = np.diff(stamps_ns)
+        plain = intervals[(intervals <= _GAP * usual) & (intervals >= _DOUBLED * usual)]
+        if len(plain) < _FEWEST_FOR_A_RATE:
+            continue
+        spread_ns = float(np.std(plain))
+        if spread_ns > _JITTER * usual:
+            problem = f"intervals of {seconds(usual)} vary by {seconds(spread_ns)} (one standard deviation)"
+            yield Hit(frames_path(path, sensor), problem)
+
+
+def _fps_differs(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        if not isinstance(sensor, CameraSensor) or sensor.fps is None or len(sensor.pictures) < 2:
+            continue
+        rate = 1e9 / period_ns(sensor.pictures.timestamps_ns)
+        if abs(sensor.fps - rate) > _FPS_TOLERANCE * rate:
+            problem = f"{sensor.fps:g}; the stamps tell {rate:.4g} pictures a second"
+            yield Hit(f"{path}.video.fps", problem)
+
+
+def _stamps_are_dates(subject: Subject) -> Iterator[Hit]:
+    """Whether a scene file counts from 1970, where its clock should begin near the scene."""
+    span = _file_span(subject.scene)
+    if span is not None and span[0] >= _EARLIEST_EPOCH_NS:
+        after = f"{span[0] / 1e9:.0f} s after the clock's zero"
+        yield Hit("time_offset", f"stamps begin {after}; expected a time_offset that takes most of it")
+
+
+def _starts_late(subject: Subject) -> Iterator[Hit]:
+    span = _file_span(subject.scene)
+    if span is not None and LATEST_START_NS < span[0] < _EARLIEST_EPOCH_NS:
+        problem = f"stamps begin {seconds(span[0])} after the clock's zero; expected at most {seconds(LATEST_START_NS)}"
+        yield Hit("time_offset", problem)
+
+
+def _file_span(scene: Scene) -> tuple[int, int] | None:
+    """First and last time of a scene file on its own clock [ns]."""
+    span = time_span(scene) if scene.format == "sfs" else None
+    return None if span is None else (span[0] - scene.time_offset_ns, span[1] - scene.time_offset_ns)
+
+
+def _with_time_offset(scene: Scene) -> Scene:
+    span = time_span(scene)
+    return scene if span is None else replace(scene, time_offset_ns=chosen_offset_ns(span[0]))
+
+
 RULES: tuple[Rule, ...] = (
     Rule(
         "frame-times-increasing",
         Severity.ERROR,
         "Frames and pictures of a sensor have strictly increasing times.",
-        "Sort the frames by time; give frames of equal times their own, or leave one of them out.",
-        find=_times_not_increasing,
+        "Sort the frames by time, which `--fix` does but for videos; of frames of one time keep one.",
+        find=_not_increasing,
+        fix=with_sorted_frames,
+    ),
+    Rule(
+        "frame-rate",
+        Severity.WARNING,
+        "A sensor has at most 100 frames a second on average.",
+        "See whether the stamps are in the unit that `time_unit` says.",
+        find=_too_many_a_second,
+    ),
+    Rule(
+        "frame-doubled",
+        Severity.WARNING,
+        "No frame follows the one before within a tenth of the usual interval.",
+        "See whether a frame was recorded twice, or stamped when it was received and not when it was measured.",
+        find=_doubled,
+    ),
+    Rule(
+        "frame-gaps",
+        Severity.WARNING,
+        "The frames of a sensor follow each other without gaps.",
+        "See whether frames were lost; programs that count frames to tell the time will be off.",
+        find=_gaps,
+    ),
+    Rule(
+        "frame-jitter",
+        Severity.HINT,
+        "The intervals between frames are even.",
+        "Stamp frames when they are measured, not when they arrive.",
+        find=_uneven,
+    ),
+    Rule(
+        "video-fps",
+        Severity.WARNING,
+        "`fps` of a video agrees with the stamps of its pictures, within 5 %.",
+        "Leave `fps` out, or write what the stamps tell: the stamps are what counts.",
+        find=_fps_differs,
+    ),
+    Rule(
+        "epoch-times",
+        Severity.WARNING,
+        "The stamps of a scene file count from somewhere near its beginning, not from 1970.",
+        "Take whole seconds off all stamps and write them as `time_offset`; absolute times stay the same.",
+        find=_stamps_are_dates,
+        fix=_with_time_offset,
+    ),
+    Rule(
+        "late-start",
+        Severity.HINT,
+        "A scene file begins within 100 s of its clock's zero.",
+        "Write a `time_offset`: stamps of points in microseconds end after 71 minutes.",
+        find=_starts_late,
+        fix=_with_time_offset,
     ),
 )

@@ -1,0 +1,119 @@
+"""Rules about the times of the points of a sweep: on the scene's clock, and within the sweep."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.sensor_times import period_ns, seconds
+from sceneloom.checks.subject import FrameInHand, Subject
+from sceneloom.formats.sfs.times import UINT32_MAX
+from sceneloom.scene import LidarFrame, LidarSensor, RadarFrame, RadarSensor, Severity
+from sceneloom.scene.point_times import PointTimes, RawTimes, timed_frame
+
+_WRAP = UINT32_MAX + 1
+_TICKS_NS = (1_000, 1)
+
+_ROUNDING_NS = 1_000
+"""Stamps in microseconds may be so late [ns]."""
+
+_ON_ANOTHER_CLOCK = 100
+"""Times so many periods away are not late, but of another clock, which another rule tells."""
+
+_WHAT: dict[PointTimes, str] = {
+    PointTimes.RELATIVE: "count from the frame's own stamp; expected times on the scene's clock",
+    PointTimes.OTHER_CLOCK: "are on another clock than the frame's stamp",
+    PointTimes.UNKNOWN: "are not those of a sweep at the frame's stamp",
+}
+
+
+def _relative_in_file(subject: Subject) -> Iterator[Hit]:
+    """What the reader of scene files has put right already."""
+    for notice in subject.scene.notices:
+        if notice.code == "relative-point-times":
+            yield Hit(notice.place, notice.message, notice.count)
+
+
+def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    if not isinstance(frame.sensor, LidarSensor) or not isinstance(frame.frame, LidarFrame):
+        return
+    usual_ns = round(period_ns(frame.sensor.frames.timestamps_ns))
+    previous: dict[str, RawTimes | None] = subject.table("raw point times by sensor", lambda _: {})
+    timed = timed_frame(frame.frame, usual_ns, previous=previous.get(frame.sensor_path))
+    previous[frame.sensor_path] = timed.raw
+    if timed.raw is None:
+        return
+    wraps = _wraps(timed.raw)
+    problem = _WHAT.get(timed.verdict)
+    if wraps:
+        problem = f"lie {wraps} times 2^32 ticks before the frame; 32 bits have run over"
+    elif timed.verdict is PointTimes.WRONG_UNIT:
+        problem = f"are {float(timed.found.factor):g} times too large"
+    if problem is not None:
+        yield Hit(f"{frame.path}.points.timestamps", f"they {problem}; the first is {timed.raw.first_ns} ns")
+
+
+def _wraps(raw: RawTimes) -> int:
+    """How often an integer of 32 bits has run over between a frame's stamp and its first point."""
+    for tick_ns in _TICKS_NS:
+        turns = round((raw.timestamp_ns - raw.first_ns) / (_WRAP * tick_ns))
+        rest_ns = raw.timestamp_ns - raw.first_ns - turns * _WRAP * tick_ns
+        if turns and abs(rest_ns) < min(1_000_000_000, _WRAP * tick_ns // 8):
+            return turns
+    return 0
+
+
+def _all_equal(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    del subject
+    if isinstance(frame.frame, LidarFrame):
+        times = frame.frame.points.timestamps_ns
+        if times is not None and len(times) > 1 and times.min() == times.max():
+            problem = (
+                f"all {len(times)} are {int(times[0])} ns; they tell nothing about the motion in the sweep"
+            )
+            yield Hit(f"{frame.path}.points.timestamps", problem)
+
+
+def _outside_the_sweep(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    del subject
+    if not isinstance(frame.frame, LidarFrame | RadarFrame):
+        return
+    times, sensor = frame.frame.points.timestamps_ns, frame.sensor
+    if times is None or not len(times) or not isinstance(sensor, LidarSensor | RadarSensor):
+        return
+    start_ns, usual_ns = frame.frame.timestamp_ns, period_ns(sensor.frames.timestamps_ns)
+    early, late = start_ns - int(times.min()), int(times.max()) - start_ns - 2 * usual_ns
+    if max(early, late) > _ON_ANOTHER_CLOCK * usual_ns:
+        return
+    place = f"{frame.path}.points.timestamps"
+    if early > _ROUNDING_NS:
+        count = int(np.count_nonzero(times < start_ns))
+        yield Hit(place, f"{count} of {len(times)} points lie before their frame, by up to {seconds(early)}")
+    if late > 0:
+        yield Hit(place, f"points reach to {seconds(late)} beyond the end of the next sweep")
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "point-times-clock",
+        Severity.WARNING,
+        "Times of points are on the clock of their frames, in its unit.",
+        "Write absolute times; in microseconds of 32 bits choose a time_offset, or write nanoseconds.",
+        find=_relative_in_file,
+        look=_not_on_the_clock,
+    ),
+    Rule(
+        "point-times-frame",
+        Severity.HINT,
+        "No point lies before its frame, nor after the next one.",
+        "Stamp frames at their earliest point: writing the scene does.",
+        look=_outside_the_sweep,
+    ),
+    Rule(
+        "point-times-equal",
+        Severity.HINT,
+        "Points of a sweep have times of their own.",
+        "Leave the times out if the sensor gives none; with them, the motion during a sweep can be undone.",
+        look=_all_equal,
+    ),
+)

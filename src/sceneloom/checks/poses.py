@@ -1,0 +1,235 @@
+"""Rules about where sensors and the ego are: poses that reach, that do not jump, and that lead into a known frame."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, stamps_of
+from sceneloom.checks.subject import Subject
+from sceneloom.geometry.rotations import angle_between
+from sceneloom.scene import (
+    CameraSensor,
+    Coordinates,
+    LidarSensor,
+    OdometrySensor,
+    PointsFrame,
+    PosePath,
+    RadarSensor,
+    Sensor,
+    Severity,
+)
+
+FASTEST = 150.0
+"""Nothing that carries sensors on the ground is faster [m/s]."""
+
+FASTEST_TURN_DEG = 720.0
+"""No vehicle turns faster [deg/s]."""
+
+_STEP_FACTOR, _STEP_MARGIN = 3.0, 1.0
+_TURN_FACTOR, _TURN_MARGIN_DEG = 3.0, 15.0
+
+Placed = LidarSensor | RadarSensor | CameraSensor
+
+
+def _placed_sensors(subject: Subject) -> Iterator[tuple[str, Placed]]:
+    for path, sensor in subject.sensors():
+        if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+            yield path, sensor
+
+
+def _without_place(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in _placed_sensors(subject):
+        if sensor.poses is None and sensor.mount is None and len(stamps_of(sensor)):
+            yield Hit(f"{path}.poses", "no poses and no mounting; expected where the sensor was")
+
+
+def _without_trajectory(subject: Subject) -> Iterator[Hit]:
+    """Sensors that are mounted on an ego of which no way is known; points in the world need none."""
+    if subject.scene.trajectories:
+        return
+    for path, sensor in _placed_sensors(subject):
+        if sensor.poses is None and sensor.mount is not None and len(stamps_of(sensor)):
+            problem = "mounted on the ego, whose way through the world is not known"
+            yield Hit(f"{path}.poses", problem)
+
+
+def _uncovered(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in _placed_sensors(subject):
+        stamps_ns = stamps_of(sensor)
+        if sensor.poses is None or sensor.poses.endless or not len(stamps_ns):
+            continue
+        reach_ns = period_ns(stamps_ns)
+        beyond_ns = _beyond(sensor.poses, stamps_ns)
+        far = np.flatnonzero(beyond_ns > reach_ns)
+        if len(far):
+            problem = (
+                f"{len(far)} of {len(stamps_ns)} frames lie before the first or after the last pose, by up to "
+                f"{seconds(float(beyond_ns.max()))}; expected at most one period of {seconds(reach_ns)}"
+            )
+            yield Hit(f"{frames_path(path, sensor)}[{far[0]}]", problem, len(far))
+
+
+def _beyond(poses: PosePath, stamps_ns: Int64Array) -> Int64Array:
+    """How far each stamp lies outside the poses, (N,) int64 [ns]; 0 inside."""
+    return np.maximum(np.maximum(poses.start_ns - stamps_ns, stamps_ns - poses.stop_ns), 0)
+
+
+def _paths(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array, Float64Array | None]]:
+    """All ways through space with their places: of sensors, and trajectories that no odometry sensor tells."""
+    told = set()
+    for path, sensor in subject.sensors():
+        poses: PosePath | None = getattr(sensor, "poses", None)
+        if isinstance(poses, PosePath):
+            yield f"{path}.poses", poses.timestamps_ns, poses.positions, poses.quaternions_xyzw
+        if isinstance(sensor, OdometrySensor):
+            told.add(str(sensor.id))
+    for name, way in subject.scene.trajectories.items():
+        if name not in told and len(way.timestamps_ns):
+            yield f"trajectories[{name}]", way.timestamps_ns, way.positions, way.quaternions_xyzw
+
+
+def _jumps(subject: Subject) -> Iterator[Hit]:
+    for path, stamps_ns, positions, _ in _paths(subject):
+        times = np.diff(stamps_ns) / 1e9
+        steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+        for k in np.flatnonzero(
+            _beyond_neighbours(steps, times, FASTEST, _STEP_FACTOR, _STEP_MARGIN)
+        ).tolist():
+            problem = f"{steps[k]:.2f} m in {times[k]:.3f} s, unlike the steps beside it"
+            yield Hit(f"{path}.values[{k + 1}]", problem)
+
+
+def _turns(subject: Subject) -> Iterator[Hit]:
+    for path, stamps_ns, _, quaternions_xyzw in _paths(subject):
+        if quaternions_xyzw is None or len(stamps_ns) < 2:
+            continue
+        times = np.diff(stamps_ns) / 1e9
+        turns = np.degrees(angle_between(quaternions_xyzw[:-1], quaternions_xyzw[1:]))
+        wrong = _beyond_neighbours(turns, times, FASTEST_TURN_DEG, _TURN_FACTOR, _TURN_MARGIN_DEG)
+        for k in np.flatnonzero(wrong).tolist():
+            problem = f"turned by {turns[k]:.1f} degrees in {times[k]:.3f} s, unlike the steps beside it"
+            yield Hit(f"{path}.values[{k + 1}]", problem)
+
+
+def _beyond_neighbours(
+    steps: Float64Array, times: Float64Array, fastest: float, factor: float, margin: float
+) -> BoolArray:
+    """Steps faster than anything moves, or by far larger than the steps before and after them would let expect.
+
+    Args:
+        steps: (N,) how far each goes.
+        times: (N,) [s], how long each takes, more than 0.
+        fastest: largest rate that there is.
+        factor: so many times the larger rate of the two neighbours is still believed.
+        margin: so much more than that, too.
+    """
+    wrong: BoolArray = steps > np.maximum(fastest * times, margin)
+    if len(steps) < 3:
+        return wrong
+    rates = steps / times
+    before, after = np.roll(rates, 1), np.roll(rates, -1)
+    before[0], after[-1] = after[0], before[-1]
+    return wrong | (steps > factor * np.maximum(before, after) * times + margin)
+
+
+def _times_of_ways(subject: Subject) -> Iterator[Hit]:
+    for name, way in subject.scene.trajectories.items():
+        for k in np.flatnonzero(np.diff(way.timestamps_ns) <= 0).tolist():
+            stamp, before = way.timestamps_ns[k + 1], way.timestamps_ns[k]
+            yield Hit(
+                f"trajectories[{name}][{k + 1}]", f"{stamp} ns after {before} ns; expected a later time"
+            )
+
+
+def _odometry_ids(subject: Subject) -> set[tuple[type, str | int]]:
+    return {(type(s.id), s.id) for s in subject.scene.sensors if isinstance(s, OdometrySensor)}
+
+
+def _in_ego_frame(sensor: Sensor) -> bool:
+    if isinstance(sensor, LidarSensor | RadarSensor) and sensor.points_frame is PointsFrame.EGO:
+        return True
+    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+        return False
+    return sensor.coordinates is Coordinates.EGO and sensor.poses is not None
+
+
+def _ego_unknown(subject: Subject) -> Iterator[Hit]:
+    if _odometry_ids(subject) or subject.scene.trajectories:
+        return
+    for path, sensor in subject.sensors():
+        if _in_ego_frame(sensor):
+            problem = "'ego', and no odometry sensor tells where the ego was"
+            yield Hit(f"{path}.coordinates", problem)
+
+
+def _ego_ambiguous(subject: Subject) -> Iterator[Hit]:
+    known = _odometry_ids(subject)
+    if len(known) < 2:
+        return
+    for path, sensor in subject.sensors():
+        if _in_ego_frame(sensor) and (type(sensor.parent_id), sensor.parent_id) not in known:
+            names = ", ".join(sorted(repr(identifier) for _, identifier in known))
+            problem = f"{sensor.parent_id!r} in place of one of {names}; coordinates are 'ego', and there are several"
+            yield Hit(f"{path}.parent_id", problem)
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "sensor-placed",
+        Severity.WARNING,
+        "Every lidar, radar and camera has poses, or a mounting on the ego.",
+        "Give the sensor its poses, or its mounting (`sceneloom convert` takes it from a calibration).",
+        find=_without_place,
+    ),
+    Rule(
+        "ego-way-known",
+        Severity.HINT,
+        "Of a drive with mounted sensors the way of the ego is known.",
+        "Find it from the sweeps (`sceneloom fuse --trajectory lidar`), or add one to the drive.",
+        find=_without_trajectory,
+    ),
+    Rule(
+        "poses-cover-frames",
+        Severity.WARNING,
+        "The poses of a sensor reach from its first frame to its last, within one period.",
+        "Add poses, or cut the frames; those without a pose cannot be placed.",
+        find=_uncovered,
+    ),
+    Rule(
+        "poses-jump",
+        Severity.WARNING,
+        "No pose lies farther from its neighbours than a vehicle can move.",
+        "See whether the trajectory was pieced together, or a fix of the satellites was wrong.",
+        find=_jumps,
+    ),
+    Rule(
+        "poses-turn",
+        Severity.WARNING,
+        "No pose is turned against its neighbours more than a vehicle can turn.",
+        "See whether the order of the quaternion's numbers changes, or an angle wraps.",
+        find=_turns,
+    ),
+    Rule(
+        "trajectory-times-increasing",
+        Severity.ERROR,
+        "The poses of each trajectory have strictly increasing times.",
+        "Sort them, and leave out those that stand there twice.",
+        find=_times_of_ways,
+    ),
+    Rule(
+        "ego-odometry",
+        Severity.WARNING,
+        "Where something is in ego coordinates, an odometry sensor tells where the ego was.",
+        "Add an odometry sensor with the poses of the ego, or give poses in the world.",
+        find=_ego_unknown,
+    ),
+    Rule(
+        "ego-odometry-unique",
+        Severity.ERROR,
+        "Where there are several odometry sensors, `parent_id` says in whose ego coordinates a sensor is.",
+        "Set `parent_id` to the id of the odometry sensor that is meant.",
+        find=_ego_ambiguous,
+    ),
+)

@@ -1,0 +1,49 @@
+"""Frames of a sensor in another order, for fixes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor, RadarSensor, Scene, Sensor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reordered:
+    """Reads the frames of another sequence in another order; goes to other processes as those do."""
+
+    read: Callable[[int], Any]
+    order: tuple[int, ...]
+
+    def __call__(self, k: int) -> Any:
+        return self.read(self.order[k])
+
+
+def sorted_frames(frames: LazyFrames[Any]) -> LazyFrames[Any]:
+    """The same frames in the order of their times; those of one time stay as they are among each other."""
+    order = np.argsort(frames.timestamps_ns, kind="stable")
+    read = _Reordered(frames.__getitem__, tuple(order.tolist()))
+    return LazyFrames(frames.timestamps_ns[order], read)
+
+
+def is_sorted(frames: LazyFrames[Any]) -> bool:
+    """Whether the frames stand in the order of their times."""
+    return not (np.diff(frames.timestamps_ns) < 0).any()
+
+
+def with_sorted_frames(scene: Scene) -> Scene:
+    """Sort the frames of every sensor by time; pictures of a video stay, since the video has its own order."""
+    sensors = tuple(map(_sorted, scene.sensors))
+    changed = any(new is not old for new, old in zip(sensors, scene.sensors, strict=True))
+    return replace(scene, sensors=sensors) if changed else scene
+
+
+def _sorted(sensor: Sensor) -> Sensor:
+    if isinstance(sensor, LidarSensor) and not is_sorted(sensor.frames):
+        return replace(sensor, frames=sorted_frames(sensor.frames))
+    if isinstance(sensor, RadarSensor) and not is_sorted(sensor.frames):
+        return replace(sensor, frames=sorted_frames(sensor.frames))
+    if isinstance(sensor, CameraSensor) and sensor.video is None and not is_sorted(sensor.pictures):
+        return replace(sensor, pictures=sorted_frames(sensor.pictures))
+    return sensor

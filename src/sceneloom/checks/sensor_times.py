@@ -1,0 +1,32 @@
+"""What several rules say about the times of a sensor: its stamps, its typical interval, its places."""
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Sensor
+from sceneloom.scene.span import NOMINAL_PERIOD_NS
+
+
+def stamps_of(sensor: Sensor) -> Int64Array:
+    """The times of a sensor's frames or pictures, (N,) int64 [ns]; none for sensors without frames."""
+    if isinstance(sensor, CameraSensor):
+        return sensor.pictures.timestamps_ns
+    if isinstance(sensor, LidarSensor | RadarSensor):
+        return sensor.frames.timestamps_ns
+    return np.zeros(0, np.int64)
+
+
+def period_ns(stamps_ns: Int64Array) -> float:
+    """The median time from frame to frame [ns]; that of 10 Hz where the stamps tell none."""
+    median_ns = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
+    return median_ns if median_ns > 0 else float(NOMINAL_PERIOD_NS)
+
+
+def frames_path(sensor_path: str, sensor: Sensor) -> str:
+    """`sensors[3].frames`, or `sensors[3].pictures`."""
+    return f"{sensor_path}.{'pictures' if isinstance(sensor, CameraSensor) else 'frames'}"
+
+
+def seconds(nanoseconds: float) -> str:
+    """A time in seconds, as findings tell it."""
+    return f"{nanoseconds / 1e9:.6f} s"

@@ -1,0 +1,192 @@
+"""Rules about sensors: that they have content, that their parents are there, that their streams are in order."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.scene import (
+    CameraSensor,
+    GnssSensor,
+    Identifier,
+    ImuSensor,
+    LidarSensor,
+    PlainSensor,
+    PointsSensor,
+    RadarSensor,
+    Sensor,
+    Severity,
+)
+
+Key = tuple[type, Identifier]
+
+
+def _nothing(subject: Subject) -> Iterator[Hit]:
+    if not (subject.scene.sensors or subject.scene.annotations):
+        yield Hit("sensors", "neither a sensor nor an annotation")
+
+
+def _count(sensor: Sensor) -> int | None:
+    """How much a sensor has measured; None where that cannot be said, and for poses, of which there is always one."""
+    if isinstance(sensor, LidarSensor | RadarSensor):
+        return len(sensor.frames)
+    if isinstance(sensor, CameraSensor):
+        return len(sensor.pictures)
+    if isinstance(sensor, PointsSensor):
+        return len(sensor.positions)
+    if isinstance(sensor, ImuSensor):
+        return sum(map(len, sensor.streams.values()))
+    return len(sensor.timestamps_ns) if isinstance(sensor, GnssSensor) else None
+
+
+def _empty(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        if _count(sensor) == 0:
+            what = "pictures" if isinstance(sensor, CameraSensor) else "measurements"
+            yield Hit(path, f"{sensor.type} {sensor.id!r} has no {what}")
+
+
+def _unknown_types(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        if isinstance(sensor, PlainSensor):
+            yield Hit(f"{path}.type", f"{sensor.type!r}; its fields are carried along and not understood")
+
+
+def _similar_ids(subject: Subject) -> Iterator[Hit]:
+    seen: dict[str, Identifier] = {}
+    for path, sensor in subject.sensors():
+        other = seen.setdefault(str(sensor.id), sensor.id)
+        if type(other) is not type(sensor.id):
+            yield Hit(f"{path}.id", f"{sensor.id!r} beside {other!r}: a number and a text that look alike")
+
+
+def _dangling_parents(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        if sensor.parent_id is not None and not subject.has_sensor(sensor.parent_id):
+            known = ", ".join(repr(other.id) for other in subject.scene.sensors[:10])
+            yield Hit(f"{path}.parent_id", f"{sensor.parent_id!r} is no sensor of the scene; it has {known}")
+
+
+def _parent_cycles(subject: Subject) -> Iterator[Hit]:
+    parents: dict[Key, Key] = {
+        (type(s.id), s.id): (type(s.parent_id), s.parent_id)
+        for s in subject.scene.sensors
+        if s.parent_id is not None
+    }
+    for path, sensor in subject.sensors():
+        start: Key = (type(sensor.id), sensor.id)
+        way, at = [start], parents.get(start)
+        while at is not None and at not in way:
+            way.append(at)
+            at = parents.get(at)
+        if at == start:
+            names = " in ".join(repr(identifier) for _, identifier in [*way, start])
+            yield Hit(f"{path}.parent_id", f"a cycle: {names}")
+
+
+def _streams(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array]]:
+    for path, sensor in subject.sensors():
+        if isinstance(sensor, ImuSensor):
+            for name, stream in sensor.streams.items():
+                yield f"{path}.streams.{name}", stream.timestamps_ns, stream.values
+        elif isinstance(sensor, GnssSensor):
+            yield path, sensor.timestamps_ns, sensor.positions_lla
+
+
+def _disordered_samples(subject: Subject) -> Iterator[Hit]:
+    for path, stamps_ns, _ in _streams(subject):
+        wrong = np.flatnonzero(np.diff(stamps_ns) <= 0)
+        if len(wrong):
+            k = int(wrong[0]) + 1
+            problem = f"{stamps_ns[k]} ns after {stamps_ns[k - 1]} ns; expected a later time than that before"
+            yield Hit(f"{path}.timestamps_ns[{k}]", problem, len(wrong))
+
+
+def _infinite_samples(subject: Subject) -> Iterator[Hit]:
+    for path, _, values in _streams(subject):
+        wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if len(wrong):
+            row = values[wrong[0]].tolist()
+            yield Hit(f"{path}.values[{wrong[0]}]", f"{row}; expected finite numbers", len(wrong))
+
+
+def _off_the_earth(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in subject.sensors():
+        if isinstance(sensor, GnssSensor):
+            latitudes, longitudes = sensor.positions_lla[:, 0], sensor.positions_lla[:, 1]
+            wrong = np.flatnonzero((np.abs(latitudes) > 90) | (np.abs(longitudes) > 180))
+            if len(wrong):
+                k = wrong[0]
+                problem = (
+                    f"latitude {latitudes[k]}, longitude {longitudes[k]}; expected at most 90 and 180 degrees"
+                )
+                yield Hit(f"{path}.positions_lla[{k}]", problem, len(wrong))
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "scene-not-empty",
+        Severity.WARNING,
+        "A scene has a sensor or an annotation.",
+        "See whether the sensors stand where the format wants them.",
+        find=_nothing,
+    ),
+    Rule(
+        "sensor-empty",
+        Severity.WARNING,
+        "Every sensor has frames, pictures, points or samples.",
+        "Leave the sensor out if nothing was recorded, or find its data.",
+        find=_empty,
+    ),
+    Rule(
+        "sensor-type-known",
+        Severity.WARNING,
+        "Every sensor is of a type that the format lists.",
+        "Use one of points, lidar, radar, camera and odometry; other programs may refuse the file.",
+        find=_unknown_types,
+    ),
+    Rule(
+        "sensor-ids-distinct",
+        Severity.HINT,
+        "No two ids of sensors differ only in being a number and a text.",
+        "Use one kind: programs that compare ids as texts take both for one.",
+        find=_similar_ids,
+    ),
+    Rule(
+        "sensor-parent-known",
+        Severity.ERROR,
+        "The parent of a sensor is a sensor of the scene.",
+        'Name the parent by its id, of the same type (1 is not "1"), or leave `parent_id` out.',
+        find=_dangling_parents,
+    ),
+    Rule(
+        "sensor-parent-cycle",
+        Severity.ERROR,
+        "No sensor is its own parent, directly or over others.",
+        "Leave `parent_id` out of one of them.",
+        find=_parent_cycles,
+    ),
+    Rule(
+        "sample-times-increasing",
+        Severity.WARNING,
+        "Samples of inertial sensors and fixes of satellite receivers have strictly increasing times.",
+        "Sort them, and leave out those that stand there twice.",
+        find=_disordered_samples,
+    ),
+    Rule(
+        "samples-finite",
+        Severity.WARNING,
+        "Samples of inertial sensors and fixes of satellite receivers hold finite numbers only.",
+        "Leave the sample out.",
+        find=_infinite_samples,
+    ),
+    Rule(
+        "gnss-on-earth",
+        Severity.ERROR,
+        "Latitudes lie within 90 degrees, longitudes within 180.",
+        "See whether latitude and longitude are exchanged, or given in another unit than degrees.",
+        find=_off_the_earth,
+    ),
+)

@@ -7,9 +7,10 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.checks.annotation_table import PartTable, cuboid_paths, cuboid_rows
+from sceneloom.checks.cuboid_angles import cuboid_headings, said_reading
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.geometry.euler import AngleUnit, rotation_from_cuboid_angles
+from sceneloom.geometry.euler import AngleUnit
 from sceneloom.scene import CuboidAnnotation, Scene, Severity
 
 _LARGEST_M = 100.0
@@ -160,33 +161,18 @@ def _standing_moves(subject: Subject) -> Iterator[Hit]:
                 yield Hit(f"{path}.stationary", f"true, yet the keyframes lie {spread:.1f} m apart")
 
 
-def cuboid_headings(rows: Float64Array, unit: str, order: str) -> Float64Array:
-    """The direction in which cuboids point, (N, 3) float64: their x axis, under a reading of the angles."""
-    with np.errstate(invalid="ignore"):
-        return np.ascontiguousarray(
-            rotation_from_cuboid_angles(rows[:, 6:9], unit=unit, order=order)[:, :, 0]
-        )
-
-
-def said_reading(scene: Scene) -> tuple[str, str]:
-    """Unit and order of the angles as the scene says them, or as they are taken to be."""
-    ours = scene.metadata.get("sceneloom")
-    ours = ours if isinstance(ours, dict) else {}
-    return ours.get("euler_unit") or "degrees", ours.get("euler_order") or "xyz"
-
-
 def _turns(subject: Subject) -> Iterator[Hit]:
     table, rows = cuboid_paths(subject), cuboid_rows(subject)
     steps = np.diff(table.timestamps_ns)
-    unit, order = said_reading(subject.scene)
-    half_turn = 180.0 if unit == AngleUnit.DEGREES else np.pi
+    reading = said_reading(subject.scene)
+    half_turn = 180.0 if reading.unit == AngleUnit.DEGREES else np.pi
     with np.errstate(invalid="ignore"):
         reach = np.abs(np.diff(rows[:, 6:9], axis=0)).sum(axis=1) / half_turn * 180.0
     # no cuboid turns by more than its three angles do together
     may = table.inner & (steps > 0) & (steps <= _TURN_WITHIN_NS) & (reach > _TURN_DEG)
     steps_chosen = np.flatnonzero(may)
-    before = cuboid_headings(rows[steps_chosen], unit, order)
-    after = cuboid_headings(rows[steps_chosen + 1], unit, order)
+    before = cuboid_headings(rows[steps_chosen], reading)
+    after = cuboid_headings(rows[steps_chosen + 1], reading)
     angles = np.degrees(np.arccos(np.sum(before * after, axis=1).clip(-1, 1)))
     bad = np.zeros(len(rows), bool)
     bad[steps_chosen[angles > _TURN_DEG] + 1] = True

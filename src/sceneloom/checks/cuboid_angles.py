@@ -1,0 +1,240 @@
+"""Rules about the angles of cuboids: read in the unit and order that is said, headings fit motion, boxes hold points.
+
+Each reading is tried: two units, six orders of the product. Objects on wheels move along their heading, forwards or
+backwards, and a box that is turned wrongly loses points of its object.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array
+from sceneloom.checks.annotation_table import cuboid_paths, cuboid_rows
+from sceneloom.checks.point_places import point_places, transform_at
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import FrameInHand, Subject
+from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
+from sceneloom.scene import LidarFrame, LidarSensor, Scene, Severity
+
+_LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
+"""Steps that are shorter or slower show no direction [m], [m/s]."""
+
+_MOST_STEPS = 5_000
+_LEAST_STEPS = 5
+_OFF_DEG, _ALONG_DEG = 20.0, 10.0
+"""A reading whose headings are so far off the motion is wrong if under another one they are along it, in the median."""
+
+_LOOKED_AT = 4
+_KEPT_POINTS = 60_000
+_MOST_BOXES = 150
+_NEAR_M = 60.0
+_SAME_TIME_NS = 30_000_000
+_LEAST_POINTS = 50
+_MORE_POINTS = 1.15
+_OFF_GROUND_M = 0.2
+
+_SAME_DEG, _SAME_SHARE = 1.0, 0.98
+"""Of readings that are so nearly alike, the one that differs least from what is said is named."""
+
+
+class Reading(NamedTuple):
+    """How angles are read: their unit and the order of the product."""
+
+    unit: str
+    order: str
+
+    def __str__(self) -> str:
+        return f"{self.unit} in the order {self.order}"
+
+
+def said_reading(scene: Scene) -> Reading:
+    """The reading that the scene says, or is taken to say."""
+    ours = scene.metadata.get("sceneloom")
+    ours = ours if isinstance(ours, Mapping) else {}
+    return Reading(ours.get("euler_unit") or AngleUnit.DEGREES.value, ours.get("euler_order") or "xyz")
+
+
+def _readings(said: Reading) -> list[Reading]:
+    """All readings: the one that is said, then the likeliest slips."""
+    readings = [Reading(unit.value, order) for unit in AngleUnit for order in ORDERS]
+    return sorted(readings, key=lambda reading: (reading != said) + (reading.order != said.order))
+
+
+def cuboid_headings(rows: Float64Array, reading: Reading) -> Float64Array:
+    """The direction in which cuboids point, (N, 3) float64: their x axis."""
+    return np.ascontiguousarray(_turns(rows, reading)[:, :, 0])
+
+
+def _turns(rows: Float64Array, reading: Reading) -> Float64Array:
+    with np.errstate(invalid="ignore"):
+        return rotation_from_cuboid_angles(rows[:, 6:9], unit=reading.unit, order=reading.order)
+
+
+def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
+    """Some keyframes after which a cuboid moves on, (K, 9), and the directions that it takes, (K, 3) unit vectors."""
+    table, rows = cuboid_paths(subject), cuboid_rows(subject)
+    seconds = np.diff(table.timestamps_ns) / 1e9
+    with np.errstate(invalid="ignore"):
+        steps = np.diff(rows[:, 3:6], axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+        moves = (lengths > _LEAST_STEP_M) & (lengths > _LEAST_SPEED * seconds)
+    chosen = np.flatnonzero(table.inner & moves & (seconds > 0) & np.isfinite(rows[:-1]).all(axis=1))
+    chosen = chosen[:: len(chosen) // _MOST_STEPS + 1]
+    return rows[chosen], steps[chosen] / lengths[chosen, None]
+
+
+def _off_motion(subject: Subject) -> tuple[dict[Reading, float], int]:
+    """The median angle between heading (or back) and motion under each reading [deg], and of how many steps."""
+
+    def made(inner: Subject) -> tuple[dict[Reading, float], int]:
+        rows, directions = _moving(inner)
+        if len(rows) < _LEAST_STEPS:
+            return {}, len(rows)
+        return {
+            reading: _median_angle(cuboid_headings(rows, reading), directions)
+            for reading in _readings(said_reading(inner.scene))
+        }, len(rows)
+
+    return subject.table("headings off motion", made)
+
+
+def _median_angle(headings: Float64Array, directions: Float64Array) -> float:
+    cosines = np.abs(np.sum(headings * directions, axis=1)).clip(0, 1)
+    return float(np.degrees(np.median(np.arccos(cosines))))
+
+
+def _against_motion(subject: Subject) -> Iterator[Hit]:
+    angles, steps = _off_motion(subject)
+    said = said_reading(subject.scene)
+    if not angles or angles[said] < _OFF_DEG:
+        return
+    least = min(angles.values())
+    best = next(reading for reading, angle in angles.items() if angle <= least + _SAME_DEG)
+    if angles[best] < _ALONG_DEG:
+        yield Hit(
+            "annotations",
+            f"read as {said} headings are {angles[said]:.0f}° off the motion, read as {best} {angles[best]:.0f}° "
+            f"(median of {steps} steps)",
+        )
+
+
+@dataclass(slots=True, eq=False)
+class Tally:
+    """Points in boxes, by reading, of how many boxes, and the frames that are looked at."""
+
+    points: dict[Reading, int] = field(default_factory=dict)
+    boxes: int = 0
+    wanted: dict[str, frozenset[int]] = field(default_factory=dict)
+
+
+def _tally(subject: Subject) -> Tally:
+    return subject.table("points in boxes", lambda _: Tally())
+
+
+def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    """Count the points in the boxes of a frame under each reading; what they show is said at the end."""
+    yield from ()
+    lidar, sweep = frame.sensor, frame.frame
+    if not isinstance(lidar, LidarSensor) or not isinstance(sweep, LidarFrame):
+        return
+    if len(cuboid_rows(subject)) == 0 or frame.number not in _wanted(subject, frame.sensor_path, lidar):
+        return
+    source = point_places(subject, lidar).get(lidar.points_frame)
+    world_from_points = None if source is None else transform_at(source, sweep.timestamp_ns)
+    positions = sweep.points.positions
+    some = positions[:: len(positions) // _KEPT_POINTS + 1]
+    some = some[np.isfinite(some).all(axis=1)]
+    if world_from_points is None or len(some) == 0:
+        return
+    points_world = world_from_points.apply(some)
+    rows = _boxes_at(subject, sweep, np.median(points_world, axis=0))
+    tally = _tally(subject)
+    tally.boxes += len(rows)
+    for reading, count in _points_in(points_world, rows, said_reading(subject.scene)).items():
+        tally.points[reading] = tally.points.get(reading, 0) + count
+
+
+def _wanted(subject: Subject, path: str, lidar: LidarSensor) -> frozenset[int]:
+    wanted = _tally(subject).wanted
+    if path not in wanted:
+        wanted[path] = frozenset(np.linspace(0, len(lidar.frames) - 1, _LOOKED_AT).astype(int).tolist())
+    return wanted[path]
+
+
+def _boxes_at(subject: Subject, sweep: LidarFrame, around: Float64Array) -> Float64Array:
+    """Some cuboids with a keyframe at the time of a sweep and near its middle, (K, 9)."""
+    rows, times = cuboid_rows(subject), cuboid_paths(subject).timestamps_ns
+    now = np.minimum(np.abs(times - sweep.timestamp_ns), np.abs(times - sweep.reference_ns)) < _SAME_TIME_NS
+    found = rows[now & np.isfinite(rows).all(axis=1)]
+    near = np.linalg.norm(found[:, 3:6] - around, axis=1) < _NEAR_M
+    found = found[near & (found[:, :3] > 0).all(axis=1)]
+    return np.asarray(found[:: len(found) // _MOST_BOXES + 1])
+
+
+def _points_in(points_world: Float64Array, rows: Float64Array, said: Reading) -> dict[Reading, int]:
+    """Count the points in boxes, but for those just above their floors, under each reading."""
+    from scipy.spatial import cKDTree
+
+    readings = _readings(said)
+    if len(rows) == 0:
+        return dict.fromkeys(readings, 0)
+    reach = np.linalg.norm(rows[:, :3], axis=1) / 2
+    lists = cKDTree(points_world).query_ball_point(rows[:, 3:6], reach)
+    boxes: Int64Array = np.repeat(np.arange(len(rows)), [len(found) for found in lists])
+    ids = np.concatenate([np.asarray(found, np.int64) for found in lists])
+    away = points_world[ids] - rows[boxes, 3:6]
+    return {reading: _inside(away, rows, boxes, reading) for reading in readings}
+
+
+def _inside(away: Float64Array, rows: Float64Array, boxes: Int64Array, reading: Reading) -> int:
+    points_box = np.einsum("nji,nj->ni", _turns(rows, reading)[boxes], away)
+    halves = rows[boxes, :3] / 2
+    inside: AnyArray = (np.abs(points_box) <= halves).all(axis=1)
+    return int(np.count_nonzero(inside & (points_box[:, 2] > _OFF_GROUND_M - halves[:, 2])))
+
+
+def _against_points(subject: Subject) -> Iterator[Hit]:
+    tally, said = _tally(subject), said_reading(subject.scene)
+    if not tally.points:
+        return
+    angles, steps = _off_motion(subject)
+    most = max(tally.points.values())
+    best = next(reading for reading, count in tally.points.items() if count >= _SAME_SHARE * most)
+    more, fewer = tally.points[best], tally.points[said]
+    if more < _LEAST_POINTS or more < _MORE_POINTS * fewer:
+        return
+    if angles and angles[best] > max(angles[said], _ALONG_DEG):
+        return
+    moving = (
+        f"; headings are {angles[said]:.0f}° and {angles[best]:.0f}° off the motion, in the median of {steps} steps"
+        if angles
+        else ""
+    )
+    yield Hit(
+        "annotations",
+        f"read as {said} {tally.boxes} boxes hold {fewer} points, read as {best} {more}{moving}",
+        count=tally.boxes,
+    )
+
+
+_REMEDY = "Open the file with `--euler-unit` and `--euler-order` as the message says, and write it again."
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "cuboid-heading-off-motion",
+        Severity.WARNING,
+        "Cuboids move along their headings under the unit and order of their angles that is said.",
+        _REMEDY,
+        find=_against_motion,
+    ),
+    Rule(
+        "cuboid-angles-off-points",
+        Severity.WARNING,
+        "No other unit or order of their angles puts clearly more points into the cuboids.",
+        _REMEDY,
+        look=_count_in_boxes,
+        conclude=_against_points,
+    ),
+)

@@ -56,9 +56,9 @@ def sensor_source(scene: Scene, sensor: Posed, ego: EgoMotion | None, *, reach_n
 
 
 def points_source(
-    scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, *, reach_ns: int
+    scene: Scene, lidar: LidarSensor | RadarSensor, ego: EgoMotion | None, *, reach_ns: int
 ) -> PoseSource | None:
-    """Give what takes the lidar's points as stored into the world; None where they are there already.
+    """Give what takes a lidar's or radar's points as stored into the world; None where they are there already.
 
     Raises:
         PoseError: the poses that this needs are not known.

@@ -10,6 +10,9 @@ VERBS = MappingProxyType(
     {
         "deskew": "Undo the motion during each lidar sweep.",
         "thin": "Keep fewer points, or fewer frames.",
+        "to-world": "Bring points, poses and annotations into the world.",
+        "to-ego": "Bring points, poses and annotations onto the ego.",
+        "to-sensor": "Bring points into the frames of their sensors.",
         "undistort": "Resample pictures so that their lenses are pinholes.",
         "lens": "Tell the lenses by another model, as near as it comes.",
     }

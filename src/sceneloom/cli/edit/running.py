@@ -21,6 +21,24 @@ OUTPUT = click.option(
 )
 
 
+annotations_in = click.option(
+    "--annotations-in",
+    type=click.Choice(["world", "ego"]),
+    help="The frame of the annotations in a scene that does not say it. [default: world]",
+)
+"""On the verbs that bring annotations into another frame."""
+
+
+def way(command: Callable[..., None]) -> Callable[..., None]:
+    """The options that choose the ego's way."""
+    trajectory = click.option(
+        "--trajectory",
+        metavar="NAME",
+        help="The ego's way; `lidar`: found from the sweeps. [default: the drive's first, else `lidar`]",
+    )
+    return trajectory(options.heading(command))
+
+
 def editing(command: Callable[..., None]) -> Callable[..., None]:
     """The argument and options of every verb that changes one drive; what `run_edit` takes."""
     argument = click.argument("path", type=click.Path(path_type=Path))

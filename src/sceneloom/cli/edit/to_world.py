@@ -1,0 +1,35 @@
+"""`sceneloom edit to-world`: bring points, poses and annotations into the world, each frame at its own time."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli.edit.running import annotations_in, editing, run_edit, way
+
+if TYPE_CHECKING:
+    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.scene import Scene
+
+
+@click.command("to-world")
+@editing
+@way
+@annotations_in
+def to_world(
+    path: Path,
+    output: Path,
+    trajectory: str | None,
+    heading: str | None,
+    annotations_in: str | None,
+    **common: Any,
+) -> None:
+    """Bring points, poses and annotations into the world, each frame at its own time."""
+    from sceneloom.editing import to_world as change_frame
+
+    def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
+        del on_points
+        return change_frame(scenes[0], trajectory=trajectory, heading=heading, annotations_in=annotations_in)
+
+    run_edit("to-world", [path], output, change, **common)

@@ -1,0 +1,96 @@
+"""The annotations of a scene brought from the world onto the ego, or back."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.editing.frame_change import KNOWN, FrameChange
+from sceneloom.editing.keyframes import AddedKeyframes, Keyframer, PathKey
+from sceneloom.editing.moved_adjustments import led_from
+from sceneloom.editing.moved_annotations import AnnotationMover
+from sceneloom.editing.record import assumed, ours_of, skipped, with_notices
+from sceneloom.scene import CameraSensor, LidarSensor, PlainAnnotation, RadarSensor, Scene
+from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.span import frame_times
+
+TO_EGO = "to_ego"
+"""Our entry of the metadata that says what bringing a scene onto the ego added, so that it can be taken away again."""
+
+
+def annotations_moved(
+    scene: Scene,
+    change: FrameChange,
+    before: Mapping[PathKey, AddedKeyframes],
+    entry: list[dict[str, Any]] | None = None,
+) -> Scene:
+    """Move the annotations of a scene.
+
+    Args:
+        scene: theirs.
+        change: `new_from_old`.
+        before: what an earlier change added, to be taken away.
+        entry: what is added is written here, as `added_before` reads it.
+    """
+    keyframer = Keyframer(change, _span_ns(scene, change), before)
+    mover = AnnotationMover(keyframer, CuboidAngles.of(scene), partial(led_from, change))
+    moved = mover.moved(scene.annotations)
+    if entry is not None:
+        entry.extend(_entry(path, added) for path, added in keyframer.tally.added.items())
+    unknown = sum(isinstance(annotation, PlainAnnotation) for annotation in scene.annotations)
+    notices = (
+        skipped(
+            "keyframes-beyond-the-way",
+            "annotations",
+            "keyframes at whose time the way of the ego is not known",
+            count=keyframer.tally.left_out,
+        ),
+        skipped(
+            "annotations-beyond-the-way",
+            "annotations",
+            "annotations at none of whose times the way of the ego is known",
+            count=len(scene.annotations) - len(moved),
+        ),
+        assumed(
+            "annotations-not-moved",
+            "annotations",
+            "annotations of unknown types: it is not known what in them has a place; left as they are",
+            count=unknown,
+        ),
+    )
+    return with_notices(replace(scene, annotations=moved), notices)
+
+
+def _span_ns(scene: Scene, change: FrameChange) -> tuple[int, int] | None:
+    """From the first to the last frame at whose time the change is known; None where there is none."""
+    framed = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
+    stamps = [times for times in map(frame_times, framed) if len(times)] or [change.knots_ns]
+    times = np.unique(np.concatenate(stamps))
+    known = times[change.at(times).coverage <= KNOWN]
+    return (int(known[0]), int(known[-1])) if len(known) else None
+
+
+def _entry(path: PathKey, added: AddedKeyframes) -> dict[str, Any]:
+    return {
+        "annotation_id": path[1],
+        "path": path[2],
+        "stationary": added.stationary,
+        "added_ns": list(added.timestamps_ns),
+    }
+
+
+def added_before(scene: Scene) -> Mapping[PathKey, AddedKeyframes]:
+    """What bringing the scene onto the ego added, as far as the metadata tell it in a form that we know."""
+    entries = ours_of(scene).get(TO_EGO)
+    found: dict[PathKey, AddedKeyframes] = {}
+    for entry in entries if isinstance(entries, list) else []:
+        if not isinstance(entry, Mapping) or not {"annotation_id", "path", "added_ns"} <= entry.keys():
+            continue
+        identifier, times = entry["annotation_id"], np.asarray(entry["added_ns"])
+        if (isinstance(identifier, str | int) and times.dtype.kind in "iu") or len(times) == 0:
+            added = AddedKeyframes(tuple(times.tolist()), bool(entry.get("stationary")))
+            found[type(identifier), identifier, entry["path"]] = added
+    return MappingProxyType(found)

@@ -1,0 +1,235 @@
+"""Scenes with points, poses and annotations in the world or on the ego, or with points in their sensors."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from sceneloom.editing.cloud_moves import CloudMoves
+from sceneloom.editing.frame_change import FrameChange
+from sceneloom.editing.frame_of_annotations import TO_EGO, added_before, annotations_moved
+from sceneloom.editing.labelled import renumbered
+from sceneloom.editing.odometry import with_odometry
+from sceneloom.editing.record import assumed, key_of, ours_of, with_notices, with_ours
+from sceneloom.editing.sensor_frames import points_change, poses_in_world, poses_on_ego
+from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed, with_way_found
+from sceneloom.scene import (
+    CameraSensor,
+    Coordinates,
+    Identifier,
+    LidarSensor,
+    OdometrySensor,
+    PlainSensor,
+    PointsFrame,
+    PointsSensor,
+    RadarSensor,
+    Scene,
+    Sensor,
+)
+from sceneloom.scene.annotations_frame import ANNOTATIONS_FRAME, annotations_frame
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.sensor_sources import needs_ego
+from sceneloom.scene.span import scene_period_ns
+
+
+def to_world(
+    scene: Scene,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    annotations_in: Coordinates | str | None = None,
+    progress: Progress | None = None,
+) -> Scene:
+    """Bring points, poses and annotations into the world, each frame and keyframe at its own time.
+
+    A frame moves as a whole: the motion during a sweep is not undone. Frames and keyframes at whose times the ego's
+    way is not known, nor within one sweep period of it, are left out.
+
+    Args:
+        scene: as it is.
+        trajectory: name of the ego's way, "identity", "lidar" to find it from the sweeps, or None for the default.
+        heading: "motion" to derive orientations where the trajectory has positions only.
+        annotations_in: "world" or "ego", where the scene does not say in which frame its annotations are.
+        progress: told after each sweep that the way is found from.
+
+    Raises:
+        PoseError: the poses that this needs are not known.
+        OptionError: a value cannot be followed.
+        DataError: a frame that this needs cannot be read.
+    """
+    said = _annotations_in(scene, annotations_in)
+    needed = trajectory is not None or said is Coordinates.EGO or _rides_on_ego(scene)
+    ego = _found(scene, trajectory, heading, progress) if needed else None
+    sensors = partial(_sensor_in_world, scene, ego, anew=trajectory is not None)
+    changed = _moved_sensors(_with_way(scene, ego), sensors)
+    if said is Coordinates.EGO and ego is not None:
+        changed = annotations_moved(changed, FrameChange(_way(scene, ego)), added_before(scene))
+    return with_ours(changed, **{ANNOTATIONS_FRAME: Coordinates.WORLD.value, TO_EGO: None})
+
+
+def to_ego(
+    scene: Scene,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    annotations_in: Coordinates | str | None = None,
+    progress: Progress | None = None,
+) -> Scene:
+    """Bring points, poses and annotations onto the ego, each frame and keyframe at its own time.
+
+    An odometry sensor tells where the ego was. Annotations get keyframes where they would otherwise be further than
+    1 mm or 0.01 degrees off between two of theirs; what stands still in the world moves on the ego. `to_world` takes
+    these away again. Maps stay in the world, as the format has them. Arguments and errors as in `to_world`.
+    """
+    said = _annotations_in(scene, annotations_in)
+    ego = _found(scene, trajectory, heading, progress)
+    changed, odometry_id = with_odometry(_with_way(scene, ego), ego.path)
+    changed = _moved_sensors(changed, partial(_sensor_on_ego, scene, ego, odometry_id))
+    entry: list[dict[str, Any]] = []
+    if said is Coordinates.WORLD:
+        changed = annotations_moved(changed, FrameChange(None, _way(scene, ego)), {}, entry)
+    elif isinstance(ours_of(scene).get(TO_EGO), list):
+        entry = ours_of(scene)[TO_EGO]
+    return with_ours(changed, **{ANNOTATIONS_FRAME: Coordinates.EGO.value, TO_EGO: entry or None})
+
+
+def to_sensor(
+    scene: Scene,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    progress: Progress | None = None,
+) -> Scene:
+    """Bring the points of lidars and radars into the frames of their sensors, each frame at its own time.
+
+    Poses and annotations stay where they are. Arguments and errors as in `to_world`.
+    """
+    needed = trajectory is not None or bool(scene.trajectories)
+    ego = _found(scene, trajectory, heading, progress) if needed else None
+    return _moved_sensors(_with_way(scene, ego), partial(_points_in_sensor, scene, ego))
+
+
+def _rides_on_ego(scene: Scene) -> bool:
+    """Whether something has its place on the ego."""
+    posed = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
+    clouds = [s for s in posed if not isinstance(s, CameraSensor)]
+    return (
+        needs_ego(scene)
+        or any(sensor.coordinates is Coordinates.EGO for sensor in posed)
+        or any(sensor.points_frame is PointsFrame.EGO for sensor in clouds)
+        or any(s.mount is not None and s.points_frame is not PointsFrame.WORLD for s in clouds)
+    )
+
+
+def _found(scene: Scene, trajectory: str | None, heading: str | None, progress: Progress | None) -> EgoMotion:
+    return find_ego_motion(scene, name=trajectory, heading=heading, progress=progress)
+
+
+def _with_way(scene: Scene, ego: EgoMotion | None) -> Scene:
+    """The scene with the way in it, where it was found from the sweeps, and what is to be said of it."""
+    if ego is None:
+        return scene
+    if is_computed(scene, ego.name):
+        return with_way_found(scene, ego)
+    return replace(scene, notices=(*scene.notices, *ego.notices))
+
+
+def _way(scene: Scene, ego: EgoMotion) -> PoseSource:
+    return PoseSource(ego.path, RigidTransform.identity(), scene_period_ns(scene))
+
+
+Mover = Callable[[CloudMoves, Sensor], Sensor]
+
+
+def _moved_sensors(scene: Scene, move: Mover) -> Scene:
+    """Move every sensor; labelled points follow their frames."""
+    moves = CloudMoves()
+    sensors = tuple(move(moves, sensor) for sensor in scene.sensors)
+    annotations, told = renumbered(scene.annotations, moves.frames)
+    return with_notices(replace(scene, sensors=sensors, annotations=annotations), (*moves.notices, *told))
+
+
+def _sensor_in_world(
+    scene: Scene, ego: EgoMotion | None, moves: CloudMoves, sensor: Sensor, *, anew: bool
+) -> Sensor:
+    reach_ns, world = scene_period_ns(scene), Coordinates.WORLD
+    if isinstance(sensor, PlainSensor):
+        return _left(moves, sensor)
+    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+        return sensor
+    poses = poses_in_world(scene, sensor, ego, reach_ns=reach_ns, anew=anew)
+    if isinstance(sensor, CameraSensor):
+        return replace(sensor, poses=poses, coordinates=world)
+    change = points_change(scene, sensor, ego, PointsFrame.WORLD, reach_ns=reach_ns)
+    if isinstance(sensor, LidarSensor):
+        return moves.cloud(replace(sensor, poses=poses, coordinates=world), change, PointsFrame.WORLD)
+    return moves.cloud(replace(sensor, poses=poses, coordinates=world), change, PointsFrame.WORLD)
+
+
+def _sensor_on_ego(
+    scene: Scene, ego: EgoMotion, odometry_id: Identifier, moves: CloudMoves, sensor: Sensor
+) -> Sensor:
+    reach_ns, on_ego = scene_period_ns(scene), Coordinates.EGO
+    if isinstance(sensor, PlainSensor):
+        return _left(moves, sensor)
+    if isinstance(sensor, PointsSensor):
+        what = "a map has no time, so it has no place on the ego; it stays in the world"
+        moves.notices.append(assumed("map-in-world", f"sensors[{sensor.id}]", what))
+        return sensor
+    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+        return sensor
+    poses = poses_on_ego(sensor, ego, reach_ns=reach_ns)
+    parent_id = _parent(scene, sensor, odometry_id)
+    if isinstance(sensor, CameraSensor):
+        return replace(sensor, poses=poses, coordinates=on_ego, parent_id=parent_id)
+    change = points_change(scene, sensor, ego, PointsFrame.EGO, reach_ns=reach_ns)
+    if isinstance(sensor, LidarSensor):
+        placed = replace(sensor, poses=poses, coordinates=on_ego, parent_id=parent_id)
+        return moves.cloud(placed, change, PointsFrame.EGO)
+    return moves.cloud(
+        replace(sensor, poses=poses, coordinates=on_ego, parent_id=parent_id), change, PointsFrame.EGO
+    )
+
+
+def _points_in_sensor(scene: Scene, ego: EgoMotion | None, moves: CloudMoves, sensor: Sensor) -> Sensor:
+    if not isinstance(sensor, LidarSensor | RadarSensor):
+        return sensor
+    change = points_change(scene, sensor, ego, PointsFrame.SENSOR, reach_ns=scene_period_ns(scene))
+    if isinstance(sensor, LidarSensor):
+        return moves.cloud(sensor, change, PointsFrame.SENSOR)
+    return moves.cloud(sensor, change, PointsFrame.SENSOR)
+
+
+def _left(moves: CloudMoves, sensor: PlainSensor) -> PlainSensor:
+    what = f"a sensor of type {sensor.type!r}: it is not known what in it has a place; left as it is"
+    moves.notices.append(assumed("sensor-not-moved", f"sensors[{sensor.id}]", what))
+    return sensor
+
+
+def _parent(
+    scene: Scene, sensor: LidarSensor | RadarSensor | CameraSensor, odometry_id: Identifier
+) -> Identifier | None:
+    """The parent of a sensor on the ego: the odometry, where there are several and it would not be clear.
+
+    Source: READING of "GPSSensor" in docs/CONVENTIONS.md.
+    """
+    odometries = [key_of(other.id) for other in scene.sensors if isinstance(other, OdometrySensor)]
+    if sensor.coordinates is Coordinates.EGO or not set(odometries) - {key_of(odometry_id)}:
+        return sensor.parent_id
+    if sensor.parent_id is not None and key_of(sensor.parent_id) not in odometries:
+        raise OptionError(
+            f"{scene.source}: sensor {sensor.id!r} has the parent {sensor.parent_id!r}, and several odometry sensors "
+            "could be its ego; leave out all but one with `sceneloom edit crop --without ID`"
+        )
+    return odometry_id
+
+
+def _annotations_in(scene: Scene, said: Coordinates | str | None) -> Coordinates:
+    if said is None:
+        return annotations_frame(scene)
+    if said not in tuple(Coordinates):
+        raise OptionError(f"annotations in {said!r}; expected one of {', '.join(Coordinates)}")
+    return Coordinates(said)

@@ -1,0 +1,148 @@
+"""Which keyframes a path needs in another frame, so that it is true between them, too."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import radians
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.editing.frame_change import KNOWN, FrameChange
+from sceneloom.geometry.interpolation import thin_poses
+from sceneloom.geometry.rotations import multiply_quaternions
+from sceneloom.scene import Identifier
+
+PLACE_TOLERANCE, TURN_TOLERANCE = 1e-3, radians(0.01)
+"""A keyframe is added where without it something between two others would be further off [m], [rad]."""
+
+_BETWEEN = 4
+"""Looks between two poses of a way: what is seen from a turning frame goes on an arc there."""
+
+PathKey = tuple[type, Identifier, int]
+"""A path of an annotation: type of its id, its id, number of the path among those of its points."""
+
+Sampler = Callable[[Int64Array], tuple[Float64Array, Float64Array | None]]
+"""Gives, at times (M,), places (M, V, 3) [m] in the old frame that shall be true, and a rotation (M, 4) or None."""
+
+
+@dataclass(frozen=True, slots=True)
+class AddedKeyframes:
+    """What a path got because it moves otherwise in the new frame.
+
+    Attributes:
+        timestamps_ns: of the added keyframes.
+        stationary: whether it stood still in the old frame.
+    """
+
+    timestamps_ns: tuple[int, ...]
+    stationary: bool
+
+
+@dataclass(slots=True)
+class KeyframeTally:
+    """What became of paths.
+
+    Attributes:
+        added: keyframes that were added, by path.
+        left_out: how many were left out, since the change is not known at their times.
+    """
+
+    added: dict[PathKey, AddedKeyframes] = field(default_factory=dict)
+    left_out: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframer:
+    """Chooses the keyframes of paths in another frame.
+
+    Attributes:
+        change: `new_from_old`.
+        span_ns: what stands still in the old frame moves in the new one: it gets keyframes from the first to the last
+            of these times. None: it stands still in both.
+        added_before: what an earlier change added, to be taken away again.
+        tally: told of all choices.
+    """
+
+    change: FrameChange
+    span_ns: tuple[int, int] | None = None
+    added_before: Mapping[PathKey, AddedKeyframes] = field(default_factory=lambda: MappingProxyType({}))
+    tally: KeyframeTally = field(default_factory=KeyframeTally)
+
+    def own_rows(self, path: PathKey, stamps_ns: Int64Array) -> Int64Array:
+        """The rows of a path without those that an earlier change added; one where no others are left."""
+        before = self.added_before.get(path)
+        if before is None:
+            return np.arange(len(stamps_ns))
+        own = np.flatnonzero(~np.isin(stamps_ns, before.timestamps_ns))
+        return own if len(own) else np.arange(min(1, len(stamps_ns)))
+
+    def stationary(self, path: PathKey, *, was: bool | None) -> bool | None:
+        """Whether what stood still, or did not, stands still in the new frame."""
+        before = self.added_before.get(path)
+        if before is not None and before.stationary:
+            return True
+        return False if was and self._sets_moving else was
+
+    @property
+    def _sets_moving(self) -> bool:
+        return self.span_ns is not None and not self.change.is_constant
+
+    def times(self, path: PathKey, stamps_ns: Int64Array, *, stationary: bool, sample: Sampler) -> Int64Array:
+        """Give the times (K,) int64 [ns] of the keyframes in the new frame, ascending; none where it is not known.
+
+        Args:
+            path: which one.
+            stamps_ns: (N,) its keyframes in the old frame, in order.
+            stationary: whether it stands still in the old frame.
+            sample: where it is in the old frame.
+        """
+        moving = stationary and self._sets_moving
+        times = self._within_span(stamps_ns) if moving else np.unique(stamps_ns)
+        times = times[self.change.at(times).coverage <= KNOWN]
+        looks = self._looks(times)
+        if len(looks) > len(times):
+            times = np.union1d(times, looks[self._bends(looks, times, sample)])
+        added = np.setdiff1d(times, stamps_ns)
+        if not moving:
+            self.tally.left_out += len(np.setdiff1d(stamps_ns, times))
+        if len(added) or moving:
+            self.tally.added[path] = AddedKeyframes(tuple(added.tolist()), moving)
+        return times
+
+    def _within_span(self, stamps_ns: Int64Array) -> Int64Array:
+        """The span's ends and the keyframes between them."""
+        span = np.array(self.span_ns, np.int64)
+        return np.union1d(span, stamps_ns[(stamps_ns >= span[0]) & (stamps_ns <= span[1])])
+
+    def _looks(self, times_ns: Int64Array) -> Int64Array:
+        """These times, and those between the first and the last at which the change may bend a path."""
+        if self.change.is_constant or len(times_ns) < 2:
+            return times_ns
+        knots = self.change.knots_ns
+        knots = np.union1d(times_ns, knots[(knots > times_ns[0]) & (knots < times_ns[-1])])
+        steps = np.diff(knots)
+        between = [knots[:-1] + steps * part // _BETWEEN for part in range(1, _BETWEEN)]
+        return np.unique(np.concatenate([knots, *between]))
+
+    def _bends(self, looks_ns: Int64Array, required_ns: Int64Array, sample: Sampler) -> Int64Array:
+        """Rows of the looks that are needed besides the required times."""
+        places, turns = sample(looks_ns)
+        change = self.change.at(looks_ns)
+        known = np.flatnonzero(change.coverage <= KNOWN)
+        new = self.change.places(looks_ns[known], places[known])
+        quaternions = change.quaternions_xyzw[known] * 0.0 + (0.0, 0.0, 0.0, 1.0)
+        if turns is not None:
+            quaternions = multiply_quaternions(change.quaternions_xyzw[known], turns[known])
+        rows = [
+            thin_poses(
+                looks_ns[known],
+                np.ascontiguousarray(new[:, vertex]),
+                quaternions,
+                required_ns,
+                position_tolerance=PLACE_TOLERANCE,
+                rotation_tolerance=TURN_TOLERANCE,
+            )
+            for vertex in range(new.shape[1])
+        ]
+        return known[np.unique(np.concatenate(rows))] if rows else known[:0]

@@ -1,0 +1,39 @@
+"""The odometry sensor that stands for the ego in a scene of ego coordinates."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sceneloom.scene import Identifier, OdometrySensor, PosePath, Scene
+
+EGO_ID = "ego"
+"""Id of an odometry sensor that is made, if it is free."""
+
+
+def odometry_telling(scene: Scene, path: PosePath) -> OdometrySensor | None:
+    """The odometry sensor that tells this very path; None where there is none."""
+    for sensor in scene.sensors:
+        if (
+            isinstance(sensor, OdometrySensor)
+            and np.array_equal(sensor.poses.timestamps_ns, path.timestamps_ns)
+            and np.array_equal(sensor.poses.positions, path.positions)
+            and np.array_equal(sensor.poses.quaternions_xyzw, path.quaternions_xyzw)
+        ):
+            return sensor
+    return None
+
+
+def with_odometry(scene: Scene, path: PosePath) -> tuple[Scene, Identifier]:
+    """Give the scene with an odometry sensor that tells this path, and the sensor's id."""
+    told = odometry_telling(scene, path)
+    if told is not None:
+        return scene, told.id
+    sensor = OdometrySensor(free_id(scene, EGO_ID), path)
+    return replace(scene, sensors=(*scene.sensors, sensor)), sensor.id
+
+
+def free_id(scene: Scene, wanted: str) -> str:
+    """The id itself, or with a number where another sensor has it."""
+    taken = {sensor.id for sensor in scene.sensors}
+    choices = (wanted if number == 1 else f"{wanted}{number}" for number in range(1, len(taken) + 2))
+    return next(choice for choice in choices if choice not in taken)

@@ -1,0 +1,27 @@
+"""The frame in which a scene's annotations have their places."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sceneloom.errors import DataError
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates
+
+ANNOTATIONS_FRAME = "annotations_frame"
+"""Our entry of the metadata that names it."""
+
+
+def annotations_frame(scene: Scene) -> Coordinates:
+    """The frame that the metadata name, else the world.
+
+    Raises:
+        DataError: what they name is no frame.
+    """
+    ours: Any = scene.metadata.get("sceneloom")
+    named = ours.get(ANNOTATIONS_FRAME) if isinstance(ours, Mapping) else None
+    if named is None:
+        return Coordinates.WORLD
+    if named not in tuple(Coordinates):
+        place = f"metadata.sceneloom.{ANNOTATIONS_FRAME}"
+        raise DataError(scene.source, place, f"{named!r}; expected one of {', '.join(Coordinates)}")
+    return Coordinates(named)

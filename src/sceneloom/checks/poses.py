@@ -30,6 +30,9 @@ FASTEST_TURN_DEG = 720.0
 _STEP_FACTOR, _STEP_MARGIN = 3.0, 1.0
 _TURN_FACTOR, _TURN_MARGIN_DEG = 3.0, 15.0
 
+_FEWEST_STEPS = 4
+"""Fewer steps do not tell what is usual."""
+
 Placed = LidarSensor | RadarSensor | CameraSensor
 
 
@@ -116,22 +119,25 @@ def _turns(subject: Subject) -> Iterator[Hit]:
 def _beyond_neighbours(
     steps: Float64Array, times: Float64Array, fastest: float, factor: float, margin: float
 ) -> BoolArray:
-    """Steps faster than anything moves, or by far larger than the steps before and after them would let expect.
+    """Steps faster than anything moves, or by far larger than the two before and the two after would let expect.
+
+    The largest of these four does not count: a single wrong pose makes two wrong steps.
 
     Args:
         steps: (N,) how far each goes.
         times: (N,) [s], how long each takes, more than 0.
         fastest: largest rate that there is.
-        factor: so many times the larger rate of the two neighbours is still believed.
+        factor: so many times the neighbours' rate is still believed.
         margin: so much more than that, too.
     """
     wrong: BoolArray = steps > np.maximum(fastest * times, margin)
-    if len(steps) < 3:
+    if len(steps) < _FEWEST_STEPS:
         return wrong
-    rates = steps / times
-    before, after = np.roll(rates, 1), np.roll(rates, -1)
-    before[0], after[-1] = after[0], before[-1]
-    return wrong | (steps > factor * np.maximum(before, after) * times + margin)
+    padded = np.pad(steps / times, 2, mode="reflect")
+    neighbours = np.stack([padded[shift : shift + len(steps)] for shift in (0, 1, 3, 4)])
+    usual = np.sort(neighbours, axis=0)[-2]
+    wrong |= steps > factor * usual * times + margin
+    return wrong
 
 
 def _times_of_ways(subject: Subject) -> Iterator[Hit]:

@@ -1,0 +1,119 @@
+"""A sound scene, changed by each test in one thing, and what rules say about it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.checks import all_rules, validate
+from sceneloom.scene import (
+    CameraSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    OdometrySensor,
+    Picture,
+    PointsFrame,
+    PosePath,
+    Scene,
+    Sensor,
+)
+
+SECOND = 1_000_000_000
+PERIOD = SECOND // 10
+LENS = Camera("pinhole", 32, 24, 30.0, 30.0, 15.5, 11.5)
+
+
+class Sound:
+    """Parts of a scene in which no rule finds anything; each takes what is to be different."""
+
+    def times(self, count: int = 6) -> np.ndarray:
+        """Stamps of 10 Hz [ns]."""
+        return np.arange(count, dtype=np.int64) * PERIOD
+
+    def path(self, stamps_ns: Any = None, **fields: Any) -> PosePath:
+        """A straight way at 5 m/s."""
+        times = self.times() if stamps_ns is None else np.asarray(stamps_ns, np.int64)
+        positions = np.column_stack([5.0 * times / SECOND, np.zeros(len(times)), np.zeros(len(times))])
+        given = {"positions": positions, "quaternions_xyzw": np.tile([0.0, 0, 0, 1], (len(times), 1))}
+        return PosePath(times, **{**given, **fields})
+
+    def sweep(self, timestamp_ns: int, **fields: Any) -> LidarFrame:
+        """100 points around the sensor, measured over the sweep."""
+        angles = np.linspace(0, 6, 100)
+        positions = np.column_stack([10 * np.cos(angles), 10 * np.sin(angles), np.zeros(100)])
+        given = {
+            "positions": positions.astype(np.float32),
+            "intensities": np.arange(100, dtype=np.uint8),
+            "timestamps_ns": timestamp_ns + np.linspace(0, 0.9 * PERIOD, 100).astype(np.int64),
+        }
+        return LidarFrame(timestamp_ns, LidarPoints(**{**given, **fields}))
+
+    def lidar(self, stamps_ns: Any = None, *, sweep: Any = None, **fields: Any) -> LidarSensor:
+        """A lidar, its points in its own frame."""
+        times = self.times() if stamps_ns is None else np.asarray(stamps_ns, np.int64)
+        frames = LazyFrames.of([(sweep or self.sweep)(int(t)) for t in times], times)
+        given = {"poses": self.path(), "points_frame": PointsFrame.SENSOR}
+        return LidarSensor(**{"id": "top", "frames": frames, **given, **fields})
+
+    def camera(self, stamps_ns: Any = None, *, lens: Camera = LENS, **fields: Any) -> CameraSensor:
+        """A camera with noise for pictures."""
+        times = self.times() if stamps_ns is None else np.asarray(stamps_ns, np.int64)
+        rng = np.random.default_rng(0)
+        rgb = rng.integers(0, 255, (lens.height, lens.width, 3), np.uint8)
+        pictures = LazyFrames.of([Picture.of(int(t), lens, rgb) for t in times], times)
+        return CameraSensor(
+            **{"id": "front", "camera": lens, "pictures": pictures, "poses": self.path(), **fields}
+        )
+
+    def odometry(self, **fields: Any) -> OdometrySensor:
+        """The way of the ego."""
+        return OdometrySensor(**{"id": "ego", "poses": self.path(), **fields})
+
+    def scene(self, *sensors: Sensor, **fields: Any) -> Scene:
+        """A scene of these sensors, or of a lidar and a camera."""
+        return Scene(sensors or (self.lidar(), self.camera()), **fields)
+
+
+@pytest.fixture
+def sound() -> Sound:
+    """Parts of sound scenes."""
+    return Sound()
+
+
+Found = Callable[..., list[tuple[str, str]]]
+
+
+@pytest.fixture
+def found() -> Found:
+    """What one rule finds: places and messages."""
+
+    def run(source: Any, rule: str, **options: Any) -> list[tuple[str, str]]:
+        report = validate(source, rules=[rule], **options)
+        assert all(finding.rule == rule for finding in report.findings)
+        return [(finding.path, finding.message) for finding in report.findings]
+
+    return run
+
+
+@pytest.fixture
+def fixed() -> Callable[[Scene, str], Scene]:
+    """A scene mended by one rule, whose fix changes nothing when it is applied again."""
+
+    def run(scene: Scene, rule: str) -> Scene:
+        fix = next(r.fix for r in all_rules() if r.id == rule)
+        assert fix is not None
+        once = fix(scene)
+        assert fix(once) is once or once is scene or _equal_sensors(fix(once), once)
+        return once
+
+    return run
+
+
+def _equal_sensors(a: Scene, b: Scene) -> bool:
+    """Whether two scenes are alike but for being two objects."""
+    return replace(a, on_close=b.on_close).time_offset_ns == b.time_offset_ns and a.sensors == b.sensors

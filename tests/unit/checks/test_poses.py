@@ -1,0 +1,131 @@
+"""Rules about where sensors and the ego are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import quaternion_from_rotation_vector
+from sceneloom.scene import Coordinates, PointsFrame, Trajectory
+
+PERIOD = 100_000_000
+
+RULES = (
+    "sensor-placed",
+    "ego-way-known",
+    "poses-cover-frames",
+    "poses-jump",
+    "poses-turn",
+    "trajectory-times-increasing",
+    "ego-odometry",
+    "ego-odometry-unique",
+)
+MOUNT = RigidTransform(np.eye(3), np.zeros(3))
+
+
+def trajectory(sound, name="ego"):
+    path = sound.path()
+    return {name: Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)}
+
+
+def test_a_sound_scene_keeps_all_of_them(sound, found):
+    mounted = sound.lidar(id="mounted", poses=None, mount=MOUNT)
+    scene = sound.scene(
+        sound.lidar(), sound.camera(), mounted, sound.odometry(), trajectories=trajectory(sound)
+    )
+    assert [found(scene, rule) for rule in RULES] == [[]] * len(RULES)
+
+
+def test_a_sensor_without_poses_and_mounting_is_found(sound, found):
+    scene = sound.scene(sound.lidar(poses=None))
+    assert [path for path, _ in found(scene, "sensor-placed")] == ["sensors[0].poses"]
+
+
+def test_a_mounted_sensor_without_any_way_of_the_ego_is_told(sound, found):
+    scene = sound.scene(sound.lidar(poses=None, mount=MOUNT))
+    assert found(scene, "sensor-placed") == []
+    assert [path for path, _ in found(scene, "ego-way-known")] == ["sensors[0].poses"]
+
+
+def test_frames_beyond_the_poses_are_counted(sound, found):
+    scene = sound.scene(sound.lidar(sound.times(9)))
+    [(path, message)] = found(scene, "poses-cover-frames")
+    assert path == "sensors[0].frames[7]"
+    assert message.startswith("2 of 9 frames")
+    within = sound.scene(sound.lidar(sound.times(7)))
+    assert found(within, "poses-cover-frames") == []
+
+
+def test_a_pose_off_its_way_is_found_at_both_steps(sound, found):
+    path = sound.path(sound.times(12))
+    positions = path.positions.copy()
+    positions[5] += [0, 4.0, 0]
+    scene = sound.scene(sound.lidar(poses=replace(path, positions=positions)))
+    assert [place for place, _ in found(scene, "poses-jump")] == [
+        "sensors[0].poses.values[5]",
+        "sensors[0].poses.values[6]",
+    ]
+
+
+def test_braking_a_noisy_fix_and_standing_still_are_no_jumps(sound, found):
+    times = np.arange(200) * PERIOD
+    seconds = times / 1e9
+    speed = np.clip(20 - 8 * seconds, 0, None)
+    along = np.cumsum(speed * 0.1)
+    rng = np.random.default_rng(2)
+    positions = np.column_stack([along, np.zeros(200), np.zeros(200)]) + rng.normal(0, 0.1, (200, 3))
+    assert found(sound.scene(sound.lidar(poses=sound.path(times, positions=positions))), "poses-jump") == []
+
+
+def test_a_trajectory_that_jumps_is_found_once(sound, found):
+    ways = trajectory(sound, "vio")
+    positions = ways["vio"].positions.copy()
+    positions[3:] += [0, 0, 40.0]
+    ways["vio"] = replace(ways["vio"], positions=positions)
+    assert [place for place, _ in found(sound.scene(trajectories=ways), "poses-jump")] == [
+        "trajectories[vio].values[3]"
+    ]
+
+
+@pytest.mark.parametrize(("degrees", "wrong"), [(10.0, False), (80.0, True)])
+def test_a_turned_pose_is_found(sound, found, degrees, wrong):
+    quaternions = np.tile([0.0, 0, 0, 1], (6, 1))
+    quaternions[3] = quaternion_from_rotation_vector(np.array([0, 0, np.radians(degrees)]))
+    poses = sound.path(quaternions_xyzw=quaternions)
+    places = [place for place, _ in found(sound.scene(sound.lidar(poses=poses)), "poses-turn")]
+    assert places == (["sensors[0].poses.values[3]", "sensors[0].poses.values[4]"] if wrong else [])
+
+
+def test_opposite_quaternions_are_the_same_turn(sound, found):
+    quaternions = np.tile([0.0, 0, 0, 1], (6, 1))
+    quaternions[::2] *= -1
+    poses = sound.path(quaternions_xyzw=quaternions)
+    assert found(sound.scene(sound.lidar(poses=poses)), "poses-turn") == []
+
+
+def test_a_trajectory_that_goes_back_in_time_is_found(sound, found):
+    ways = trajectory(sound)
+    times = ways["ego"].timestamps_ns.copy()
+    times[2] = times[1]
+    ways["ego"] = replace(ways["ego"], timestamps_ns=times)
+    assert [p for p, _ in found(sound.scene(trajectories=ways), "trajectory-times-increasing")] == [
+        "trajectories[ego][2]"
+    ]
+
+
+def test_ego_coordinates_need_an_odometry_sensor(sound, found):
+    on_ego = sound.lidar(coordinates=Coordinates.EGO, points_frame=PointsFrame.EGO)
+    assert [path for path, _ in found(sound.scene(on_ego), "ego-odometry")] == ["sensors[0].coordinates"]
+    assert found(sound.scene(on_ego, sound.odometry()), "ego-odometry") == []
+
+
+def test_several_odometry_sensors_need_a_parent_that_says_which(sound, found):
+    two = (sound.odometry(id="wheels"), sound.odometry(id=2))
+    on_ego = sound.camera(coordinates=Coordinates.EGO)
+    [(path, message)] = found(sound.scene(on_ego, *two), "ego-odometry-unique")
+    assert path == "sensors[0].parent_id"
+    assert "'wheels', 2" in message
+    named = sound.camera(coordinates=Coordinates.EGO, parent_id=2)
+    assert found(sound.scene(named, *two), "ego-odometry-unique") == []
+    assert found(sound.scene(replace(named, parent_id="2"), *two), "ego-odometry-unique")

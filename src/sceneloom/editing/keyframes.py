@@ -44,7 +44,7 @@ class KeyframeTally:
     """What became of paths.
 
     Attributes:
-        added: keyframes that were added, by path.
+        added: keyframes that were added, by path; of every path where the change is not constant.
         left_out: how many were left out, since the change is not known at their times.
     """
 
@@ -100,13 +100,14 @@ class Keyframer:
         moving = stationary and self._sets_moving
         times = self._within_span(stamps_ns) if moving else np.unique(stamps_ns)
         times = times[self.change.at(times).coverage <= KNOWN]
-        looks = self._looks(times)
+        # what an earlier change took apart is put together as it was
+        looks = times if path in self.added_before else self._looks(times)
         if len(looks) > len(times):
             times = np.union1d(times, looks[self._bends(looks, times, sample)])
         added = np.setdiff1d(times, stamps_ns)
         if not moving:
             self.tally.left_out += len(np.setdiff1d(stamps_ns, times))
-        if len(added) or moving:
+        if not self.change.is_constant:
             self.tally.added[path] = AddedKeyframes(tuple(added.tolist()), moving)
         return times
 

@@ -20,7 +20,7 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.sensor_sources import points_source, sensor_source
+from sceneloom.scene.sensor_sources import ego_path, points_source, sensor_source
 from sceneloom.scene.span import frame_times
 
 PointsOf = LidarSensor | RadarSensor
@@ -90,15 +90,24 @@ def poses_in_world(
         and not (anew and sensor.mount is not None)
     ):
         return own
+    if own is not None and len(own.timestamps_ns) > 1 and sensor.coordinates is Coordinates.EGO:
+        # at its own times, not by a path composed of both: that would end where the shorter of them ends
+        way = PoseSource(ego_path(scene, sensor, ego), RigidTransform.identity(), reach_ns)
+        return FrameChange(way).path(own)
     try:
         source = sensor_source(scene, sensor, ego, reach_ns=reach_ns)
     except PoseError:
         if own is None:
             return None
         raise
+    return _as_needed(source, sensor)
+
+
+def _as_needed(source: PoseSource, sensor: Posed) -> PosePath | None:
+    """The poses at the times of a sensor's own, else as its frames need them, else as many as the way has."""
+    own, times_ns = sensor.poses, frame_times(sensor)
     if own is not None and len(own.timestamps_ns) > 1:
         return path_at(source, own.timestamps_ns)
-    times_ns = frame_times(sensor)
     if len(times_ns) == 0:
         return path_at(source, source.path.timestamps_ns)
     if isinstance(sensor, CameraSensor):

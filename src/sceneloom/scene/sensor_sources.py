@@ -67,7 +67,7 @@ def points_source(
         return None
     if lidar.points_frame is PointsFrame.SENSOR:
         return sensor_source(scene, lidar, ego, reach_ns=reach_ns)
-    return PoseSource(_ego_path(scene, lidar, ego), RigidTransform.identity(), reach_ns)
+    return PoseSource(ego_path(scene, lidar, ego), RigidTransform.identity(), reach_ns)
 
 
 def lidar_place(
@@ -87,7 +87,7 @@ def lidar_place(
 
 def _source_on_ego(scene: Scene, sensor: Posed, ego: EgoMotion | None, reach_ns: int) -> PoseSource:
     """Compose poses relative to the ego with the ego's way, at the times of both."""
-    path, relative = _ego_path(scene, sensor, ego), sensor.poses
+    path, relative = ego_path(scene, sensor, ego), sensor.poses
     if relative is None:
         raise PoseError(f"{scene.source}: sensor {sensor.id!r} has no poses")
     if len(relative.timestamps_ns) == 1:
@@ -108,7 +108,7 @@ def _source_on_ego(scene: Scene, sensor: Posed, ego: EgoMotion | None, reach_ns:
     return PoseSource(composed, RigidTransform.identity(), reach_ns, own=True)
 
 
-def _ego_path(scene: Scene, sensor: Posed, ego: EgoMotion | None) -> PosePath:
+def ego_path(scene: Scene, sensor: Posed, ego: EgoMotion | None) -> PosePath:
     """The ego that a sensor in ego coordinates refers to: its parent odometry, the chosen way, or the only odometry.
 
     Source: READING of "GPSSensor" in docs/CONVENTIONS.md.

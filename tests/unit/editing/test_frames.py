@@ -1,0 +1,236 @@
+"""Scenes in the world, on the ego and in their sensors, against a drive whose every place is known by formula."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.editing import to_ego, to_sensor, to_world
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.scene import (
+    Activation,
+    Coordinates,
+    GroupAnnotation,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    LocalizationAdjustment,
+    OdometrySensor,
+    PlainAnnotation,
+    PointPath,
+    PointProjection,
+    PointsAnnotation,
+    PointsFrame,
+    PointsSensor,
+    PosePath,
+    Projection,
+    ShapeAnnotation,
+    ShapeType,
+    Trajectory,
+    VertexPath,
+)
+from sceneloom.scene.at import cuboid_at
+
+CHANGES = {PointsFrame.WORLD: to_world, PointsFrame.EGO: to_ego, PointsFrame.SENSOR: to_sensor}
+
+FLOAT32_ULPS = 2e-5
+"""[m] a few steps of float32 at the 60 m that points are away here."""
+
+
+@pytest.mark.parametrize("before", list(PointsFrame))
+@pytest.mark.parametrize("after", list(PointsFrame))
+def test_points_are_where_the_formulas_say(drive, before, after):
+    changed = CHANGES[after](drive.scene(before))
+    for sensor_id in ("lidar", "radar"):
+        sensor = changed.sensor(sensor_id)
+        assert sensor.points_frame is after
+        assert len(sensor.frames) == drive.frames
+        for k, frame in enumerate(sensor.frames):
+            expected = drive.frame_from_world(k, after).apply(drive.points_world(k))
+            np.testing.assert_allclose(frame.points.positions, expected, atol=FLOAT32_ULPS)
+
+
+def test_directions_of_a_radar_turn(drive):
+    for k, frame in enumerate(to_ego(drive.scene()).sensor("radar").frames):
+        expected = drive.frame_from_world(k, PointsFrame.EGO).rotate(drive.points_world(k))
+        expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+        np.testing.assert_allclose(frame.points.directions, expected, atol=1e-6)  # unit vectors of float32
+
+
+def test_poses_in_the_world_are_those_of_the_ego_and_the_mounting(drive, mount):
+    changed = to_world(drive.scene())
+    for sensor_id in ("lidar", "camera"):
+        sensor = changed.sensor(sensor_id)
+        assert sensor.coordinates is Coordinates.WORLD
+        times = drive.stamps_ns if sensor_id == "lidar" else drive.stamps_ns + 20_000_000
+        found = sensor.poses.interpolate(times)
+        for k, time_ns in enumerate(times.tolist()):
+            expected = drive.world_from_ego(time_ns) @ mount
+            np.testing.assert_allclose(found.positions[k], expected.translation, atol=1e-9)
+
+
+def test_poses_on_the_ego_are_the_mounting(drive, mount):
+    changed = to_ego(to_world(drive.scene()))
+    poses = changed.sensor("camera").poses
+    np.testing.assert_allclose(poses.positions - mount.translation, 0.0, atol=1e-9)
+    assert changed.sensor("camera").coordinates is Coordinates.EGO
+    assert changed.metadata["sceneloom"]["annotations_frame"] == "ego"
+
+
+def test_a_cuboid_is_seen_from_the_ego_at_every_moment(drive, box):
+    moving = box("a", [0, 400_000_000], [[30.0, 0, 0], [40.0, 5.0, 0]], yaw_deg=10.0)
+    parked = box("b", [123], [[10.0, 30.0, 1.0]], yaw_deg=270.0, stationary=True)
+    changed = to_ego(drive.scene(annotations=[moving, parked]))
+    assert [annotation.stationary for annotation in changed.annotations] == [None, False]
+    times = np.arange(0, 400_000_001, 7_000_000)
+    for before, after in zip((moving, parked), changed.annotations, strict=True):
+        world, ego = cuboid_at(before, times)[0], cuboid_at(after, times)[0]
+        for k, time_ns in enumerate(times.tolist()):
+            pose = drive.world_from_ego(time_ns)
+            # 1 mm between keyframes; the way itself has a pose each 10 ms, so a chord is 0.06 mm off the circle
+            np.testing.assert_allclose(pose.apply(ego[k, 3:6]), world[k, 3:6], atol=1.5e-3)
+            turn = Rotation.from_matrix(pose.rotation) * Rotation.from_euler("XYZ", ego[k, 6:], degrees=True)
+            away = turn.inv() * Rotation.from_euler("XYZ", world[k, 6:], degrees=True)
+            assert away.magnitude() < np.radians(0.011)
+
+
+def test_annotations_come_back_as_they_were(drive, box):
+    scene = drive.scene(annotations=everything(drive, box))
+    again = to_world(to_ego(scene))
+    for before, after in zip(scene.annotations, again.annotations, strict=True):
+        assert (before.id, before.type) == (after.id, after.type)
+        np.testing.assert_allclose(numbers_of(after), numbers_of(before), atol=1e-9)
+        assert getattr(before, "stationary", None) == getattr(after, "stationary", None)
+    assert again.metadata["sceneloom"] == {"annotations_frame": "world"}
+
+
+def everything(drive, box):
+    """One annotation of each kind that has a place, at the times of frames."""
+    times = drive.stamps_ns
+    rows = np.tile([4.0, 2, 1, 10, 20, 1, 5, -3, 200], (2, 1))
+    gone = np.full((1, 9), np.nan)
+    corners = np.array([[0.0, 0, 0], [5, 0, 0], [5, 5, 1]])
+    seen = Projection("camera", times[:3], cuboids=np.concatenate([rows, gone]))
+    dots = np.array([[1.0, 2, 3], [np.nan] * 3])
+    return [
+        replace(
+            box("moving", times, np.arange(15.0).reshape(5, 3), 33.0),
+            activations=(Activation("lidar", times[1:3], cuboids=rows),),
+            projections=(seen,),
+        ),
+        box("parked", [5], [[10.0, 30, 1]], stationary=True),
+        ShapeAnnotation("area", ShapeType.POLYGON, VertexPath(times[:2], (corners, corners + 1.0))),
+        ShapeAnnotation("growing", ShapeType.POLYLINE, VertexPath(times[:2], (corners[:2], corners))),
+        ShapeAnnotation(
+            "lane", ShapeType.POLYGON_TOPDOWN, VertexPath(times[:1], (corners,)), stationary=True
+        ),
+        PointsAnnotation(
+            "body",
+            (
+                PointPath(times[:3], np.arange(9.0).reshape(3, 3)),
+                PointPath(times[1:3], np.ones((2, 3))),
+            ),
+            projections=((PointProjection("camera", times[:2], positions=dots),), ()),
+        ),
+        GroupAnnotation("group"),
+    ]
+
+
+def numbers_of(annotation):
+    """All places of an annotation in one row."""
+    if annotation.type == "cuboid":
+        further = [e.cuboids for e in (*annotation.activations, *annotation.projections)]
+        return np.concatenate([annotation.path.values, *further]).ravel()
+    if isinstance(annotation, ShapeAnnotation):
+        return np.concatenate(annotation.path.vertices).ravel()
+    if isinstance(annotation, PointsAnnotation):
+        seen = [e.positions.ravel() for entries in annotation.projections for e in entries]
+        return np.concatenate([*(path.values.ravel() for path in annotation.paths), *seen])
+    return np.zeros(0)
+
+
+def test_vertices_and_keypoints_are_moved_by_the_pose_of_their_own_time(drive, box):
+    changed = {a.id: a for a in to_ego(drive.scene(annotations=everything(drive, box))).annotations}
+    at_second = np.flatnonzero(changed["area"].path.timestamps_ns == 100_000_000)[0]
+    ego_from_world = drive.world_from_ego(100_000_000).inverse()
+    np.testing.assert_allclose(
+        changed["area"].path.vertices[at_second],
+        ego_from_world.apply(np.array([[1.0, 1, 1], [6, 1, 1], [6, 6, 2]])),
+        atol=1e-9,
+    )
+    path = changed["body"].paths[1]
+    first = ego_from_world.apply(np.ones((1, 3)))[0]
+    np.testing.assert_allclose(path.values[path.timestamps_ns == 100_000_000][0], first, atol=1e-9)
+    # vertices that come and go are at no place between keyframes, so nothing is added between them
+    assert len(changed["growing"].path.timestamps_ns) == 2
+
+
+def test_an_adjustment_of_a_scene_on_the_ego_leads_from_the_ego_to_the_mended_world(drive):
+    lift = LocalizationAdjustment("lift", replace(PosePath.identity(), positions=np.array([[0.0, 0, 2.0]])))
+    on_ego = to_ego(drive.scene(annotations=[lift])).annotations[0]
+    found = on_ego.poses.interpolate(drive.stamps_ns)
+    for k, time_ns in enumerate(drive.stamps_ns.tolist()):
+        expected = drive.world_from_ego(time_ns).translation + np.array([0.0, 0.0, 2.0])
+        np.testing.assert_allclose(found.positions[k], expected, atol=1e-9)
+
+
+def test_what_has_no_place_on_the_ego_is_told(drive):
+    chart = PointsSensor("map", np.zeros((1, 3), np.float32))
+    strange = PlainAnnotation("x", "nebula", {})
+    scene = drive.scene(annotations=[strange])
+    scene = replace(scene, sensors=(*scene.sensors, chart))
+    codes = [notice.code for notice in to_ego(scene).notices]
+    assert codes == ["map-in-world", "annotations-not-moved"]
+
+
+def test_frames_that_the_way_does_not_reach_are_left_out_with_their_labels(drive):
+    scene = drive.scene(PointsFrame.WORLD, [labels(0), labels(3)])
+    path = drive.path()
+    short = Trajectory("short", path.timestamps_ns[:6], path.positions[:6], path.quaternions_xyzw[:6])
+    scene = replace(scene, trajectories={"short": short})
+    changed = to_ego(scene, trajectory="short")
+    # poses up to 50 ms; one period beyond that reaches the frame at 100 ms
+    assert changed.sensor("lidar").frames.timestamps_ns.tolist() == [0, 100_000_000]
+    assert [annotation.id for annotation in changed.annotations] == ["labels 0"]
+    told = {notice.code: notice.count for notice in changed.notices}
+    assert told["frames-beyond-the-way"] == 3
+    assert told["frames-extrapolated"] == 1
+    assert told["labelled-frames"] == 1
+    assert {sensor.id for sensor in changed.sensors} == {"lidar", "radar", "camera", "ego", "ego2"}
+    assert changed.sensor("lidar").parent_id == "ego2"
+
+
+def labels(frame):
+    """Two labelled points of a frame of the lidar."""
+    entry = LabeledPoints("lidar", np.array([1, 2], np.uint32), frame)
+    return LabeledPointsAnnotation(f"labels {frame}", (entry,))
+
+
+def test_a_scene_that_was_changed_can_go_to_another_process(drive):
+    changed = to_ego(drive.scene())
+    again = pickle.loads(pickle.dumps(changed.sensor("lidar")))
+    np.testing.assert_array_equal(
+        again.frames[1].points.positions, changed.sensor("lidar").frames[1].points.positions
+    )
+
+
+def test_places_that_cannot_be_known_are_an_error(drive):
+    scene = drive.scene()
+    alone = replace(scene, sensors=scene.sensors[2:3], trajectories={})
+    with pytest.raises(PoseError, match="no trajectory"):
+        to_ego(alone)
+    with pytest.raises(OptionError, match="annotations in 'sensor'"):
+        to_world(scene, annotations_in="sensor")
+    parented = replace(scene.sensor("lidar"), parent_id="camera", frames=LazyFrames.of([], []))
+    several = (parented, scene.sensor("camera"), scene.sensor("ego"), OdometrySensor("other", drive.path()))
+    with pytest.raises(OptionError, match="several odometry sensors could be its ego"):
+        to_ego(replace(scene, sensors=several))
+
+
+def test_annotations_are_where_they_are_said_to_be(drive, box):
+    seen = box("a", [100_000_000], [[10.0, 0, 0]])
+    changed = to_world(drive.scene(annotations=[seen]), annotations_in="ego")
+    expected = drive.world_from_ego(100_000_000).apply(np.array([10.0, 0, 0]))
+    np.testing.assert_allclose(changed.annotations[0].path.values[0, 3:6], expected, atol=1e-9)

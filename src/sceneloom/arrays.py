@@ -47,12 +47,15 @@ def check_array(
         raise ArrayError(f"{name}: missing; expected an array of {np.dtype(dtype).name}")
     if not isinstance(array, np.ndarray):
         raise ArrayError(f"{name}: a {type(array).__name__}; {_expected(shape, dtype)}")
-    fits = array.ndim == len(shape) and all(
-        n is None or n == m for n, m in zip(shape, array.shape, strict=True)
-    )
-    if not fits or array.dtype != dtype:
-        raise ArrayError(f"{name}: {array.shape} {array.dtype.name}; {_expected(shape, dtype)}")
-    return int(array.shape[0])
+    found: tuple[int, ...] = array.shape
+    if array.dtype == dtype and len(found) == len(shape):
+        # a plain loop, since scenes make hundreds of thousands of small arrays
+        for length, expected in zip(found, shape, strict=True):
+            if expected is not None and length != expected:
+                break
+        else:
+            return found[0]
+    raise ArrayError(f"{name}: {found} {array.dtype.name}; {_expected(shape, dtype)}")
 
 
 def check_count(name: str, values: Sequence[Any] | None, count: int) -> None:

@@ -1,11 +1,12 @@
 """The faults of a whole file, each with its place, and the error that tells of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.records import MALFORMED
+from sceneloom.formats.sfs.container import format_keys
+from sceneloom.formats.sfs.records import MALFORMED, Place
 from sceneloom.scene import Scene
 
 _TOLD = 4
@@ -46,15 +47,25 @@ class Examination:
         scene: what is sound, and what could be brought into order; None where nothing can be read.
         faults: in the order of the file.
         header: the file's header without `$items`, arrays in their places; None where it cannot be decoded.
-        sensor_paths: where each sensor of the scene stands in the file.
-        annotation_paths: where each annotation of the scene stands in the file.
+        sensor_places: where each sensor of the scene stands in the file.
+        annotation_places: where each annotation of the scene stands in the file.
     """
 
     scene: Scene | None
     faults: tuple[PlacedFault, ...]
-    header: Mapping[str, Any] | None = None
-    sensor_paths: tuple[str, ...] = ()
-    annotation_paths: tuple[str, ...] = ()
+    header: dict[str, Any] | None = None
+    sensor_places: tuple[Place, ...] = ()
+    annotation_places: tuple[Place, ...] = ()
+
+    @property
+    def sensor_paths(self) -> tuple[str, ...]:
+        """The places of the sensors in words."""
+        return tuple(map(format_keys, self.sensor_places))
+
+    @property
+    def annotation_paths(self) -> tuple[str, ...]:
+        """The places of the annotations in words."""
+        return tuple(map(format_keys, self.annotation_places))
 
 
 def error_of(file: str, faults: Sequence[PlacedFault]) -> DataError:

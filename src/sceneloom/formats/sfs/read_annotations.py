@@ -23,6 +23,7 @@ from sceneloom.formats.sfs.read_cuboids import read_cuboid
 from sceneloom.formats.sfs.read_keypoints import read_keypoints
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import Source
+from sceneloom.formats.sfs.usual_cuboids import read_usual_cuboids
 from sceneloom.scene import (
     Annotation,
     Box2DAnnotation,
@@ -57,8 +58,12 @@ def read_annotations(source: Source, raw: Any, place: Place) -> tuple[Annotation
         faults.add((), "expected a list of annotations")
         source.collect(faults, place)
         return ()
-    annotations = []
+    usual = read_usual_cuboids(raw, source.clock)
+    annotations: list[Annotation] = []
     for index, item in enumerate(raw):
+        if index in usual:
+            annotations.append(usual[index])
+            continue
         faults = Faults()
         annotation = _read_annotation(source, item, (*place, index), faults)
         if source.settle(faults, (*place, index)) and annotation is not None:

@@ -88,10 +88,18 @@ def read_scene(path: Path, options: ReadingOptions) -> Scene:
     Raises:
         DataError: the file is at fault; the error tells the first places.
     """
+    # the header goes while the collector is still paused, which would otherwise walk through all of it
+    with collector_paused():
+        return _sound_scene(path, options)
+
+
+def _sound_scene(path: Path, options: ReadingOptions) -> Scene:
     examination = read_all(path, options)
     refused = [fault for fault in examination.faults if fault.vital or not options.lenient]
     if refused or examination.scene is None:
         raise error_of(str(path), refused)
+    if examination.header is not None:
+        examination.header.pop("annotations", None)
     return examination.scene
 
 
@@ -147,8 +155,8 @@ def _examination(container: Container, items: list[ItemFault], options: ReadingO
     header = container.header
     source, ours, metadata = _source(container, options)
     source.collect_items(items)
-    sensors, sensor_paths = _unique(source, _all_sensors(source, ours), "sensors", ours)
-    annotations, annotation_paths = _unique(source, _all_annotations(source, ours), "annotations", ours)
+    sensors, sensor_places = _unique(source, _all_sensors(source, ours), "sensors", ours)
+    annotations, annotation_places = _unique(source, _all_annotations(source, ours), "annotations", ours)
     attributes = _attributes(source, header.get("attributes"))
     faults = Faults()
     aside = read_attributes(ours.get("attributes"), faults)
@@ -174,27 +182,27 @@ def _examination(container: Container, items: list[ItemFault], options: ReadingO
         extras={name: value for name, value in header.items() if name not in _ROOT},
         on_close=source.parts.close,
     )
-    return Examination(scene, source.found_faults(), header, sensor_paths, annotation_paths)
+    return Examination(scene, source.found_faults(), header, sensor_places, annotation_places)
 
 
 def _unique(
     source: Source, things: tuple[Thing, ...], kind: str, ours: Any
-) -> tuple[tuple[Thing, ...], tuple[str, ...]]:
+) -> tuple[tuple[Thing, ...], tuple[Place, ...]]:
     """Leave out those whose id another had before; give the others with their places in the file."""
-    places = [
+    places = (
         *_kept_places(source, source.container.header.get(kind), (kind,)),
         *_kept_places(source, ours.get(kind), ("metadata", OURS, kind)),
-    ]
-    first: dict[tuple[type, Identifier], str] = {}
+    )
+    first: dict[tuple[type, Identifier], Place] = {}
     kept: list[Thing] = []
     for thing, place in zip(things, places, strict=True):
-        path = format_keys(place)
-        before = first.setdefault((type(thing.id), thing.id), path)
-        if before == path:
+        before = first.setdefault((type(thing.id), thing.id), place)
+        if before is place:
             kept.append(thing)
             continue
         faults = Faults()
-        faults.add(("id",), f"{thing.id!r} is used twice, first by {before}", code="duplicate-id")
+        problem = f"{thing.id!r} is used twice, first by {format_keys(before)}"
+        faults.add(("id",), problem, code="duplicate-id")
         source.settle(faults, place)
     return tuple(kept), tuple(first.values())
 
@@ -202,7 +210,7 @@ def _unique(
 def _kept_places(source: Source, raw: Any, root: Place) -> list[Place]:
     """The places of all entries of a list but those that were left out."""
     places = [(*root, k) for k in range(len(raw) if isinstance(raw, list) else 0)]
-    return [place for place in places if place not in source.left_out]
+    return [place for place in places if place not in source.left_out] if source.left_out else places
 
 
 def _check_version(source: Source) -> None:

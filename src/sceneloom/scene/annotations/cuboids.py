@@ -1,12 +1,14 @@
 """Objects as boxes in space, and where sensors see them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, check_array, check_count
+from sceneloom.errors import ArrayError
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
@@ -31,6 +33,36 @@ class CuboidPath:
     def __post_init__(self) -> None:
         count = check_array("cuboid.path.timestamps_ns", self.timestamps_ns, (None,), np.int64)
         check_array("cuboid.path.values", self.values, (count, 9), np.float64)
+
+
+def cut_cuboid_paths(
+    timestamps_ns: Int64Array, values: Float64Array, counts: Sequence[int]
+) -> list[CuboidPath]:
+    """Cut the paths of many cuboids out of the arrays of all of them, which are checked once.
+
+    Args:
+        timestamps_ns: (N,) int64 [ns].
+        values: (N, 9) float64.
+        counts: how many rows each path has, N in all.
+
+    Raises:
+        ArrayError: the arrays are not such.
+    """
+    count = check_array("timestamps_ns", timestamps_ns, (None,), np.int64)
+    check_array("values", values, (count, 9), np.float64)
+    if sum(counts) != count:
+        raise ArrayError(f"counts: {sum(counts)} rows in all; expected {count}")
+    stops = list(accumulate(counts))
+    # What holds for the whole holds for its parts: their constructors need not look at them again.
+    set_times, set_values, set_extras = (CuboidPath.__dict__[name].__set__ for name in CuboidPath.__slots__)
+    paths = []
+    for start, stop in zip([0, *stops], stops, strict=False):
+        path = object.__new__(CuboidPath)
+        set_times(path, timestamps_ns[start:stop])
+        set_values(path, values[start:stop])
+        set_extras(path, NO_FIELDS)
+        paths.append(path)
+    return paths
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,81 @@
+"""Which rays meet which boxes, and whether another box stands before them."""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+
+_PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
+_BEHIND = 1e-9
+"""Of two boxes that begin at the same place, to this share of the distance, neither hides the other."""
+
+
+@numba.njit(**_PART)
+def _entry(x, y, z, b, centers, rotations, halves):  # type: ignore[no-untyped-def]
+    """Distance along a ray from the origin at which it enters a box; infinity where it misses it or starts in it."""
+    near, far = -np.inf, np.inf
+    for axis in range(3):
+        along = rotations[b, 0, axis] * x + rotations[b, 1, axis] * y + rotations[b, 2, axis] * z
+        middle = (
+            rotations[b, 0, axis] * centers[b, 0]
+            + rotations[b, 1, axis] * centers[b, 1]
+            + rotations[b, 2, axis] * centers[b, 2]
+        )
+        if along == 0.0:
+            if abs(middle) > halves[b, axis]:
+                return np.inf
+            continue
+        first, last = (middle - halves[b, axis]) / along, (middle + halves[b, axis]) / along
+        near, far = max(near, min(first, last)), min(far, max(first, last))
+    if near <= far and near > 0.0:
+        return near
+    return np.inf
+
+
+@numba.njit(
+    "void(float64[:,::1], int64[::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], "
+    "int64[::1], int64[::1])",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def count_sights(
+    rays: Float64Array,
+    ray_starts: Int64Array,
+    centers: Float64Array,
+    rotations: Float64Array,
+    halves: Float64Array,
+    rival_starts: Int64Array,
+    rivals: Int64Array,
+    met: Int64Array,
+    hidden: Int64Array,
+) -> None:
+    """Count the rays that meet each box, and those of them that meet another one before.
+
+    Args:
+        rays: (R, 3) from the origin; one with a NaN meets nothing.
+        ray_starts: (B + 1,), which rays belong to each box.
+        centers: (B, 3) [m].
+        rotations: (B, 3, 3), whose columns are the boxes' axes.
+        halves: (B, 3) [m], half of length, width and height.
+        rival_starts: (B + 1,), which of `rivals` belong to each box.
+        rivals: numbers of the boxes that may stand before it.
+        met: (B,), filled.
+        hidden: (B,), filled.
+
+    Source: Kay and Kajiya 1986, "Ray Tracing Complex Scenes": a ray is in a box while it is between all pairs of faces.
+    """
+    for b in range(len(centers)):
+        met[b] = hidden[b] = 0
+        for k in range(ray_starts[b], ray_starts[b + 1]):
+            x, y, z = rays[k, 0], rays[k, 1], rays[k, 2]
+            own = _entry(x, y, z, b, centers, rotations, halves)
+            if not own < np.inf:
+                continue
+            met[b] += 1
+            for r in range(rival_starts[b], rival_starts[b + 1]):
+                if _entry(x, y, z, rivals[r], centers, rotations, halves) < own * (1.0 - _BEHIND):
+                    hidden[b] += 1
+                    break

@@ -1,0 +1,229 @@
+"""What one picture shows of boxes in space: where, how much of each is cut off, how much is hidden."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project, unproject
+from sceneloom.geometry.boxes import box_corners
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions
+from sceneloom.kernels.box_sight import count_sights
+from sceneloom.scene import Boxes
+from sceneloom.visibility.outlines import CENTRE_TO_CORNER, edge_extents, picture_corner_rays, widest_angle
+
+NEAR = 0.05
+"""A box nearer to the camera than this holds the camera: it is not seen, and hides nothing [m]."""
+
+_RAYS = 24
+"""Rays to a box along each side of its place in the picture, to tell how much of it others hide."""
+_CELLS = 24
+"""Cells along each side of a face, to tell how much of a box the picture cuts off."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sights:
+    """The boxes that a picture shows.
+
+    Attributes:
+        rows: (S,) int64, rising, which of the boxes they are.
+        boxes_xyxy: (S, 4) float64 [px], left, top, right, bottom of what is in the picture, corner convention.
+        truncations: (S,) float64, which share of the box, of what the camera would see of it with an endless picture,
+            lies outside the picture: a share of the solid angle, so that it means the same with every lens.
+        occlusions: (S,) float64, which share of its area in the picture nearer boxes hide.
+    """
+
+    rows: Int64Array
+    boxes_xyxy: Float64Array
+    truncations: Float64Array
+    occlusions: Float64Array
+
+    def __post_init__(self) -> None:
+        count = check_array("rows", self.rows, (None,), np.int64)
+        check_array("boxes_xyxy", self.boxes_xyxy, (count, 4), np.float64)
+        check_array("truncations", self.truncations, (count,), np.float64)
+        check_array("occlusions", self.occlusions, (count,), np.float64)
+
+
+def sight(
+    camera: Camera, world_from_camera: RigidTransform, boxes: Boxes, *, min_pixels: float = 1.0
+) -> Sights:
+    """See boxes with a camera.
+
+    Boxes with numbers that are not finite, without volume, or around the camera are not seen and hide nothing.
+
+    Args:
+        camera: the lens; any model.
+        world_from_camera: where it is.
+        boxes: in the world.
+        min_pixels: what is narrower or lower than this in the picture is not seen, but hides [px].
+
+    Raises:
+        CalibrationError: the lens is unknown.
+    """
+    rows, near = _in_view(camera, world_from_camera, boxes)
+    corners = box_corners(near.centers, near.sizes, near.quaternions)
+    extents, whole = edge_extents(camera, corners)
+    pictures, rays = picture_corner_rays(camera)
+    looks_at = near.met_by(rays)
+    for pixel, met in zip(pictures, looks_at.T, strict=True):
+        extents[met, :2], extents[met, 2:] = (
+            np.minimum(extents[met, :2], pixel),
+            np.maximum(extents[met, 2:], pixel),
+        )
+    there = np.flatnonzero((extents[:, 2:] > extents[:, :2]).all(axis=1))
+    rows, near, extents, whole = rows[there], near.some(there), extents[there], whole[there]
+    occlusions = _occlusions(camera, near, extents)
+    truncations = np.zeros(len(rows))
+    truncations[~whole] = _truncations(camera, near.some(np.flatnonzero(~whole)))
+    seen = np.flatnonzero((extents[:, 2:] - extents[:, :2] >= min_pixels).all(axis=1))
+    return Sights(rows[seen], extents[seen], truncations[seen], occlusions[seen])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """Boxes in the camera's frame: centres (B, 3), sizes (B, 3) [m], quaternions (B, 4) and axes (B, 3, 3)."""
+
+    centers: Float64Array
+    sizes: Float64Array
+    quaternions: Float64Array
+    axes: Float64Array
+
+    def some(self, rows: Int64Array) -> "_Near":
+        return _Near(self.centers[rows], self.sizes[rows], self.quaternions[rows], self.axes[rows])
+
+    @property
+    def cameras_box(self) -> Float64Array:
+        """Where the camera is in the frame of each box, (B, 3) [m]."""
+        place: Float64Array = -np.einsum("bij,bi->bj", self.axes, self.centers)
+        return place
+
+    def met_by(self, rays: Float64Array) -> BoolArray:
+        """Which boxes rays (R, 3) meet, (B, R); one with a NaN meets none.
+
+        Source: as in `count_sights`.
+        """
+        directions = np.einsum("bij,ri->brj", self.axes, rays)
+        origins, halves = self.cameras_box[:, None], self.sizes[:, None] / 2.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, last = (-halves - origins) / directions, (halves - origins) / directions
+        enter, leave = np.minimum(first, last).max(axis=2), np.maximum(first, last).min(axis=2)
+        met: BoolArray = (enter <= leave) & (enter > 0.0)
+        return met
+
+
+def _in_view(camera: Camera, world_from_camera: RigidTransform, boxes: Boxes) -> tuple[Int64Array, _Near]:
+    """The boxes that may be in the picture, in the camera's frame, and which they are."""
+    finite = np.isfinite(boxes.centers_world).all(axis=1) & np.isfinite(boxes.quaternions_xyzw).all(axis=1)
+    rows = np.flatnonzero(
+        finite & np.isfinite(boxes.sizes_lwh).all(axis=1) & (boxes.sizes_lwh > 0).all(axis=1)
+    )
+    camera_from_world = world_from_camera.inverse()
+    centers, sizes = camera_from_world.apply(boxes.centers_world[rows]), boxes.sizes_lwh[rows]
+    distances, reaches = np.linalg.norm(centers, axis=1), np.linalg.norm(sizes, axis=1) / 2.0
+    off_axis = np.arccos(np.clip(centers[:, 2] / np.maximum(distances, NEAR), -1.0, 1.0))
+    spreads = np.arcsin(np.clip(reaches / np.maximum(distances, NEAR), 0.0, 1.0))
+    kept = np.flatnonzero((reaches >= distances) | (off_axis - spreads <= widest_angle(camera)))
+    turns = multiply_quaternions(
+        conjugate_quaternion(world_from_camera.quaternion_xyzw), boxes.quaternions_xyzw[rows[kept]]
+    )
+    axes = world_from_camera.rotation.T @ boxes.rotations_world[rows[kept]]
+    near = _Near(centers[kept], sizes[kept], turns, axes)
+    away = np.maximum(np.abs(near.cameras_box) - near.sizes / 2.0, 0.0)
+    outside = np.flatnonzero(np.linalg.norm(away, axis=1) > NEAR)
+    return rows[kept][outside], near.some(outside)
+
+
+def _occlusions(camera: Camera, near: _Near, extents: Float64Array) -> Float64Array:
+    """Which share of each box in the picture others hide: rays through a grid over its place in the picture."""
+    count = len(extents)
+    if count == 0:
+        return np.zeros(0)
+    steps = (np.arange(_RAYS) + 0.5) / _RAYS
+    spans = extents[:, 2:] - extents[:, :2]
+    u = extents[:, 0, None] + steps * spans[:, 0, None]
+    v = extents[:, 1, None] + steps * spans[:, 1, None]
+    grid = np.stack(
+        [
+            np.broadcast_to(u[:, None, :], (count, _RAYS, _RAYS)),
+            np.broadcast_to(v[:, :, None], (count, _RAYS, _RAYS)),
+        ],
+        axis=3,
+    )
+    rivals, rival_starts = _rivals(near, extents)
+    met, hidden = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    count_sights(
+        unproject(camera, grid.reshape(-1, 2) - CENTRE_TO_CORNER),
+        np.arange(count + 1) * _RAYS**2,
+        np.ascontiguousarray(near.centers),
+        np.ascontiguousarray(near.axes),
+        np.ascontiguousarray(near.sizes / 2.0),
+        rival_starts,
+        rivals,
+        met,
+        hidden,
+    )
+    shares: Float64Array = hidden / np.maximum(met, 1)
+    return shares
+
+
+def _rivals(near: _Near, extents: Float64Array) -> tuple[Int64Array, Int64Array]:
+    """Of each box those others that overlap it in the picture and begin before it ends: their numbers, and where."""
+    distances, reaches = np.linalg.norm(near.centers, axis=1), np.linalg.norm(near.sizes, axis=1) / 2.0
+    found = []
+    for b in range(len(extents)):
+        overlap = (extents[:, :2] < extents[b, 2:]).all(axis=1) & (extents[:, 2:] > extents[b, :2]).all(
+            axis=1
+        )
+        before = distances - reaches < distances[b] + reaches[b]
+        before[b] = False
+        found.append(np.flatnonzero(overlap & before))
+    starts = np.concatenate([[0], np.cumsum([len(rows) for rows in found])]).astype(np.int64)
+    return np.concatenate(found), starts
+
+
+def _truncations(camera: Camera, near: _Near) -> Float64Array:
+    """Which share of the solid angle of each box lies outside the picture."""
+    shares = np.zeros(len(near.centers))
+    cameras = near.cameras_box
+    for b, (center, size, axes) in enumerate(zip(near.centers, near.sizes, near.axes, strict=True)):
+        angles, middles = [], []
+        for axis in range(3):
+            side = cameras[b, axis] / (size[axis] / 2.0)
+            if abs(side) > 1.0:
+                corners = _face_grid(size, axis, np.sign(side)) @ axes.T + center
+                angles.append(_solid_angles(corners))
+                middles.append((corners[:-1, :-1] + corners[1:, 1:]).reshape(-1, 3) / 2.0)
+        weights, places = np.concatenate(angles), np.concatenate(middles)
+        _, inside = project(camera, places)
+        shares[b] = 1.0 - weights[inside].sum() / weights.sum()
+    return np.clip(shares, 0.0, 1.0)
+
+
+def _face_grid(size_lwh: Float64Array, axis: int, side: float) -> Float64Array:
+    """Corners of the cells of a face of a box, (C + 1, C + 1, 3) [m], in the box's frame."""
+    steps = np.linspace(-0.5, 0.5, _CELLS + 1)
+    grid = np.empty((_CELLS + 1, _CELLS + 1, 3))
+    first, last = (axis + 1) % 3, (axis + 2) % 3
+    grid[..., axis] = side * size_lwh[axis] / 2.0
+    grid[..., first], grid[..., last] = (steps * size_lwh[first])[:, None], steps * size_lwh[last]
+    return grid
+
+
+def _solid_angles(corners: Float64Array) -> Float64Array:
+    """Solid angles of the cells of a face, as seen from the origin, (C * C,) [sr].
+
+    Source: Van Oosterom and Strackee 1983, "The Solid Angle of a Plane Triangle", of two triangles per cell.
+    """
+    a, b, c, d = corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]
+    return (_solid_angle(a, b, c) + _solid_angle(a, c, d)).reshape(-1)
+
+
+def _solid_angle(a: Float64Array, b: Float64Array, c: Float64Array) -> Float64Array:
+    la, lb, lc = (np.linalg.norm(vertex, axis=-1) for vertex in (a, b, c))
+    volume = np.abs((a * np.cross(b, c)).sum(axis=-1))
+    spread = la * lb * lc + (a * b).sum(axis=-1) * lc + (b * c).sum(axis=-1) * la + (c * a).sum(axis=-1) * lb
+    angle: Float64Array = 2.0 * np.arctan2(volume, spread)
+    return angle

@@ -1,4 +1,4 @@
-"""Rules about cameras: their lenses, the size of their pictures, and their videos."""
+"""Rules about cameras: their lenses and their videos."""
 
 from collections.abc import Callable, Iterator
 from typing import BinaryIO
@@ -7,7 +7,7 @@ from sceneloom.cameras import MODELS
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import DataError
-from sceneloom.scene import CameraSensor, Picture, Scene, Severity
+from sceneloom.scene import CameraSensor, Scene, Severity
 
 _SHORTEST, _LONGEST = 0.05, 30.0
 """Focal lengths outside these parts of the picture's longer side [1] belong to no lens: 30 sees two degrees."""
@@ -62,17 +62,6 @@ def _odd_focal_lengths(subject: Subject) -> Iterator[Hit]:
         elif not _SHORTEST * size <= larger <= _LONGEST * size:
             problem = f"focal length {larger:g} px for pictures of {lens.width}x{lens.height}"
             yield Hit(f"{path}.intrinsics", problem)
-
-
-def _another_size(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    del subject
-    if not (isinstance(frame.sensor, CameraSensor) and isinstance(frame.frame, Picture)):
-        return
-    height, width = frame.frame.rgb.shape[:2]
-    lens = frame.sensor.camera
-    if (width, height) != (lens.width, lens.height):
-        problem = f"{width}x{height}; the intrinsics are those of pictures of {lens.width}x{lens.height}"
-        yield Hit(frame.path, problem)
 
 
 def _video_counts(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
@@ -147,13 +136,6 @@ RULES: tuple[Rule, ...] = (
         "Focal lengths are nearly equal, and those of a lens that there is.",
         "Give focal lengths in pixels of these pictures, not in millimetres or of another size.",
         find=_odd_focal_lengths,
-    ),
-    Rule(
-        "picture-size",
-        Severity.WARNING,
-        "Pictures have the size that their camera's intrinsics say.",
-        "Scale the intrinsics, or export the pictures in the size that was calibrated.",
-        look=_another_size,
     ),
     Rule(
         "video-count",

@@ -11,8 +11,10 @@ from sceneloom.formats.sfs.times import UINT32_MAX
 from sceneloom.scene import LidarFrame, LidarSensor, RadarFrame, RadarSensor, Severity
 from sceneloom.scene.point_times import PointTimes, RawTimes, timed_frame
 
-_WRAP = UINT32_MAX + 1
-_TICKS_NS = (1_000, 1)
+_WRAP_NS = (UINT32_MAX + 1) * 1_000
+"""What microseconds in 32 bits run over at [ns]."""
+
+_NEAR_NS = 1_000_000_000
 
 _ROUNDING_NS = 1_000
 """Stamps in microseconds may be so late [ns]."""
@@ -43,24 +45,23 @@ def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     previous[frame.sensor_path] = timed.raw
     if timed.raw is None:
         return
-    wraps = _wraps(timed.raw)
+    wraps = _wraps(timed.raw, subject.scene.time_offset_ns)
     problem = _WHAT.get(timed.verdict)
     if wraps:
-        problem = f"lie {wraps} times 2^32 ticks before the frame; 32 bits have run over"
+        problem = f"lie {wraps} times 2^32 µs before the frame; 32 bits have run over"
     elif timed.verdict is PointTimes.WRONG_UNIT:
         problem = f"are {float(timed.found.factor):g} times too large"
     if problem is not None:
         yield Hit(f"{frame.path}.points.timestamps", f"they {problem}; the first is {timed.raw.first_ns} ns")
 
 
-def _wraps(raw: RawTimes) -> int:
-    """How often an integer of 32 bits has run over between a frame's stamp and its first point."""
-    for tick_ns in _TICKS_NS:
-        turns = round((raw.timestamp_ns - raw.first_ns) / (_WRAP * tick_ns))
-        rest_ns = raw.timestamp_ns - raw.first_ns - turns * _WRAP * tick_ns
-        if turns and abs(rest_ns) < min(1_000_000_000, _WRAP * tick_ns // 8):
-            return turns
-    return 0
+def _wraps(raw: RawTimes, zero_ns: int) -> int:
+    """How often microseconds in 32 bits have run over between a frame's stamp and its first point; 0 for not."""
+    if not 0 <= raw.first_ns - zero_ns < _WRAP_NS:
+        return 0
+    late_ns = raw.timestamp_ns - raw.first_ns
+    turns = round(late_ns / _WRAP_NS)
+    return turns if abs(late_ns - turns * _WRAP_NS) < _NEAR_NS else 0
 
 
 def _all_equal(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:

@@ -27,6 +27,7 @@ RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.shapes",
     "sceneloom.checks.labelled_points",
     "sceneloom.checks.corrections",
+    "sceneloom.checks.scale",
 )
 """The modules that offer `RULES`, in the order in which a person would look."""
 

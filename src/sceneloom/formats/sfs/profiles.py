@@ -5,16 +5,19 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.fields import SENSOR_RECORDS
+from sceneloom.formats.sfs.scale_library import (
+    ANNOTATIONS,
+    PARTS,
+    VALIDATED_SENSORS,
+    Need,
+    attribute_value_fits,
+    time_fault,
+)
 from sceneloom.formats.sfs.times import TICKS_NS, FileClock
 
 Record = Mapping[str, Any]
-
-_LATEST_START_NS = 100_000_000_000
-_HIGHEST_RATE = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +78,7 @@ def _scale_sensor(record: Record, clock: FileClock) -> str | None:
     type_name = record["type"]
     if type_name in _OUR_TYPES or type_name not in SENSOR_RECORDS:
         return NO_PLACE
-    if type_name not in {"lidar", "radar", "camera"}:
+    if type_name not in VALIDATED_SENSORS:
         return "Scale's validator knows no such sensor"
     if record.get("poses") is None:
         return "Scale's library needs poses"
@@ -98,43 +101,20 @@ def _times_of(record: Record) -> dict[str, list[int]]:
 
 
 def _time_obstacle(name: str, times_ns: list[int], clock: FileClock) -> str | None:
-    if not times_ns:
-        return f"Scale's validator wants at least one entry in {name}"
-    stamps = [clock.stamp(int(time)) for time in times_ns]
-    steps = np.diff(np.array(stamps, np.int64))
-    if (steps <= 0).any():
-        return f"Scale's validator wants increasing times in {name}"
-    if stamps[0] * clock.tick_ns > _LATEST_START_NS:
-        return f"Scale's validator wants {name} to begin within 100 s of the scene's start"
-    if name != "poses" and len(steps) and 1e9 / (float(steps.mean()) * clock.tick_ns) > _HIGHEST_RATE:
-        return f"Scale's validator wants at most {_HIGHEST_RATE:.0f} {name} a second"
-    return None
+    fault = time_fault([clock.stamp(int(time)) for time in times_ns], paced=name != "poses")
+    return None if fault is None else f"Scale's validator refuses {name} with {fault}"
 
 
-_SCALE_ANNOTATIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "cuboid": ("path",),
-        "attributes": (),
-        "box_2d": ("sensor_id", "path"),
-        "polygon_2d": ("sensor_id", "path"),
-        "polygon_topdown": ("path",),
-        "polyline": ("path",),
-        "labeled_points": ("label", "labeled_points"),
-        "point_segmentation": ("label", "labeled_points"),
-        "localization_adjustment": ("poses",),
-        "object": (),
-        "event": ("start",),
-    }
-)
-"""The annotations that Scale's loader takes, and the fields that it then needs."""
+def _needed(record: Mapping[str, Need]) -> tuple[str, ...]:
+    return tuple(name for name, need in record.items() if need.required and name != "id")
 
-_SCALE_PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "activations": ("sensor_id", "timestamps", "durations"),
-        "projections": ("sensor_id", "timestamps", "boxes"),
-        "attributes": ("name", "timestamps", "values"),
-    }
-)
+
+_SCALE_ANNOTATIONS = {name: _needed(record) for name, record in ANNOTATIONS.items()}
+_SCALE_PARTS = {
+    "activations": _needed(PARTS["activation"]),
+    "projections": _needed(PARTS["projection"]),
+    "attributes": _needed(PARTS["attribute"]),
+}
 
 
 def _scale_annotation(record: Record) -> str | None:
@@ -166,13 +146,7 @@ def attributes_fit(attributes: Any) -> bool:
 def attribute_fits(attribute: Record) -> bool:
     """Whether Scale's loader takes one attribute."""
     named = isinstance(attribute.get("name"), str)
-    return named and all(_value_fits(value) for value in attribute.get("values") or [])
-
-
-def _value_fits(value: Any) -> bool:
-    return isinstance(value, str | int) or (
-        isinstance(value, list | tuple) and all(isinstance(v, str) for v in value)
-    )
+    return named and all(attribute_value_fits(value) for value in attribute.get("values") or [])
 
 
 PROFILES: Mapping[str, Profile] = MappingProxyType(

@@ -1,0 +1,321 @@
+"""Rules of the profile `scale`: whatever Scale's own library refuses to load or to validate, told where it stands.
+
+They look at the header of a file, since that is what the library reads; the fields are those of
+`sceneloom.formats.sfs.scale_library`, which the writer of that profile follows, too.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from sceneloom.checks.rule import SCALE_ONLY, Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.formats.sfs.container import format_keys
+from sceneloom.formats.sfs.scale_library import (
+    ANNOTATIONS,
+    PARTS,
+    SENSORS,
+    VALIDATED_SENSORS,
+    Place,
+    record_faults,
+    time_fault,
+)
+from sceneloom.scene import Severity
+
+Located = tuple[Place, Any]
+
+_VERSION = "1.0"
+
+
+def _items(subject: Subject, name: str) -> Iterator[Located]:
+    """The sensors or annotations of the file, as they stand in its header, with their places."""
+    found = (subject.header or {}).get(name)
+    for index, item in enumerate(found if isinstance(found, list) else ()):
+        yield (name, index), item
+
+
+def _hit(place: Place, message: str) -> Hit:
+    return Hit(format_keys(place), message)
+
+
+def _scene_faults(subject: Subject) -> Iterator[Hit]:
+    header = subject.header
+    if header is None:
+        return
+    version = header.get("version")
+    if not isinstance(version, str) or version != _VERSION:
+        yield _hit(("version",), f"{version!r}; expected {_VERSION!r}")
+    if header.get("time_unit", "microseconds") != "microseconds":
+        yield _hit(("time_unit",), f"{header['time_unit']!r}; expected microseconds")
+    offset = header.get("time_offset")
+    if isinstance(offset, int) and offset < 0:
+        yield _hit(("time_offset",), f"{offset}; expected none below 0")
+    for name in ("sensors", "annotations"):
+        if header.get(name) is not None and not isinstance(header[name], list):
+            yield _hit((name,), "no list")
+    for place, problem in record_faults(dict(header), PARTS["scene"]):
+        yield _hit(place, problem)
+
+
+def _type_of(record: Any) -> Any:
+    return record.get("type") if isinstance(record, dict) else None
+
+
+def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
+    for place, sensor in _items(subject, "sensors"):
+        kind = _type_of(sensor)
+        if not isinstance(kind, str) or kind not in VALIDATED_SENSORS:
+            yield _hit(
+                (*place, "type"), f"{kind!r}; the library validates {', '.join(VALIDATED_SENSORS)} only"
+            )
+
+
+def _unknown_annotations(subject: Subject) -> Iterator[Hit]:
+    for place, annotation in _items(subject, "annotations"):
+        kind = _type_of(annotation)
+        if not isinstance(kind, str) or kind not in ANNOTATIONS:
+            yield _hit((*place, "type"), f"{kind!r}; the library loads {', '.join(ANNOTATIONS)} only")
+
+
+def _field_faults(subject: Subject) -> Iterator[Hit]:
+    for name, records in (("sensors", SENSORS), ("annotations", ANNOTATIONS)):
+        for place, record in _items(subject, name):
+            kind = _type_of(record)
+            if isinstance(kind, str) and kind in records:
+                for inner, problem in record_faults(record, records[kind], place):
+                    yield _hit(inner, problem)
+
+
+def _repeated_ids(subject: Subject) -> Iterator[Hit]:
+    seen: dict[Any, Place] = {}
+    for place, sensor in _items(subject, "sensors"):
+        identifier = sensor.get("id") if isinstance(sensor, dict) else None
+        if isinstance(identifier, str | int):
+            first = seen.setdefault(identifier, place)
+            if first != place:
+                yield _hit((*place, "id"), f"{identifier!r} is the id of {format_keys(first)}, too")
+
+
+def _validated(subject: Subject) -> Iterator[tuple[Place, Mapping[str, Any]]]:
+    """The sensors whose fields are as they have to be, so that their contents can be judged."""
+
+    def made(inner: Subject) -> list[tuple[Place, Mapping[str, Any]]]:
+        return [
+            (place, sensor)
+            for place, sensor in _items(inner, "sensors")
+            if _type_of(sensor) in VALIDATED_SENSORS
+            and not any(record_faults(sensor, SENSORS[_type_of(sensor)]))
+        ]
+
+    yield from subject.table("sensors that Scale's library parses", made)
+
+
+def _time_faults(subject: Subject) -> Iterator[Hit]:
+    for place, sensor in _validated(subject):
+        for inside, stamps in _series_of(sensor):
+            fault = time_fault(stamps, paced=inside[0] != "poses")
+            if fault is not None:
+                yield _hit((*place, *inside), fault)
+
+
+def _series_of(sensor: Mapping[str, Any]) -> Iterator[tuple[Place, list[int]]]:
+    if sensor["type"] != "camera":
+        yield ("frames",), [frame["timestamp"] for frame in sensor["frames"]]
+    elif sensor.get("video") is not None:
+        yield ("video", "timestamps"), sensor["video"]["timestamps"]
+    else:
+        yield ("images",), [image["timestamp"] for image in sensor.get("images") or []]
+    yield ("poses", "timestamps"), sensor["poses"]["timestamps"]
+
+
+def _rows_that_do_not_convert(subject: Subject) -> Iterator[Hit]:
+    for place, sensor in _validated(subject):
+        yield from _path_faults(sensor["poses"], 7, (*place, "poses"), empty=False)
+    for place, annotation in _items(subject, "annotations"):
+        kind = _type_of(annotation)
+        if kind not in ANNOTATIONS or any(record_faults(annotation, ANNOTATIONS[kind])):
+            continue
+        if kind == "cuboid":
+            yield from _path_faults(annotation["path"], 9, (*place, "path"), empty=True)
+        elif kind == "localization_adjustment":
+            yield from _path_faults(annotation["poses"], 7, (*place, "poses"), empty=False)
+
+
+def _path_faults(path: Mapping[str, Any], columns: int, place: Place, *, empty: bool) -> Iterator[Hit]:
+    stamps, rows = path["timestamps"], path["values"]
+    if not rows and not empty:
+        yield _hit((*place, "values"), f"no rows; expected at least one of {columns} numbers")
+    elif len(stamps) != len(rows):
+        yield _hit((*place, "values"), f"{len(rows)} rows for {len(stamps)} stamps; expected as many")
+    for index, row in enumerate(rows):
+        if len(row) != columns:
+            yield _hit((*place, "values", index), f"{len(row)} numbers; expected {columns}")
+            return
+
+
+_DTYPES: Mapping[str, np.dtype[Any]] = {
+    "positions": np.dtype(np.float32),
+    "colors": np.dtype(np.uint8),
+    "intensities": np.dtype(np.uint8),
+    "directions": np.dtype(np.float32),
+    "timestamps": np.dtype(np.uint32),
+}
+_COLUMNS = {"positions": 3, "colors": 3, "directions": 3}
+
+
+def _point_faults(subject: Subject) -> Iterator[Hit]:
+    for place, sensor in _validated(subject):
+        for number, frame in enumerate(sensor.get("frames", ())):
+            inside = (*place, "frames", number, "points")
+            for name, problem in _faults_of_points(frame["points"], frame["timestamp"]):
+                yield _hit((*inside, name), problem)
+
+
+def _faults_of_points(points: Mapping[str, Any], timestamp: int) -> Iterator[tuple[str, str]]:
+    count = points["positions"].size // 3
+    for name, dtype in _DTYPES.items():
+        array = points.get(name)
+        if array is None:
+            continue
+        columns = _COLUMNS.get(name, 1)
+        if array.dtype != dtype:
+            yield name, f"{array.dtype.name}; expected {dtype.name}"
+        elif array.size != count * columns or (columns == 1 and array.ndim != 1):
+            yield name, f"shape {array.shape}; expected {count} rows of {columns}"
+        elif name == "timestamps" and timestamp > (int(array.min()) if array.size else 0):
+            earliest = f"the earliest is {array.min()}" if array.size else "no times count as 0"
+            yield name, f"{earliest}; expected none before the frame's {timestamp}"
+
+
+def _radar_lengths(subject: Subject) -> Iterator[Hit]:
+    for place, sensor in _items(subject, "sensors"):
+        frames = sensor.get("frames") if _type_of(sensor) == "radar" else None
+        for number, frame in enumerate(frames if isinstance(frames, list) else ()):
+            points = frame.get("points") if isinstance(frame, dict) else None
+            lengths = points.get("lengths") if isinstance(points, dict) else None
+            if isinstance(lengths, np.ndarray):
+                what = "cannot be cut into rows of 3" if lengths.size % 3 else "are dropped in silence"
+                inside = (*place, "frames", number, "points", "lengths")
+                yield _hit(inside, f"{lengths.size} lengths {what}")
+
+
+def _static_attributes(subject: Subject) -> Iterator[Hit]:
+    header = subject.header or {}
+    owners = [((), header), *_items(subject, "annotations")]
+    for place, owner in owners:
+        attributes = owner.get("attributes") if isinstance(owner, Mapping) else None
+        for index, attribute in enumerate(attributes if isinstance(attributes, list) else ()):
+            stamps = attribute.get("timestamps") if isinstance(attribute, dict) else None
+            if isinstance(stamps, list) and attribute.get("static") is True and len(stamps) > 1:
+                yield _hit((*place, "attributes", index), f"static, with {len(stamps)} stamps; expected one")
+
+
+_DROPPED: Mapping[str, tuple[str, ...]] = {
+    "lidar": ("parent_id",),
+    "radar": ("parent_id",),
+    "camera": ("parent_id", "coordinates"),
+}
+
+
+def _dropped(subject: Subject) -> Iterator[Hit]:
+    for place, sensor in _items(subject, "sensors"):
+        for name in _DROPPED.get(str(_type_of(sensor)), ()):
+            if sensor.get(name) not in (None, "world"):
+                yield _hit((*place, name), f"{sensor[name]!r} is not taken over")
+        if _type_of(sensor) in ("lidar", "radar") and sensor.get("coordinates") == "ego":
+            yield _hit((*place, "coordinates"), "'ego' is taken over as 'world'")
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "scale-scene",
+        Severity.ERROR,
+        "Version, unit and offset of the scene are those that Scale's library takes.",
+        "Write the scene again with `--profile scale`.",
+        find=_scene_faults,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-sensor-type",
+        Severity.ERROR,
+        "All sensors are of types that Scale's validator knows.",
+        "Write the scene again with `--profile scale`: it keeps other sensors under the metadata.",
+        find=_unknown_sensors,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-sensor-ids",
+        Severity.ERROR,
+        "Sensors have ids of their own.",
+        "Rename all but one.",
+        find=_repeated_ids,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-annotation-type",
+        Severity.ERROR,
+        "All annotations are of types that Scale's loader reads and converts.",
+        "Write the scene again with `--profile scale`: it keeps other annotations under the metadata.",
+        find=_unknown_annotations,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-field",
+        Severity.ERROR,
+        "Every field that Scale's library reads is there and of its type.",
+        "Write the scene again with `--profile scale`.",
+        find=_field_faults,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-times",
+        Severity.ERROR,
+        "The times of frames, pictures and poses are not negative, increase, begin within 100 s and come at most 100 "
+        "a second.",
+        "Put the start into `time_offset`; leave frames out, or give them their own times.",
+        find=_time_faults,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-rows",
+        Severity.ERROR,
+        "Paths of poses and cuboids have a row of 7 or 9 numbers for each stamp.",
+        "Give each stamp its row.",
+        find=_rows_that_do_not_convert,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-points",
+        Severity.ERROR,
+        "The arrays of points have the types and lengths that Scale's validator wants, and no point is measured before "
+        "its frame.",
+        "Write the scene again with `--profile scale`.",
+        find=_point_faults,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-radar-lengths",
+        Severity.ERROR,
+        "Radar points have no lengths: Scale's loader cuts them into rows of three, or drops them.",
+        "Write the scene again with `--profile scale`: it keeps the lengths under the metadata.",
+        find=_radar_lengths,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-static-attribute",
+        Severity.WARNING,
+        "Static attributes have one time stamp.",
+        "Keep the first value.",
+        find=_static_attributes,
+        profiles=SCALE_ONLY,
+    ),
+    Rule(
+        "scale-dropped",
+        Severity.HINT,
+        "Sensors say nothing that Scale's library drops.",
+        "Keep a copy of the file: what that library writes no longer has it.",
+        find=_dropped,
+        profiles=SCALE_ONLY,
+    ),
+)

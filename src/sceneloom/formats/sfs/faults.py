@@ -45,7 +45,7 @@ class Examination:
 
     Attributes:
         scene: what is sound, and what could be brought into order; None where nothing can be read.
-        faults: in the order of the file.
+        faults: part by part in the order of the file.
         header: the file's header without `$items`, arrays in their places; None where it cannot be decoded.
         sensor_places: where each sensor of the scene stands in the file.
         annotation_places: where each annotation of the scene stands in the file.

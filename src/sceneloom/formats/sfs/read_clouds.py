@@ -256,6 +256,18 @@ def _check_frames(source: Source, frames: list[Record], place: Place, faults: Fa
     return relative
 
 
+def note_further_faults(values: Record, faults: Faults) -> None:
+    """Look through a sensor that is at fault for what else is wrong in its frames and poses."""
+    frames = values.get("frames")
+    for index, frame in enumerate(frames if isinstance(frames, list) else []):
+        points = frame.get("points") if isinstance(frame, dict) else None
+        if isinstance(points, dict) and isinstance(points.get("positions"), np.ndarray):
+            _check_counts(points, ("frames", index, "points"), faults)
+    poses = values.get("poses")
+    if isinstance(poses, dict) and {"timestamps", "values"} <= poses.keys():
+        mended_path_of(poses, faults)
+
+
 def _check_counts(points: Record, place: Place, faults: Faults) -> None:
     count = len(points["positions"])
     for name in ("colors", "intensities", "timestamps", "directions", "lengths"):

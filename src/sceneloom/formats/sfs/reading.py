@@ -18,7 +18,7 @@ from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.garbage import collector_paused
 from sceneloom.formats.sfs.read_annotations import read_annotations
 from sceneloom.formats.sfs.read_cameras import read_camera
-from sceneloom.formats.sfs.read_clouds import read_lidar, read_points, read_radar
+from sceneloom.formats.sfs.read_clouds import note_further_faults, read_lidar, read_points, read_radar
 from sceneloom.formats.sfs.read_motion import (
     read_gnss,
     read_imu,
@@ -324,6 +324,8 @@ def _sensor(source: Source, raw: Any, place: Place, faults: Faults) -> Sensor | 
     if not is_known and not isinstance(values.get("id"), str | int):
         faults.add(("id",), f"{values.get('id')!r}; expected text or an integer")
     if faults:
+        if is_known:
+            note_further_faults(values, faults)
         return None
     return _SENSOR_READERS.get(known, read_plain_sensor)(source, values, place, faults)
 

@@ -1,0 +1,204 @@
+"""All faults of a file at once, with the scene of all that is sound."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError
+from sceneloom.formats.sfs import FORMAT
+from sceneloom.formats.sfs.examination import examine
+from sceneloom.formats.sfs.source import ReadingOptions
+
+POSE = [0, 0, 0, 0, 0, 0, 1]
+PATH = {"timestamps": [0], "values": [[1, 1, 1, 0, 0, 0, 0, 0, 0]]}
+
+
+@pytest.fixture
+def examined(tmp_path, encode_sfs):
+    """Write a header through the independent writer, and examine the file."""
+
+    def run(header, **options):
+        path = tmp_path / "scene.sfs"
+        path.write_bytes(encode_sfs(header))
+        return examine(path, ReadingOptions(**options))
+
+    return run
+
+
+def placed(examination):
+    return [(fault.where, fault.code) for fault in examination.faults]
+
+
+def frame(**points):
+    return {"timestamp": 0, "points": {"positions": np.ones((2, 3), np.float32), **points}}
+
+
+def test_a_sound_file_has_no_faults_and_tells_where_things_stand(examined, make):
+    examination = examined(make.scene(make.lidar(), annotations=[{"id": 1, "type": "object"}]))
+    assert examination.faults == ()
+    assert examination.sensor_paths == ("sensors[0]",)
+    assert examination.annotation_paths == ("annotations[0]",)
+    assert examination.header["version"] == "1.0"
+
+
+def test_faults_of_every_part_are_found_at_once(examined, make):
+    bad_frames = [
+        frame(),
+        frame(colors=np.zeros((3, 3), np.uint8), intensities=np.zeros(2, np.float32)),
+        {"timestamp": 5},
+    ]
+    longer = {"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}
+    header = make.scene(
+        make.lidar(),
+        make.lidar(id="second", frames=bad_frames, coordinates=5, poses=longer),
+        {"id": "x"},
+        version="9",
+        time_unit="hours",
+        annotations=[
+            {"id": 1, "type": "cuboid", "path": PATH},
+            {"id": 2, "type": "cuboid", "path": {"timestamps": [0]}},
+            {"id": 3, "type": "link", "from_id": 1},
+        ],
+    )
+    examination = examined(header)
+    assert placed(examination) == [
+        ("version", "version"),
+        ("time_unit", "malformed"),
+        ("sensors[1].frames[1].points.intensities ($items[4])", "malformed"),
+        ("sensors[1].frames[2].points", "malformed"),
+        ("sensors[1].coordinates", "malformed"),
+        ("sensors[1].frames[1].points.colors ($items[3])", "malformed"),
+        ("sensors[1].poses.values[0]", "quaternion-norm"),
+        ("sensors[2].type", "malformed"),
+        ("annotations[1].path.values", "malformed"),
+        ("annotations[2].to_id", "malformed"),
+    ]
+    assert [fault.vital for fault in examination.faults[:3]] == [True, True, False]
+    assert [sensor.id for sensor in examination.scene.sensors] == ["top"]
+    assert [annotation.id for annotation in examination.scene.annotations] == [1]
+
+
+def test_counts_of_all_frames_are_compared(examined, make):
+    frames = [frame(), frame(colors=np.zeros((3, 3), np.uint8)), frame(intensities=np.zeros(1, np.uint8))]
+    examination = examined(make.scene(make.lidar(frames=frames)))
+    assert [fault.path for fault in examination.faults] == [
+        "sensors[0].frames[1].points.colors",
+        "sensors[0].frames[2].points.intensities",
+    ]
+
+
+def test_what_is_kept_knows_its_place_in_the_file(examined, make):
+    header = make.scene(
+        {"id": "x"},
+        make.lidar(),
+        annotations=[{"id": 1}, {"id": 2, "type": "group"}],
+        metadata={"sceneloom": {"annotations": [{"id": 3, "type": "group"}]}},
+    )
+    examination = examined(header)
+    assert examination.sensor_paths == ("sensors[1]",)
+    assert examination.annotation_paths == ("annotations[1]", "metadata.sceneloom.annotations[0]")
+
+
+def test_of_two_with_one_id_the_first_is_kept(examined, make):
+    header = make.scene(
+        make.lidar(),
+        make.lidar(frames=[]),
+        make.lidar(id=1),
+        make.lidar(id="1"),
+        annotations=[{"id": 1, "type": "group"}, {"id": 1, "type": "object"}],
+    )
+    examination = examined(header)
+    assert placed(examination) == [
+        ("sensors[1].id", "duplicate-id"),
+        ("annotations[1].id", "duplicate-id"),
+    ]
+    assert [len(sensor.frames) for sensor in examination.scene.sensors] == [1, 1, 1]
+    assert examination.scene.annotations[0].type == "group"
+    assert examination.sensor_paths == ("sensors[0]", "sensors[2]", "sensors[3]")
+
+
+def test_quaternions_are_normalised_and_each_is_told(examined, make):
+    rows = [POSE, [1, 0, 0, 0, 0, 1.5, 2], [2, 0, 0, 0, 0, 0, 1.009]]
+    examination = examined(make.scene(make.lidar(poses={"timestamps": [0, 1, 2], "values": rows})))
+    assert placed(examination) == [("sensors[0].poses.values[1]", "quaternion-norm")]
+    assert examination.faults[0].mended
+    poses = examination.scene.sensors[0].poses
+    assert poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1], [0, 0, 0.6, 0.8], [0, 0, 0, 1.009]]
+    assert poses.positions[1].tolist() == [1, 0, 0]
+
+
+@pytest.mark.parametrize("quaternion", [[0, 0, 0, 0], [0, 0, 1e-5, 0], [1e200, 1e200, 1e200, 1e200]])
+def test_quaternions_that_tell_no_direction_are_not_mended(examined, make, quaternion):
+    poses = {"timestamps": [0], "values": [[0, 0, 0, *quaternion]]}
+    examination = examined(make.scene(make.lidar(poses=poses)))
+    assert [fault.mended for fault in examination.faults] == [False]
+    assert examination.scene.sensors == ()
+
+
+def test_poses_are_sorted_and_those_that_stand_there_twice_taken_once(examined, make):
+    rows = [[k, *POSE[1:]] for k in (0, 2, 1, 1)]
+    examination = examined(make.scene(make.lidar(poses={"timestamps": [0, 20, 10, 10], "values": rows})))
+    assert placed(examination) == [
+        ("sensors[0].poses.timestamps[2]", "pose-times-increasing"),
+        ("sensors[0].poses.timestamps[3]", "pose-times-increasing"),
+    ]
+    poses = examination.scene.sensors[0].poses
+    assert poses.timestamps_ns.tolist() == [0, 10_000, 20_000]
+    assert poses.positions[:, 0].tolist() == [0, 1, 2]
+
+
+def test_two_poses_of_one_time_that_differ_are_left_to_a_person(examined, make):
+    poses = {"timestamps": [0, 0], "values": [POSE, [1, *POSE[1:]]]}
+    examination = examined(make.scene(make.lidar(poses=poses)))
+    assert [fault.mended for fault in examination.faults] == [False]
+    assert examination.scene.sensors == ()
+
+
+def test_poses_that_are_no_numbers_are_told_one_by_one(tmp_path, make):
+    poses = {"timestamps": [0, 1, 2], "values": [POSE, [float("nan"), *POSE[1:]], [*POSE[:6], float("inf")]]}
+    path = tmp_path / "scene.sfs"
+    path.write_bytes(json.dumps(make.scene({"id": "ego", "type": "odometry", "poses": poses})).encode())
+    assert [fault.where for fault in examine(path).faults if fault.code == "not-finite"] == [
+        "sensors[0].poses.values[1]",
+        "sensors[0].poses.values[2]",
+    ]
+
+
+def test_arrays_at_fault_are_all_told_and_once(tmp_path, encode_sfs, make):
+    content = encode_sfs(make.scene(make.lidar(), make.lidar(id="b"), make.lidar(id="c")))
+    path = tmp_path / "cut.sfs"
+    path.write_bytes(content[:-35])
+    examination = examine(path)
+    assert [(fault.where, fault.code) for fault in examination.faults] == [
+        ("sensors[1].frames[0].points.positions ($items[1])", "item"),
+        ("sensors[2].frames[0].points.positions ($items[2])", "item"),
+    ]
+    assert [sensor.id for sensor in examination.scene.sensors] == ["top"]
+
+
+def test_a_file_without_a_header_is_one_fault(tmp_path):
+    path = tmp_path / "torn.sfs"
+    path.write_bytes(b'{"version": "1.0", "sensors": [')
+    examination = examine(path)
+    assert examination.scene is None
+    assert placed(examination) == [("header", "unreadable")]
+
+
+def test_faults_of_our_metadata_leave_the_rest_of_it(examined, make):
+    ours = {"sensor_notes": [{"model": "x"}, {"id": "top", "model": "VLP-16"}], "notices": [{}], "sensors": 5}
+    examination = examined(make.scene(make.lidar(), metadata={"sceneloom": ours, "mine": 1}))
+    assert ("metadata.sceneloom.sensor_notes[0].id", "malformed") in placed(examination)
+    assert examination.scene.sensors[0].model == "VLP-16"
+    assert examination.scene.metadata["mine"] == 1
+
+
+def test_lenient_reading_keeps_what_was_brought_into_order_with_a_notice(tmp_path, encode_sfs, make):
+    path = tmp_path / "scene.sfs"
+    poses = {"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}
+    path.write_bytes(encode_sfs(make.scene(make.lidar(poses=poses))))
+    with pytest.raises(DataError, match="norm 2; expected 1"):
+        FORMAT.open(path)
+    with FORMAT.open(path, lenient=True) as scene:
+        assert scene.sensors[0].poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]]
+        assert [notice.code for notice in scene.notices if notice.kind == "repaired"] == ["mended"]

@@ -5,9 +5,9 @@ from dataclasses import asdict
 from typing import Any
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.record import key_of
 from sceneloom.errors import OptionError
 from sceneloom.scene import CameraSensor, Identifier, Scene
+from sceneloom.scene.types import key_of
 
 
 def chosen_cameras(

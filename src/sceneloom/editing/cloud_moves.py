@@ -6,10 +6,11 @@ import numpy as np
 
 from sceneloom.editing.chosen_points import CloudSensor
 from sceneloom.editing.frame_change import KNOWN, FrameChange
-from sceneloom.editing.labelled import Renumbering
 from sceneloom.editing.moved_clouds import moved_frames
-from sceneloom.editing.record import Key, assumed, key_of, skipped
+from sceneloom.editing.record import assumed, skipped
 from sceneloom.scene import Notice, PointsFrame
+from sceneloom.scene.labelled import Renumbering
+from sceneloom.scene.types import Key, key_of
 
 
 @dataclass(slots=True)

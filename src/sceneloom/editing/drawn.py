@@ -8,7 +8,6 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded, unproject
-from sceneloom.editing.record import Key, key_of
 from sceneloom.scene import (
     Annotation,
     Box2DAnnotation,
@@ -20,6 +19,7 @@ from sceneloom.scene import (
     ShapeAnnotation,
     VertexPath,
 )
+from sceneloom.scene.types import Key, key_of
 
 CORNER = 0.5
 """What is drawn counts from the picture's corner, pixels from the centre of the first one."""

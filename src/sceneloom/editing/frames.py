@@ -8,9 +8,8 @@ from typing import Any
 from sceneloom.editing.cloud_moves import CloudMoves
 from sceneloom.editing.frame_change import FrameChange
 from sceneloom.editing.frame_of_annotations import TO_EGO, added_before, annotations_moved
-from sceneloom.editing.labelled import renumbered
 from sceneloom.editing.odometry import with_odometry
-from sceneloom.editing.record import assumed, key_of, ours_of, with_notices, with_ours
+from sceneloom.editing.record import assumed, ours_of, with_notices, with_ours
 from sceneloom.editing.sensor_frames import points_change, poses_in_world, poses_on_ego
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
@@ -30,9 +29,11 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.annotations_frame import ANNOTATIONS_FRAME, annotations_frame
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.labelled import renumbered
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import needs_ego
 from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import key_of
 
 
 def to_world(

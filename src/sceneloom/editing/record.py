@@ -5,18 +5,10 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.scene import Identifier, Notice, NoticeKind, Scene
+from sceneloom.scene import Notice, NoticeKind, Scene
 
 OURS = "sceneloom"
 """Name of our part of a scene's metadata."""
-
-Key = tuple[type, Identifier]
-"""An id with its type: `1` is not `"1"`."""
-
-
-def key_of(identifier: Identifier) -> Key:
-    """The id with its type, to be looked up."""
-    return type(identifier), identifier
 
 
 def ours_of(scene: Scene) -> Mapping[str, Any]:

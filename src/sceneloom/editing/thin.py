@@ -8,8 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import FloatArray, Int64Array
 from sceneloom.editing.chosen_points import CloudSensor, OnPoints, chosen_map, with_chosen_points
-from sceneloom.editing.labelled import Renumbering, renumbered
-from sceneloom.editing.record import Key, key_of, with_notices, with_ours
+from sceneloom.editing.record import with_notices, with_ours
 from sceneloom.editing.voxels import KEEPERS, NEAREST, evenly, one_per_cube
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
@@ -24,6 +23,8 @@ from sceneloom.scene import (
     Scene,
     Sensor,
 )
+from sceneloom.scene.labelled import Renumbering, renumbered
+from sceneloom.scene.types import Key, key_of
 
 
 @dataclass(frozen=True, slots=True)

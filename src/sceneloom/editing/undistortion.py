@@ -10,8 +10,9 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
 from sceneloom.editing.chosen_cameras import chosen_cameras, lens_record
 from sceneloom.editing.drawn import LensChange, redrawn
-from sceneloom.editing.record import Key, key_of, ours_of, skipped, with_notices, with_ours
+from sceneloom.editing.record import ours_of, skipped, with_notices, with_ours
 from sceneloom.scene import CameraSensor, Identifier, LazyFrames, Picture, Scene
+from sceneloom.scene.types import Key, key_of
 
 _LENSES_KEPT = 4
 _OF_OLD_PIXELS = frozenset({"features"})

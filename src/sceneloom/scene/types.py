@@ -9,6 +9,15 @@ from typing import Any
 Identifier = str | int
 """An id of a sensor or an annotation; its type is kept, and `1` is not `"1"`."""
 
+Key = tuple[type, Identifier]
+"""An id with its type, to be looked up."""
+
+
+def key_of(identifier: Identifier) -> Key:
+    """The id with its type."""
+    return type(identifier), identifier
+
+
 NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 """The extra fields of an object that has none."""
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Int64Array, UInt32Array
-from sceneloom.editing.record import Key, key_of, skipped
-from sceneloom.scene import Annotation, LabeledPoints, LabeledPointsAnnotation, Notice
+from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.types import Key, key_of
 
 Rows = Callable[[int | None], Int64Array | None]
 """Gives the rows of the points that stay of a frame (by its old number), or of a sensor without frames (None); or
@@ -110,29 +111,22 @@ def new_ids(point_ids: UInt32Array, rows: Int64Array) -> UInt32Array:
     return places[there].astype(np.uint32)
 
 
+_PLACE = "annotations[].labeled_points"
+
+
 def _told(tally: _Tally) -> tuple[Notice, ...]:
-    place = "annotations[].labeled_points"
-    notices = (
-        skipped(
-            "labelled-points", place, "labelled points that are not in the scene any more", count=tally.points
-        ),
-        skipped(
-            "labelled-frames",
-            place,
-            "labels of frames that are not in the scene any more",
-            count=tally.frames,
-        ),
-        skipped(
-            "labelled-sensors",
-            place,
+    found = (
+        ("points", "labelled points that are not in the scene any more", tally.points),
+        ("frames", "labels of frames that are not in the scene any more", tally.frames),
+        (
+            "sensors",
             "labels of a whole sensor with frames: it is not said how its points are counted",
-            count=tally.unplaced,
+            tally.unplaced,
         ),
-        skipped(
-            "labelled-annotations",
-            "annotations",
-            "annotations without a labelled point left",
-            count=tally.annotations,
-        ),
+        ("annotations", "annotations without a labelled point left", tally.annotations),
     )
-    return tuple(notice for notice in notices if notice.count)
+    return tuple(
+        Notice(kind=NoticeKind.SKIPPED, code=f"labelled-{what}", place=_PLACE, message=message, count=count)
+        for what, message, count in found
+        if count
+    )

@@ -3,13 +3,21 @@
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.least_squares import minimised
-from sceneloom.cameras.models import MODELS, check_camera, project_beyond_domain, project_unbounded, unproject
+from sceneloom.cameras.models import (
+    MODELS,
+    Chart,
+    check_camera,
+    project_beyond_domain,
+    project_unbounded,
+    unproject,
+)
 from sceneloom.errors import CalibrationError, OptionError
 
 PERSPECTIVE_REACH = math.radians(80.0)
@@ -20,11 +28,15 @@ _FITTED_GRID, _MEASURED_GRID = (33, 25), (97, 73)
 _NEAR_AXIS = 1e-4
 _PRICE = 200.0
 """A fit that gives up half a percent of the picture, where a polynomial folds, must be twice as good in the rest."""
-_BEHIND = (math.sin(math.radians(95.0)), 0.0, math.cos(math.radians(95.0)))
+_EQUALLY_GOOD_PX = 1e-9
 _STAGES = (0, 1, 2, 4, 5, 8, 10, 100)
 """How many coefficients are free in each stage, in the model's order."""
-_STARTS: Mapping[str, float] = {"xi": 1.0}
-"""Coefficients that begin at another value than 0: a mirror of that strength sees behind the camera."""
+_FACTORS = tuple(f"{letter}{number}" for letter in "ij" for number in range(1, 5))
+_STARTS: Mapping[str, float] = MappingProxyType({"xi": 1.0, **dict.fromkeys(_FACTORS, 1.0)})
+"""Coefficients that begin at another value than 0: a sphere of that shift sees behind the camera, and a factor of
+others, all of them 0, would never leave it."""
+_IN_PIXELS, _OFFSET = "ftheta", "k1"
+"""The model whose coefficients hold the focal length, and the one of them that would part the middle of its picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +96,7 @@ def nearest(camera: Camera, models: Mapping[str, Collection[str]]) -> Fit:
 
     Args:
         camera: the exact lens.
-        models: names out of `MODELS`, each with its `fixed` numbers as in `fit`.
+        models: names out of `MODELS`, each with its `fixed` numbers as in `fit`; of equally good ones the first wins.
 
     Raises:
         CalibrationError: a model is unknown, or none holds anything of what the exact lens sees.
@@ -102,7 +114,7 @@ def nearest(camera: Camera, models: Mapping[str, Collection[str]]) -> Fit:
 
 def _best(fits: list[Fit]) -> Fit:
     most = max(one.share for one in fits)
-    return min(fits, key=lambda one: one.rms_px * (1.0 + _PRICE * (most - one.share)))
+    return min(fits, key=lambda one: max(one.rms_px, _EQUALLY_GOOD_PX) * (1.0 + _PRICE * (most - one.share)))
 
 
 def measured_fit(exact: Camera, other: Camera) -> Fit:
@@ -137,9 +149,7 @@ def _seen_grid(camera: Camera, size: tuple[int, int]) -> tuple[Float64Array, Flo
 
 def _is_perspective(camera: Camera) -> bool:
     """Whether a lens ends at 90 degrees off its axis, whatever its coefficients are."""
-    names = MODELS[camera.model].coefficient_names
-    numbers = (1.0, 1.0, 0.0, 0.0, *(_STARTS.get(name, 0.0) for name in names))
-    return bool(np.isnan(project_beyond_domain(camera.model, numbers, [_BEHIND])).all())
+    return MODELS[camera.model].chart is Chart.PERSPECTIVE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,6 +177,7 @@ class _Search:
         if unknown:
             raise OptionError(f"fixed {unknown[0]!r}; {plain.model} has {', '.join(names)}")
         pixels, rays = _seen_grid(exact, _FITTED_GRID)
+        fixed |= {_OFFSET} if plain.model == _IN_PIXELS else set()
         search = cls(exact, plain.model, fixed, pixels, rays)
         usable = np.isfinite(search.project(search.start())).all(axis=1)
         if _is_perspective(plain):
@@ -197,6 +208,9 @@ class _Search:
         coefficients = [0.0 if name in self.fixed else _STARTS.get(name, 0.0) for name in self.names[4:]]
         numbers = np.array([exact.fx, exact.fy, exact.cx, exact.cy, *coefficients])
         wanted = _slopes_on_axis(lambda rays: project_unbounded(exact, rays))
+        if self.model == _IN_PIXELS:
+            numbers[self.names.index("k2")] = wanted.mean()
+            return numbers
         found = _slopes_on_axis(lambda rays: project_beyond_domain(self.model, numbers, rays))
         for k, name in enumerate(("fx", "fy")):
             ratio = wanted[k] / found[k] if found[k] else math.nan

@@ -8,7 +8,8 @@ from sceneloom.arrays import Float64Array
 
 _ROUNDS = 60
 _STEP = 1e-6
-_ENOUGH = 1e-10
+_ENOUGH = 1e-6
+_NOTHING = 1e-13
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-4, 1e12
 
 
@@ -32,10 +33,13 @@ def minimised(
         slopes = _slopes(residuals, values, scale)
         if not np.isfinite(slopes).all():
             break
-        lengths = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+        # a value that changes nothing stays as it is
+        lengths = np.linalg.norm(slopes, axis=0)
+        lengths[lengths <= _NOTHING * lengths.max(initial=0.0)] = np.inf
+        triangle = np.asarray(np.linalg.qr(np.column_stack([slopes / lengths, off]), mode="r"))
         before = float(off @ off)
         while damping < _LARGEST_DAMPING:
-            trial = values + _damped_step(slopes / lengths, off, damping) / lengths
+            trial = values + _damped_step(triangle, damping) / lengths
             trial_off = residuals(trial)
             after = float(trial_off @ trial_off)
             if after < before:
@@ -59,9 +63,15 @@ def _slopes(
     return np.stack(columns, axis=1)
 
 
-def _damped_step(slopes: Float64Array, off: Float64Array, damping: float) -> Float64Array:
-    """Solve the damped linear problem as one of least squares, which squares no condition number."""
-    count = slopes.shape[1]
-    rows = np.concatenate([slopes, np.sqrt(damping) * np.eye(count)])
-    step: Float64Array = np.linalg.lstsq(rows, np.concatenate([-off, np.zeros(count)]), rcond=None)[0]
+def _damped_step(triangle: Float64Array, damping: float) -> Float64Array:
+    """Solve the damped linear problem as one of least squares, which squares no condition number.
+
+    Args:
+        triangle: (K, N + 1), upper triangular: slopes and residuals, turned so that most of their rows vanish.
+        damping: 0 for the undamped problem.
+    """
+    count = triangle.shape[1] - 1
+    rows = np.concatenate([triangle[:, :count], np.sqrt(damping) * np.eye(count)])
+    wanted = np.concatenate([-triangle[:, count], np.zeros(count)])
+    step: Float64Array = np.linalg.lstsq(rows, wanted, rcond=None)[0]
     return step

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.cameras import Camera, project_unbounded, unproject
-from sceneloom.cameras.fitting import PERSPECTIVE_REACH, fit, measured_fit
+from sceneloom.cameras import MODELS, Camera, project_unbounded, unproject
+from sceneloom.cameras.fitting import PERSPECTIVE_REACH, fit, measured_fit, nearest
 from sceneloom.cameras.least_squares import minimised
+from sceneloom.cameras.models import Chart
 from sceneloom.errors import CalibrationError, OptionError
 
 BARREL = Camera("brown_conrady", 1920, 1080, 1200.0, 1205.0, 959.0, 541.0, (-0.2, 0.06, 1e-3, -5e-4, -0.01))
@@ -128,3 +129,62 @@ def test_a_search_does_not_step_where_nothing_is_defined():
         return np.array([np.sqrt(values[0]) - 3.0]) if values[0] >= 0 else np.array([np.nan])
 
     assert minimised(residuals, np.array([0.5]), np.ones(1)) == pytest.approx([9.0])
+
+
+HALF_ROUND = Camera(
+    "fisheye", 640, 480, 230.0, 230.0, 319.5, 239.5, (0.02, -0.004)
+)  # 97 degrees at its corners
+WITHOUT_SIDES = ("cylindrical", "equirectangular")  # they have no distortion that could be fitted
+
+
+@pytest.mark.parametrize("model", [name for name in MODELS if MODELS[name].chart is Chart.ANGLE])
+def test_models_over_the_angle_come_near_to_any_fisheye(model):
+    found = fit(HALF_ROUND, model)
+    assert found.share == 1
+    assert found.largest_px < 1.5  # those of four coefficients for a polynomial of other powers
+    assert largest_distance_px(HALF_ROUND, found.camera) <= 1.01 * found.largest_px + 1e-9
+
+
+@pytest.mark.parametrize("model", [name for name in MODELS if MODELS[name].chart is Chart.SPHERE])
+def test_models_over_a_sphere_see_what_lies_behind_the_camera(model):
+    found = fit(HALF_ROUND, model)
+    assert found.share > 0.99
+    assert found.largest_px < 5
+
+
+@pytest.mark.parametrize("model", WITHOUT_SIDES)
+def test_a_panorama_stands_for_nothing_but_a_panorama(model):
+    assert fit(HALF_ROUND, model).largest_px > 20
+    own = Camera(model, 640, 480, 200.0, 210.0, 310.0, 250.0)
+    assert fit(own, model).largest_px < 1e-6
+
+
+def test_asymmetric_terms_are_found_though_they_are_factors_of_one_another():
+    sides = (0.01, 0.002, 0.0, 0.5, 0.3, -0.2, 0.1, 0.004, 0.0, 0.0, 0.2, 0.3, -0.2, 0.1)
+    lens = Camera(
+        "kannala_brandt18", 640, 480, 270.0, 270.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003, *sides)
+    )
+    assert fit(lens, "fisheye").largest_px > 1
+    assert fit(lens, "kannala_brandt18").largest_px < 1e-3
+
+
+def test_of_several_models_the_nearest_one_is_taken_and_of_equals_the_first():
+    assert nearest(FISHEYE, {"pinhole": (), "fisheye": (), "kannala_brandt18": ()}).camera.model == "fisheye"
+    assert nearest(BARREL, {"fisheye": (), "brown_conrady": ()}).camera.model == "brown_conrady"
+    assert nearest(ALL_AROUND, {"pinhole": (), "mod_kannala": ()}).camera.model == "mod_kannala"
+    backwards = Camera("fisheye", 64, 64, 40.0, 40.0, 150.0, 32.0)
+    with pytest.raises(CalibrationError, match="pinhole holds nothing"):
+        nearest(backwards, {"pinhole": ()})
+
+
+def test_a_fit_is_told_in_words():
+    found = fit(ALL_AROUND, "brown_conrady")
+    assert found.message(ALL_AROUND).startswith("fisheye lens told as brown_conrady, off by up to ")
+    assert found.message(ALL_AROUND).endswith(" % of the picture cannot be held")
+
+
+def test_a_value_that_changes_nothing_stays():
+    def residuals(values):
+        return np.array([values[0] - 2.0, values[0] + 1.0])
+
+    assert minimised(residuals, np.array([0.0, 7.0]), np.ones(2)) == pytest.approx([0.5, 7.0])

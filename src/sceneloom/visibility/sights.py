@@ -48,7 +48,12 @@ class Sights:
 
 
 def sight(
-    camera: Camera, world_from_camera: RigidTransform, boxes: Boxes, *, min_pixels: float = 1.0
+    camera: Camera,
+    world_from_camera: RigidTransform,
+    boxes: Boxes,
+    *,
+    hides: BoolArray | None = None,
+    min_pixels: float = 1.0,
 ) -> Sights:
     """See boxes with a camera.
 
@@ -58,6 +63,7 @@ def sight(
         camera: the lens; any model.
         world_from_camera: where it is.
         boxes: in the world.
+        hides: (B,) bool, which of the boxes hide what is behind them; None for all.
         min_pixels: what is narrower or lower than this in the picture is not seen, but hides [px].
 
     Raises:
@@ -75,7 +81,8 @@ def sight(
         )
     there = np.flatnonzero((extents[:, 2:] > extents[:, :2]).all(axis=1))
     rows, near, extents, whole = rows[there], near.some(there), extents[there], whole[there]
-    occlusions = _occlusions(camera, near, extents)
+    solid = np.ones(len(rows), np.bool_) if hides is None else hides[rows]
+    occlusions = _occlusions(camera, near, extents, solid)
     truncations = np.zeros(len(rows))
     truncations[~whole] = _truncations(camera, near.some(np.flatnonzero(~whole)))
     seen = np.flatnonzero((extents[:, 2:] - extents[:, :2] >= min_pixels).all(axis=1))
@@ -136,7 +143,7 @@ def _in_view(camera: Camera, world_from_camera: RigidTransform, boxes: Boxes) ->
     return rows[kept][outside], near.some(outside)
 
 
-def _occlusions(camera: Camera, near: _Near, extents: Float64Array) -> Float64Array:
+def _occlusions(camera: Camera, near: _Near, extents: Float64Array, solid: BoolArray) -> Float64Array:
     """Which share of each box in the picture others hide: rays through a grid over its place in the picture."""
     count = len(extents)
     if count == 0:
@@ -152,7 +159,7 @@ def _occlusions(camera: Camera, near: _Near, extents: Float64Array) -> Float64Ar
         ],
         axis=3,
     )
-    rivals, rival_starts = _rivals(near, extents)
+    rivals, rival_starts = _rivals(near, extents, solid)
     met, hidden = np.zeros(count, np.int64), np.zeros(count, np.int64)
     count_sights(
         unproject(camera, grid.reshape(-1, 2) - CENTRE_TO_CORNER),
@@ -169,15 +176,15 @@ def _occlusions(camera: Camera, near: _Near, extents: Float64Array) -> Float64Ar
     return shares
 
 
-def _rivals(near: _Near, extents: Float64Array) -> tuple[Int64Array, Int64Array]:
-    """Of each box those others that overlap it in the picture and begin before it ends: their numbers, and where."""
+def _rivals(near: _Near, extents: Float64Array, solid: BoolArray) -> tuple[Int64Array, Int64Array]:
+    """Of each box the solid others that overlap it in the picture and begin before it ends, one box after another."""
     distances, reaches = np.linalg.norm(near.centers, axis=1), np.linalg.norm(near.sizes, axis=1) / 2.0
     found = []
     for b in range(len(extents)):
         overlap = (extents[:, :2] < extents[b, 2:]).all(axis=1) & (extents[:, 2:] > extents[b, :2]).all(
             axis=1
         )
-        before = distances - reaches < distances[b] + reaches[b]
+        before = solid & (distances - reaches < distances[b] + reaches[b])
         before[b] = False
         found.append(np.flatnonzero(overlap & before))
     starts = np.concatenate([[0], np.cumsum([len(rows) for rows in found])]).astype(np.int64)

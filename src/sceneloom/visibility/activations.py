@@ -1,0 +1,38 @@
+"""When a sensor sees a cuboid: runs of its frames, as the activations of the format."""
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.scene import Activation, Identifier
+from sceneloom.scene.span import NOMINAL_PERIOD_NS
+
+
+def activation_of(
+    sensor_id: Identifier,
+    timestamps_ns: Int64Array,
+    seen: BoolArray,
+    cuboids: Float64Array | None = None,
+) -> Activation | None:
+    """Give the times in which a sensor sees a cuboid; None where it never does.
+
+    Each begins with a frame that sees it, and lasts until the next frame that does not; after the last frame of all, as
+    long as it usually is from frame to frame.
+
+    Args:
+        sensor_id: the sensor.
+        timestamps_ns: (F,) int64 [ns], its frames in order.
+        seen: (F,) bool, which of them see the cuboid.
+        cuboids: (F, 9) float64, the cuboid at each frame, to be told where each time begins.
+    """
+    steps = np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8))
+    first, beyond = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    if len(first) == 0:
+        return None
+    usual_ns = int(np.median(np.diff(timestamps_ns))) if len(timestamps_ns) > 1 else NOMINAL_PERIOD_NS
+    stops = np.append(timestamps_ns, timestamps_ns[-1] + usual_ns)[beyond]
+    return Activation(
+        sensor_id,
+        timestamps_ns[first],
+        tuple((stops - timestamps_ns[first]).tolist()),
+        None if cuboids is None else cuboids[first],
+    )

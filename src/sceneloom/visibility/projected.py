@@ -1,0 +1,234 @@
+"""A scene whose cuboids tell where its cameras see them."""
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.errors import PoseError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    Activation,
+    Annotation,
+    AttributePath,
+    CameraSensor,
+    CuboidAnnotation,
+    Identifier,
+    Notice,
+    NoticeKind,
+    Projection,
+    Scene,
+)
+from sceneloom.scene.at import cuboid_at
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.sample_boxes import BoxTable
+from sceneloom.scene.sample_places import choose_ego, places_of
+from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
+from sceneloom.visibility.activations import activation_of
+from sceneloom.visibility.counted import key_of, with_attributes
+from sceneloom.visibility.sights import Sights, sight
+
+TRUNCATION, OCCLUSION = "truncation", "occlusion"
+"""Names of the attributes that tell the shares."""
+
+_DECIMALS = 3
+"""Of shares and pixels that are written: far below what they are good for."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Sighting:
+    """One cuboid in one picture."""
+
+    picture: int
+    box_xyxy: tuple[float, ...]
+    truncation: float
+    occlusion: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """What one camera saw: sightings by row of the table, and its pictures' times (F,) [ns]."""
+
+    camera_id: Identifier
+    timestamps_ns: Int64Array
+    sightings: dict[int, list[_Sighting]]
+    unplaced: int
+
+
+def project_cuboids(
+    scene: Scene,
+    *,
+    cameras: Choice = ALL,
+    trajectory: str | EgoMotion | None = None,
+    min_pixels: float = 1.0,
+    see_through: Iterable[str] = (),
+    activations: bool = False,
+    progress: Progress | None = None,
+) -> Scene:
+    """See all cuboids with the cameras of a scene, and fill their `projections`.
+
+    A cuboid gets a projection for each camera that ever sees it: one row per picture while it is there, NaN where that
+    picture does not show it. Attributes `truncation` and `occlusion` of the camera tell which share of it lies outside
+    the picture and which share of the rest nearer cuboids hide, 0 to 1, at the pictures that show it. What it had of
+    these cameras is replaced, but for boxes that a person confirmed.
+
+    Args:
+        scene: with cuboids in its world. Pictures are not decoded.
+        cameras: whose pictures: "all", an id, or several. Of "all", a camera that is nowhere is passed over.
+        trajectory: name of the ego's way, as for `Scene.samples`.
+        min_pixels: what is narrower or lower than this in a picture is not seen in it [px].
+        see_through: labels of what fills little of its box and shall hide nothing, such as trees.
+        activations: also tell when each camera sees it.
+        progress: told after each picture how many are done, and of how many.
+
+    Raises:
+        OptionError: there is no such camera or trajectory.
+        PoseError: it is not known where a chosen camera was, or any.
+        DataError: a picture cannot be read.
+    """
+    chosen = chosen_sensors(scene, "camera", scene.cameras, cameras)
+    places = places_of(scene, chosen, choose_ego(scene, trajectory))
+    placed = [(camera, source) for camera in chosen if (source := places[camera.id].source) is not None]
+    lost = [camera for camera in chosen if places[camera.id].source is None]
+    if lost and (not placed or cameras != ALL):
+        raise PoseError(places[lost[0].id].problem)
+    table, views, done, thin = BoxTable(scene), [], 0, frozenset(see_through)
+    total = sum(len(camera.pictures) for camera, _ in placed)
+    for camera, source in placed:
+        view = _View(camera.id, camera.pictures.timestamps_ns, {}, _unplaced(camera, source))
+        for k, found, rows in _looks(camera, source, table, min_pixels, thin):
+            _keep(view, k, found, rows)
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        views.append(view)
+    numbers = {key_of(annotation.id): row for row, annotation in enumerate(table.annotations)}
+    writer = _Writer(views, numbers, table, activations)
+    told = [_lost(camera) for camera in lost] + [_beyond(view) for view in views if view.unplaced]
+    annotations = tuple(writer.written(annotation) for annotation in scene.annotations)
+    return replace(scene, annotations=annotations, notices=(*scene.notices, *told))
+
+
+def _unplaced(camera: CameraSensor, source: PoseSource) -> int:
+    poses = source.at(camera.pictures.timestamps_ns)
+    return int((~np.isfinite(poses.positions).all(axis=1)).sum())
+
+
+def _looks(
+    camera: CameraSensor, source: PoseSource, table: BoxTable, min_pixels: float, see_through: Collection[str]
+) -> Iterator[tuple[int, Sights | None, Int64Array]]:
+    """What each picture shows: its number, the sights (None where its pose is not known), the rows of its boxes."""
+    for k, time_ns in enumerate(camera.pictures.timestamps_ns.tolist()):
+        picture = camera.pictures[k]
+        pose = source.mounted(picture.mount).at(np.array([time_ns], np.int64))
+        rows, boxes = table.find(time_ns)
+        if not np.isfinite(pose.positions).all():
+            yield k, None, rows
+            continue
+        world_from_camera = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+        hides = np.array([label not in see_through for label in boxes.labels], np.bool_)
+        yield k, sight(picture.camera, world_from_camera, boxes, hides=hides, min_pixels=min_pixels), rows
+
+
+def _keep(view: _View, picture: int, found: Sights | None, rows: Int64Array) -> None:
+    if found is None:
+        return
+    shares = zip(found.truncations.tolist(), found.occlusions.tolist(), strict=True)
+    for row, box, (truncation, occlusion) in zip(
+        rows[found.rows].tolist(), found.boxes_xyxy.tolist(), shares, strict=True
+    ):
+        sighting = _Sighting(picture, tuple(box), round(truncation, _DECIMALS), round(occlusion, _DECIMALS))
+        view.sightings.setdefault(row, []).append(sighting)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Writer:
+    """Writes what the cameras saw into annotations; `rows` gives the row of a cuboid in the table."""
+
+    views: Sequence[_View]
+    rows: dict[tuple[type, Identifier], int]
+    table: BoxTable
+    activations: bool
+
+    def written(self, annotation: Annotation) -> Annotation:
+        row = self.rows.get(key_of(annotation.id))
+        if not isinstance(annotation, CuboidAnnotation) or row is None:
+            return annotation
+        seeing = [view for view in self.views if row in view.sightings]
+        ids = [view.camera_id for view in self.views]
+        keys = {key_of(camera_id) for camera_id in ids}
+        projections = [self._projection(annotation, row, view) for view in seeing]
+        others = [each for each in annotation.projections if key_of(each.sensor_id) not in keys]
+        attributes = [path for view in seeing for path in _shares(view, view.sightings[row])]
+        written = with_attributes(annotation, attributes, names=(TRUNCATION, OCCLUSION), sensor_ids=ids)
+        written = replace(written, projections=(*others, *projections))
+        if not self.activations:
+            return written
+        active = [each for each in annotation.activations if key_of(each.sensor_id) not in keys]
+        made = [self._activation(annotation, row, view) for view in seeing]
+        return replace(written, activations=(*active, *(each for each in made if each is not None)))
+
+    def _projection(self, annotation: CuboidAnnotation, row: int, view: _View) -> Projection:
+        cuboids, there = cuboid_at(annotation, view.timestamps_ns, angles=self.table.angles)
+        boxes = np.full((len(there), 4), np.nan)
+        for found in view.sightings[row]:
+            left, top, right, bottom = found.box_xyxy
+            boxes[found.picture] = left, top, right - left, bottom - top
+        boxes = np.round(boxes, _DECIMALS)
+        confirmed = _keep_confirmed(annotation, view, boxes)
+        kept = there | confirmed
+        told = tuple(confirmed[kept].tolist()) if confirmed.any() else None
+        return Projection(view.camera_id, view.timestamps_ns[kept], boxes[kept], told, cuboids[kept])
+
+    def _activation(self, annotation: CuboidAnnotation, row: int, view: _View) -> Activation | None:
+        seen = np.zeros(len(view.timestamps_ns), np.bool_)
+        seen[[found.picture for found in view.sightings[row]]] = True
+        cuboids, _ = cuboid_at(annotation, view.timestamps_ns, angles=self.table.angles)
+        return activation_of(view.camera_id, view.timestamps_ns, seen, cuboids)
+
+
+def _keep_confirmed(annotation: CuboidAnnotation, view: _View, boxes: Float64Array) -> BoolArray:
+    """Put back the boxes that a person confirmed; says at which pictures."""
+    confirmed = np.zeros(len(boxes), np.bool_)
+    for older in annotation.projections:
+        if (
+            key_of(older.sensor_id) != key_of(view.camera_id)
+            or older.boxes is None
+            or older.confirmed is None
+        ):
+            continue
+        for time_ns, box, is_confirmed in zip(
+            older.timestamps_ns.tolist(), older.boxes, older.confirmed, strict=True
+        ):
+            pictures = np.flatnonzero(view.timestamps_ns == time_ns) if is_confirmed else ()
+            for picture in pictures:
+                boxes[picture], confirmed[picture] = box, True
+    return confirmed
+
+
+def _shares(view: _View, sightings: Sequence[_Sighting]) -> tuple[AttributePath, AttributePath]:
+    times = view.timestamps_ns[[found.picture for found in sightings]]
+    return (
+        AttributePath(TRUNCATION, tuple(s.truncation for s in sightings), times, sensor_id=view.camera_id),
+        AttributePath(OCCLUSION, tuple(s.occlusion for s in sightings), times, sensor_id=view.camera_id),
+    )
+
+
+def _lost(camera: CameraSensor) -> Notice:
+    message = f"camera {camera.id!r} sees nothing: it is not known where it was"
+    return Notice(kind=NoticeKind.SKIPPED, code="camera-unplaced", place="sensors", message=message)
+
+
+def _beyond(view: _View) -> Notice:
+    message = f"pictures of camera {view.camera_id!r} see nothing: they lie beyond the ends of its way"
+    return Notice(
+        kind=NoticeKind.SKIPPED,
+        code="pictures-unplaced",
+        place="sensors",
+        message=message,
+        count=view.unplaced,
+    )

@@ -8,7 +8,8 @@ from sceneloom.arrays import Float64Array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions
 from sceneloom.scene.notices import Notice
-from sceneloom.scene.part import Interval, cut_path
+from sceneloom.scene.part import cut_path
+from sceneloom.scene.part_annotations import Interval
 from sceneloom.scene.poses import PosePath, Trajectory
 
 

@@ -7,25 +7,32 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.scene.annotations import Annotation, CuboidAnnotation, CuboidPath
+from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.labelled import Renumbering, renumbered
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.part_annotations import (
+    Interval,
+    cut_annotation,
+    cut_attributes,
+    cut_poses,
+    rows_around,
+    rows_between,
+    without_loose_ends,
+)
 from sceneloom.scene.poses import PosePath, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import frame_times, time_span
+from sceneloom.scene.types import Key, key_of
 
 _POSES_AROUND_NS = 1_000_000_000
 """Poses so long before and after a part stay in it: its last sweep ends later than it begins."""
 
 _LONGEST = 9.2e9
 """What int64 nanoseconds hold, nearly [s]."""
-
-Interval = tuple[int, int]
-"""`[first_ns, last_ns)`."""
 
 Moving = TypeVar("Moving", LidarSensor, RadarSensor, CameraSensor)
 Cloud = TypeVar("Cloud", LidarSensor, RadarSensor)
@@ -55,10 +62,11 @@ def chosen_interval(
 
 
 def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = None) -> Scene:
-    """Keep a part of a scene: frames, pictures, samples and boxes in it, and the poses in and around it.
+    """Keep a part of a scene: frames, pictures, samples and annotations in it, and the poses in and around it.
 
-    Pictures are kept to the end of the last sweep, since that is paired with one later than its start. Attributes,
-    and annotations that are no boxes, stay whole.
+    Pictures are kept to the end of the last sweep, since that is paired with one later than its start. Annotations
+    that are not there in the part are left out, labelled points follow their frames, and what holds at all times
+    stays.
 
     Args:
         start: seconds after the scene's first time stamp, None for the beginning.
@@ -82,36 +90,33 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
         raise OptionError(
             f"{scene.source}: no frame from {start or 0.0} s to {until}; the scene lasts {length:.3f} s"
         )
-    cut = [_cut_annotation(annotation, part) for annotation in scene.annotations]
-    annotations = tuple(annotation for annotation in cut if annotation is not None)
+    annotations, told = _cut_annotations(scene, part, with_pictures)
     return replace(
         scene,
         sensors=sensors,
         annotations=annotations,
+        attributes=cut_attributes(scene.attributes, part),
         trajectories={name: _cut_trajectory(way, part) for name, way in scene.trajectories.items()},
-        notices=scene.notices + _notices(len(scene.annotations) - len(annotations)),
+        notices=scene.notices + told,
     )
 
 
 def cut_path(path: PosePath, part: Interval) -> PosePath:
     """Keep the poses in and around a part, so that between its times nothing changes."""
-    if path.endless:
-        return path
-    rows = _rows_around(path.timestamps_ns, part, _POSES_AROUND_NS)
-    return PosePath(path.timestamps_ns[rows], path.positions[rows], path.quaternions_xyzw[rows])
+    return cut_poses(path, part, _POSES_AROUND_NS)
 
 
 def _sweeps_end(lidar: LidarSensor, part: Interval) -> int:
     """When the last sweep that begins in the part ends, as far as the stamps can tell."""
     times = lidar.frames.timestamps_ns
-    rows = _rows_between(times, part)
+    rows = rows_between(times, part)
     if rows.start == rows.stop or len(times) < 2:
         return part[1]
     return int(times[rows.stop - 1]) + int(np.median(np.diff(times)))
 
 
 def _cut_trajectory(way: Trajectory, part: Interval) -> Trajectory:
-    rows = _rows_around(way.timestamps_ns, part, _POSES_AROUND_NS)
+    rows = rows_around(way.timestamps_ns, part, _POSES_AROUND_NS)
     return Trajectory(
         way.name,
         way.timestamps_ns[rows],
@@ -152,7 +157,7 @@ def _cut_imu(sensor: ImuSensor, part: Interval) -> ImuSensor:
 
 
 def _cut_samples(samples: VectorSamples, part: Interval) -> VectorSamples:
-    rows = _rows_between(samples.timestamps_ns, part)
+    rows = rows_between(samples.timestamps_ns, part)
     seconds = samples.file_seconds
     return VectorSamples(
         samples.timestamps_ns[rows], samples.values[rows], None if seconds is None else seconds[rows]
@@ -160,7 +165,7 @@ def _cut_samples(samples: VectorSamples, part: Interval) -> VectorSamples:
 
 
 def _cut_fixes(sensor: GnssSensor, part: Interval) -> GnssSensor:
-    rows = _rows_between(sensor.timestamps_ns, part)
+    rows = rows_between(sensor.timestamps_ns, part)
     return replace(
         sensor,
         timestamps_ns=sensor.timestamps_ns[rows],
@@ -184,45 +189,38 @@ _CUTS: Mapping[type, Callable[[Any, Interval], Sensor]] = MappingProxyType(
 """How the sensors that measure over time are cut; the others stay whole."""
 
 
-def _cut_annotation(annotation: Annotation, part: Interval) -> Annotation | None:
-    """Cut the path of a box; None for a box that is not there in the part."""
-    if not isinstance(annotation, CuboidAnnotation) or len(annotation.path.timestamps_ns) == 0:
-        return annotation
-    times, values = annotation.path.timestamps_ns, annotation.path.values
-    if annotation.stationary:
-        # such a box holds at all times, so one of its rows serves the part, at a time in it
-        rows = _rows_between(times, part)
-        rows = rows if rows.start < rows.stop else slice(0, 1)
-        path = CuboidPath(np.clip(times[rows], part[0], part[1] - 1), values[rows])
-        return replace(annotation, path=path)
-    if times[-1] < part[0] or times[0] >= part[1]:
-        return None
-    rows = _rows_around(times, part, 0)
-    return replace(annotation, path=CuboidPath(times[rows], values[rows]))
+def _cut_annotations(
+    scene: Scene, part: Interval, with_pictures: Interval
+) -> tuple[tuple[Annotation, ...], tuple[Notice, ...]]:
+    """Cut the annotations; labelled points follow their frames, links and children what they name."""
+    cut = [cut_annotation(a, part, with_pictures=with_pictures) for a in scene.annotations]
+    there, told = renumbered((a for a in cut if a is not None), _kept_frames(scene, part))
+    annotations, freed = without_loose_ends(scene.annotations, there)
+    gone = len(scene.annotations) - len(annotations)
+    return annotations, (*_notices(_LEFT_OUT, gone), *_notices(_FREED, freed), *told)
+
+
+def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
+    """The old numbers of the frames that stay, of each lidar and radar that loses some."""
+    clouds = [sensor for sensor in scene.sensors if isinstance(sensor, LidarSensor | RadarSensor)]
+    rows = {key_of(sensor.id): (_rows_in(sensor, part), len(sensor.frames)) for sensor in clouds}
+    return {
+        key: Renumbering(np.arange(kept.start, kept.stop))
+        for key, (kept, count) in rows.items()
+        if (kept.start, kept.stop) != (0, count)
+    }
 
 
 def _rows_in(sensor: LidarSensor | RadarSensor | CameraSensor, part: Interval) -> slice:
-    return _rows_between(frame_times(sensor), part)
+    return rows_between(frame_times(sensor), part)
 
 
-def _rows_between(times_ns: Int64Array, part: Interval) -> slice:
-    first, last = np.searchsorted(times_ns, part)
-    return slice(int(first), int(last))
+_LEFT_OUT = ("annotations-cut", "annotations that are not there in the chosen part were left out")
+_FREED = ("parents-cut", "annotations whose parents are not there in the chosen part stand without them")
 
 
-def _rows_around(times_ns: Int64Array, part: Interval, margin_ns: int) -> slice:
-    """The rows of a part and its surroundings, with at least one at or before it and one after it, where there are."""
-    inner = _rows_between(times_ns, part)
-    outer = _rows_between(times_ns, (part[0] - margin_ns, part[1] + margin_ns))
-    return slice(max(min(outer.start, inner.start - 1), 0), max(outer.stop, inner.stop + 1))
-
-
-def _notices(left_out: int) -> tuple[Notice, ...]:
-    if left_out == 0:
+def _notices(told: tuple[str, str], count: int) -> tuple[Notice, ...]:
+    if count == 0:
         return ()
-    message = "boxes that are not there in the chosen part were left out"
-    return (
-        Notice(
-            kind=NoticeKind.SKIPPED, code="boxes-cut", place="annotations", message=message, count=left_out
-        ),
-    )
+    code, message = told
+    return (Notice(kind=NoticeKind.SKIPPED, code=code, place="annotations", message=message, count=count),)

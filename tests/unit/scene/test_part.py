@@ -114,7 +114,7 @@ def test_boxes_are_cut_standing_ones_kept_and_absent_ones_counted() -> None:
     assert standing.path.timestamps_ns.tolist() == [PART[0]]
     np.testing.assert_array_equal(standing.path.values, boxes[2].path.values)
     assert lane is label
-    assert [(notice.code, notice.count) for notice in part.notices] == [("boxes-cut", 1)]
+    assert [(notice.code, notice.count) for notice in part.notices] == [("annotations-cut", 1)]
 
 
 def test_the_last_sweep_keeps_its_picture() -> None:

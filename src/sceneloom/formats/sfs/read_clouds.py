@@ -264,7 +264,7 @@ def note_further_faults(values: Record, faults: Faults) -> None:
         if isinstance(points, dict) and isinstance(points.get("positions"), np.ndarray):
             _check_counts(points, ("frames", index, "points"), faults)
     poses = values.get("poses")
-    if isinstance(poses, dict) and {"timestamps", "values"} <= poses.keys():
+    if isinstance(poses, dict) and not any(poses.get(name) is None for name in ("timestamps", "values")):
         mended_path_of(poses, faults)
 
 

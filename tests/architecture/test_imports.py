@@ -39,6 +39,7 @@ WRAPPERS = {
     "simplejpeg": {"formats"},
     "PIL": {"formats", "pictures", "simulate"},
     "small_gicp": {"motion"},
+    "fsspec": {"formats"},
     "scipy": {"motion", "tracking", "calibrate", "detections", "evaluate"},
     "click": {"cli"},
     "rich": {"cli"},

@@ -13,10 +13,10 @@ from sceneloom.scene.types import SensorType
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
+@click.argument("path", type=options.place)
 @options.reading
 @options.printing
-def info(path: Path, as_json: bool, quiet: bool, verbose: bool, **reading: Any) -> None:
+def info(path: Path | str, as_json: bool, quiet: bool, verbose: bool, **reading: Any) -> None:
     """Say what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
     from sceneloom.formats import open_scene, size_on_disk
     from sceneloom.scene.summary import summarise

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import reduce
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -11,6 +12,13 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 def _stacked(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
     return lambda command: reduce(lambda inner, option: option(inner), reversed(options), command)
+
+
+def place(text: str) -> "Path | str":
+    """Take an argument as a path, or as the URL of a scene file, whose double slashes a path would lose."""
+    from sceneloom.formats.urls import path_or_url
+
+    return path_or_url(text)
 
 
 reading = _stacked(

@@ -3,9 +3,27 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Protocol, Self
 
 from sceneloom.errors import DataError
+
+
+class Identity(Protocol):
+    """What tells a file, wherever it is, from one that takes its place."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        ...
+
+    @property
+    def path(self) -> Path | str:
+        """Where other processes find it."""
+        ...
+
+    def check(self) -> None:
+        """Refuse a file that is not the one that was opened."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,11 @@ from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, cast
+from urllib.parse import urlsplit
 
 from sceneloom.errors import OptionError, UnknownFormatError
 from sceneloom.formats.loss import LossReport
+from sceneloom.formats.urls import path_or_url
 from sceneloom.scene import Scene
 
 FORMATS: Mapping[str, str] = MappingProxyType(
@@ -32,8 +34,8 @@ class Format(Protocol):
         """Say whether the content of an existing path looks like this format."""
         ...
 
-    def open(self, path: Path, **options: Any) -> Scene:
-        """Open lazily; the scene owns its files."""
+    def open(self, path: Any, **options: Any) -> Scene:
+        """Open a path lazily, or a URL as text if the format has a true `reads_urls`; the scene owns its files."""
         ...
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
@@ -86,11 +88,28 @@ def find_format(path: Path) -> Format:
     raise UnknownFormatError(path, "", f"more than one reader claims this ({names}); name one with `format=`")
 
 
+def _format_of_url(url: str) -> Format:
+    """Find the format that reads files behind URLs; those of another suffix have to be fetched first.
+
+    Raises:
+        UnknownFormatError: no format reads such a URL.
+    """
+    suffix = Path(urlsplit(url).path).suffix.lower()
+    forms = [form for form in map(format_named, format_names()) if getattr(form, "reads_urls", False)]
+    for form in forms:
+        if suffix in form.suffixes:
+            return form
+    if len(forms) == 1 and not suffix:
+        return forms[0]
+    known = ", ".join(suffix for form in forms for suffix in form.suffixes)
+    raise UnknownFormatError(url, "", f"expected a URL that ends in {known}; fetch other files first")
+
+
 def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -> Scene:
     """Open a recording or a scene file lazily.
 
     Args:
-        path: a file or folder.
+        path: a file or folder, or the URL of a scene file (needs the extra `cloud`).
         format: the format's name, where the content should not decide.
         options: reading options of the format.
 
@@ -98,7 +117,12 @@ def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -
         UnknownFormatError: no format fits the path.
         DataError: the content is wrong.
     """
-    where = Path(path)
+    where = path_or_url(path)
+    if isinstance(where, str):
+        form = _format_of_url(where) if format is None else format_named(format)
+        if not getattr(form, "reads_urls", False):
+            raise OptionError(f"{where}: the format {form.name} is not read from URLs; fetch the files first")
+        return form.open(where, **options)
     form = find_format(where) if format is None else format_named(format)
     return form.open(where, **options)
 

@@ -26,7 +26,7 @@ class FileParts:
         videos: the videos of the file by the place of their bytes.
     """
 
-    def __init__(self, container: Container, reopen: "Callable[[Path], FileParts]") -> None:
+    def __init__(self, container: Container, reopen: "Callable[[Path | str], FileParts]") -> None:
         """Hold an open file.
 
         Args:

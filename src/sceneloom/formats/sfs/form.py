@@ -9,6 +9,7 @@ from sceneloom.formats.sfs.container import has_scene_header
 from sceneloom.formats.sfs.reading import read_scene
 from sceneloom.formats.sfs.source import ReadingOptions
 from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.urls import path_or_url
 from sceneloom.scene import Scene
 
 
@@ -17,14 +18,15 @@ class SfsFormat:
 
     name = "sfs"
     suffixes: tuple[str, ...] = (".sfs",)
+    reads_urls = True
     looks_like = "a file that begins with the JSON header of a scene"
 
     def recognises(self, path: Path) -> bool:
         """Say whether a file begins with the header of a scene."""
         return has_scene_header(path)
 
-    def open(self, path: Path, **options: Any) -> Scene:
-        """Open a file lazily; the options are those of `ReadingOptions`, None for what is not said.
+    def open(self, path: Path | str, **options: Any) -> Scene:
+        """Open a file, or the URL of one, lazily; the options are those of `ReadingOptions`, None for what is not said.
 
         Raises:
             DataError: the file is at fault.
@@ -32,7 +34,7 @@ class SfsFormat:
         """
         given = {name: value for name, value in options.items() if value is not None}
         _check_options(given, tuple(ReadingOptions.__dataclass_fields__))
-        return read_scene(Path(path), ReadingOptions(**given))
+        return read_scene(path_or_url(path), ReadingOptions(**given))
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write a scene; the options are those of `write_scene`, None for what is not said.

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from sceneloom.arrays import AnyArray
+from sceneloom.errors import DataError
 from sceneloom.formats.identity import FileIdentity
 
 
@@ -58,6 +59,62 @@ class StoredArray:
         self.identity.check()
         mapped = MappedFile.of(self.identity.path)
         return np.frombuffer(mapped, self.dtype, prod(self.shape), self.start).reshape(self.shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalFile:
+    """A file of this machine for a container.
+
+    Attributes:
+        content: its bytes.
+        identity: how to tell it from a file that takes its place.
+    """
+
+    content: MappedFile
+    identity: FileIdentity
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """Map a file.
+
+        Raises:
+            DataError: it cannot be read, or is empty.
+        """
+        try:
+            if path.exists() and not path.is_file():
+                raise DataError(path, "", "not a file; expected a Sensor Fusion Scene file")
+            content = MappedFile.of(path)
+        except ValueError:
+            raise DataError(path, "", "is empty; expected a JSON header") from None
+        except OSError as error:
+            raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
+        return cls(content, content.identity)
+
+    def header(self, limit: int) -> memoryview:
+        """Give the bytes before the first NUL.
+
+        Raises:
+            DataError: they are more than `limit`.
+        """
+        stop = self.content.find(b"\0", 0, limit)
+        if stop < 0 and len(self.content) > limit:
+            raise DataError(self.identity.name, "header", f"no NUL ends it within {limit} bytes")
+        # A file without arrays needs no NUL; one that was cut inside its header is no whole JSON.
+        return memoryview(self.content)[: stop if stop >= 0 else len(self.content)]
+
+    def fill(self, header: dict[str, Any]) -> None:
+        """Do nothing: all arrays have their values."""
+
+    def fetch(self, value: Any) -> Any:
+        """Give the value itself: the system reads its pages when they are touched."""
+        return value
+
+    def bytes_of(self, array: AnyArray) -> memoryview:
+        """Give the bytes of an array without copying them."""
+        return array.data.cast("B")
+
+    def close(self) -> None:
+        """Do nothing: the map stays as long as an array of it is in use."""
 
 
 def _address(array: AnyArray) -> int:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Protocol
 
 _CODECS: Mapping[bytes, str] = MappingProxyType(
     {
@@ -21,17 +22,26 @@ _CODECS: Mapping[bytes, str] = MappingProxyType(
 )
 """Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
 
+
+class Bytes(Protocol):
+    """Bytes in memory, or fetched as they are looked at."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> bytes | memoryview: ...
+
+
 UNKNOWN_CODEC = "unknown"
 _LONG_SIZE, _TO_THE_END = 1, 0
 _MOST_BOXES = 10_000
 
 
-def is_mp4(content: memoryview) -> bool:
+def is_mp4(content: Bytes) -> bool:
     """Whether the bytes begin as an mp4 file does; QuickTime's own brand is another format."""
     return bytes(content[4:8]) == b"ftyp" and bytes(content[8:12]) != b"qt  "
 
 
-def video_codec(content: memoryview) -> str:
+def video_codec(content: Bytes) -> str:
     """Name the codec of the first known track, as FFmpeg calls it; "unknown" where none is found.
 
     Source: ISO/IEC 14496-12, 4.2 (boxes) and 8.5.2 (sample description).
@@ -46,7 +56,7 @@ def video_codec(content: memoryview) -> str:
     return UNKNOWN_CODEC
 
 
-def _box(content: memoryview, wanted: bytes) -> bytes:
+def _box(content: Bytes, wanted: bytes) -> bytes:
     """Find a box of the outermost level and give what is in it; nothing where there is none."""
     place = 0
     for _ in range(_MOST_BOXES):

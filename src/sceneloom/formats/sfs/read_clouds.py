@@ -178,7 +178,7 @@ def _frame_reader(
     def read(index: int) -> Any:
         where = format_keys((*place, "frames", index))
         container.check_open(where)
-        frame = frames[index]
+        frame = container.fetch(frames[index])
         try:
             times_ns = _point_times(frame, clock.absolute_array, clock.tick_ns, relative=relative)
         except TimeRangeError as error:
@@ -285,7 +285,7 @@ def _times_are_relative(source: Source, frames: list[Record]) -> bool:
     for frame in reversed(frames):
         times = frame["points"].get("timestamps")
         if isinstance(times, np.ndarray) and times.size:
-            latest_ns = int(times.max()) * tick_ns
+            latest_ns = int(source.container.fetch(times).max()) * tick_ns
             return latest_ns < frame["timestamp"] - offset_ns and latest_ns <= period_ns
     return False
 

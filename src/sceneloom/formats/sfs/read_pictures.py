@@ -11,8 +11,9 @@ from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.container import Container, format_keys
-from sceneloom.formats.sfs.mp4 import video_codec
+from sceneloom.formats.sfs.mp4 import is_mp4, video_codec
 from sceneloom.formats.sfs.records import Place
+from sceneloom.formats.sfs.remote import RemoteContent
 from sceneloom.formats.sfs.source import Source
 from sceneloom.scene import Picture, VideoContent
 from sceneloom.scene.types import NO_FIELDS
@@ -61,7 +62,8 @@ def video_content(
     """Give the pictures of a `video` record; the video is opened when its first picture is asked for."""
     content: AnyArray = video["content"]
     where = format_keys((*place, "content"))
-    player = _Player(source.container, content.data, where)
+    coded = source.container.bytes_of(content)
+    player = _Player(source.container, coded, where)
     source.parts.videos[where] = player
     rgb, open_file = source.parts.keep(where, player.rgb), source.parts.keep(f"{where}: file", player.open)
     starts = starts_ns.tolist()
@@ -75,7 +77,7 @@ def video_content(
     return PictureContent(
         starts_ns,
         read,
-        VideoContent(open_file, video_codec(content.data)),
+        VideoContent(open_file, video_codec(coded)),
         None if video.get("fps") is None else float(video["fps"]),
         {"video": further} if further else NO_FIELDS,
     )
@@ -89,7 +91,7 @@ def image_content(source: Source, images: list[Mapping[str, Any]], place: Place)
 
     def read(index: int, camera: Camera) -> Picture:
         container.check_open(format_keys((*place, index, "content")))
-        content: AnyArray = images[index]["content"]
+        content: AnyArray = container.fetch(images[index]["content"])
         return Picture(
             images[index]["timestamp"],
             _lens_for(content, camera),
@@ -118,7 +120,7 @@ def _decode_image(
 ) -> UInt8Array:
     where = format_keys((*place, index, "content"))
     container.check_open(where)
-    return _decode_jpeg(container, images[index]["content"], where)
+    return _decode_jpeg(container, container.fetch(images[index]["content"]), where)
 
 
 def _decode_jpeg(container: Container, content: AnyArray, place: str) -> UInt8Array:
@@ -143,7 +145,7 @@ class _Player:
         index: the list of its pictures, None until it is known.
     """
 
-    def __init__(self, container: Container, content: memoryview, place: str) -> None:
+    def __init__(self, container: Container, content: memoryview | RemoteContent, place: str) -> None:
         self._container, self._content, self._place = container, content, place
         self._reader: VideoReader | None = None
         self.index: VideoIndex | None = None
@@ -175,11 +177,14 @@ class _Player:
 
     def _opened(self) -> "VideoReader":
         from sceneloom.formats.video import VideoReader
+        from sceneloom.formats.video.table_index import read_table_index
 
         self._container.check_open(self._place)
         reader = self._reader
         if reader is None:
             name = f"{self._container.file}: {self._place}"
+            if self.index is None and isinstance(self._content, RemoteContent) and is_mp4(self._content):
+                self.index = read_table_index(self._content, name)
             reader = self._reader = VideoReader(self._content, name=name, index=self.index)
         return reader
 

@@ -82,7 +82,7 @@ _SENSOR_READERS: Mapping[str, Callable[[Source, dict[str, Any], Place, Faults], 
 )
 
 
-def read_scene(path: Path, options: ReadingOptions) -> Scene:
+def read_scene(path: Path | str, options: ReadingOptions) -> Scene:
     """Open a file as a scene; only its header is read.
 
     Raises:
@@ -103,8 +103,8 @@ def _sound_scene(path: Path, options: ReadingOptions) -> Scene:
     return examination.scene
 
 
-def read_all(path: Path, options: ReadingOptions) -> Examination:
-    """Read all of a file that is sound, and note every fault.
+def read_all(path: Path | str, options: ReadingOptions) -> Examination:
+    """Read all of a file, or of a URL, that is sound, and note every fault.
 
     Raises:
         DataError: not even the header can be read.
@@ -112,17 +112,21 @@ def read_all(path: Path, options: ReadingOptions) -> Examination:
     try:
         with collector_paused():
             items: list[ItemFault] = []
-            return _examination(Container(path, faults=items), items, options)
+            return _examination(_opened(path, options, items), items, options)
     except RecursionError:
         raise DataError(path, "header", "nested too deeply") from None
     except OptionError as error:
         raise DataError(path, "", str(error).removeprefix(f"{path}: ")) from None
 
 
-def _parts_again(options: ReadingOptions, path: Path) -> FileParts:
+def _opened(path: Path | str, options: ReadingOptions, items: list[ItemFault]) -> Container:
+    return Container(path, faults=items, storage_options=options.storage_options)
+
+
+def _parts_again(options: ReadingOptions, path: Path | str) -> FileParts:
     """Open a file again for what a scene of it reads; annotations and the like are in the scene already."""
     with collector_paused():
-        source, ours, _ = _source(Container(path, faults=[]), options)
+        source, ours, _ = _source(_opened(path, options, []), options)
         _all_sensors(source, ours)
     return source.parts
 

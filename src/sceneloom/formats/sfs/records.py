@@ -10,6 +10,7 @@ from sceneloom.arrays import AnyArray, read_only
 from sceneloom.formats.sfs.container import RawBytes
 from sceneloom.formats.sfs.fields import RECORDS, Field, Kind
 from sceneloom.formats.sfs.times import INT64_MAX, INT64_MIN, FileClock, TimeRangeError, checked_ns, scaled
+from sceneloom.formats.sfs.unfetched import Unfetched
 
 Place = tuple[str | int, ...]
 """Where something stands inside the header, as keys."""
@@ -264,7 +265,7 @@ def _read_array(_: RecordReader, value: Any, field: Field, faults: Faults) -> An
 
 
 def _of_raw_bytes(value: AnyArray, dtype: np.dtype[Any]) -> AnyArray:
-    raw = value.view(np.ndarray)
+    raw = value.view(Unfetched if isinstance(value, Unfetched) else np.ndarray)
     if raw.size % dtype.itemsize:
         raise FieldError(f"{raw.size} bytes are no whole number of {dtype.name}")
     return raw.view(dtype)

@@ -23,6 +23,7 @@ class ReadingOptions:
         euler_unit: unit of the angles of cuboids; None: as recorded, else degrees.
         euler_order: order of the rotations of cuboids; None: as recorded, else xyz.
         lenient: leave out sensors and annotations that are at fault, with a notice each.
+        storage_options: what the fsspec back end of a URL is made with, such as credentials.
 
     Raises:
         OptionError: a value is not one of those that there are.
@@ -32,6 +33,7 @@ class ReadingOptions:
     euler_unit: str | None = None
     euler_order: str | None = None
     lenient: bool = False
+    storage_options: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         for name, known in (("euler_unit", tuple(AngleUnit)), ("euler_order", ORDERS)):

@@ -1,5 +1,6 @@
 """Which pictures a video holds, found by walking through its packets without decoding any."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -86,13 +87,18 @@ def presentation_ticks(packet: "Packet[VideoStream]", *, reorders: bool) -> int 
     return None if reorders else packet.dts
 
 
-def read_index(source: VideoSource, name: str) -> VideoIndex:
+def read_index(source: VideoSource, name: str, *, options: Mapping[str, str] | None = None) -> VideoIndex:
     """Walk through all packets of a video.
+
+    Args:
+        source: the video.
+        name: what messages call it.
+        options: further ones for the container.
 
     Raises:
         DataError: the container breaks off, or a packet is damaged.
     """
-    opened = OpenVideo(source, name)
+    opened = OpenVideo(source, name, options=options)
     try:
         with decoder_faults(name, ""):
             if "matroska" in opened.container.format.name:

@@ -2,7 +2,7 @@
 
 import io
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -96,26 +96,32 @@ class OpenVideo:
     container: InputContainer
     stream: VideoStream
 
-    def __init__(self, source: VideoSource, name: str) -> None:
-        """Open the source and find its video stream."""
+    def __init__(self, source: VideoSource, name: str, *, options: Mapping[str, str] | None = None) -> None:
+        """Open the source and find its video stream.
+
+        Args:
+            source: the video.
+            name: what messages call it.
+            options: further ones for the container.
+        """
         if isinstance(source, Path | str) and not Path(source).is_file():
             raise DataError(name, "", "not a file" if Path(source).exists() else "no such file")
         self._file: BinaryIO | None = None
         with decoder_faults(name, ""):
-            self._open(source)
+            self._open(source, options or {})
         try:
             self.stream = self._find_stream(name)
         except DataError:
             self.close()
             raise
 
-    def _open(self, source: VideoSource) -> None:
+    def _open(self, source: VideoSource, further: Mapping[str, str]) -> None:
         if isinstance(source, Path | str):
             # the prefix keeps a colon in a file's name from being taken for a protocol
             target: Any = f"file:{source}"
         else:
             target = self._file = open_bytes(source)
-        options = {"format_whitelist": _DEMUXERS}
+        options = {"format_whitelist": _DEMUXERS, **further}
         try:
             self.container = cast("InputContainer", av.open(target, "r", container_options=options))
         except BaseException:

@@ -1,0 +1,91 @@
+"""Which pictures an mp4 video holds, by its tables alone: the pictures themselves are not read."""
+
+import io
+import os
+from collections.abc import Iterator
+from typing import Any, BinaryIO, Protocol, cast
+
+from sceneloom.formats.video.index import VideoIndex, read_index
+
+_BY_TABLES = {"fflags": "noparse+nofillin"}
+"""Source: AVFMT_FLAG_NOPARSE of libavformat/avformat.h: packets are told as the tables tell them."""
+
+_LONG_SIZE, _TO_THE_END = 1, 0
+_LOOKED_AT = 64 << 10
+_MOST_BOXES = 10_000
+
+
+class Bytes(Protocol):
+    """Bytes that are fetched as they are looked at."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> bytes | memoryview: ...
+
+
+def read_table_index(content: Bytes, name: str) -> VideoIndex:
+    """Walk through all packets of an mp4 video; of the bytes of its pictures only the first few are fetched.
+
+    Raises:
+        DataError: the container breaks off.
+    """
+    payloads = [(start + _LOOKED_AT, stop) for start, stop in _media(content)]
+    return read_index(lambda: _open(content, payloads), name, options=_BY_TABLES)
+
+
+def _open(content: Bytes, payloads: list[tuple[int, int]]) -> BinaryIO:
+    return cast("BinaryIO", io.BufferedReader(_Hollow(content, payloads), _LOOKED_AT))
+
+
+class _Hollow(io.RawIOBase):
+    """A file whose payloads read as NULs."""
+
+    def __init__(self, content: Bytes, payloads: list[tuple[int, int]]) -> None:
+        self._content, self._payloads, self._place = content, payloads, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        start, length = self._place, len(buffer)
+        for first, stop in self._payloads:
+            if first <= start < stop:
+                length = min(length, stop - start)
+                buffer[:length] = bytes(length)
+                self._place += length
+                return length
+            if start < first:
+                length = min(length, first - start)
+        piece = self._content[start : start + length]
+        buffer[: len(piece)] = piece
+        self._place += len(piece)
+        return len(piece)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: len(self._content)}[whence]
+        self._place = max(0, base + offset)
+        return self._place
+
+
+def _media(content: Bytes) -> Iterator[tuple[int, int]]:
+    """What is in the boxes that hold pictures: first byte, and the one after the last.
+
+    Source: ISO/IEC 14496-12, 4.2 (boxes) and 8.1.1 (media data).
+    """
+    place = 0
+    for _ in range(_MOST_BOXES):
+        head = bytes(content[place : place + 16])
+        if len(head) < 8:
+            return
+        size, name, header = int.from_bytes(head[:4], "big"), head[4:8], 8
+        if size == _LONG_SIZE:
+            size, header = int.from_bytes(head[8:16], "big"), 16
+        stop = len(content) if size == _TO_THE_END else place + size
+        if stop < place + header:
+            return
+        if name == b"mdat":
+            yield place + header, min(stop, len(content))
+        place = stop

@@ -1,0 +1,383 @@
+"""Scene files behind URLs: the header and what is asked for are fetched, not the file."""
+
+import io
+import pickle
+import re
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import fsspec
+import numpy as np
+import pytest
+import simplejpeg
+from click.testing import CliRunner
+
+import sceneloom
+from sceneloom.cli.main import sceneloom as program
+from sceneloom.errors import DataError, MissingExtraError, OptionError, UnknownFormatError
+from sceneloom.formats.sfs import remote as module
+from sceneloom.formats.sfs.container import Container
+from sceneloom.formats.sfs.remote import RemoteFile, coalesced
+from sceneloom.formats.urls import is_url, path_or_url
+from sceneloom.formats.video import encode_to_mp4
+
+
+class Served:
+    """A folder in memory behind HTTP.
+
+    Attributes:
+        files: content by name.
+        asked: the ranges that were asked for, (name, first byte, one after the last).
+        ranges: whether the server answers ranges; else it sends whole files.
+    """
+
+    def __init__(self):
+        self.files, self.asked, self.ranges = {}, [], True
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
+        self.thread = threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True)
+        self.thread.start()
+
+    def url(self, name):
+        return f"http://127.0.0.1:{self.server.server_port}/{name}"
+
+    @property
+    def bytes_sent(self):
+        return sum(stop - start for _, start, stop in self.asked)
+
+    def close(self):
+        self.server.shutdown()
+        self.server.server_close()
+        self.thread.join()
+
+    def _handler(self):
+        served = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def _head(self):
+                content = served.files.get(self.path[1:])
+                if content is None:
+                    self.send_error(404)
+                    return None
+                wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+                start, stop = (int(wanted[1]), int(wanted[2]) + 1) if wanted else (0, len(content))
+                if not (wanted and served.ranges):
+                    start, stop = 0, len(content)
+                piece = content[start:stop]
+                self.send_response(206 if wanted and served.ranges else 200)
+                if wanted and served.ranges:
+                    self.send_header("Content-Range", f"bytes {start}-{stop - 1}/{len(content)}")
+                if served.ranges:
+                    self.send_header("Accept-Ranges", "bytes")
+                self.send_header("ETag", f'"{hash(content)}"')
+                self.send_header("Content-Length", str(len(piece)))
+                self.end_headers()
+                return start, piece
+
+            def do_HEAD(self):
+                self._head()
+
+            def do_GET(self):
+                found = self._head()
+                if found is not None:
+                    served.asked.append((self.path[1:], found[0], found[0] + len(found[1])))
+                    self.wfile.write(found[1])
+
+            def log_message(self, *_):
+                pass
+
+        return Handler
+
+
+@pytest.fixture
+def served():
+    """An HTTP server that counts what it sends; sessions of the client end before it."""
+    found = Served()
+    yield found
+    fsspec.filesystem("http").clear_instance_cache()
+    found.close()
+
+
+def big_scene(encode_sfs, *, frames=30, points=20_000):
+    """A lidar whose frames are large, and all that is read on opening."""
+    rng = np.random.default_rng(1)
+    clouds = [
+        {
+            "timestamp": 100_000 * k,
+            "points": {
+                "positions": rng.normal(size=(points, 3)).astype(np.float32),
+                "intensities": rng.integers(0, 256, points, np.uint8),
+                "timestamps": np.arange(points, dtype=np.uint32) + 100_000 * k,
+            },
+        }
+        for k in range(frames)
+    ]
+    poses = {"timestamps": [0, 10**7], "values": [[0, 0, 0, 0, 0, 0, 1], [9, 0, 0, 0, 0, 0, 1]]}
+    jpeg = np.frombuffer(simplejpeg.encode_jpeg(rng.integers(0, 256, (64, 96, 3), np.uint8), 95), np.uint8)
+    images = [{"timestamp": 100_000 * k, "content": jpeg} for k in range(3)]
+    lens = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": 96, "height": 64}
+    labels = [{"sensor_id": "top", "sensor_frame": 1, "point_ids": np.array([3, 7], np.uint32)}]
+    return encode_sfs(
+        {
+            "version": "1.0",
+            "sensors": [
+                {"id": "top", "type": "lidar", "poses": poses, "frames": clouds},
+                {"id": "cam", "type": "camera", "poses": poses, "intrinsics": lens, "images": images},
+                {"id": "map", "type": "points", "points": {"positions": np.ones((5, 3), np.float32)}},
+            ],
+            "annotations": [{"id": "l", "type": "labeled_points", "label": "car", "labeled_points": labels}],
+        }
+    )
+
+
+def test_a_frame_costs_its_arrays_and_not_the_file(served, encode_sfs, tmp_path):
+    content = big_scene(encode_sfs)
+    served.files["drive.sfs"] = content
+    (tmp_path / "drive.sfs").write_bytes(content)
+    with sceneloom.open(served.url("drive.sfs")) as scene, sceneloom.open(tmp_path / "drive.sfs") as local:
+        opened = served.bytes_sent
+        assert opened < 600_000
+        assert scene.sensors[2].positions.tolist() == [[1, 1, 1]] * 5
+        frame, expected = scene.lidars[0].frames[17], local.lidars[0].frames[17]
+        np.testing.assert_array_equal(frame.points.positions, expected.points.positions)
+        np.testing.assert_array_equal(frame.points.intensities, expected.points.intensities)
+        np.testing.assert_array_equal(frame.points.timestamps_ns, expected.points.timestamps_ns)
+        assert frame.points.positions.flags.writeable is False
+        assert served.bytes_sent - opened < 17 * 20_000 + 100
+        assert served.bytes_sent < len(content) / 8
+
+
+def test_the_arrays_of_a_frame_are_fetched_at_one_go(served, encode_sfs):
+    served.files["drive.sfs"] = big_scene(encode_sfs)
+    with sceneloom.open(served.url("drive.sfs")) as scene:
+        before = len(served.asked)
+        scene.lidars[0].frames[3].points.positions.sum()
+        assert len(served.asked) == before + 1
+
+
+def test_pictures_are_fetched_one_by_one(served, encode_sfs):
+    served.files["drive.sfs"] = big_scene(encode_sfs)
+    with sceneloom.open(served.url("drive.sfs")) as scene:
+        before = len(served.asked)
+        picture = scene.cameras[0].pictures[1]
+        assert picture.rgb.shape == (64, 96, 3)
+        assert picture.encoded()[:2] == b"\xff\xd8"
+        assert len(served.asked) == before + 1
+
+
+def test_long_headers_are_fetched_in_blocks_that_grow(served, encode_sfs):
+    content = encode_sfs({"version": "1.0", "sensors": [], "note": "x" * 3_000_000, "last": np.ones(3)})
+    served.files["drive.sfs"] = content
+    with sceneloom.open(served.url("drive.sfs")) as scene:
+        assert scene.extras["last"].tolist() == [1, 1, 1]
+    assert len(served.asked) < 10
+
+
+@pytest.mark.parametrize("kind", ["memory", "file"])
+def test_other_back_ends_are_read_too(kind, encode_sfs, tmp_path):
+    content = big_scene(encode_sfs, frames=2, points=10)
+    if kind == "memory":
+        url = "memory://folder/drive.sfs"
+        fsspec.filesystem("memory").pipe("/folder/drive.sfs", content)
+    else:
+        (tmp_path / "my drive.sfs").write_bytes(content)
+        url = (tmp_path / "my drive.sfs").as_uri()
+    with sceneloom.open(url) as scene:
+        assert len(scene.lidars[0].frames[1].points.positions) == 10
+
+
+def video_scene(encode_sfs, *, pictures=40, side=128):
+    """A camera with a video of noise, which takes many bytes a picture."""
+    rng = np.random.default_rng(4)
+    target = io.BytesIO()
+    encode_to_mp4(
+        [rng.integers(0, 256, (side, side, 3), np.uint8) for _ in range(pictures)], target, fps=10.0
+    )
+    stamps = [100_000 * k for k in range(pictures)]
+    content = np.frombuffer(target.getvalue(), np.uint8)
+    lens = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": side, "height": side}
+    video = {"timestamps": stamps, "content": content, "fps": 10}
+    camera = {"id": "cam", "type": "camera", "intrinsics": lens, "video": video}
+    return encode_sfs({"version": "1.0", "sensors": [camera]})
+
+
+def test_a_drive_with_a_video_is_the_same_as_from_disk(served, encode_sfs, tmp_path):
+    served.files["drive.sfs"] = content = video_scene(encode_sfs, pictures=4)
+    (tmp_path / "drive.sfs").write_bytes(content)
+    with sceneloom.open(served.url("drive.sfs")) as scene, sceneloom.open(tmp_path / "drive.sfs") as local:
+        assert scene.cameras[0].video.codec == local.cameras[0].video.codec
+        for picture, expected in zip(scene.cameras[0].pictures, local.cameras[0].pictures, strict=True):
+            np.testing.assert_array_equal(picture.rgb, expected.rgb)
+        sceneloom.write(scene, tmp_path / "copy.sfs")
+        sceneloom.write(local, tmp_path / "copy_of_local.sfs")
+    assert (tmp_path / "copy.sfs").read_bytes() == (tmp_path / "copy_of_local.sfs").read_bytes()
+
+
+def test_a_picture_of_a_video_costs_what_it_leans_on_and_not_the_video(served, encode_sfs, tmp_path):
+    served.files["drive.sfs"] = content = video_scene(encode_sfs, pictures=70, side=192)
+    (tmp_path / "drive.sfs").write_bytes(content)
+    with sceneloom.open(served.url("drive.sfs")) as scene, sceneloom.open(tmp_path / "drive.sfs") as local:
+        assert scene.cameras[0].pictures[0].rgb.shape == (192, 192, 3)
+        assert served.bytes_sent < len(content) / 2
+        expected = local.cameras[0].pictures[65].rgb
+        np.testing.assert_array_equal(scene.cameras[0].pictures[65].rgb, expected)
+
+
+def test_a_scene_behind_a_url_goes_to_other_processes(served, encode_sfs):
+    served.files["drive.sfs"] = big_scene(encode_sfs)
+    with sceneloom.open(served.url("drive.sfs")) as scene:
+        again = pickle.loads(pickle.dumps(scene))
+        np.testing.assert_array_equal(
+            again.lidars[0].frames[5].points.positions, scene.lidars[0].frames[5].points.positions
+        )
+        late = pickle.loads(pickle.dumps(scene))
+    served.files["drive.sfs"] += b"\0"
+    with pytest.raises(DataError, match="was changed after it was opened"):
+        late.lidars[0].frames[5]
+
+
+def test_a_closed_scene_fetches_nothing(served, encode_sfs):
+    served.files["drive.sfs"] = big_scene(encode_sfs)
+    scene = sceneloom.open(served.url("drive.sfs"))
+    scene.close()
+    with pytest.raises(DataError, match="is closed"):
+        scene.lidars[0].frames[0]
+
+
+def test_a_server_without_ranges_is_an_error_before_the_file_is_loaded(served, encode_sfs):
+    served.files["drive.sfs"] = big_scene(encode_sfs)
+    served.ranges = False
+    with pytest.raises(DataError, match=r"cannot be read|the server gave"):
+        sceneloom.open(served.url("drive.sfs"))
+
+
+def test_missing_files_and_servers_are_errors(served):
+    with pytest.raises(DataError, match="cannot be found"):
+        sceneloom.open(served.url("absent.sfs"))
+    served.files["empty.sfs"] = b""
+    with pytest.raises(DataError, match=r"empty|how long"):
+        sceneloom.open(served.url("empty.sfs"))
+    with pytest.raises(DataError, match="cannot be found: Cannot connect"):
+        sceneloom.open("http://127.0.0.1:9/drive.sfs")
+    with pytest.raises(DataError, match="cannot be read"):
+        sceneloom.open("nosuchprotocol://host/drive.sfs")
+
+
+def test_other_formats_are_not_read_from_urls(served):
+    with pytest.raises(UnknownFormatError, match=r"ends in \.sfs"):
+        sceneloom.open(served.url("data.jsonl"))
+    with pytest.raises(OptionError, match="recording is not read from URLs"):
+        sceneloom.open(served.url("drive"), format="recording")
+
+
+def test_without_fsspec_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "fsspec.core", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'sceneloom\[cloud\]'"):
+        sceneloom.open("http://127.0.0.1/drive.sfs")
+
+
+def test_a_file_that_is_cut_while_it_is_read_is_an_error(served, encode_sfs):
+    served.files["drive.sfs"] = content = big_scene(encode_sfs)
+    with sceneloom.open(served.url("drive.sfs")) as scene:
+        served.files["drive.sfs"] = content[:100_000]
+        with pytest.raises(DataError, match=r"cannot be read|the server gave"):
+            scene.lidars[0].frames[20]
+
+
+def test_info_takes_a_url(served, encode_sfs):
+    served.files["drive.sfs"] = big_scene(encode_sfs)
+    done = CliRunner().invoke(program, ["info", served.url("drive.sfs")])
+    assert done.exit_code == 0, done.output
+    assert "20000 points in the first frame" in done.output
+
+
+def test_values_that_were_not_fetched_cannot_be_looked_at(served, encode_sfs):
+    served.files["drive.sfs"] = big_scene(encode_sfs)
+    container = Container(served.url("drive.sfs"))
+    positions = container.header["sensors"][0]["frames"][0]["points"]["positions"]
+    assert positions.shape == (20_000, 3)
+    for look in (
+        np.sum,
+        np.array_equal,
+        lambda a: a[0],
+        lambda a: a + 1,
+        lambda a: a.max(),
+        list,
+        pickle.dumps,
+    ):
+        with pytest.raises(DataError, match="not asked for"):
+            look(positions) if look is not np.array_equal else look(positions, positions)
+    assert container.fetch(positions).any()
+    container.close()
+
+
+def test_arrays_of_strangers_are_fetched_on_opening(served, encode_sfs):
+    """Big-endian arrays, unknown sensors and the like."""
+    frames = [{"timestamp": 1, "points": {"positions": np.ones((2, 3), ">f4")}}]
+    lidar = {"id": "l", "type": "lidar", "frames": frames}
+    content = encode_sfs(
+        {"version": "1.0", "sensors": [lidar, {"id": "x", "type": "sonar", "d": np.arange(3)}]}
+    )
+    served.files["drive.sfs"] = content.replace(b'"dtype": "float32"', b'"dtype": ">f4"    ')
+    with sceneloom.open(served.url("drive.sfs")) as scene:
+        assert scene.lidars[0].frames[0].points.positions.tolist() == [[1, 1, 1]] * 2
+        assert scene.sensors[1].fields["d"].tolist() == [0, 1, 2]
+
+
+def test_items_without_a_dtype_are_fetched_with_their_frame(served, encode_sfs):
+    frames = [{"timestamp": 1, "points": {"positions": np.full((2, 3), 7, np.float32)}}]
+    header = {"version": "1.0", "sensors": [{"id": "l", "type": "lidar", "frames": frames}]}
+    served.files["drive.sfs"] = encode_sfs(header, dtype=None, shape=None)
+    with sceneloom.open(served.url("drive.sfs")) as scene:
+        assert scene.lidars[0].frames[0].points.positions.tolist() == [[7, 7, 7]] * 2
+
+
+def test_neighbouring_ranges_are_joined():
+    gap = module.GAP
+    assert coalesced([]) == []
+    assert coalesced([(10, 20), (0, 5)]) == [(0, 20)]
+    assert coalesced([(0, 5), (5 + gap, 9 + gap)]) == [(0, 9 + gap)]
+    assert coalesced([(0, 5), (6 + gap, 9 + gap)]) == [(0, 5), (6 + gap, 9 + gap)]
+    assert coalesced([(0, 50), (10, 20)]) == [(0, 50)]
+
+
+def test_pieces_of_a_content_are_those_of_its_bytes(served):
+    content = bytes(np.random.default_rng(2).integers(0, 256, 700_000, np.uint8))
+    served.files["bytes"] = content
+    file = RemoteFile.of(served.url("bytes"))
+    part = module.RemoteContent(file, 1000, 650_000)
+    expected = content[1000:650_000]
+    assert len(part) == len(expected)
+    for start, stop in (
+        (0, 4),
+        (300_000, 300_001),
+        (262_140, 262_150),
+        (649_990, 700_000),
+        (-4, None),
+        (5, 5),
+    ):
+        assert part[start:stop] == expected[start:stop]
+    with part() as opened:
+        opened.seek(-10, 2)
+        assert opened.read() == expected[-10:]
+        opened.seek(3)
+        assert opened.read(600_000) == expected[3:600_003]
+    file.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("http://host/a.sfs", True),
+        ("s3://bucket/a.sfs", True),
+        ("simplecache::https://host/a.sfs", True),
+        ("C:/a.sfs", False),
+        ("a.sfs", False),
+        ("a//b.sfs", False),
+    ],
+)
+def test_urls_are_told_from_paths(text, expected):
+    assert is_url(text) is expected
+
+
+def test_file_urls_are_paths(tmp_path):
+    assert path_or_url((tmp_path / "ä b.sfs").as_uri()) == tmp_path / "ä b.sfs"

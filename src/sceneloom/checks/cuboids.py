@@ -121,35 +121,34 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
     forward = table.inner & (seconds > 0)
     with np.errstate(invalid="ignore", over="ignore"):
         way = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-        bad = _from_second(table, forward & (way > _SLACK_M + _FASTEST * seconds))
-        reached, off = bad.copy(), _off_the_way(positions, seconds, forward)
-    bad |= off
+        out_of_reach = _from_second(table, forward & (way > _SLACK_M + _FASTEST * seconds))
+        off = _off_the_way(positions, seconds, forward)
 
     def say(row: int) -> str:
-        if reached[row]:
-            return f"{way[row - 1]:.1f} m from the keyframe before, in {seconds[row - 1]:.3f} s"
-        return f"{_gap(positions, seconds, row):.1f} m off the way between the keyframes before and after"
+        if off[row]:
+            return f"{off[row]:.1f} m off the way between the keyframes before and after"
+        return f"{way[row - 1]:.1f} m from the keyframe before, in {seconds[row - 1]:.3f} s"
 
+    bad = out_of_reach | (off > 0)
     return _hits(subject, bad, say)
 
 
-def _off_the_way(positions: Float64Array, seconds: Float64Array, forward: BoolArray) -> BoolArray:
-    off = np.zeros(len(positions), bool)
+def _off_the_way(positions: Float64Array, seconds: Float64Array, forward: BoolArray) -> Float64Array:
+    """How far keyframes lie off the way between their neighbours, (R,) float64 [m]; 0 where an object may.
+
+    One misplaced keyframe bends the ways of its neighbours, too: only the one that is farthest off is told.
+    """
+    off = np.zeros(len(positions))
     if len(positions) < 3:
         return off
     whole = np.where(forward[:-1] & forward[1:], seconds[:-1] + seconds[1:], 1.0)
     share = (seconds[:-1] / whole)[:, None]
     between = positions[:-2] * (1 - share) + positions[2:] * share
-    gaps = np.linalg.norm(positions[1:-1] - between, axis=1)
+    gaps = np.where(forward[:-1] & forward[1:], np.linalg.norm(positions[1:-1] - between, axis=1), 0.0)
     limit = _SLACK_M + _ACCELERATION / 2 * seconds[:-1] * seconds[1:]
-    off[1:-1] = forward[:-1] & forward[1:] & (gaps > limit)
+    before, after = np.r_[0.0, gaps[:-1]], np.r_[gaps[1:], 0.0]
+    off[1:-1] = np.where((gaps > limit) & (gaps >= before) & (gaps >= after), gaps, 0.0)
     return off
-
-
-def _gap(positions: Float64Array, seconds: Float64Array, row: int) -> float:
-    share = seconds[row - 1] / (seconds[row - 1] + seconds[row])
-    between = positions[row - 1] * (1 - share) + positions[row + 1] * share
-    return float(np.linalg.norm(positions[row] - between))
 
 
 def _standing_moves(subject: Subject) -> Iterator[Hit]:

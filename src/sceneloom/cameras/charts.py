@@ -4,45 +4,62 @@
 - by angle: θ (X, Y)/sqrt(X² + Y²), θ the angle off the axis, for all rays but the one straight back;
 - by sphere: (X, Y)/(Z + ξ P), P the distance of the point: the unit sphere seen from ξ behind its centre.
 
-Each gives its distance from the axis squared as infinity where it has no place for a point.
+The first three functions are what `project_point` means for models of each chart, the next three
+`ray_of_chart`; they take the model's own `distort` and `pixel_of_plane`.
 
 Source: Mei and Rives 2007, "Single View Point Omnidirectional Camera Calibration from Planar Grids", eq. 1 and 3,
 for the sphere.
 """
 
 import math
-
-from numba import njit
+from typing import Any
 
 from sceneloom.cameras.angles import angle_off_axis, sine_and_cosine
-from sceneloom.cameras.compiled import INLINE, MINIMUM_DEPTH
+from sceneloom.cameras.compiled import MINIMUM_DEPTH
+from sceneloom.cameras.formulas import distort, pixel_of_plane
 
 
-@njit(**INLINE)
-def in_perspective(x, y, z):  # type: ignore[no-untyped-def]
-    """Give the place on the plane z = 1, and the square of its distance from the axis."""
+def pixel_in_perspective(x: Any, y: Any, z: Any, lens: Any) -> Any:
+    """Give the pixel of a point by its place on the plane z = 1."""
     a, b = x / z, y / z
-    return a, b, (a * a + b * b if z > MINIMUM_DEPTH else math.inf)
+    to_x, to_y, _, _, _, _ = distort(a, b, lens)
+    u, v = pixel_of_plane(to_x, to_y, lens)
+    known = (z > MINIMUM_DEPTH) & (a * a + b * b < lens.limit * lens.limit)
+    return (u if known else math.nan), v
 
 
-@njit(**INLINE)
-def ray_of_perspective(a, b):  # type: ignore[no-untyped-def]
+def pixel_by_angle(x: Any, y: Any, z: Any, lens: Any) -> Any:
+    """Give the pixel of a point by its direction and its angle off the axis."""
+    side = math.sqrt(x * x + y * y)
+    angle = angle_off_axis(side, z)
+    scale = angle / side if side > 0.0 else 0.0
+    to_x, to_y, _, _, _, _ = distort(x * scale, y * scale, lens)
+    u, v = pixel_of_plane(to_x, to_y, lens)
+    known = (angle < lens.limit) & ((side > 0.0) | (z > 0.0))
+    return (u if known else math.nan), v
+
+
+def pixel_by_sphere(x: Any, y: Any, z: Any, lens: Any) -> Any:
+    """Give the pixel of a point by its place on the plane of the shifted sphere.
+
+    With ξ > 1 the farther part of the sphere hides behind the nearer one.
+    """
+    distance = math.sqrt(x * x + y * y + z * z)
+    depth = z + lens.xi * distance
+    a, b = x / depth, y / depth
+    to_x, to_y, _, _, _, _ = distort(a, b, lens)
+    u, v = pixel_of_plane(to_x, to_y, lens)
+    ahead = (depth > MINIMUM_DEPTH * distance) & ((lens.xi <= 1.0) | (distance + lens.xi * z > 0.0))
+    return (u if ahead & (a * a + b * b < lens.limit * lens.limit) else math.nan), v
+
+
+def ray_in_perspective(a: Any, b: Any, _lens: Any) -> Any:
     """Give the unit ray through (a, b) on the plane z = 1."""
     scale = 1.0 / math.sqrt(a * a + b * b + 1.0)
     return a * scale, b * scale, scale
 
 
-@njit(**INLINE)
-def by_angle(x, y, z):  # type: ignore[no-untyped-def]
-    """Give the place as far from the middle as the angle off the axis, and the square of that."""
-    side = math.sqrt(x * x + y * y)
-    angle = angle_off_axis(side, z)
-    scale = angle / side if side > 0.0 else 0.0
-    return x * scale, y * scale, (angle * angle if (side > 0.0) | (z > 0.0) else math.inf)
-
-
-@njit(**INLINE)
-def ray_of_angle(a, b):  # type: ignore[no-untyped-def]
+def ray_by_angle(a: Any, b: Any, _lens: Any) -> Any:
     """Give the unit ray that lies as far off the axis as (a, b) from the middle."""
     angle = math.sqrt(a * a + b * b)
     sine, cosine = sine_and_cosine(angle)
@@ -50,26 +67,11 @@ def ray_of_angle(a, b):  # type: ignore[no-untyped-def]
     return a * scale, b * scale, cosine
 
 
-@njit(**INLINE)
-def by_sphere(x, y, z, xi):  # type: ignore[no-untyped-def]
-    """Give the place on the plane of the shifted sphere, and the square of its distance from the axis.
-
-    With ξ > 1 the farther half of the sphere, as seen from its shifted centre, hides behind the nearer one.
-    """
-    distance = math.sqrt(x * x + y * y + z * z)
-    depth = z + xi * distance
-    a, b = x / depth, y / depth
-    hidden = z * xi < -distance if xi > 1.0 else False
-    seen = (depth > MINIMUM_DEPTH * distance) & (distance > 0.0) & (not hidden)
-    return a, b, (a * a + b * b if seen else math.inf)
-
-
-@njit(**INLINE)
-def ray_of_sphere(a, b, xi):  # type: ignore[no-untyped-def]
-    """Give the unit ray of a place on the plane of the shifted sphere; NaN where no part of the sphere is seen."""
+def ray_by_sphere(a: Any, b: Any, lens: Any) -> Any:
+    """Give the unit ray of a place on the plane of the shifted sphere."""
     square = a * a + b * b
-    scale = (xi + math.sqrt(1.0 + (1.0 - xi * xi) * square)) / (1.0 + square)
-    return a * scale, b * scale, scale - xi
+    scale = (lens.xi + math.sqrt(1.0 + (1.0 - lens.xi * lens.xi) * square)) / (1.0 + square)
+    return a * scale, b * scale, scale - lens.xi
 
 
 def sphere_rim(xi: float) -> float:

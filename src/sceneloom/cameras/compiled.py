@@ -8,16 +8,20 @@ Every model compiles the same three functions:
 - `project_points(points_camera, lens, pixels)` gives a pixel for every point, NaN outside the model's domain.
 - `unproject_pixels(pixels, lens, rays)` gives a unit ray for every pixel, NaN where the model has none.
 
-`lens` is `fx, fy, cx, cy`, all coefficients of the model in its own order, then the domain limit.
+`lens` is `fx, fy, cx, cy`, all coefficients of the model in its own order, then the domain limit, which is the
+radius of a disk of the model's own chart (`charts`), and not always an angle. Models that see behind the plane
+z = 0 keep points of depth zero or less. Models with bends that are not radial also compile `fold_radius(lens)`,
+from which their domain limit comes.
 
-The parts take numbers and tuples, never arrays: an array handed on inside a loop has its references counted
-for every point, which takes ten times as long as the projection.
+The loops (`loops`) and searches (`solving`, `domain`) are written once. They take the lens as a named tuple, and the
+formulas of its model by their names in `formulas`. Numbers and tuples go around in them, never arrays: an array
+handed on inside a loop has its references counted for every point, which takes ten times as long as the projection.
 """
 
-import math
 from typing import Any
 
-from numba import float32, float64, int64, njit, types, uint64, void
+from numba import float32, float64, int64, njit, types, void
+from numba.np.unsafe.ndarray import to_fixed_tuple
 
 _READ_ONLY_ROWS = types.Array(float64, 2, "C", readonly=True)
 _READ_ONLY_NUMBERS = types.Array(float64, 1, "C", readonly=True)
@@ -47,6 +51,10 @@ MINIMUM_DEPTH = 1e-6
 """Perspective models see only what lies at least so far in front of the camera [m]."""
 
 
+first_numbers: Any = to_fixed_tuple
+"""Gives the first numbers of an array as a tuple: `first_numbers(numbers, count)`, the count a constant."""
+
+
 @njit(**INLINE)
 def pose_numbers(m):  # type: ignore[no-untyped-def]
     """Give the twelve numbers of a (3, 4) matrix, row by row."""
@@ -71,27 +79,3 @@ def camera_coordinates(x, y, z, pose):  # type: ignore[no-untyped-def]
 def in_picture(u, v, width, height):  # type: ignore[no-untyped-def]
     """Say whether (u, v) lies in the picture; a NaN does not."""
     return -0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5
-
-
-@njit(**INLINE)
-def unit_ray(x, y):  # type: ignore[no-untyped-def]
-    """Give the unit ray through (x, y) on the plane z = 1."""
-    scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
-    return x * scale, y * scale, scale
-
-
-@njit(**PART)
-def keep_in_picture(  # type: ignore[no-untyped-def]
-    first_id, columns, rows, block_depths, width, height, count, point_ids, flat_pixels, depths
-):
-    """Append those of a block's points that lie in the picture to the outputs; give the new count.
-
-    The test is made on the float32 pixels that are stored: rounding them to the nearest must stay in the picture.
-    `count` is unsigned, which spares the test for indices from the end.
-    """
-    for i in range(len(columns)):
-        if in_picture(columns[i], rows[i], width, height):
-            point_ids[count], depths[count] = first_id + i, block_depths[i]
-            flat_pixels[uint64(2) * count], flat_pixels[uint64(2) * count + uint64(1)] = columns[i], rows[i]
-            count += uint64(1)
-    return count

@@ -1,22 +1,20 @@
 """How far from the axis a lens can be trusted: up to where its mapping folds and two points share a pixel."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import Float64Array
+from sceneloom.cameras.compiled import PART
+from sceneloom.cameras.formulas import distort
 
-_DIRECTIONS = 72
+_DIRECTIONS = 180
 _STEPS = 200
 _ROUNDS = 3
 _VANISHED = 1e-30
 _JUST_INSIDE = 1.0 - 1e-9
 _WIDEST = math.radians(89.9)
-
-Slopes = Callable[[Float64Array, Float64Array], tuple[Float64Array, ...]]
-"""Gives dx'/dx, dx'/dy, dy'/dx, dy'/dy at points (x, y) of the plane z = 1."""
 
 
 def first_positive_root(polynomial: ArrayLike) -> float:
@@ -33,20 +31,33 @@ def first_positive_root(polynomial: ArrayLike) -> float:
     return float(real[real > 0].min(initial=math.inf))
 
 
-def radius_without_fold(slopes: Slopes, limit: float) -> float:
-    """Search the disk of radius `limit` for the circle on which the mapping's area factor first vanishes.
+@njit(**PART)
+def _turns_nothing_back(radius, lens):  # type: ignore[no-untyped-def]
+    """Say whether, on a circle of the chart, each small step is taken to one within 90 degrees of it.
 
-    Returns:
-        The radius up to which the factor is positive in all directions, `limit` where it is so everywhere.
+    Where that holds all over a disk, no two of its places are taken to one: the step from one to the other would
+    have to be turned back on its way. The slopes of lenses are symmetric or nearly so, and then it ends just where
+    the area factor vanishes, which is the fold.
     """
-    directions = np.linspace(0.0, 2.0 * math.pi, _DIRECTIONS, endpoint=False)
-    beyond, low, high = limit, 0.0, min(_JUST_INSIDE * math.atan(limit), _WIDEST)
-    for _ in range(_ROUNDS):
-        radii = np.tan(np.linspace(low, high, _STEPS))
-        xx, xy, yx, yy = slopes(np.outer(radii, np.cos(directions)), np.outer(radii, np.sin(directions)))
-        folded = np.flatnonzero(~(xx * yy - xy * yx > 0.0).all(axis=1))
-        if len(folded) == 0:
-            return beyond
-        beyond, before = float(radii[folded[0]]), float(radii[max(folded[0] - 1, 0)])
-        low, high = math.atan(before), math.atan(beyond)
+    for k in range(_DIRECTIONS):
+        about = 2.0 * math.pi * k / _DIRECTIONS
+        _, _, xx, xy, yx, yy = distort(radius * math.cos(about), radius * math.sin(about), lens)
+        if not (xx > 0.0 and yy > 0.0 and 4.0 * xx * yy > (xy + yx) * (xy + yx)):
+            return False
+    return True
+
+
+@njit(**PART)
+def radius_without_fold(lens):  # type: ignore[no-untyped-def]
+    """Give the radius of the disk of the chart, `lens.limit` at most, on which no two places are taken to one."""
+    low, high = 0.0, min(_JUST_INSIDE * math.atan(lens.limit), _WIDEST)
+    for attempt in range(_ROUNDS):
+        step, folded = (high - low) / (_STEPS - 1), -1
+        for k in range(_STEPS):
+            if not _turns_nothing_back(math.tan(low + k * step), lens):
+                folded = k
+                break
+        if folded < 0:
+            return lens.limit if attempt == 0 else math.tan(low)
+        low, high = low + max(folded - 1, 0) * step, low + folded * step
     return math.tan(low)

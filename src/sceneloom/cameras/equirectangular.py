@@ -14,7 +14,13 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from sceneloom.cameras.angles import sine_and_cosine
-from sceneloom.cameras.compiled import INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.compiled import (
+    INLINE,
+    KERNEL,
+    PICTURE_SIGNATURE,
+    ROWS_SIGNATURE,
+    first_numbers,
+)
 from sceneloom.cameras.formulas import (
     formula_of,
     project_point,
@@ -32,6 +38,9 @@ class EquirectangularLens(NamedTuple):
     cx: float
     cy: float
     limit: float
+
+
+_COUNT = len(EquirectangularLens._fields)
 
 
 @formula_of(EquirectangularLens, project_point)
@@ -57,8 +66,8 @@ def domain_limit(_coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(n):  # type: ignore[no-untyped-def]
-    return EquirectangularLens(n[0], n[1], n[2], n[3], n[4])
+def _lens(numbers):  # type: ignore[no-untyped-def]
+    return EquirectangularLens(*first_numbers(numbers, _COUNT))
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)

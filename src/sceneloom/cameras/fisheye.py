@@ -14,14 +14,28 @@ model".
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import njit
 
-from sceneloom.cameras.compiled import INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.compiled import (
+    INLINE,
+    KERNEL,
+    PICTURE_SIGNATURE,
+    ROWS_SIGNATURE,
+    first_numbers,
+)
 from sceneloom.cameras.domain import first_positive_root
-from sceneloom.cameras.formulas import distance_at, formula_of, plane_of_pixel, project_point
+from sceneloom.cameras.formulas import (
+    centred_pixel,
+    distance_at,
+    formula_of,
+    pixel_of_plane,
+    plane_of_centred_pixel,
+    plane_of_pixel,
+    project_point,
+    use_formulas,
+)
 from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
-from sceneloom.cameras.off_axis import pixel_off_axis, plane_of_centred_pixel
+from sceneloom.cameras.off_axis import pixel_off_axis
 
 
 class FisheyeLens(NamedTuple):
@@ -38,8 +52,12 @@ class FisheyeLens(NamedTuple):
     limit: float
 
 
-formula_of(FisheyeLens, project_point)(pixel_off_axis)
-formula_of(FisheyeLens, plane_of_pixel)(plane_of_centred_pixel)
+_COUNT = len(FisheyeLens._fields)
+
+use_formulas(
+    FisheyeLens,
+    {project_point: pixel_off_axis, pixel_of_plane: centred_pixel, plane_of_pixel: plane_of_centred_pixel},
+)
 
 
 @formula_of(FisheyeLens, distance_at)
@@ -54,13 +72,12 @@ def _distance(angle: Any, lens: Any) -> Any:
 def domain_limit(coefficients: tuple[float, ...]) -> float:
     """The angle off the axis at which the distance from the centre stops growing, π at most."""
     k1, k2, k3, k4 = coefficients
-    slope = np.array([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0])
-    return min(math.pi, math.sqrt(first_positive_root(slope)))
+    return min(math.pi, math.sqrt(first_positive_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0])))
 
 
 @njit(**INLINE)
-def _lens(n):  # type: ignore[no-untyped-def]
-    return FisheyeLens(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8])
+def _lens(numbers):  # type: ignore[no-untyped-def]
+    return FisheyeLens(*first_numbers(numbers, _COUNT))
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)

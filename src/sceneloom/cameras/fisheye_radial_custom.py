@@ -20,18 +20,26 @@ from numba import njit
 
 from sceneloom.cameras.bending import bend_image, stretch
 from sceneloom.cameras.charts import (
-    by_angle,
-    ray_of_angle,
+    pixel_by_angle,
+    ray_by_angle,
 )
-from sceneloom.cameras.compiled import FOLD_SIGNATURE, INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
-from sceneloom.cameras.domain import first_positive_root
-from sceneloom.cameras.folds import radius_without_fold
+from sceneloom.cameras.compiled import (
+    FOLD_SIGNATURE,
+    INLINE,
+    KERNEL,
+    PICTURE_SIGNATURE,
+    ROWS_SIGNATURE,
+    first_numbers,
+)
+from sceneloom.cameras.domain import first_positive_root, radius_without_fold
 from sceneloom.cameras.formulas import (
     distort,
     formula_of,
+    pixel_of_plane,
     plane_of_pixel,
     project_point,
     ray_of_chart,
+    use_formulas,
 )
 from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
 
@@ -56,22 +64,19 @@ class RadialCustomLens(NamedTuple):
     limit: float
 
 
+_COUNT = len(RadialCustomLens._fields)
+
+use_formulas(RadialCustomLens, {project_point: pixel_by_angle, ray_of_chart: ray_by_angle})
+
+
+@formula_of(RadialCustomLens, pixel_of_plane)
+def _shifted_pixel(x: Any, y: Any, lens: Any) -> Any:
+    return lens.fx * x + (lens.cx + lens.dcx), lens.fy * y + (lens.cy + lens.dcy)
+
+
 @formula_of(RadialCustomLens, plane_of_pixel)
-def _plane(u: Any, v: Any, lens: Any) -> Any:
-    return (u - lens.cx - lens.dcx) / lens.fx, (v - lens.cy - lens.dcy) / lens.fy
-
-
-@formula_of(RadialCustomLens, project_point)
-def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
-    a, b, square = by_angle(x, y, z)
-    x, y, _, _, _, _ = distort(a, b, lens)
-    known = square < lens.limit * lens.limit
-    return (lens.fx * x + lens.cx + lens.dcx if known else math.nan), lens.fy * y + lens.cy + lens.dcy
-
-
-@formula_of(RadialCustomLens, ray_of_chart)
-def _ray(a: Any, b: Any, lens: Any) -> Any:
-    return ray_of_angle(a, b)
+def _plane_of_shifted_pixel(u: Any, v: Any, lens: Any) -> Any:
+    return (u - (lens.cx + lens.dcx)) / lens.fx, (v - (lens.cy + lens.dcy)) / lens.fy
 
 
 @formula_of(RadialCustomLens, distort)
@@ -91,10 +96,8 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(n):  # type: ignore[no-untyped-def]
-    return RadialCustomLens(
-        n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11], n[12], n[13], n[14]
-    )
+def _lens(numbers):  # type: ignore[no-untyped-def]
+    return RadialCustomLens(*first_numbers(numbers, _COUNT))
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)

@@ -5,7 +5,7 @@ A lens is a named tuple of numbers, of a class of its own for every projection m
 once and compiled for each.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from numba.extending import overload
@@ -13,6 +13,8 @@ from numba.extending import overload
 from sceneloom.cameras.compiled import INLINE
 
 Formula = Callable[..., Any]
+
+_OPTIONS: Any = INLINE
 
 
 def project_point(x: Any, y: Any, z: Any, lens: Any) -> Any:
@@ -30,8 +32,13 @@ def distort(a: Any, b: Any, lens: Any) -> Any:
     raise NotImplementedError
 
 
+def pixel_of_plane(x: Any, y: Any, lens: Any) -> Any:
+    """Give the pixel u, v of a distorted place on the plane; u is NaN where there is none."""
+    raise NotImplementedError
+
+
 def plane_of_pixel(u: Any, v: Any, lens: Any) -> Any:
-    """Undo what comes after the distortion: give the place x, y on the plane that a pixel shows."""
+    """Undo `pixel_of_plane`: give the place x, y that a pixel shows."""
     raise NotImplementedError
 
 
@@ -45,6 +52,16 @@ def ray_of_pixel(u: Any, v: Any, lens: Any) -> Any:
     raise NotImplementedError
 
 
+def centred_pixel(x: Any, y: Any, lens: Any) -> Any:
+    """Put in the focal lengths and the principal point: `pixel_of_plane` of most models."""
+    return lens.fx * x + lens.cx, lens.fy * y + lens.cy
+
+
+def plane_of_centred_pixel(u: Any, v: Any, lens: Any) -> Any:
+    """Take out the principal point and the focal lengths: `plane_of_pixel` of most models."""
+    return (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+
+
 def formula_of(lens_class: type, generic: Formula) -> Callable[[Formula], Formula]:
     """Say that the decorated function is what `generic` does for lenses of `lens_class`, the last argument."""
 
@@ -52,7 +69,13 @@ def formula_of(lens_class: type, generic: Formula) -> Callable[[Formula], Formul
         def choose(*types: Any) -> Formula | None:
             return function if getattr(types[-1], "instance_class", None) is lens_class else None
 
-        overload(generic, jit_options=INLINE, strict=False)(choose)
+        overload(generic, jit_options=_OPTIONS, strict=False)(choose)
         return function
 
     return register
+
+
+def use_formulas(lens_class: type, formulas: Mapping[Formula, Formula]) -> None:
+    """Say for several names at once what they mean for lenses of `lens_class`."""
+    for generic, function in formulas.items():
+        formula_of(lens_class, generic)(function)

@@ -21,21 +21,30 @@ import numpy as np
 from numba import njit
 
 from sceneloom.cameras.charts import (
-    by_angle,
-    ray_of_angle,
+    pixel_by_angle,
+    ray_by_angle,
 )
-from sceneloom.cameras.compiled import FOLD_SIGNATURE, INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
-from sceneloom.cameras.domain import first_positive_root
-from sceneloom.cameras.folds import radius_without_fold
+from sceneloom.cameras.compiled import (
+    FOLD_SIGNATURE,
+    INLINE,
+    KERNEL,
+    PICTURE_SIGNATURE,
+    ROWS_SIGNATURE,
+    first_numbers,
+)
+from sceneloom.cameras.domain import first_positive_root, radius_without_fold
 from sceneloom.cameras.formulas import (
+    centred_pixel,
     distort,
     formula_of,
+    pixel_of_plane,
+    plane_of_centred_pixel,
     plane_of_pixel,
     project_point,
     ray_of_chart,
+    use_formulas,
 )
 from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
-from sceneloom.cameras.off_axis import plane_of_centred_pixel
 
 
 class KannalaBrandt18Lens(NamedTuple):
@@ -66,20 +75,17 @@ class KannalaBrandt18Lens(NamedTuple):
     limit: float
 
 
-formula_of(KannalaBrandt18Lens, plane_of_pixel)(plane_of_centred_pixel)
+_COUNT = len(KannalaBrandt18Lens._fields)
 
-
-@formula_of(KannalaBrandt18Lens, project_point)
-def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
-    a, b, square = by_angle(x, y, z)
-    x, y, _, _, _, _ = distort(a, b, lens)
-    known = square < lens.limit * lens.limit
-    return (lens.fx * x + lens.cx if known else math.nan), lens.fy * y + lens.cy
-
-
-@formula_of(KannalaBrandt18Lens, ray_of_chart)
-def _ray(a: Any, b: Any, lens: Any) -> Any:
-    return ray_of_angle(a, b)
+use_formulas(
+    KannalaBrandt18Lens,
+    {
+        project_point: pixel_by_angle,
+        pixel_of_plane: centred_pixel,
+        plane_of_pixel: plane_of_centred_pixel,
+        ray_of_chart: ray_by_angle,
+    },
+)
 
 
 @formula_of(KannalaBrandt18Lens, distort)
@@ -139,32 +145,8 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(n):  # type: ignore[no-untyped-def]
-    return KannalaBrandt18Lens(
-        n[0],
-        n[1],
-        n[2],
-        n[3],
-        n[4],
-        n[5],
-        n[6],
-        n[7],
-        n[8],
-        n[9],
-        n[10],
-        n[11],
-        n[12],
-        n[13],
-        n[14],
-        n[15],
-        n[16],
-        n[17],
-        n[18],
-        n[19],
-        n[20],
-        n[21],
-        n[22],
-    )
+def _lens(numbers):  # type: ignore[no-untyped-def]
+    return KannalaBrandt18Lens(*first_numbers(numbers, _COUNT))
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)

@@ -16,16 +16,26 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
-from sceneloom.cameras.compiled import INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
+from sceneloom.cameras.compiled import (
+    INLINE,
+    KERNEL,
+    PICTURE_SIGNATURE,
+    ROWS_SIGNATURE,
+    first_numbers,
+)
 from sceneloom.cameras.domain import first_positive_root
 from sceneloom.cameras.formulas import (
+    centred_pixel,
     distance_at,
     formula_of,
+    pixel_of_plane,
+    plane_of_centred_pixel,
     plane_of_pixel,
     project_point,
+    use_formulas,
 )
 from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
-from sceneloom.cameras.off_axis import pixel_off_axis, plane_of_centred_pixel
+from sceneloom.cameras.off_axis import pixel_off_axis
 
 
 class ModEquiFishLens(NamedTuple):
@@ -42,8 +52,12 @@ class ModEquiFishLens(NamedTuple):
     limit: float
 
 
-formula_of(ModEquiFishLens, project_point)(pixel_off_axis)
-formula_of(ModEquiFishLens, plane_of_pixel)(plane_of_centred_pixel)
+_COUNT = len(ModEquiFishLens._fields)
+
+use_formulas(
+    ModEquiFishLens,
+    {project_point: pixel_off_axis, pixel_of_plane: centred_pixel, plane_of_pixel: plane_of_centred_pixel},
+)
 
 
 @formula_of(ModEquiFishLens, distance_at)
@@ -62,8 +76,8 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(n):  # type: ignore[no-untyped-def]
-    return ModEquiFishLens(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8])
+def _lens(numbers):  # type: ignore[no-untyped-def]
+    return ModEquiFishLens(*first_numbers(numbers, _COUNT))
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)

@@ -1,10 +1,10 @@
-"""Formulas that all lenses share in which the angle off the axis alone decides on the distance from the centre."""
+"""Formulas of lenses in which the angle off the axis alone decides on the distance from the picture's centre."""
 
 import math
 from typing import Any
 
 from sceneloom.cameras.angles import angle_off_axis
-from sceneloom.cameras.formulas import distance_at
+from sceneloom.cameras.formulas import distance_at, pixel_of_plane
 
 
 def pixel_off_axis(x: Any, y: Any, z: Any, lens: Any) -> Any:
@@ -16,11 +16,7 @@ def pixel_off_axis(x: Any, y: Any, z: Any, lens: Any) -> Any:
     angle = angle_off_axis(side, z)
     distance, _ = distance_at(angle, lens)
     scale = distance / side if side > 0.0 else 0.0
+    u, v = pixel_of_plane(x * scale, y * scale, lens)
     ahead = (z > 0.0) & (distance == 0.0)
     known = (angle < lens.limit) & (distance >= 0.0) & ((side > 0.0) | ahead)
-    return (lens.fx * (x * scale) + lens.cx if known else math.nan), lens.fy * (y * scale) + lens.cy
-
-
-def plane_of_centred_pixel(u: Any, v: Any, lens: Any) -> Any:
-    """Take the principal point and the focal lengths off a pixel."""
-    return (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+    return (u if known else math.nan), v

@@ -20,19 +20,27 @@ from numba import njit
 
 from sceneloom.cameras.bending import shift_and_decentre
 from sceneloom.cameras.charts import (
-    by_sphere,
-    ray_of_sphere,
+    pixel_by_sphere,
+    ray_by_sphere,
     sphere_rim,
 )
-from sceneloom.cameras.compiled import FOLD_SIGNATURE, INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
-from sceneloom.cameras.domain import first_positive_root
-from sceneloom.cameras.folds import radius_without_fold
+from sceneloom.cameras.compiled import (
+    FOLD_SIGNATURE,
+    INLINE,
+    KERNEL,
+    PICTURE_SIGNATURE,
+    ROWS_SIGNATURE,
+    first_numbers,
+)
+from sceneloom.cameras.domain import first_positive_root, radius_without_fold
 from sceneloom.cameras.formulas import (
     distort,
     formula_of,
+    pixel_of_plane,
     plane_of_pixel,
     project_point,
     ray_of_chart,
+    use_formulas,
 )
 from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
 
@@ -53,23 +61,20 @@ class OmnidirLens(NamedTuple):
     limit: float
 
 
-@formula_of(OmnidirLens, project_point)
-def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
-    a, b, square = by_sphere(x, y, z, lens.xi)
-    x, y, _, _, _, _ = distort(a, b, lens)
-    known = square < lens.limit * lens.limit
-    return (lens.fx * x + lens.s * y + lens.cx if known else math.nan), lens.fy * y + lens.cy
+_COUNT = len(OmnidirLens._fields)
+
+use_formulas(OmnidirLens, {project_point: pixel_by_sphere, ray_of_chart: ray_by_sphere})
+
+
+@formula_of(OmnidirLens, pixel_of_plane)
+def _skewed_pixel(x: Any, y: Any, lens: Any) -> Any:
+    return lens.fx * x + lens.s * y + lens.cx, lens.fy * y + lens.cy
 
 
 @formula_of(OmnidirLens, plane_of_pixel)
-def _plane(u: Any, v: Any, lens: Any) -> Any:
+def _plane_of_skewed_pixel(u: Any, v: Any, lens: Any) -> Any:
     y = (v - lens.cy) / lens.fy
     return (u - lens.cx - lens.s * y) / lens.fx, y
-
-
-@formula_of(OmnidirLens, ray_of_chart)
-def _ray(a: Any, b: Any, lens: Any) -> Any:
-    return ray_of_sphere(a, b, lens.xi)
 
 
 @formula_of(OmnidirLens, distort)
@@ -87,8 +92,8 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(n):  # type: ignore[no-untyped-def]
-    return OmnidirLens(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10])
+def _lens(numbers):  # type: ignore[no-untyped-def]
+    return OmnidirLens(*first_numbers(numbers, _COUNT))
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)

@@ -20,22 +20,31 @@ from numba import njit
 
 from sceneloom.cameras.bending import shift_and_decentre
 from sceneloom.cameras.charts import (
-    by_sphere,
-    ray_of_sphere,
+    pixel_by_sphere,
+    ray_by_sphere,
     sphere_rim,
 )
-from sceneloom.cameras.compiled import FOLD_SIGNATURE, INLINE, KERNEL, PICTURE_SIGNATURE, ROWS_SIGNATURE
-from sceneloom.cameras.domain import first_positive_root
-from sceneloom.cameras.folds import radius_without_fold
+from sceneloom.cameras.compiled import (
+    FOLD_SIGNATURE,
+    INLINE,
+    KERNEL,
+    PICTURE_SIGNATURE,
+    ROWS_SIGNATURE,
+    first_numbers,
+)
+from sceneloom.cameras.domain import first_positive_root, radius_without_fold
 from sceneloom.cameras.formulas import (
+    centred_pixel,
     distort,
     formula_of,
+    pixel_of_plane,
+    plane_of_centred_pixel,
     plane_of_pixel,
     project_point,
     ray_of_chart,
+    use_formulas,
 )
 from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
-from sceneloom.cameras.off_axis import plane_of_centred_pixel
 
 
 class OmnidirectionalLens(NamedTuple):
@@ -57,20 +66,17 @@ class OmnidirectionalLens(NamedTuple):
     limit: float
 
 
-formula_of(OmnidirectionalLens, plane_of_pixel)(plane_of_centred_pixel)
+_COUNT = len(OmnidirectionalLens._fields)
 
-
-@formula_of(OmnidirectionalLens, project_point)
-def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
-    a, b, square = by_sphere(x, y, z, lens.xi)
-    x, y, _, _, _, _ = distort(a, b, lens)
-    known = square < lens.limit * lens.limit
-    return (lens.fx * x + lens.cx if known else math.nan), lens.fy * y + lens.cy
-
-
-@formula_of(OmnidirectionalLens, ray_of_chart)
-def _ray(a: Any, b: Any, lens: Any) -> Any:
-    return ray_of_sphere(a, b, lens.xi)
+use_formulas(
+    OmnidirectionalLens,
+    {
+        project_point: pixel_by_sphere,
+        pixel_of_plane: centred_pixel,
+        plane_of_pixel: plane_of_centred_pixel,
+        ray_of_chart: ray_by_sphere,
+    },
+)
 
 
 @formula_of(OmnidirectionalLens, distort)
@@ -90,10 +96,8 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(n):  # type: ignore[no-untyped-def]
-    return OmnidirectionalLens(
-        n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11], n[12], n[13]
-    )
+def _lens(numbers):  # type: ignore[no-untyped-def]
+    return OmnidirectionalLens(*first_numbers(numbers, _COUNT))
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)

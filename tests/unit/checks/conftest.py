@@ -64,8 +64,9 @@ class Sound:
         """A camera with noise for pictures."""
         times = self.times() if stamps_ns is None else np.asarray(stamps_ns, np.int64)
         rng = np.random.default_rng(0)
-        rgb = rng.integers(0, 255, (lens.height, lens.width, 3), np.uint8)
-        pictures = LazyFrames.of([Picture.of(int(t), lens, rgb) for t in times], times)
+        noise = rng.integers(0, 255, (len(times), lens.height, lens.width, 3), np.uint8)
+        shots = [Picture.of(int(t), lens, rgb) for t, rgb in zip(times, noise, strict=True)]
+        pictures = LazyFrames.of(shots, times)
         return CameraSensor(
             **{"id": "front", "camera": lens, "pictures": pictures, "poses": self.path(), **fields}
         )

@@ -1,0 +1,227 @@
+"""Validating: which rules run, what is reported how often, and what fixing writes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.checks import Hit, Rule, all_rules, catalogue, chosen_rules, validate
+from sceneloom.checks.report import findings_of
+from sceneloom.checks.subject import Subject
+from sceneloom.checks.walk import find_all
+from sceneloom.errors import OptionError, OutputError, UnknownFormatError
+from sceneloom.scene import LazyFrames, Severity
+
+PERIOD, SECOND = 100_000_000, 1_000_000_000
+POSE = [0, 0, 0, 0, 0, 0, 1]
+
+
+def header(**fields):
+    """A file with a quaternion that is too long, frames out of order, and a sensor without a type."""
+    frames = [
+        {"timestamp": t, "points": {"positions": np.full((3, 3), 1 + t / 1e6, np.float32)}}
+        for t in (100_000, 0)
+    ]
+    poses = {"timestamps": [0, 100_000], "values": [POSE, [0, 0, 0, 0, 0, 0, 2]]}
+    lidar = {"id": "top", "type": "lidar", "poses": poses, "frames": frames}
+    return {"version": "1.0", "sensors": [{"id": "x"}, lidar], **fields}
+
+
+@pytest.fixture
+def faulty(tmp_path, encode_sfs):
+    path = tmp_path / "faulty.sfs"
+    path.write_bytes(encode_sfs(header()))
+    return path
+
+
+@pytest.fixture
+def target(tmp_path):
+    return tmp_path / "mended.sfs"
+
+
+def rules_of(findings):
+    return {finding.rule for finding in findings}
+
+
+def test_a_sound_scene_passes_with_nothing_found(sound):
+    report = validate(sound.scene(sound.lidar(), sound.camera(), sound.odometry()), strict=True)
+    assert report.passed
+    assert [(f.rule, f.path, f.message) for f in report.findings] == []
+    assert report.counts == {"error": 0, "warning": 0, "hint": 0}
+    assert set(report.rules) == {rule.id for rule in chosen_rules("sfs")}
+
+
+def test_warnings_count_only_where_the_caller_is_strict(sound):
+    scene = sound.scene(sound.lidar(poses=None), sound.odometry())
+    assert validate(scene).counts["warning"] == 1
+    assert validate(scene).passed
+    assert not validate(scene, strict=True).passed
+
+
+def test_the_worst_comes_first_and_paths_are_those_of_the_file(faulty):
+    report = validate(faulty)
+    order = [list(Severity).index(finding.severity) for finding in report.findings]
+    assert order == sorted(order)
+    assert not report.passed
+    places = {(finding.rule, finding.path) for finding in report.findings}
+    assert {
+        ("fields-valid", "sensors[0].type"),
+        ("quaternion-norm", "sensors[1].poses.values[1]"),
+        ("frame-times-increasing", "sensors[1].frames[1]"),
+    } <= places
+
+
+def test_chosen_and_ignored_rules_are_obeyed(faulty):
+    assert rules_of(validate(faulty, rules=["quaternion-norm"]).findings) == {"quaternion-norm"}
+    assert "quaternion-norm" not in rules_of(validate(faulty, ignore=["quaternion-norm"]).findings)
+
+
+@pytest.mark.parametrize("options", [{"rules": ["no-such"]}, {"ignore": ["no-such"]}, {"profile": "bs5"}])
+def test_unknown_rules_and_profiles_are_refused(sound, options):
+    with pytest.raises(OptionError):
+        validate(sound.scene(), **options)
+
+
+def test_an_unknown_path_is_refused(tmp_path):
+    with pytest.raises(UnknownFormatError):
+        validate(tmp_path / "nothing.sfs")
+
+
+def test_each_frame_is_read_once_for_all_rules_and_not_at_all_where_not_asked(sound):
+    read = []
+    lidar = sound.lidar()
+    frames = LazyFrames(lidar.frames.timestamps_ns, lambda k: read.append(k) or lidar.frames[k])
+    scene = sound.scene(replace(lidar, frames=frames))
+    assert validate(scene).frames_read
+    assert read == [0, 1, 2, 3, 4, 5]
+    assert not validate(scene, frames=False).frames_read
+    assert len(read) == 6
+
+
+def test_progress_counts_frames_of_all_sensors(sound):
+    calls = []
+    validate(sound.scene(), progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(k, 12) for k in range(1, 13)]
+
+
+def test_of_many_places_the_first_are_told_and_the_others_counted(sound):
+    scene = sound.scene(sound.camera(np.zeros(60, np.int64)))
+    told = validate(scene, rules=["frame-times-increasing"])
+    assert len(told.findings) == 21
+    assert told.findings[-1].count == 39
+    assert told.findings[-1].path == "sensors[0].pictures[21]"
+    assert "up to sensors[0].pictures[59]" in told.findings[-1].message
+    assert told.counts["error"] == 59
+    everything = validate(scene, rules=["frame-times-increasing"], places=None)
+    assert len(everything.findings) == 59
+
+
+def test_one_place_more_than_the_limit_is_told_and_not_counted():
+    rule = Rule("x", Severity.ERROR, "", "")
+    hits = {"x": [Hit(f"a[{k}]", "m") for k in range(4)]}
+    assert [f.path for f in findings_of(hits, [rule], places=3)] == ["a[0]", "a[1]", "a[2]", "a[3]"]
+    assert [f.count for f in findings_of(hits, [rule], places=2)] == [1, 1, 2]
+
+
+def test_fixing_writes_a_sound_scene_and_says_what_was_done(faulty, target):
+    report = validate(faulty, fix=target)
+    assert report.output == str(target)
+    assert rules_of(report.fixed) == {"quaternion-norm", "frame-times-increasing"}
+    assert [finding.path for finding in report.left_out] == ["sensors[0].type"]
+    assert report.passed
+    with sceneloom.open(target) as scene:
+        [lidar] = scene.sensors
+        assert lidar.frames.timestamps_ns.tolist() == [0, PERIOD]
+        assert [float(frame.points.positions[0, 0]) for frame in lidar.frames] == [1.0, pytest.approx(1.1)]
+        assert lidar.poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]] * 2
+
+
+def test_fixing_what_was_fixed_changes_no_byte(faulty, target, tmp_path):
+    validate(faulty, fix=target)
+    again = tmp_path / "again.sfs"
+    report = validate(target, fix=again)
+    assert report.fixed == report.left_out == ()
+    assert again.read_bytes() == target.read_bytes()
+
+
+def test_only_the_rules_that_are_run_mend(faulty, target):
+    report = validate(faulty, fix=target, ignore=["frame-times-increasing"])
+    assert rules_of(report.fixed) == {"quaternion-norm"}
+    with sceneloom.open(target) as scene:
+        assert scene.sensors[0].frames.timestamps_ns.tolist() == [PERIOD, 0]
+
+
+def test_a_target_that_exists_is_kept(faulty, target):
+    target.write_bytes(b"mine")
+    with pytest.raises(OutputError):
+        validate(faulty, fix=target)
+    assert target.read_bytes() == b"mine"
+    assert validate(faulty, fix=target, overwrite=True).output == str(target)
+
+
+def test_a_file_may_be_mended_in_its_own_place(faulty):
+    assert validate(faulty, fix=faulty, overwrite=True).passed
+
+
+@pytest.mark.parametrize("fields", [{"version": "2.0"}, {"time_unit": "hours"}, {"time_offset": "yesterday"}])
+def test_a_file_whose_meaning_had_to_be_guessed_is_not_written(tmp_path, encode_sfs, target, fields):
+    path = tmp_path / "guess.sfs"
+    path.write_bytes(encode_sfs(header(**fields)))
+    report = validate(path, fix=target)
+    assert report.output is None
+    assert not report.passed
+    assert not target.exists()
+
+
+def test_a_file_that_cannot_be_read_at_all_gives_one_finding(tmp_path, target):
+    path = tmp_path / "torn.sfs"
+    path.write_bytes(b'{"version": ')
+    report = validate(path, fix=target)
+    assert [finding.rule for finding in report.findings] == ["file-readable"]
+    assert report.output is None
+
+
+def test_epoch_stamps_are_mended_without_moving_anything(tmp_path, encode_sfs, target):
+    start_us = 1_700_000_000_000_000
+    path = tmp_path / "epoch.sfs"
+    lidar = header()["sensors"][1]
+    for frame in lidar["frames"]:
+        frame["timestamp"] += start_us
+    lidar["poses"] = {"timestamps": [start_us], "values": [POSE]}
+    path.write_bytes(encode_sfs({"version": "1.0", "sensors": [lidar]}))
+    report = validate(path, fix=target)
+    assert "epoch-times" in rules_of(report.fixed)
+    with sceneloom.open(path) as before, sceneloom.open(target) as after:
+        assert after.time_offset_ns == start_us * 1000
+        assert sorted(before.sensors[0].frames.timestamps_ns) == list(after.sensors[0].frames.timestamps_ns)
+
+
+def test_a_recording_can_be_checked_and_fixed(tmp_path, sound):
+    folder, mended = tmp_path / "drive", tmp_path / "drive.sfs"
+    sceneloom.write(sound.scene(sound.lidar(), sound.odometry()), folder)
+    report = validate(folder, fix=mended)
+    assert report.format == "recording"
+    assert report.output == str(mended)
+    assert mended.exists()
+
+
+def test_every_rule_has_an_id_of_its_own_and_says_what_to_do():
+    rules = all_rules()
+    assert len({rule.id for rule in rules}) == len(rules)
+    for rule in rules:
+        assert rule.id == rule.id.lower().replace("_", "-")
+        assert rule.summary.endswith(".")
+        assert rule.remedy.endswith(".")
+        assert rule.find or rule.look
+    assert [row.id for row in catalogue()] == [rule.id for rule in rules]
+
+
+def test_fixes_leave_a_sound_scene_as_it_is(sound):
+    scene = sound.scene(sound.lidar(), sound.camera(), sound.odometry())
+    for rule in all_rules():
+        if rule.fix is not None:
+            fixed = rule.fix(scene)
+            assert fixed.sensors == scene.sensors, rule.id
+            assert fixed.annotations == scene.annotations, rule.id
+            assert find_all(Subject(fixed), [rule]) == {rule.id: []}

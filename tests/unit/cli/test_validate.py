@@ -1,0 +1,90 @@
+"""`sceneloom validate`: what it prints, what it writes, how it exits."""
+
+import json
+
+import numpy as np
+import pytest
+
+POSE = [0, 0, 0, 0, 0, 0, 1]
+
+
+@pytest.fixture
+def faulty(tmp_path, encode_sfs):
+    """A file with a quaternion that is too long."""
+    poses = {"timestamps": [0, 100_000], "values": [POSE, [0, 0, 0, 0, 0, 0, 2]]}
+    frames = [{"timestamp": 0, "points": {"positions": np.ones((2, 3), np.float32)}}]
+    lidar = {"id": "top", "type": "lidar", "poses": poses, "frames": frames}
+    path = tmp_path / "faulty.sfs"
+    path.write_bytes(encode_sfs({"version": "1.0", "sensors": [lidar]}))
+    return path
+
+
+def test_findings_stand_under_their_rule_with_the_remedy_once(call, faulty):
+    done = call("validate", faulty)
+    assert done.code == 1
+    lines = done.out.splitlines()
+    assert lines[0].startswith(f"{faulty}: sfs, profile sfs: not passed, 1 error")
+    start = lines.index("errors")
+    assert lines[start + 1] == "  quaternion-norm: 1 time, --fix mends it"
+    assert lines[start + 2].startswith("    sensors[0].poses.values[1]: a quaternion of norm 2; expected 1")
+    assert lines[start + 3].startswith("    → Normalise")
+
+
+def test_the_result_as_json_has_every_finding(call, faulty):
+    done = call("validate", faulty, "--json", "--rule", "quaternion-norm")
+    report = json.loads(done.out)
+    assert done.code == 1
+    assert report["counts"] == {"error": 1, "warning": 0, "hint": 0}
+    assert report["findings"][0]["path"] == "sensors[0].poses.values[1]"
+    assert report["findings"][0]["fixable"] is True
+
+
+def test_fixing_writes_and_passes(call, faulty, tmp_path):
+    target = tmp_path / "mended.sfs"
+    done = call("validate", faulty, "--fix", target)
+    assert done.code == 0
+    assert "fixed\n  quaternion-norm: sensors[0].poses.values[1]" in done.out
+    assert f"written: {target}" in done.out
+    assert call("validate", target).code == 0
+    assert call("validate", faulty, "--fix", target).code == 1
+    assert call("validate", faulty, "--fix", target, "--overwrite").code == 0
+
+
+def test_what_cannot_be_written_is_said(call, tmp_path):
+    path = tmp_path / "torn.sfs"
+    path.write_bytes(b'{"version": ')
+    done = call("validate", path, "--fix", tmp_path / "mended.sfs")
+    assert done.code == 1
+    assert "nothing was written" in done.err
+
+
+def test_strict_lets_warnings_fail(call, recording):
+    assert call("validate", recording, "--quick").code == 0
+    without_way = call("validate", recording, "--strict", "--ignore", "picture-plain")
+    assert without_way.code in (0, 1)
+    assert without_way.code == ("warning" in without_way.out.splitlines()[0])
+
+
+def test_hints_are_left_out_where_quiet_is_said(call, faulty):
+    only = ("--rule", "reading-assumed")
+    assert "reading-assumed" in call("validate", faulty, *only).out
+    assert "reading-assumed" not in call("validate", faulty, *only, "--quiet").out
+
+
+def test_the_rules_are_listed(call):
+    done = call("validate", "--rules")
+    assert done.code == 0
+    assert "quaternion-norm (error, fix)\n" in done.out
+    rows = json.loads(call("validate", "--rules", "--json").out)
+    assert {"id", "severity", "summary", "remedy", "fixable", "only_in"} == set(rows[0])
+
+
+@pytest.mark.parametrize("arguments", [[], ["x.sfs", "--profile", "bs5"]])
+def test_bad_usage_is_refused(call, arguments):
+    assert call("validate", *arguments).code == 2
+
+
+def test_an_unknown_rule_is_bad_usage(call, faulty):
+    done = call("validate", faulty, "--rule", "no-such")
+    assert done.code == 2
+    assert "--rules" in done.err

@@ -1,8 +1,19 @@
 """Scenes out of scenes: cut, joined, thinned, moved, corrected."""
 
+from sceneloom.editing.crop import crop_scene
 from sceneloom.editing.frames import to_ego, to_sensor, to_world
 from sceneloom.editing.lenses import convert_lenses
+from sceneloom.editing.simplify import simplify_scene
 from sceneloom.editing.thin import thin_scene
 from sceneloom.editing.undistortion import undistort_scene
 
-__all__ = ["convert_lenses", "thin_scene", "to_ego", "to_sensor", "to_world", "undistort_scene"]
+__all__ = [
+    "convert_lenses",
+    "crop_scene",
+    "simplify_scene",
+    "thin_scene",
+    "to_ego",
+    "to_sensor",
+    "to_world",
+    "undistort_scene",
+]

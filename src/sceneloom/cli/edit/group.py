@@ -9,10 +9,14 @@ from sceneloom.cli.verb_group import VerbGroup
 VERBS = MappingProxyType(
     {
         "deskew": "Undo the motion during each lidar sweep.",
+        "crop": "Keep a part: in time, in space, of some sensors or labels.",
         "thin": "Keep fewer points, or fewer frames.",
         "to-world": "Bring points, poses and annotations into the world.",
         "to-ego": "Bring points, poses and annotations onto the ego.",
         "to-sensor": "Bring points into the frames of their sensors.",
+        "count": "Count the points in each cuboid.",
+        "project": "See the cuboids with the cameras.",
+        "simplify": "Keep only those stamps of paths that the others do not tell.",
         "undistort": "Resample pictures so that their lenses are pinholes.",
         "lens": "Tell the lenses by another model, as near as it comes.",
     }

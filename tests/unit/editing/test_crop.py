@@ -1,0 +1,227 @@
+"""Cropped scenes: what lies inside stays with all that is known of it, and what refers to the rest follows."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.editing import crop_scene, to_ego
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    Activation,
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
+    GroupAnnotation,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    LinkAnnotation,
+    LocalizationAdjustment,
+    ObjectAnnotation,
+    PointPath,
+    PointsAnnotation,
+    PointsFrame,
+    PointsSensor,
+    PosePath,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
+)
+
+BOX = (-10.0, -15.0, -20.0, 25.0, 12.0, 20.0)
+REACH = 22.0
+
+
+def inside_box(points):
+    """By formula."""
+    return ((points >= BOX[:3]) & (points <= BOX[3:])).all(axis=1)
+
+
+@pytest.mark.parametrize("given", list(PointsFrame))
+@pytest.mark.parametrize("frame", list(PointsFrame))
+def test_points_in_a_box_of_any_frame_stay(drive, given, frame):
+    cropped = crop_scene(drive.scene(given), box=BOX, frame=frame)
+    for sensor_id in ("lidar", "radar"):
+        before = drive.scene(given).sensor(sensor_id)
+        for k, found in enumerate(cropped.sensor(sensor_id).frames):
+            inside = inside_box(drive.frame_from_world(k, frame).apply(drive.points_world(k)))
+            assert 0 < inside.sum() < len(inside)
+            np.testing.assert_array_equal(found.points.positions, before.frames[k].points.positions[inside])
+    assert cropped.metadata["sceneloom"]["cropped"] == {"box": list(BOX), "frame": frame.value}
+
+
+@pytest.mark.parametrize("frame", [PointsFrame.SENSOR, PointsFrame.EGO])
+def test_points_within_range_stay(drive, frame):
+    cropped = crop_scene(drive.scene(PointsFrame.WORLD), reach=REACH, frame=frame)
+    for k, found in enumerate(cropped.sensor("lidar").frames):
+        away = np.linalg.norm(drive.frame_from_world(k, frame).apply(drive.points_world(k)), axis=1)
+        expected = drive.points_world(k)[away <= REACH].astype(np.float32)
+        np.testing.assert_array_equal(found.points.positions, expected)
+
+
+def test_a_map_stays_where_any_sensor_comes_by(drive):
+    places = np.array([[20.0, 0, 0], [20, 5, 0], [-20, 0, 0], [np.nan, 0, 0]], np.float32)
+    scene = drive.scene(PointsFrame.WORLD)
+    scene = replace(scene, sensors=(*scene.sensors, PointsSensor("map", places)))
+    inside = crop_scene(scene, box=(0, -1, -1, 30, 9, 1)).sensor("map").positions
+    np.testing.assert_array_equal(inside, places[:2])
+    # the ego goes from (20, 0) to (19.6, 4): the second place is 1.1 m from where it ends
+    near = crop_scene(scene, reach=1.5, frame="ego").sensor("map").positions
+    np.testing.assert_array_equal(near, places[:2])
+
+
+def test_labelled_points_are_counted_anew(drive):
+    inside = np.flatnonzero(inside_box(drive.points_world(2)))
+    ids = np.array([inside[3], inside[0], np.setdiff1d(np.arange(40), inside)[0]], np.uint32)
+    label = LabeledPointsAnnotation("a", (LabeledPoints("lidar", ids, 2),))
+    cropped = crop_scene(drive.scene(PointsFrame.WORLD, [label]), box=BOX)
+    assert cropped.annotations[0].labeled_points[0].point_ids.tolist() == [3, 0]
+    assert {notice.code for notice in cropped.notices} == {"labelled-points"}
+
+
+def test_cuboids_stay_while_their_centre_is_inside(drive, box):
+    times = drive.stamps_ns
+    passing = box("passing", times, [[-25.0, 0, 0], [-12, 0, 0], [0, 0, 0], [30, 0, 0], [40, 0, 0]])
+    passing = replace(
+        passing, activations=(Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),), stationary=False
+    )
+    seldom = box("between", [0, 400_000_000], [[-50.0, 0, 0], [50, 0, 0]])
+    outside = box("outside", times[:2], [[0.0, 50, 0], [0, 50, 0]])
+    parked = box("parked", [7], [[1.0, 1, 1]], stationary=True)
+    cropped = crop_scene(drive.scene(annotations=[passing, seldom, outside, parked]), box=BOX)
+    found = {annotation.id: annotation for annotation in cropped.annotations}
+    # inside at the third keyframe, and between it and its neighbours, which stay for that
+    assert found["passing"].path.timestamps_ns.tolist() == times[1:4].tolist()
+    assert found["passing"].activations[0].durations_ns == (2, 3, 4)
+    # inside at a frame's time, at no keyframe
+    assert found["between"].path.timestamps_ns.tolist() == [0, 400_000_000]
+    assert set(found) == {"passing", "between", "parked"}
+    assert [(n.code, n.count) for n in cropped.notices] == [("annotations-left-out", 1)]
+
+
+def test_cuboids_on_the_ego_are_cropped_in_the_world_and_the_other_way_round(drive, box):
+    front = box("front", drive.stamps_ns, np.tile([20.0, 0.5, 0], (5, 1)))
+    for annotation, frame in ((front, "world"), (front, "ego")):
+        on_ego = to_ego(drive.scene(annotations=[annotation]))
+        near = crop_scene(on_ego, box=(19, 0, -1, 21, 1, 1), frame=frame)
+        assert len(near.annotations) == (frame == "world")
+        far = crop_scene(drive.scene(annotations=[annotation]), box=(-5, -5, -2, 5, 5, 2), frame=frame)
+        assert len(far.annotations) == (frame == "ego")
+
+
+def test_shapes_and_named_points_stay_whole_when_any_vertex_is_inside(drive):
+    square = np.array([[24.0, 0, 0], [30, 0, 0], [30, 6, 0]])
+    shapes = [
+        ShapeAnnotation("touching", ShapeType.POLYGON, VertexPath(drive.stamps_ns[:1], (square,))),
+        ShapeAnnotation("away", ShapeType.POLYLINE, VertexPath(drive.stamps_ns[:1], (square + 9.0,))),
+        ShapeAnnotation(
+            "drawn", ShapeType.POLYGON_2D, VertexPath(drive.stamps_ns[:1], (square[:, :2] + 99.0,)), "camera"
+        ),
+        PointsAnnotation(
+            "body",
+            (
+                PointPath(drive.stamps_ns[:1], np.array([[99.0, 0, 0]])),
+                PointPath(drive.stamps_ns[:1], np.zeros((1, 3))),
+            ),
+        ),
+        PointsAnnotation("far body", (PointPath(drive.stamps_ns[:1], np.array([[99.0, 0, 0]])),)),
+    ]
+    cropped = crop_scene(drive.scene(annotations=shapes), box=BOX)
+    assert [annotation.id for annotation in cropped.annotations] == ["touching", "drawn", "body"]
+    assert len(cropped.annotations[0].path.vertices[0]) == 3
+    assert len(cropped.annotations[2].paths) == 2
+
+
+def test_sensors_go_with_all_that_is_said_of_them(drive, box):
+    seen = replace(
+        box("seen", [0], [[0.0, 0, 0]]),
+        activations=(Activation("radar", drive.stamps_ns), Activation("lidar", drive.stamps_ns)),
+        attributes=(AttributePath("wet", ("yes",), sensor_id="camera"), AttributePath("new", ("yes",))),
+    )
+    drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.stamps_ns[:1], np.ones((1, 4))))
+    owner = ObjectAnnotation("owner", parent_id="drawn")
+    link = LinkAnnotation("link", "seen", "drawn")
+    cropped = crop_scene(drive.scene(annotations=[seen, drawn, owner, link]), without=["camera", "radar"])
+    assert [sensor.id for sensor in cropped.sensors] == ["lidar", "ego"]
+    assert [(a.id, a.parent_id) for a in cropped.annotations] == [("seen", None), ("owner", None)]
+    assert [entry.sensor_id for entry in cropped.annotations[0].activations] == ["lidar"]
+    assert [attribute.name for attribute in cropped.annotations[0].attributes] == ["new"]
+    told = {notice.code: notice.count for notice in cropped.notices}
+    assert told == {
+        "annotations-left-out": 1,
+        "links-left-out": 1,
+        "parents-left-out": 1,
+        "sensors-left-out": 2,
+        "colours-kept": 1,
+    }
+
+
+def test_points_name_the_cameras_by_their_new_places(drive):
+    scene = drive.scene(PointsFrame.WORLD)
+    camera = scene.sensor("camera")
+    frame = scene.sensor("lidar").frames[0]
+    index = np.resize(np.array([0, 1, 2, 255], np.uint8), len(frame.points))
+    coloured = replace(frame, points=replace(frame.points, camera_index=index))
+    lidar = replace(scene.sensor("lidar"), frames=LazyFrames.of([coloured], [0]))
+    sensors = (lidar, camera, replace(camera, id="left"), replace(camera, id="right"))
+    scene = replace(
+        scene, sensors=sensors, metadata={"sceneloom": {"fusion": {"cameras": ["camera", "left", "right"]}}}
+    )
+    cropped = crop_scene(scene, without=["left"])
+    assert cropped.sensor("lidar").frames[0].points.camera_index[:4].tolist() == [0, 255, 1, 255]
+    assert cropped.metadata["sceneloom"]["fusion"]["cameras"] == ["camera", "right"]
+    last = crop_scene(scene, without=["right"]).sensor("lidar").frames[0]
+    assert last.points.camera_index[:4].tolist() == [0, 1, 255, 255]
+
+
+def test_labels_stay_with_their_parents_and_links(drive, box):
+    annotations = [
+        GroupAnnotation("fleet"),
+        replace(box("car", [0], [[0.0, 0, 0]]), label="car", parent_id="fleet"),
+        replace(box("van", [0], [[0.0, 0, 0]]), label="van", parent_id="fleet"),
+        replace(box("cab", [0], [[0.0, 0, 0]]), label="car"),
+        LinkAnnotation("same", "car", "cab"),
+        LinkAnnotation("other", "car", "van"),
+        LocalizationAdjustment("mend", PosePath.identity()),
+    ]
+    cropped = crop_scene(drive.scene(annotations=annotations), labels=["car"])
+    assert [annotation.id for annotation in cropped.annotations] == ["fleet", "car", "cab", "same", "mend"]
+
+
+def test_a_crop_in_time_and_space_counts_frames_from_its_own_start(drive):
+    label = LabeledPointsAnnotation("a", (LabeledPoints("lidar", np.arange(40, dtype=np.uint32), 3),))
+    cropped = crop_scene(drive.scene(PointsFrame.WORLD, [label]), start=0.3, box=BOX)
+    entry = cropped.annotations[0].labeled_points[0]
+    assert entry.sensor_frame == 3 - (drive.frames - len(cropped.sensor("lidar").frames))
+    kept = cropped.sensor("lidar").frames[entry.sensor_frame].points.positions
+    assert len(entry.point_ids) == len(kept) == inside_box(drive.points_world(3)).sum()
+
+
+def test_a_cropped_scene_can_go_to_another_process(drive):
+    cropped = crop_scene(drive.scene(), box=BOX, frame="ego").sensor("radar")
+    again = pickle.loads(pickle.dumps(cropped))
+    np.testing.assert_array_equal(again.frames[1].points.positions, cropped.frames[1].points.positions)
+
+
+@pytest.mark.parametrize(
+    ("said", "problem"),
+    [
+        ({"box": (0, 0, 0, -1, 1, 1)}, "each minimum at most"),
+        ({"box": (0, 0, 0)}, "expected xmin"),
+        ({"reach": -1.0}, "range -1.0"),
+        ({"frame": "moon", "reach": 1.0}, "frame 'moon'"),
+        ({"without": ["nose"]}, "no sensor 'nose'"),
+        ({"labels": ["unicorn"]}, "no annotation has the label 'unicorn'"),
+        ({"sensors": ["lidar"], "without": ["lidar"]}, "no sensor is left"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused(drive, said, problem):
+    with pytest.raises(OptionError, match=problem):
+        crop_scene(drive.scene(), **said)
+
+
+def test_the_ego_cannot_go_from_under_what_rides_on_it(drive):
+    with pytest.raises(OptionError, match="to-world"):
+        crop_scene(to_ego(drive.scene()), without=["ego"])

@@ -15,18 +15,11 @@ from sceneloom.scene import (
     LabeledPointsAnnotation,
     Scene,
 )
+from sceneloom.scene.types import Key, key_of
 from sceneloom.visibility.points import FrameCounts, PointCounts
 
 POINTS = "points"
 """Name of the attribute that holds the counts."""
-
-Key = tuple[type, Identifier]
-
-
-def key_of(identifier: Identifier) -> Key:
-    """An id with its type: `1` is not `"1"`."""
-    return type(identifier), identifier
-
 
 def with_attributes(
     annotation: CuboidAnnotation,

@@ -26,8 +26,9 @@ from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample_boxes import BoxTable
 from sceneloom.scene.sample_places import choose_ego, places_of
 from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
+from sceneloom.scene.types import key_of
 from sceneloom.visibility.activations import activation_of
-from sceneloom.visibility.counted import key_of, with_attributes
+from sceneloom.visibility.counted import with_attributes
 from sceneloom.visibility.sights import Sights, sight
 
 TRUNCATION, OCCLUSION = "truncation", "occlusion"

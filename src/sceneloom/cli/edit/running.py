@@ -1,16 +1,19 @@
 """What all verbs of `sceneloom edit` share: their options, and how they run and report."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec import structs
 
 from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_losses, print_notices, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.edited import EditReport, Joining
+    from sceneloom.scene import Scene
+    from sceneloom.scene.ego import EgoMotion
 
 OUTPUT = click.option(
     "-o",
@@ -39,6 +42,16 @@ def way(command: Callable[..., None]) -> Callable[..., None]:
     return trajectory(options.heading(command))
 
 
+def chosen_way(scene: "Scene", trajectory: str | None, heading: str | None) -> "EgoMotion | str | None":
+    """The ego's way that was asked for; the name itself where the scene needs none, which is for others to refuse."""
+    from sceneloom.motion.ego_motion import find_ego_motion
+    from sceneloom.scene.sensor_sources import needs_ego
+
+    if (trajectory is None and heading is None) or not needs_ego(scene):
+        return trajectory
+    return find_ego_motion(scene, name=trajectory, heading=heading)
+
+
 def editing(command: Callable[..., None]) -> Callable[..., None]:
     """The argument and options of every verb that changes one drive; what `run_edit` takes."""
     argument = click.argument("path", type=click.Path(path_type=Path))
@@ -56,6 +69,7 @@ def run_edit(
     output: Path,
     change: "Joining",
     *,
+    details: Mapping[str, Any] | None = None,
     overwrite: bool,
     profile: str | None,
     time_unit: str | None,
@@ -64,7 +78,10 @@ def run_edit(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Read, change, write and print; `change` makes one scene out of those read."""
+    """Read, change, write and print; `change` makes one scene out of those read.
+
+    What it then has put into `details` is told besides: single values to people, all of it to machines.
+    """
     from sceneloom.pipeline.edited import edit_files
 
     with progress_bar(f"edit {edit}", quiet=quiet) as progress:
@@ -79,9 +96,12 @@ def run_edit(
             **options.said(profile=profile, time_unit=time_unit),
         )
     if as_json:
-        print_json(report)
-    else:
-        print_edit(report, quiet=quiet, verbose=verbose)
+        print_json({**structs.asdict(report), **(details or {})})
+        return
+    for name, value in (details or {}).items():
+        if isinstance(value, int | str):
+            click.echo(f"{name.replace('_', ' ')}: {value}")
+    print_edit(report, quiet=quiet, verbose=verbose)
 
 
 def print_edit(report: "EditReport", *, quiet: bool, verbose: bool) -> None:

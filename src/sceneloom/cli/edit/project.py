@@ -1,0 +1,73 @@
+"""`sceneloom edit project`: where the cameras see the cuboids."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli.edit.running import chosen_way, editing, run_edit, way
+from sceneloom.cli.identifiers import known_ids
+
+if TYPE_CHECKING:
+    from sceneloom.scene import Scene
+
+
+@click.command()
+@editing
+@way
+@click.option(
+    "--camera",
+    "cameras",
+    multiple=True,
+    metavar="ID",
+    help="The only cameras to look through. [default: all]",
+)
+@click.option(
+    "--min-pixels",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="N",
+    help="What is narrower or lower than this in a picture is not seen.",
+)
+@click.option(
+    "--see-through",
+    multiple=True,
+    metavar="LABEL",
+    help="What fills little of its cuboid, such as trees, and hides nothing.",
+)
+@click.option("--activations", is_flag=True, help="Also tell when each camera sees each cuboid.")
+def project(
+    path: Path,
+    output: Path,
+    trajectory: str | None,
+    heading: str | None,
+    cameras: tuple[str, ...],
+    min_pixels: float,
+    see_through: tuple[str, ...],
+    activations: bool,
+    **common: Any,
+) -> None:
+    """See the cuboids with the cameras: boxes in each picture, shares cut off and hidden."""
+    from sceneloom.scene import CuboidAnnotation
+    from sceneloom.visibility import project_cuboids
+
+    details: dict[str, Any] = {}
+
+    def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
+        projected = project_cuboids(
+            scenes[0],
+            cameras=known_ids(scenes[0], cameras) or "all",
+            trajectory=chosen_way(scenes[0], trajectory, heading),
+            min_pixels=min_pixels,
+            see_through=see_through,
+            activations=activations,
+        )
+        cuboids = [each for each in projected.annotations if isinstance(each, CuboidAnnotation)]
+        details["cuboids"] = len(cuboids)
+        details["cuboids_seen"] = sum(bool(each.projections) for each in cuboids)
+        details["projections"] = sum(len(each.projections) for each in cuboids)
+        return projected
+
+    run_edit("project", [path], output, change, details=details, **common)

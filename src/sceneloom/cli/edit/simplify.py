@@ -1,0 +1,54 @@
+"""`sceneloom edit simplify`: paths with fewer stamps."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli.edit.running import editing, run_edit
+
+if TYPE_CHECKING:
+    from sceneloom.scene import Scene
+
+PATHS = ("cuboids", "keypoints", "poses")
+
+
+@click.command()
+@editing
+@click.option(
+    "--tolerance-m",
+    type=float,
+    default=0.01,
+    show_default=True,
+    metavar="M",
+    help="How far interpolated places and sizes may be from those left out.",
+)
+@click.option(
+    "--tolerance-deg",
+    type=float,
+    default=0.1,
+    show_default=True,
+    metavar="DEG",
+    help="How far interpolated turns may be from those left out.",
+)
+@click.option(
+    "--only", multiple=True, type=click.Choice(PATHS), help="The only paths to simplify. [default: all]"
+)
+def simplify(
+    path: Path,
+    output: Path,
+    tolerance_m: float,
+    tolerance_deg: float,
+    only: tuple[str, ...],
+    **common: Any,
+) -> None:
+    """Keep only those stamps of paths that the others do not tell within the tolerances."""
+    from sceneloom.editing import simplify_scene
+
+    chosen = {name: name in (only or PATHS) for name in PATHS}
+
+    def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
+        return simplify_scene(scenes[0], tolerance_m=tolerance_m, tolerance_deg=tolerance_deg, **chosen)
+
+    run_edit("simplify", [path], output, change, **common)

@@ -1,0 +1,146 @@
+"""Fewer stamps: how few, of what, and what stays as it was."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.editing import simplify_scene
+from sceneloom.errors import OptionError
+from sceneloom.geometry.thinning import thin_greedily
+from sceneloom.scene import (
+    CuboidAnnotation,
+    CuboidPath,
+    GroupAnnotation,
+    LocalizationAdjustment,
+    OdometrySensor,
+    PointPath,
+    PointsAnnotation,
+    PosePath,
+    Scene,
+    Trajectory,
+)
+
+TURN = np.array([[0.0, 0.0, 0.0, 1.0]])
+
+
+def a_cuboid(values, stamps=None):
+    stamps = np.arange(len(values)) * 100 if stamps is None else stamps
+    return CuboidAnnotation("a", CuboidPath(np.asarray(stamps, np.int64), np.asarray(values, np.float64)))
+
+
+def rows(x, *, yaw=0.0):
+    values = np.zeros((len(x), 9))
+    values[:, :3], values[:, 3], values[:, 8] = (4.0, 2.0, 1.5), x, yaw
+    return values
+
+
+def test_a_straight_way_needs_its_ends_only():
+    scene = Scene((), (a_cuboid(rows(np.linspace(0, 50, 1001))),))
+    (simple,) = simplify_scene(scene, tolerance_m=1e-9).annotations
+    assert simple.path.timestamps_ns.tolist() == [0, 100_000]
+
+
+def test_a_corner_of_a_way_stays():
+    x = np.concatenate([np.linspace(0, 10, 50), np.full(50, 10.0)])
+    (simple,) = simplify_scene(Scene((), (a_cuboid(rows(x)),))).annotations
+    assert simple.path.timestamps_ns.tolist() == [0, 4900, 9900]
+
+
+def test_turning_counts_the_shorter_way_and_beside_the_place():
+    turning = rows(np.zeros(37), yaw=np.arange(37) * 10.0)
+    (simple,) = simplify_scene(Scene((), (a_cuboid(turning),)), tolerance_deg=0.01).annotations
+    # less than half a turn is told by its ends: 17 steps of 10 degrees
+    assert simple.path.values[:, 8].tolist() == [0.0, 170.0, 340.0, 360.0]
+
+
+def test_a_smooth_bend_needs_about_as_many_stamps_as_its_curvature_says():
+    # a circle of 20 m: between stamps an angle φ apart a line is r (1 - cos(φ/2)) off; 0.01 m: 3.6 degrees
+    angles = np.radians(np.arange(0, 360, 0.1))
+    values = rows(20 * np.cos(angles))
+    values[:, 4] = 20 * np.sin(angles)
+    (simple,) = simplify_scene(Scene((), (a_cuboid(values),)), tolerance_deg=90).annotations
+    assert 100 <= len(simple.path.timestamps_ns) <= 102
+
+
+def test_paths_of_equal_or_running_back_stamps_stay():
+    cuboid = a_cuboid(rows(np.zeros(4)), stamps=[0, 5, 5, 9])
+    assert simplify_scene(Scene((), (cuboid,))).annotations[0].path is cuboid.path
+
+
+def test_values_that_are_not_finite_stay():
+    values = rows(np.zeros(5))
+    values[2, 3] = np.nan
+    (simple,) = simplify_scene(Scene((), (a_cuboid(values),))).annotations
+    np.testing.assert_array_equal(simple.path.timestamps_ns, [0, 100, 200, 300, 400])
+
+
+def test_empty_and_short_paths_stay():
+    for count in (0, 1, 2):
+        cuboid = a_cuboid(rows(np.zeros(count)))
+        assert simplify_scene(Scene((), (cuboid,))).annotations[0] is cuboid
+
+
+def a_scene():
+    stamps = np.arange(9) * 100
+    places = np.column_stack([np.arange(9.0), np.zeros(9), np.zeros(9)])
+    path = PosePath(stamps, places, np.repeat(TURN, 9, axis=0))
+    way = Trajectory(
+        "way", stamps, places, None, file_seconds=stamps * 1e-9, covariances=np.tile(np.eye(6), (9, 1, 1))
+    )
+    annotations = (
+        a_cuboid(rows(np.arange(9.0))),
+        PointsAnnotation("p", (PointPath(stamps, places, id="q"),), labels=("nose",)),
+        LocalizationAdjustment("l", path),
+        GroupAnnotation("g"),
+    )
+    return Scene((OdometrySensor("ego", path),), annotations, trajectories={"way": way})
+
+
+def counts(scene):
+    cuboid, points, adjustment, _ = scene.annotations
+    return {
+        "cuboids": len(cuboid.path.timestamps_ns),
+        "keypoints": len(points.paths[0].timestamps_ns),
+        "adjustments": len(adjustment.poses.timestamps_ns),
+        "sensors": len(scene.sensors[0].poses.timestamps_ns),
+        "trajectories": len(scene.trajectories["way"].timestamps_ns),
+    }
+
+
+def test_all_kinds_of_paths_are_simplified_and_told():
+    simple = simplify_scene(a_scene())
+    assert counts(simple) == dict.fromkeys(counts(simple), 2)
+    assert {notice.place: notice.count for notice in simple.notices} == dict.fromkeys(counts(simple), 7)
+    way = simple.trajectories["way"]
+    assert (way.file_seconds.tolist(), way.covariances.shape) == ([0.0, 800 * 1e-9], (2, 6, 6))
+    assert simple.annotations[1].paths[0].id == "q"
+
+
+@pytest.mark.parametrize(("kind", "left"), [("cuboids", ["cuboids"]), ("keypoints", ["keypoints"])])
+def test_one_kind_of_paths_can_be_chosen(kind, left):
+    others = dict.fromkeys(("cuboids", "keypoints", "poses"), False)
+    found = counts(simplify_scene(a_scene(), **{**others, kind: True}))
+    assert [name for name, count in found.items() if count == 2] == left
+
+
+def test_a_pose_that_holds_for_ever_stays():
+    scene = replace(a_scene(), sensors=(OdometrySensor("ego", PosePath.identity()),))
+    assert simplify_scene(scene).sensors[0].poses.endless
+
+
+@pytest.mark.parametrize("wrong", [{"tolerance_m": -1.0}, {"tolerance_deg": float("nan")}])
+def test_tolerances_that_are_none_are_refused(wrong):
+    with pytest.raises(OptionError, match="expected a number from 0 on"):
+        simplify_scene(Scene(()), **wrong)
+
+
+def test_long_straight_curves_are_not_looked_at_point_by_point():
+    calls = []
+
+    def misfits(a, b):
+        calls.append(b - a)
+        return np.zeros(b - a - 1)
+
+    assert thin_greedily(100_000, misfits).tolist() == [0, 99_999]
+    assert len(calls) < 20

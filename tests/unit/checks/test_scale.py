@@ -1,0 +1,95 @@
+"""The rules of the profile `scale`, on files that our own writer makes; the library itself judges in tests/interop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.checks import all_rules, validate
+from sceneloom.formats.sfs import write_scene
+from sceneloom.scene import (
+    AttributePath,
+    CuboidAnnotation,
+    CuboidPath,
+    GroupAnnotation,
+    LazyFrames,
+    PointsSensor,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+)
+
+SECOND = 1_000_000_000
+RULES = [rule.id for rule in all_rules() if rule.id.startswith("scale-")]
+ONE = np.ones((1, 3), np.float32)
+
+
+def everything(sound):
+    """A scene with what Scale's library refuses in it, at today's date."""
+    late = 1_700_000_000 * SECOND
+
+    def moved(sensor):
+        times = sensor.frames.timestamps_ns + late
+        frames = [sound.sweep(int(t)) for t in times]
+        return replace(sensor, frames=LazyFrames.of(frames, times), poses=sound.path(times))
+
+    radar = RadarFrame(late, RadarPoints(ONE, ONE, np.ones(1, np.float32)))
+    path = sound.path(sound.times() + late)
+    attributes = (
+        AttributePath("speed", (1.5,), np.array([late])),
+        AttributePath("make", ("vw", "vw"), np.array([late, late + 1000]), static=True),
+    )
+    row = np.array([[4.0, 2, 1.5, 1, 2, 0, 0, 0, 30]])
+    cuboid = CuboidAnnotation("car", CuboidPath(np.array([late]), row), label="car", attributes=attributes)
+    return sound.scene(
+        moved(sound.lidar()),
+        RadarSensor("radar", LazyFrames.of([radar], [late]), path),
+        replace(sound.odometry(), poses=path),
+        PointsSensor("map", ONE),
+        annotations=(cuboid, GroupAnnotation("all")),
+    )
+
+
+def found_in(path):
+    report = validate(path, profile="scale", rules=RULES)
+    return sorted({finding.rule for finding in report.findings})
+
+
+def test_what_the_profile_writes_keeps_all_of_them(sound, tmp_path):
+    write_scene(everything(sound), tmp_path / "scale.sfs", profile="scale")
+    assert found_in(tmp_path / "scale.sfs") == []
+
+
+def test_what_the_text_alone_allows_is_found(sound, tmp_path):
+    write_scene(everything(sound), tmp_path / "text.sfs", time_unit="nanoseconds")
+    assert found_in(tmp_path / "text.sfs") == [
+        "scale-annotation-type",
+        "scale-field",
+        "scale-points",
+        "scale-radar-lengths",
+        "scale-scene",
+        "scale-sensor-type",
+        "scale-static-attribute",
+    ]
+
+
+def test_the_profile_of_the_text_does_not_ask_for_them(sound, tmp_path):
+    write_scene(everything(sound), tmp_path / "text.sfs")
+    assert not set(validate(tmp_path / "text.sfs").rules) & set(RULES)
+
+
+def test_a_scene_that_is_no_file_of_the_format_has_nothing_to_be_refused(sound):
+    assert validate(everything(sound), profile="scale", rules=RULES).findings == ()
+
+
+@pytest.mark.parametrize("field", ["coordinates", "parent_id"])
+def test_what_the_library_drops_in_silence_is_told(sound, tmp_path, encode_sfs, field):
+    value = {"coordinates": "ego", "parent_id": "rack"}[field]
+    poses = {"timestamps": [0], "values": [[0.0, 0, 0, 0, 0, 0, 1]]}
+    frames = [{"timestamp": 0, "points": {"positions": ONE}}]
+    lidar = {"id": "top", "type": "lidar", "poses": poses, "frames": frames, field: value}
+    (tmp_path / "a.sfs").write_bytes(encode_sfs({"version": "1.0", "sensors": [lidar]}))
+    report = validate(tmp_path / "a.sfs", profile="scale", rules=RULES)
+    assert [(finding.rule, finding.path) for finding in report.findings] == [
+        ("scale-dropped", f"sensors[0].{field}")
+    ]

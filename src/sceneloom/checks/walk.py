@@ -6,6 +6,7 @@ from typing import Any
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import SceneloomError
+from sceneloom.formats.sfs.garbage import collector_paused
 from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Sensor
 
 Progress = Callable[[int, int], None]
@@ -24,10 +25,9 @@ def find_all(
         frames: whether frames and pictures are read for the rules that look at them; each is read once.
         progress: called with the number of frames done and of all.
     """
-    hits: Hits = {rule.id: [] for rule in rules}
-    for rule in rules:
-        if rule.find is not None:
-            hits[rule.id].extend(rule.find(subject))
+    # the tables of a scene with many annotations are very many objects that form no cycles
+    with collector_paused():
+        hits: Hits = {rule.id: list(rule.find(subject)) if rule.find is not None else [] for rule in rules}
     looking = [rule for rule in rules if rule.look is not None]
     if not (frames and looking):
         return hits

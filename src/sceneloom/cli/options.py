@@ -39,6 +39,17 @@ reading = _stacked(
         help="Order of the boxes' rotations in a scene file that does not say it. [default: xyz]",
     ),
     click.option(
+        "--tangential",
+        type=click.Choice(["opencv", "brown"]),
+        help="What p1 and p2 of `brown_conrady` lenses mean in a scene file that does not say it: `brown` exchanges "
+        "them. [default: opencv]",
+    ),
+    click.option(
+        "--assume-model",
+        is_flag=True,
+        help="Compute with lenses whose formulas nothing confirms: `ftheta`, `fisheye_radial_custom`.",
+    ),
+    click.option(
         "--altitude",
         type=click.Choice(["wgs84", "msl"]),
         help="What a recording's altitudes are above: the ellipsoid or mean sea level. [default: wgs84]",

@@ -7,6 +7,7 @@ from typing import Any
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.scene import CameraSensor, Identifier, Scene
+from sceneloom.scene.assumed_lenses import check_lenses
 from sceneloom.scene.types import key_of
 
 
@@ -22,6 +23,7 @@ def chosen_cameras(
 
     Raises:
         OptionError: the scene has no such camera, or none at all.
+        CalibrationError: nothing confirms the formula of a lens, and computing with it was not asked for.
     """
     wanted = None if cameras is None else {key_of(scene.sensor(identifier).id) for identifier in cameras}
     if not scene.cameras:
@@ -29,12 +31,14 @@ def chosen_cameras(
     for index, sensor in enumerate(scene.sensors):
         if wanted is None:
             if isinstance(sensor, CameraSensor) and sensor.camera.model != unless:
+                check_lenses(scene, [sensor])
                 yield index, sensor
         elif key_of(sensor.id) in wanted:
             if not isinstance(sensor, CameraSensor):
                 raise OptionError(
                     f"{scene.source}: sensor {sensor.id!r} is a {sensor.type}; expected a camera"
                 )
+            check_lenses(scene, [sensor])
             yield index, sensor
 
 

@@ -24,6 +24,7 @@ from sceneloom.scene import (
     Scene,
     Sensor,
 )
+from sceneloom.scene.assumed_lenses import check_lenses
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.part import chosen_interval, cut_scene
 from sceneloom.scene.pose_source import PoseSource
@@ -69,10 +70,12 @@ def weave(
 
     Raises:
         PoseError: the sensors' motion is not known.
+        CalibrationError: nothing confirms the formula of a lens, and computing with it was not asked for.
         OptionError: the trajectory is not known, the sensors carry their own poses, or the part is empty.
         DataError: the frames or pictures of a sensor do not stand in the order of their times.
     """
     _check_order(scene)
+    check_lenses(scene, [camera for camera in scene.cameras if len(camera.pictures)])
     part = cut_scene(scene, start=start, stop=stop)
     if not needs_ego(scene):
         if trajectory is not None:

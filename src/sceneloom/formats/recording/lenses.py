@@ -82,8 +82,15 @@ LENS_READINGS: Mapping[str, Mapping[int, _Reading]] = {
         14: _Reading("brown_conrady", _with_prism_and_tilt),
     },
     "kannala-brandt4": {0: _Reading("fisheye", _as_given), 4: _Reading("fisheye", _as_given)},
+    "kannala-brandt18": {
+        0: _Reading("kannala_brandt18", _as_given),
+        4: _Reading("kannala_brandt18", _as_given),
+        18: _Reading("kannala_brandt18", _as_given),
+    },
+    "omnidir": {6: _Reading("omnidir", _as_given)},
 }
-"""By the format's name of a model and its number of coefficients: our model, and our order of them.
+"""By the format's name of a model and its number of coefficients: our model, and our order of them. The orders of
+`kannala_brandt18` (k0-k3 l1-l3 i1-i4 m1-m3 j1-j4) and `omnidir` (k1 k2 s xi p1 p2) are the format's own.
 
 Source: the models that the vendor's software knows, as docs/CONVENTIONS.md lists them.
 """

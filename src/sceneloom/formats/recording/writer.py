@@ -24,6 +24,7 @@ from sceneloom.formats.recording.written_pictures import PictureSink, open_sink
 from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.scene import GnssSensor, ImuSensor, Scene
+from sceneloom.scene.assumed_lenses import check_lenses
 
 PICTURES = ("copy", "h264", "png")
 _RECORDING_FILES = re.compile(
@@ -50,7 +51,7 @@ def write_recording(
     Raises:
         OptionError: `pictures` is none of these, or the scene has nothing that a recording can hold.
         OutputError: the path exists, or cannot be written.
-        CalibrationError: a lens is of a model that the format does not have, or a camera's mounting is unknown.
+        CalibrationError: no model of the format comes near a lens, or a camera's mounting is unknown.
         PoseError: points are in the world, and it is not known where their lidar was.
         DataError: what the scene is read from is damaged.
     """
@@ -58,6 +59,7 @@ def write_recording(
         raise OptionError(f"pictures {pictures!r}; expected one of: {', '.join(PICTURES)}")
     _check_replaceable(path)
     plan = WritingPlan.of(scene)
+    check_lenses(scene, plan.cameras)
     with replacing(path, overwrite=overwrite, folder=True) as draft:
         losses = _RecordingWriter(plan, draft, pictures).write()
     return LossReport.of(losses)

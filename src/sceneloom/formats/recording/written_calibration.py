@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.fitting import nearest
+from sceneloom.cameras.models import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
 from sceneloom.geometry.rigid import RigidTransform
@@ -28,6 +31,8 @@ _LENSES: Mapping[str, tuple[_Writing, ...]] = {
         _Writing("brown-conrady", tuple(range(8))),
         _Writing("brown-conrady", (*range(8), *range(10, 16))),
     ),
+    "kannala_brandt18": (_Writing("kannala-brandt18", tuple(range(18))),),
+    "omnidir": (_Writing("omnidir", tuple(range(6))),),
 }
 """By our model: the format's name, and which of our coefficients it has, in order; the shortest list that holds all
 coefficients that are not 0 is written.
@@ -35,8 +40,49 @@ coefficients that are not 0 is written.
 Source: "Calibration format" of the recording format's description, and the models that the vendor's software knows.
 """
 
+_STAND_INS: Mapping[str, tuple[str, ...]] = {
+    "brown_conrady": ("lx", "ly"),
+    "fisheye": (),
+    "omnidir": (),
+    "kannala_brandt18": (),
+}
+"""Models that other lenses are fitted to, each with the coefficients of ours that the format does not have."""
 
-def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, Any], tuple[int, ...]]:
+_FARTHEST_SHARE, _LEAST_SHARE = 0.01, 0.5
+"""A lens that is further off than this share of the picture's width, in the mean square, or holds less of the picture
+than that is none that stands in for another."""
+
+
+@lru_cache(maxsize=64)
+def holdable_lens(camera: Camera) -> tuple[Camera, str | None]:
+    """Give the lens that a recording can hold: the same, or the nearest one of a model that it has.
+
+    Returns:
+        The lens, and in words how far it is off; None where it is the same.
+
+    Raises:
+        CalibrationError: the model is unknown, or none of the format's comes near.
+    """
+    if camera.model in _LENSES and not _unplaced(camera):
+        return camera, None
+    if camera.model not in MODELS:
+        raise CalibrationError(f"camera model {camera.model!r}; a recording can hold {', '.join(_LENSES)}")
+    found = nearest(camera, _STAND_INS)
+    if found.rms_px > _FARTHEST_SHARE * camera.width or found.share < _LEAST_SHARE:
+        raise CalibrationError(
+            f"{found.message(camera)}; a recording can hold {', '.join(_LENSES)}: leave the camera out, or undistort "
+            "its pictures with `sceneloom edit undistort`"
+        )
+    return found.camera, found.message(camera)
+
+
+def _unplaced(camera: Camera) -> bool:
+    """Whether a coefficient is used that no list of the format holds."""
+    held = {place for row in _LENSES[camera.model] for place in row.places}
+    return any(value != 0 for place, value in enumerate(camera.coefficients) if place not in held)
+
+
+def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, Any], str | None]:
     """Write a lens.
 
     Args:
@@ -44,17 +90,14 @@ def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, A
         model_key: "model" in `calibration.json`, "distortionModel" in a line.
 
     Returns:
-        The fields, and the places of those coefficients that the format has no place for.
+        The fields, and in words how far they are off the lens; None where they hold it.
 
     Raises:
-        CalibrationError: the format has no such model.
+        CalibrationError: the model is unknown, or none of the format's comes near.
     """
-    if camera.model not in _LENSES:
-        raise CalibrationError(f"camera model {camera.model!r}; a recording can hold {', '.join(_LENSES)}")
-    writings = _LENSES[camera.model]
+    camera, how_far = holdable_lens(camera)
     used = {place for place, value in enumerate(camera.coefficients) if value != 0}
-    holdable = used & {place for row in writings for place in row.places}
-    writing = next(row for row in writings if holdable <= set(row.places))
+    writing = next(row for row in _LENSES[camera.model] if used <= set(row.places))
     values = dict(enumerate(camera.coefficients))
     fields = {
         model_key: writing.model,
@@ -66,16 +109,12 @@ def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, A
         "imageWidth": camera.width,
         "imageHeight": camera.height,
     }
-    return fields, tuple(sorted(used - holdable))
+    return fields, how_far
 
 
-def decentring_losses(field: str, lost: tuple[int, ...]) -> list[Loss]:
-    """Say that a lens had coefficients that were left out; they can only be the decentring of SFS."""
-    return (
-        [Loss(field=field, what="decentring lx, ly left out: the format has none", count=len(lost))]
-        if lost
-        else []
-    )
+def lens_losses(field: str, how_far: str | None) -> list[Loss]:
+    """Say that a lens was fitted."""
+    return [] if how_far is None else [Loss(field=field, what=how_far)]
 
 
 def matrix_entry(transform: RigidTransform) -> list[list[float]]:
@@ -95,15 +134,10 @@ def camera_entry(
         mount: `ego_from_camera`.
 
     Raises:
-        CalibrationError: the format has no such model.
+        CalibrationError: the model is unknown, or none of the format's comes near.
     """
-    lens, lost = lens_entry(camera)
-    field = f"sensors[{sensor.id}].camera.coefficients"
-    losses = (
-        [Loss(field=field, what="decentring lx, ly left out: the format has none", count=len(lost))]
-        if lost
-        else []
-    )
+    lens, how_far = lens_entry(camera)
+    losses = lens_losses(f"sensors[{sensor.id}].camera", how_far)
     further = {
         k: v for k, v in _entry_before(sensor).items() if k not in {"imuToCameraMatrix", "distortionModel"}
     }

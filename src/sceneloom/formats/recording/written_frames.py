@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.recording.written_calibration import decentring_losses, lens_entry, matrix_entry
+from sceneloom.formats.recording.written_calibration import lens_entry, lens_losses, matrix_entry
 from sceneloom.formats.recording.written_lines import WrittenLine, make_line
 from sceneloom.formats.recording.written_pictures import PictureSink
 from sceneloom.formats.recording.written_times import TimeWriter
@@ -112,9 +112,9 @@ class FrameLines:
     def _own_parameters(self, index: int, picture: Picture) -> dict[str, Any]:
         sensor, fields = self._sensors[index], dict[str, Any]()
         if picture.camera != sensor.camera:
-            lens, lost = lens_entry(picture.camera, model_key="distortionModel")
+            lens, how_far = lens_entry(picture.camera, model_key="distortionModel")
             fields["cameraParameters"] = {k: v for k, v in lens.items() if not k.startswith("image")}
-            self.losses += decentring_losses(f"sensors[{sensor.id}].pictures[].camera.coefficients", lost)
+            self.losses += lens_losses(f"sensors[{sensor.id}].pictures[].camera", how_far)
         if picture.mount is not None and picture.mount is not sensor.mount:
             fields["imuToCamera"] = matrix_entry(picture.mount.inverse())
         return fields

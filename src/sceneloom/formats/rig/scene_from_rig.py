@@ -23,6 +23,7 @@ from sceneloom.formats.rig.trajectories import build_trajectory
 from sceneloom.formats.rig.transforms import Edge, FrameTree, read_transform
 from sceneloom.formats.rig.videos import VideoFile
 from sceneloom.scene import NoticeKind, Scene, Sensor, Trajectory
+from sceneloom.scene.assumed_lenses import with_assumed_models
 
 _BUILDERS: Mapping[str, Callable[[Drive, Record, str], Sensor]] = MappingProxyType(
     {"lidar": build_lidar, "camera": build_camera, "imu": build_imu, "gnss": build_gnss}
@@ -32,12 +33,13 @@ RESERVED_NAMES = {"gnss", "lidar", "identity"}
 """Names of trajectories that stand for ways which are computed."""
 
 
-def open_rig(path: Path, *, lenient: bool = False) -> Scene:
+def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False) -> Scene:
     """Open a folder with a `rig.toml`, or a manifest itself; pictures and points are read when asked for.
 
     Args:
         path: the folder, or the manifest.
         lenient: leave out sensors and trajectories that are at fault, files without time and times without file.
+        assume_model: allow computing with lenses whose formulas nothing confirms.
 
     Raises:
         DataError: the manifest, or what it names, is at fault; all faults are told at once.
@@ -45,9 +47,10 @@ def open_rig(path: Path, *, lenient: bool = False) -> Scene:
     manifest = read_manifest(manifest_path(path))
     ledger = Ledger(lenient=lenient)
     try:
-        return _open(manifest, ledger)
+        scene = _open(manifest, ledger)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error}") from error
+    return with_assumed_models(scene) if assume_model else scene
 
 
 def _open(manifest: Manifest, ledger: Ledger) -> Scene:

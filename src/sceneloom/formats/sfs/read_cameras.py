@@ -10,6 +10,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
+from sceneloom.formats.sfs.lens_readings import in_opencvs_sense
 from sceneloom.formats.sfs.picture_notes import PictureNotes, camera_of, exposure_ns, lens_of, numbers_of
 from sceneloom.formats.sfs.poses import times_of
 from sceneloom.formats.sfs.read_clouds import Record, read_moving, rest_of
@@ -97,12 +98,13 @@ def read_lens(source: Source, intrinsics: Record, note: Mapping[str, Any], place
     model = distortion.get("model") or "pinhole"
     written = lens_of(intrinsics, model, _coefficients(source, model, distortion.get("params"), place))
     if note.get("camera") is None:
-        return written
+        return in_opencvs_sense(written, source)
     exact = camera_of(note["camera"])
     if note.get("written_camera") is not None:
-        return exact if camera_of(note["written_camera"]) == written else written
-    same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
-    return exact if same else written
+        same = camera_of(note["written_camera"]) == written
+    else:
+        same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
+    return exact if same else in_opencvs_sense(written, source)
 
 
 def _coefficients(source: Source, model: str, params: Any, place: Place) -> tuple[float, ...]:

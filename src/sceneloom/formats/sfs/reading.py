@@ -16,6 +16,7 @@ from sceneloom.formats.sfs.faults import Examination, error_of
 from sceneloom.formats.sfs.fields import SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
 from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.garbage import collector_paused
+from sceneloom.formats.sfs.lens_readings import lens_records, note_tangential, with_lens_readings
 from sceneloom.formats.sfs.read_annotations import read_annotations
 from sceneloom.formats.sfs.read_cameras import read_camera
 from sceneloom.formats.sfs.read_clouds import note_further_faults, read_lidar, read_points, read_radar
@@ -172,7 +173,7 @@ def _examination(container: Container, items: list[ItemFault], options: ReadingO
         ours.get("exact_attributes") or [], annotations, (*attributes, *aside)
     )
     kept = {name: value for name, value in ours.items() if name not in _ABSORBED}
-    kept |= _euler(source, ours, annotations)
+    kept |= _euler(source, ours, annotations) | lens_records(source)
     scene = Scene(
         sensors,
         annotations,
@@ -186,6 +187,7 @@ def _examination(container: Container, items: list[ItemFault], options: ReadingO
         extras={name: value for name, value in header.items() if name not in _ROOT},
         on_close=source.parts.close,
     )
+    scene = with_lens_readings(scene, source)
     return Examination(scene, source.found_faults(), header, sensor_places, annotation_places)
 
 
@@ -279,6 +281,7 @@ def _read_ours(source: Source, raw: Any) -> dict[str, Any]:
     ours = RecordReader(source.clock).read(raw, OURS, faults)
     source.collect(faults, ("metadata", OURS))
     ours = _without(ours, faults)
+    note_tangential(source, ours)
     for note in ours.get("sensor_notes") or []:
         source.notes[type(note["id"]), note["id"]] = note
     for record in ours.get("notices") or []:

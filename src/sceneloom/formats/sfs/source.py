@@ -13,6 +13,10 @@ from sceneloom.formats.sfs.times import FileClock
 from sceneloom.geometry.euler import ORDERS, AngleUnit
 from sceneloom.scene import Identifier, Notice, NoticeKind, PointsFrame
 
+OPENCV, BROWN = "opencv", "brown"
+TANGENTIALS = (OPENCV, BROWN)
+"""The two meanings that p1 and p2 have among those who write lenses. Source: "Distortion" in docs/CONVENTIONS.md."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReadingOptions:
@@ -22,6 +26,9 @@ class ReadingOptions:
         points_frame: the frame of lidar and radar points; None: as recorded, else the one that `coordinates` names.
         euler_unit: unit of the angles of cuboids; None: as recorded, else degrees.
         euler_order: order of the rotations of cuboids; None: as recorded, else xyz.
+        tangential: what p1 and p2 of `brown_conrady` mean; None: as recorded, else as in OpenCV. "brown": as in Brown's
+            paper, where they stand the other way round; they are exchanged, unless the file records that they were.
+        assume_model: allow computing with lenses whose formulas nothing confirms.
         lenient: leave out sensors and annotations that are at fault, with a notice each.
         storage_options: what the fsspec back end of a URL is made with, such as credentials.
 
@@ -32,11 +39,17 @@ class ReadingOptions:
     points_frame: PointsFrame | None = None
     euler_unit: str | None = None
     euler_order: str | None = None
+    tangential: str | None = None
+    assume_model: bool = False
     lenient: bool = False
     storage_options: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        for name, known in (("euler_unit", tuple(AngleUnit)), ("euler_order", ORDERS)):
+        for name, known in (
+            ("euler_unit", tuple(AngleUnit)),
+            ("euler_order", ORDERS),
+            ("tangential", TANGENTIALS),
+        ):
             if getattr(self, name) not in (None, *known):
                 raise OptionError(f"{name} {getattr(self, name)!r}; expected one of {', '.join(known)}")
         frames = [frame.value for frame in PointsFrame]
@@ -57,6 +70,7 @@ class Source:
         notes: what our metadata says about sensors, by id.
         faults: collected on the way.
         left_out: the places of sensors and annotations that are at fault.
+        tangential: what p1 and p2 of `brown_conrady` mean as our metadata say, None where they say nothing.
     """
 
     container: Container
@@ -67,6 +81,7 @@ class Source:
     notes: dict[tuple[type, Identifier], Mapping[str, Any]] = field(default_factory=dict)
     faults: list[PlacedFault] = field(default_factory=list)
     left_out: set[Place] = field(default_factory=set)
+    tangential: str | None = None
 
     @property
     def file(self) -> str:

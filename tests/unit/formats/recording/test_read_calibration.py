@@ -82,6 +82,44 @@ def test_fisheye_lenses_project_as_opencv_does(recording, model, coefficients):
     np.testing.assert_allclose(pixels[visible], expected[visible, 0], atol=1e-8)
 
 
+def test_the_omnidirectional_model_projects_as_opencv_does(recording):
+    coefficients = [-0.21, 0.034, 1.7, 1.23, 5e-4, -8e-4]
+    camera = open_with(recording, entry("OMNIDIR", coefficients)).cameras[0].camera
+    k1, k2, skew, xi, p1, p2 = coefficients
+    matrix = CAMERA_MATRIX.copy()
+    matrix[0, 1] = skew
+    expected, _ = cv2.omnidir.projectPoints(
+        POINTS_CAMERA[:, None], np.zeros(3), np.zeros(3), matrix, xi, np.array([[k1, k2, p1, p2]])
+    )
+    pixels, visible = project(camera, POINTS_CAMERA)
+    assert visible.sum() > 40
+    np.testing.assert_allclose(pixels[visible], expected[visible, 0], atol=1e-8)
+
+
+def slow_kannala_brandt18(numbers, point):
+    """Word by word, from the format's list k0-k3 l1-l3 i1-i4 m1-m3 j1-j4."""
+    k, ls, i, m, j = numbers[:4], numbers[4:7], numbers[7:11], numbers[11:14], numbers[14:18]
+    theta, phi = np.arctan2(np.hypot(point[0], point[1]), point[2]), np.arctan2(point[1], point[0])
+    waves = np.array([np.cos(phi), np.sin(phi), np.cos(2 * phi), np.sin(2 * phi)])
+    odd = np.array([theta, theta**3, theta**5])
+    radius = theta * (1 + sum(k[n] * theta ** (2 * n + 2) for n in range(4)))
+    along, across = radius + (odd @ ls) * (waves @ i), (odd @ m) * (waves @ j)
+    return along * np.array([np.cos(phi), np.sin(phi)]) + across * np.array([-np.sin(phi), np.cos(phi)])
+
+
+@pytest.mark.parametrize("count", [0, 4, 18])
+def test_kannala_and_brandts_full_model_projects_as_its_formulas_say(recording, count):
+    asymmetric = [0.01, 0.002, 1e-3, 0.5, 0.3, -0.2, 0.1, 4e-3, -2e-3, 1e-3, 0.2, 0.3, -0.2, 0.1]
+    numbers = np.array([-0.028, 0.0021, -0.0052, 0.0004, *asymmetric])
+    numbers[count:] = 0.0
+    camera = open_with(recording, entry("kannala-brandt18", numbers[:count].tolist())).cameras[0].camera
+    expected = np.array([slow_kannala_brandt18(numbers, point) for point in POINTS_CAMERA])
+    pixels, visible = project(camera, POINTS_CAMERA)
+    assert visible.sum() > 40
+    expected = expected * [CAMERA_MATRIX[0, 0], CAMERA_MATRIX[1, 1]] + CAMERA_MATRIX[:2, 2]
+    np.testing.assert_allclose(pixels[visible], expected[visible], atol=1e-8)
+
+
 @pytest.mark.parametrize("key", ["imuToCamera", "imuToCameraMatrix"])
 def test_the_mounting_is_the_inverse_of_the_matrix(recording, key):
     camera = entry("pinhole", [])

@@ -2,11 +2,12 @@
 
 from types import MappingProxyType
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry, matrix_entry, mounting
 from sceneloom.geometry.rigid import RigidTransform
@@ -31,6 +32,9 @@ LENSES = {
         "brown-conrady",
         [1, 2, 3, 4, 5, 6, 7, 8, 11, 12, 13, 14, 15, 16],
     ),
+    "kannala, eighteen": (camera("kannala_brandt18", *range(1, 19)), "kannala-brandt18", list(range(1, 19))),
+    "kannala, short": (camera("kannala_brandt18", 0.1, 0.2), "kannala-brandt18", [0.1, 0.2] + [0.0] * 16),
+    "omnidir": (camera("omnidir", 1, 2, 3, 4, 5, 6), "omnidir", [1, 2, 3, 4, 5, 6]),
     "brown, sixteen without prism": (
         camera("brown_conrady", *range(1, 9), *[0.0] * 8),
         "brown-conrady",
@@ -42,8 +46,8 @@ LENSES = {
 @pytest.mark.parametrize("kind", LENSES)
 def test_lenses_are_written_under_the_format_s_names(kind):
     lens, model, coefficients = LENSES[kind]
-    fields, lost = lens_entry(lens)
-    assert lost == ()
+    fields, how_far = lens_entry(lens)
+    assert how_far is None
     assert fields == {
         "model": model,
         "distortionCoefficients": coefficients,
@@ -56,17 +60,44 @@ def test_lenses_are_written_under_the_format_s_names(kind):
     }
 
 
-def test_decentring_has_no_place_and_is_named():
-    fields, lost = lens_entry(camera("brown_conrady", *range(1, 9), 0.5, 0.0))
-    assert fields["distortionCoefficients"] == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert lost == (8,)
+def read_again(fields):
+    """The lens that the format's own reader makes of the fields."""
+    from sceneloom.formats.recording.lenses import CameraParameters, lens
+
+    return lens(msgspec.convert(fields, CameraParameters), None, "calibration.json")
 
 
-def test_a_model_that_the_format_has_not_is_refused_with_those_it_has():
+STRANGERS = {
+    "decentred": camera("brown_conrady", -0.2, 0.05, 0, 0, 0, 0, 0, 0, 0.002, -0.001),
+    "Fisheye624": camera("fisheye_rad_tan_prism", 0.05, -0.01, 0, 0, 0, 0, 1e-3, 0, 1e-3, 0, 0, 0),
+    "Mei": Camera("omnidirectional", 640, 480, 900.0, 900.0, 320.0, 240.0, (-0.1, 0.02, 0, 0, 0, 0, 1.1)),
+    "modified": camera("mod_kannala", 0.02),
+}
+
+
+@pytest.mark.parametrize("kind", STRANGERS)
+def test_a_lens_that_the_format_lacks_is_fitted_and_the_error_that_is_left_is_said(kind):
+    exact = STRANGERS[kind]
+    fields, how_far = lens_entry(exact)
+    assert how_far.startswith(f"{exact.model} lens told as ")
+    written = read_again(fields)
+    u, v = np.meshgrid(np.linspace(-0.5, 639.5, 50), np.linspace(-0.5, 479.5, 40))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    off = np.hypot(*(project_unbounded(written, unproject(exact, pixels)) - pixels).T)
+    said = float(how_far.split("up to ")[1].split()[0])
+    assert np.nanmax(off) <= 1.1 * said
+    assert said < 1.5
+
+
+def test_a_lens_that_nothing_of_the_format_comes_near_is_refused():
     with pytest.raises(
-        CalibrationError, match="'ftheta'; a recording can hold pinhole, fisheye, brown_conrady"
+        CalibrationError, match=r"cylindrical lens told as .* a recording can hold pinhole, fisheye"
     ):
-        lens_entry(camera("ftheta"))
+        lens_entry(Camera("cylindrical", 640, 480, 110.0, 200.0, 320.0, 240.0))
+    with pytest.raises(
+        CalibrationError, match="camera model 'periscope'; a recording can hold pinhole, fisheye"
+    ):
+        lens_entry(camera("periscope"))
 
 
 MOUNT = RigidTransform(Rotation.from_euler("zyx", [0.3, -0.2, 0.9]).as_matrix(), np.array([1.5, -0.2, 0.7]))

@@ -1,5 +1,6 @@
 """Scenes out of scenes: cut, joined, thinned, moved, corrected."""
 
+from sceneloom.editing.apply import apply_corrections
 from sceneloom.editing.crop import crop_scene
 from sceneloom.editing.frames import to_ego, to_sensor, to_world
 from sceneloom.editing.lenses import convert_lenses
@@ -8,6 +9,7 @@ from sceneloom.editing.thin import thin_scene
 from sceneloom.editing.undistortion import undistort_scene
 
 __all__ = [
+    "apply_corrections",
     "convert_lenses",
     "crop_scene",
     "simplify_scene",

@@ -40,3 +40,13 @@ def _after(outer: PosePath, inner: PosePath) -> PosePath:
     """`outer ∘ inner` of two paths that are the same at all times."""
     path = FrameChange(PoseSource(outer, RigidTransform.identity())).path(inner)
     return outer if path is None else path
+
+
+def seen_from(new_from_old: FrameChange, adjustment: LocalizationAdjustment) -> LocalizationAdjustment | None:
+    """Give the adjustment of a world that is seen from another one, before and after it.
+
+    A'(t) = new_from_old(t) A(t) old_from_new(t). None where the two are known at no common time.
+    """
+    led = led_from(new_from_old, adjustment)
+    path = None if led is None else new_from_old.path(led.poses)
+    return None if path is None else replace(adjustment, poses=path)

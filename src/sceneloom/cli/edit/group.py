@@ -17,6 +17,7 @@ VERBS = MappingProxyType(
         "count": "Count the points in each cuboid.",
         "project": "See the cuboids with the cameras.",
         "simplify": "Keep only those stamps of paths that the others do not tell.",
+        "apply": "Apply localization adjustments and camera calibrations.",
         "undistort": "Resample pictures so that their lenses are pinholes.",
         "lens": "Tell the lenses by another model, as near as it comes.",
     }

@@ -1,0 +1,35 @@
+"""`sceneloom edit apply`: put localization adjustments and camera calibrations into effect."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli.edit.running import annotations_in, editing, run_edit
+
+if TYPE_CHECKING:
+    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.scene import Scene
+
+
+@click.command()
+@editing
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="ID",
+    help="The only annotations to apply. [default: all adjustments and calibrations]",
+)
+@annotations_in
+def apply(path: Path, output: Path, only: tuple[str, ...], annotations_in: str | None, **common: Any) -> None:
+    """Apply localization adjustments and camera calibrations; the scene then bears them no more."""
+    from sceneloom.editing import apply_corrections
+
+    def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
+        del on_points
+        ids = [annotation.id for annotation in scenes[0].annotations]
+        chosen = [next((i for i in ids if said not in ids and str(i) == said), said) for said in only]
+        return apply_corrections(scenes[0], corrections=chosen or None, annotations_in=annotations_in)
+
+    run_edit("apply", [path], output, change, **common)

@@ -1,0 +1,209 @@
+"""Scenes with their corrections applied: localization adjustments and camera calibrations."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+from sceneloom.editing.calibrated import calibrated_camera, shifted_annotation
+from sceneloom.editing.frame_change import FrameChange
+from sceneloom.editing.frames import to_world
+from sceneloom.editing.moved_world import moved_trajectory, moved_world
+from sceneloom.editing.odometry import EGO_ID, free_id
+from sceneloom.editing.record import assumed, ours_of, skipped, with_notices, with_ours
+from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CameraCalibration,
+    CameraSensor,
+    Coordinates,
+    CuboidAnnotation,
+    Identifier,
+    LidarSensor,
+    LocalizationAdjustment,
+    OdometrySensor,
+    PointsAnnotation,
+    PointsFrame,
+    PosePath,
+    RadarSensor,
+    Scene,
+    Trajectory,
+)
+from sceneloom.scene.annotations_frame import ANNOTATIONS_FRAME
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import key_of
+
+Correction = LocalizationAdjustment | CameraCalibration
+
+APPLIED = "applied"
+"""Our entry of the metadata that says which corrections were applied."""
+
+
+def apply_corrections(
+    scene: Scene,
+    *,
+    corrections: Iterable[Identifier] | None = None,
+    annotations_in: Coordinates | str | None = None,
+) -> Scene:
+    """Apply localization adjustments and camera calibrations, and take them away.
+
+    An adjustment takes places in the world to where they belong, p' = A(t) p: points and poses at the time of their
+    frame, annotations at that of their keyframe; beyond its ends its end poses hold. In a scene in ego coordinates it
+    leads from the ego to the world, and tells the ego's way from then on. A calibration turns a camera behind its
+    poses, replaces its lens and moves the times of its pictures and of what is drawn in them.
+
+    Args:
+        scene: as it is.
+        corrections: ids of the only annotations to apply; None for all adjustments and calibrations.
+        annotations_in: "world" or "ego", where a scene in ego coordinates does not say in which frame its annotations
+            are. None: "ego", with a notice.
+
+    Raises:
+        OptionError: there is nothing to apply, an id is none of a correction, or sensors are in both frames.
+        DataError: a frame that this needs cannot be read.
+
+    Source: "Localization Adjustment Annotation" and "Camera Calibration Annotation" of the SFS description;
+        READINGS in docs/CONVENTIONS.md.
+    """
+    chosen = _chosen(scene, corrections)
+    changed = scene
+    for correction in chosen:
+        if isinstance(correction, CameraCalibration):
+            changed = _calibrated(changed, correction)
+    for correction in chosen:
+        if isinstance(correction, LocalizationAdjustment):
+            changed = _adjusted(changed, correction, annotations_in)
+    return changed
+
+
+def _chosen(scene: Scene, wanted: Iterable[Identifier] | None) -> list[Correction]:
+    there = [a for a in scene.annotations if isinstance(a, LocalizationAdjustment | CameraCalibration)]
+    if wanted is not None:
+        known = {key_of(annotation.id): annotation for annotation in there}
+        ids = tuple(wanted)
+        unknown = [identifier for identifier in ids if key_of(identifier) not in known]
+        if unknown:
+            names = ", ".join(repr(annotation.id) for annotation in there)
+            raise OptionError(f"{scene.source}: no correction {unknown[0]!r}; there are {names or 'none'}")
+        there = [annotation for annotation in there if key_of(annotation.id) in set(map(key_of, ids))]
+    if not there:
+        raise OptionError(
+            f"{scene.source}: nothing to apply; expected an annotation localization_adjustment or camera_calibration"
+        )
+    return there
+
+
+def _without(scene: Scene, correction: Correction, **further: Any) -> Scene:
+    """The scene without a correction that was applied, which the metadata tell."""
+    earlier = ours_of(scene).get(APPLIED)
+    entry = {"id": correction.id, "type": correction.type, **further}
+    left = tuple(a for a in scene.annotations if key_of(a.id) != key_of(correction.id))
+    told = [*(earlier if isinstance(earlier, list) else []), entry]
+    return with_ours(replace(scene, annotations=left), **{APPLIED: told})
+
+
+def _calibrated(scene: Scene, calibration: CameraCalibration) -> Scene:
+    key = key_of(calibration.sensor_id)
+    camera = next((s for s in scene.sensors if key_of(s.id) == key), None)
+    if not isinstance(camera, CameraSensor):
+        what = f"no camera {calibration.sensor_id!r} in it; not applied"
+        return with_notices(
+            scene, [skipped("calibration-without-camera", f"annotations[{calibration.id}]", what)]
+        )
+    corrected = calibrated_camera(camera, calibration)
+    shift_ns = round(calibration.time_offset_ns or 0)
+    changed = replace(
+        scene,
+        sensors=tuple(corrected if sensor is camera else sensor for sensor in scene.sensors),
+        annotations=tuple(shifted_annotation(a, camera.id, shift_ns) for a in scene.annotations),
+    )
+    what = "projections into a camera that was corrected stay as they were drawn"
+    stale = assumed("projections-kept", f"sensors[{camera.id}]", what, count=_projections(scene, camera.id))
+    moved = calibration.poses is not None or calibration.intrinsics is not None
+    told = with_notices(changed, (stale,) if moved else ())
+    return _without(told, calibration, sensor_id=camera.id)
+
+
+def _projections(scene: Scene, sensor_id: Identifier) -> int:
+    """How many annotations have projections into a camera."""
+    key, count = key_of(sensor_id), 0
+    for annotation in scene.annotations:
+        if isinstance(annotation, CuboidAnnotation):
+            count += any(key_of(entry.sensor_id) == key for entry in annotation.projections)
+        elif isinstance(annotation, PointsAnnotation):
+            seen = (entry for entries in annotation.projections for entry in entries)
+            count += any(key_of(entry.sensor_id) == key for entry in seen)
+    return count
+
+
+def _adjusted(
+    scene: Scene, adjustment: LocalizationAdjustment, annotations_in: Coordinates | str | None
+) -> Scene:
+    poses = adjustment.poses
+    if len(poses.timestamps_ns) == 1:
+        poses = replace(poses, endless=True)
+    left = _without(scene, adjustment)
+    if _frame(scene) is Coordinates.EGO:
+        return _led_to_world(left, poses, annotations_in)
+    return moved_world(left, FrameChange(PoseSource(poses, RigidTransform.identity()), held=True))
+
+
+def _frame(scene: Scene) -> Coordinates:
+    """The frame that the sensors of a scene are in.
+
+    Raises:
+        OptionError: some are in the world and some on the ego.
+    """
+    frames: dict[Coordinates, Identifier] = {}
+    for sensor in scene.sensors:
+        if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+            continue
+        if sensor.poses is not None:
+            frames[sensor.coordinates] = sensor.id
+        if not isinstance(sensor, CameraSensor) and sensor.points_frame is not PointsFrame.SENSOR:
+            frames[Coordinates(sensor.points_frame.value)] = sensor.id
+    if len(frames) > 1:
+        raise OptionError(
+            f"{scene.source}: sensor {frames[Coordinates.WORLD]!r} is in the world and {frames[Coordinates.EGO]!r} on "
+            "the ego, so it is not clear what an adjustment is of; bring all into the world first: "
+            "`sceneloom edit to-world`"
+        )
+    return next(iter(frames), Coordinates.WORLD)
+
+
+def _led_to_world(scene: Scene, world_from_ego: PosePath, annotations_in: Coordinates | str | None) -> Scene:
+    """Bring a scene in ego coordinates into the world that an adjustment leads to."""
+    said = annotations_in or ours_of(scene).get(ANNOTATIONS_FRAME)
+    notices = []
+    if said is None and scene.annotations:
+        what = "the frame of the annotations is not said; taken to be the ego frame, as that of the sensors"
+        notices.append(assumed("annotations-frame", "annotations", what))
+    odometries = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
+    identifier = odometries[0].id if odometries else free_id(scene, EGO_ID)
+    ego = OdometrySensor(identifier, world_from_ego)
+    kept = tuple(sensor for sensor in scene.sensors if not isinstance(sensor, OdometrySensor))
+    name = str(identifier)
+    times = world_from_ego
+    way = Trajectory(name, times.timestamps_ns, times.positions, times.quaternions_xyzw)
+    others = _others_in_world(scene, odometries, world_from_ego, name)
+    led = replace(scene, sensors=(*kept, ego), trajectories={name: way, **others})
+    return to_world(with_notices(led, notices), annotations_in=said or Coordinates.EGO)
+
+
+def _others_in_world(
+    scene: Scene, odometries: list[OdometrySensor], world_from_ego: PosePath, name: str
+) -> dict[str, Trajectory]:
+    """The other ways of the ego, in the world that the adjustment leads to: by way of the odometry that they join."""
+    if not odometries:
+        return {}
+    reach_ns = scene_period_ns(scene)
+    still = RigidTransform.identity()
+    onto_ego = FrameChange(None, PoseSource(odometries[0].poses, still, reach_ns))
+    into_world = FrameChange(PoseSource(world_from_ego, still, reach_ns))
+    moved: dict[str, Trajectory] = {}
+    for other, way in scene.trajectories.items():
+        on_ego = None if other == name else moved_trajectory(way, onto_ego)
+        there = None if on_ego is None else moved_trajectory(on_ego, into_world)
+        if there is not None:
+            moved[other] = there
+    return moved

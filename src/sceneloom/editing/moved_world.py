@@ -1,0 +1,152 @@
+"""Scenes in another world: everything that has a place in the old one gets its place in the new one."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.editing.cloud_moves import CloudMoves
+from sceneloom.editing.frame_change import KNOWN, FrameChange
+from sceneloom.editing.keyframes import Keyframer
+from sceneloom.editing.moved_adjustments import seen_from
+from sceneloom.editing.moved_annotations import AnnotationMover
+from sceneloom.editing.moved_clouds import moved_positions
+from sceneloom.editing.record import assumed, skipped, with_notices
+from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.scene import (
+    CameraSensor,
+    Coordinates,
+    LidarSensor,
+    OdometrySensor,
+    PlainAnnotation,
+    PlainSensor,
+    PointsFrame,
+    PointsSensor,
+    PosePath,
+    RadarSensor,
+    Scene,
+    Sensor,
+    Trajectory,
+)
+from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.labelled import renumbered
+from sceneloom.scene.span import frame_times
+
+
+def moved_world(scene: Scene, change: FrameChange) -> Scene:
+    """Give the scene in a world of which `new_world_from_old` is given, each thing at its own time.
+
+    What rides on the ego or in a sensor stays there; maps move only where the change is the same at all times.
+
+    Raises:
+        DataError: a frame with labelled points cannot be read.
+    """
+    mover = _WorldMover(change)
+    sensors = tuple(mover.sensor(sensor) for sensor in scene.sensors)
+    annotations, told = renumbered(scene.annotations, mover.moves.frames)
+    keyframer = Keyframer(change)
+    if annotations_frame(scene) is Coordinates.WORLD:
+        adjust = AnnotationMover(
+            keyframer, CuboidAngles.of(scene), lambda adjustment: seen_from(change, adjustment)
+        )
+        annotations = adjust.moved(annotations)
+    ways = {name: moved_trajectory(way, change) for name, way in scene.trajectories.items()}
+    unknown = sum(isinstance(annotation, PlainAnnotation) for annotation in annotations)
+    notices = (
+        *mover.moves.notices,
+        *told,
+        assumed(
+            "annotations-not-moved",
+            "annotations",
+            "annotations of unknown types: it is not known what in them has a place; left as they are",
+            count=unknown,
+        ),
+        skipped(
+            "keyframes-left-out",
+            "annotations",
+            "keyframes at whose time the new world is not known",
+            count=keyframer.tally.left_out,
+        ),
+    )
+    moved = replace(
+        scene,
+        sensors=sensors,
+        annotations=annotations,
+        trajectories={name: way for name, way in ways.items() if way is not None},
+    )
+    return with_notices(moved, notices)
+
+
+def moved_trajectory(way: Trajectory, change: FrameChange) -> Trajectory | None:
+    """A way in the new world, at those of its own times at which that is known; None where there are none."""
+    unturned = np.tile([0.0, 0.0, 0.0, 1.0], (len(way.timestamps_ns), 1))
+    turns = unturned if way.quaternions_xyzw is None else way.quaternions_xyzw
+    new = change.poses(way.timestamps_ns, way.positions, turns)
+    known = new.coverage <= KNOWN
+    if not known.any():
+        return None
+    covariances = way.covariances
+    if covariances is not None:
+        axes = matrix_from_quaternion(change.at(way.timestamps_ns).quaternions_xyzw)
+        both = np.zeros((len(axes), 6, 6))
+        both[:, :3, :3] = both[:, 3:, 3:] = axes
+        covariances = (both @ covariances @ both.transpose(0, 2, 1))[known]
+    return Trajectory(
+        way.name,
+        way.timestamps_ns[known],
+        new.positions[known],
+        None if way.quaternions_xyzw is None else new.quaternions_xyzw[known],
+        None if way.file_seconds is None else way.file_seconds[known],
+        covariances,
+    )
+
+
+@dataclass(slots=True, eq=False)
+class _WorldMover:
+    """Moves sensors, and collects what is to be told."""
+
+    change: FrameChange
+    moves: CloudMoves = field(default_factory=CloudMoves)
+
+    def sensor(self, sensor: Sensor) -> Sensor:
+        if isinstance(sensor, LidarSensor):
+            placed = replace(sensor, poses=self._poses(sensor))
+            return self.moves.cloud(placed, self._points(sensor), sensor.points_frame)
+        if isinstance(sensor, RadarSensor):
+            placed_radar = replace(sensor, poses=self._poses(sensor))
+            return self.moves.cloud(placed_radar, self._points(sensor), sensor.points_frame)
+        if isinstance(sensor, CameraSensor):
+            return replace(sensor, poses=self._poses(sensor))
+        if isinstance(sensor, OdometrySensor):
+            return replace(
+                sensor, poses=self.change.path(sensor.poses, times_ns=self._times(sensor)) or sensor.poses
+            )
+        if isinstance(sensor, PointsSensor):
+            return self._map(sensor)
+        if isinstance(sensor, PlainSensor):
+            what = f"a sensor of type {sensor.type!r}: it is not known what in it has a place; left as it is"
+            self.moves.notices.append(assumed("sensor-not-moved", f"sensors[{sensor.id}]", what))
+        return sensor
+
+    def _points(self, sensor: LidarSensor | RadarSensor) -> FrameChange | None:
+        return self.change if sensor.points_frame is PointsFrame.WORLD else None
+
+    def _poses(self, sensor: LidarSensor | RadarSensor | CameraSensor) -> PosePath | None:
+        if sensor.poses is None or sensor.coordinates is not Coordinates.WORLD:
+            return sensor.poses
+        return self.change.path(sensor.poses, times_ns=self._times(sensor))
+
+    def _times(self, sensor: LidarSensor | RadarSensor | CameraSensor | OdometrySensor) -> Int64Array | None:
+        """The times that the poses of something that stands still get where the change is not the same at all times."""
+        if sensor.poses is None or not sensor.poses.endless or self.change.is_constant:
+            return None
+        times_ns = np.unique(frame_times(sensor))
+        return times_ns if len(times_ns) else self.change.knots_ns
+
+    def _map(self, sensor: PointsSensor) -> PointsSensor:
+        if self.change.is_constant:
+            return replace(sensor, positions=moved_positions(sensor.positions, self.change.transform(0)))
+        what = "a map has no time, and the change is not the same at all times; left as it is"
+        self.moves.notices.append(assumed("map-not-moved", f"sensors[{sensor.id}]", what))
+        return sensor

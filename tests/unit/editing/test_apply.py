@@ -1,0 +1,260 @@
+"""Corrections of scenes, against what they mean by formula."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.editing import apply_corrections, to_ego, to_world
+from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    Box2DAnnotation,
+    BoxPath,
+    CameraCalibration,
+    Coordinates,
+    LazyFrames,
+    LocalizationAdjustment,
+    OdometrySensor,
+    PointsFrame,
+    PointsSensor,
+    PosePath,
+    Projection,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
+)
+
+TURN_RATE = 0.2
+"""Of the adjustment that turns about z and climbs [rad/s], [m/s]."""
+
+
+def mended(time_s):
+    """The adjustment by formula, before it is cut into poses."""
+    half = TURN_RATE * time_s / 2
+    return RigidTransform.from_quaternion(
+        np.array([3.0, -2.0, time_s]), np.array([0.0, 0.0, np.sin(half), np.cos(half)])
+    )
+
+
+def adjustment(times_s=(0.0, 0.1, 0.2, 0.3, 0.4)):
+    """The same as an annotation with these poses."""
+    poses = [mended(time_s) for time_s in times_s]
+    path = PosePath(
+        np.rint(np.array(times_s) * 1e9).astype(np.int64),
+        np.array([pose.translation for pose in poses]),
+        np.array([pose.quaternion_xyzw for pose in poses]),
+    )
+    return LocalizationAdjustment("mend", path)
+
+
+def test_points_in_the_world_are_moved_at_the_time_of_their_frame(drive):
+    applied = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment()]))
+    for k, frame in enumerate(applied.sensor("lidar").frames):
+        expected = mended(k * 0.1).apply(drive.points_world(k))
+        np.testing.assert_allclose(frame.points.positions, expected, atol=1e-5)  # float32 at 40 m
+    assert applied.annotations == ()
+    assert applied.metadata["sceneloom"]["applied"] == [{"id": "mend", "type": "localization_adjustment"}]
+
+
+def test_directions_of_a_radar_turn_with_the_world(drive):
+    before = drive.scene(PointsFrame.WORLD).sensor("radar").frames[4].points.directions
+    after = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment()])).sensor("radar").frames[4]
+    np.testing.assert_allclose(after.points.directions, mended(0.4).rotate(before), atol=1e-6)
+
+
+def test_odometry_trajectories_and_poses_are_moved(drive):
+    scene = to_world(drive.scene(annotations=[adjustment()]))
+    applied = apply_corrections(scene)
+    for time_ns in (0, 200_000_000):
+        time_s = time_ns * 1e-9
+        for body, path in (
+            (drive.world_from_ego(time_ns), applied.sensor("ego").poses),
+            (drive.world_from_ego(time_ns), applied.trajectories["ego"].poses),
+            (drive.world_from_ego(time_ns) @ drive_mount(drive), applied.sensor("lidar").poses),
+        ):
+            expected = mended(time_s) @ body
+            found = path.interpolate(np.array([time_ns]))
+            np.testing.assert_allclose(found.positions[0], expected.translation, atol=1e-9)
+            away = Rotation.from_quat(found.quaternions_xyzw[0]).inv() * Rotation.from_matrix(
+                expected.rotation
+            )
+            assert away.magnitude() < 1e-9
+
+
+def drive_mount(drive):
+    """`ego_from_lidar`."""
+    return drive.scene().sensor("lidar").mount
+
+
+def test_annotations_are_moved_at_their_keyframes(drive, box):
+    corner = np.array([[1.0, 2.0, 3.0]])
+    annotations = [
+        box("a", drive.stamps_ns, np.arange(15.0).reshape(5, 3), 40.0),
+        ShapeAnnotation("b", ShapeType.POINT, VertexPath(drive.stamps_ns[2:3], (corner,))),
+        box("parked", [300_000_000], [[5.0, 5, 5]], stationary=True),
+        adjustment(),
+    ]
+    applied = {a.id: a for a in apply_corrections(drive.scene(annotations=annotations)).annotations}
+    for row in applied["a"].path.values[np.isin(applied["a"].path.timestamps_ns, drive.stamps_ns)]:
+        assert row.shape == (9,)
+    for k, time_ns in enumerate(drive.stamps_ns.tolist()):
+        row = applied["a"].path.values[applied["a"].path.timestamps_ns == time_ns][0]
+        place = mended(k * 0.1).apply(np.array([3.0 * k, 3 * k + 1, 3 * k + 2]))
+        np.testing.assert_allclose(row[3:6], place, atol=1e-9)
+        np.testing.assert_allclose(row[8], 40.0 + np.degrees(TURN_RATE * k * 0.1), atol=1e-6)
+    np.testing.assert_allclose(applied["b"].path.vertices[0], mended(0.2).apply(corner), atol=1e-9)
+    # what stands still does so in the mended world, too, where its own keyframe says
+    assert applied["parked"].stationary
+    np.testing.assert_allclose(
+        applied["parked"].path.values[:, 3:6], mended(0.3).apply(np.full((1, 3), 5.0)), atol=1e-9
+    )
+
+
+def test_an_adjustment_holds_beyond_its_ends(drive):
+    applied = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment((0.1, 0.2))]))
+    expected = mended(0.2).apply(drive.points_world(4))
+    np.testing.assert_allclose(applied.sensor("lidar").frames[4].points.positions, expected, atol=1e-5)
+
+
+def test_an_adjustment_of_one_pose_moves_maps_too(drive):
+    scene = drive.scene(PointsFrame.WORLD, [adjustment((0.3,))])
+    chart = PointsSensor("map", np.array([[1.0, 2, 3]], np.float32))
+    applied = apply_corrections(replace(scene, sensors=(*scene.sensors, chart)))
+    expected = mended(0.3).apply(np.array([[1.0, 2, 3]]))
+    np.testing.assert_allclose(applied.sensor("map").positions, expected, atol=1e-6)
+
+
+def test_an_adjustment_of_an_ego_scene_leads_into_the_world(drive, box):
+    seen = box("a", drive.stamps_ns[1:2], [[7.0, 1.0, 0]], 10.0)
+    scene = to_ego(drive.scene())
+    other = LocalizationAdjustment("lead", drive.path(beyond_ns=100_000_000).moved(np.array([0.0, 0, -5.0])))
+    scene = replace(scene, annotations=(seen, other))
+    applied = apply_corrections(scene)
+    lift = np.array([0.0, 0, 5.0])
+    for k, frame in enumerate(applied.sensor("lidar").frames):
+        np.testing.assert_allclose(frame.points.positions, drive.points_world(k) + lift, atol=1e-4)
+    assert applied.sensor("lidar").coordinates is Coordinates.WORLD
+    found = applied.annotations[0].path.values[0]
+    expected = drive.world_from_ego(100_000_000).apply(np.array([7.0, 1, 0])) + lift
+    np.testing.assert_allclose(found[3:6], expected, atol=1e-9)
+    np.testing.assert_allclose(
+        applied.trajectories["ego"].positions, drive.path(beyond_ns=100_000_000).positions + lift, atol=1e-9
+    )
+    assert [s.id for s in applied.sensors if isinstance(s, OdometrySensor)] == ["ego"]
+    assert applied.metadata["sceneloom"]["annotations_frame"] == "world"
+
+
+def test_what_an_adjustment_undoes_comes_out_as_it_was(drive):
+    there = adjustment((0.2,))
+    back = mended(0.2).inverse()
+    undo = LocalizationAdjustment(
+        "undo", PosePath(np.zeros(1, np.int64), back.translation[None], back.quaternion_xyzw[None])
+    )
+    applied = apply_corrections(drive.scene(PointsFrame.WORLD, [there, undo]))
+    np.testing.assert_allclose(
+        applied.sensor("lidar").frames[2].points.positions, drive.points_world(2), atol=2e-5
+    )
+
+
+NEW_LENS = Camera("pinhole", 8, 6, 6.0, 6.5, 3.0, 2.0)
+DIFFERENCE = RigidTransform.from_quaternion(
+    np.array([0.1, 0.0, -0.2]), np.array([0.0, np.sin(0.05), 0.0, np.cos(0.05)])
+)
+
+
+def calibration(**fields):
+    """Of the camera of the drive."""
+    pose = PosePath(np.zeros(1, np.int64), DIFFERENCE.translation[None], DIFFERENCE.quaternion_xyzw[None])
+    return CameraCalibration("calibrate", "camera", **{"poses": pose, **fields})
+
+
+def test_a_camera_is_turned_behind_its_poses(drive, mount):
+    on_ego = apply_corrections(drive.scene(annotations=[calibration()]))
+    np.testing.assert_allclose(on_ego.sensor("camera").mount.matrix, (mount @ DIFFERENCE).matrix, atol=1e-12)
+    scene = to_world(drive.scene(annotations=[calibration()]))
+    posed = replace(scene.sensor("camera"), mount=None)
+    scene = replace(scene, sensors=(posed, *scene.sensors[:2], *scene.sensors[3:]))
+    poses = apply_corrections(scene).sensor("camera").poses
+    found = poses.interpolate(np.array([120_000_000]))
+    expected = drive.world_from_ego(120_000_000) @ mount @ DIFFERENCE
+    np.testing.assert_allclose(found.positions[0], expected.translation, atol=1e-9)
+    away = Rotation.from_quat(found.quaternions_xyzw[0]).inv() * Rotation.from_matrix(expected.rotation)
+    assert away.magnitude() < 1e-9
+
+
+def test_a_correction_that_changes_with_time_turns_a_mounting_into_poses_on_the_ego(drive, mount):
+    times = np.array([0, 400_000_000], np.int64)
+    path = PosePath(times, np.array([[0.0, 0, 0], [0.4, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
+    camera = apply_corrections(drive.scene(annotations=[calibration(poses=path)])).sensor("camera")
+    assert (camera.mount, camera.coordinates) == (None, Coordinates.EGO)
+    found = camera.poses.interpolate(np.array([100_000_000]))
+    np.testing.assert_allclose(found.positions[0], mount.apply(np.array([0.1, 0, 0])), atol=1e-12)
+
+
+def test_lens_and_times_are_replaced(drive, box):
+    seen = replace(
+        box("seen", [0], [[0.0, 0, 0]]),
+        projections=(Projection("camera", drive.stamps_ns), Projection("other", drive.stamps_ns)),
+    )
+    drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.stamps_ns[:1], np.ones((1, 4))))
+    scene = drive.scene(
+        annotations=[seen, drawn, calibration(intrinsics=NEW_LENS, time_offset_ns=-3_000_000)]
+    )
+    applied = apply_corrections(scene)
+    camera = applied.sensor("camera")
+    assert camera.camera == camera.pictures[1].camera == NEW_LENS
+    assert camera.pictures[1].timestamp_ns == camera.pictures.timestamps_ns[1] == 117_000_000
+    assert applied.annotations[1].path.timestamps_ns.tolist() == [-3_000_000]
+    shifted, other = applied.annotations[0].projections
+    assert shifted.timestamps_ns.tolist() == (drive.stamps_ns - 3_000_000).tolist()
+    assert other.timestamps_ns.tolist() == drive.stamps_ns.tolist()
+    assert [notice.code for notice in applied.notices] == ["projections-kept"]
+    assert pickle.loads(pickle.dumps(camera)).pictures[0].camera == NEW_LENS
+
+
+def test_poses_reach_as_far_as_the_corrected_pictures(drive):
+    scene = to_world(drive.scene(annotations=[calibration(poses=None, time_offset_ns=10_000_000)]))
+    posed = replace(scene.sensor("camera"), mount=None)
+    camera = apply_corrections(replace(scene, sensors=(posed,))).sensor("camera")
+    last_ns = int(drive.stamps_ns[-1]) + 30_000_000
+    assert camera.poses.stop_ns == camera.pictures.timestamps_ns[-1] == last_ns
+    expected = (drive.world_from_ego(last_ns) @ drive_mount(drive)).translation
+    # constant velocity over 10 ms on a circle of 20 m at 10 m/s: 0.25 mm, and the pose before is 80 ms old
+    np.testing.assert_allclose(camera.poses.positions[-1], expected, atol=5e-3)
+
+
+def test_a_lens_is_scaled_to_pictures_of_another_size(drive):
+    scene = drive.scene(annotations=[calibration(intrinsics=NEW_LENS)])
+    camera = scene.sensor("camera")
+    half = replace(camera.pictures[0], camera=camera.camera.resized(4, 3))
+    sensors = (replace(camera, pictures=LazyFrames.of([half], [half.timestamp_ns])),)
+    picture = apply_corrections(replace(scene, sensors=sensors)).sensor("camera").pictures[0]
+    assert picture.camera == NEW_LENS.resized(4, 3)
+
+
+def test_only_the_named_corrections_are_applied(drive):
+    scene = drive.scene(annotations=[calibration(), adjustment()])
+    applied = apply_corrections(scene, corrections=["calibrate"])
+    assert [annotation.id for annotation in applied.annotations] == ["mend"]
+
+
+def test_a_calibration_without_its_camera_stays(drive):
+    lost = CameraCalibration("lost", "nose", time_offset_ns=5)
+    applied = apply_corrections(drive.scene(annotations=[lost]))
+    assert [annotation.id for annotation in applied.annotations] == ["lost"]
+    assert [notice.code for notice in applied.notices] == ["calibration-without-camera"]
+
+
+def test_what_cannot_be_applied_is_refused(drive):
+    with pytest.raises(OptionError, match="nothing to apply"):
+        apply_corrections(drive.scene())
+    with pytest.raises(OptionError, match="no correction 'x'; there are 'mend'"):
+        apply_corrections(drive.scene(annotations=[adjustment()]), corrections=["x"])
+    scene = to_world(drive.scene(annotations=[adjustment()]))
+    on_ego = replace(scene.sensor("camera"), coordinates=Coordinates.EGO)
+    with pytest.raises(OptionError, match="not clear what an adjustment is of"):
+        apply_corrections(replace(scene, sensors=(scene.sensors[0], on_ego)))

@@ -5,18 +5,17 @@ from typing import Any
 
 from sceneloom.checks.subject import Subject
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.examination import examine
-from sceneloom.formats.sfs.faults import PlacedFault
-from sceneloom.formats.sfs.source import ReadingOptions
-from sceneloom.formats.table import Format, find_format, format_named
+from sceneloom.formats.sfs import SfsFormat
+from sceneloom.formats.sfs.faults import Examination, PlacedFault
+from sceneloom.formats.table import Format, format_and_place
 from sceneloom.scene import Scene
 
 
-def open_subject(path: Path, *, format: str | None = None, **reading: Any) -> Subject:
+def open_subject(path: str | Path, *, format: str | None = None, **reading: Any) -> Subject:
     """Open a file or folder; what cannot be read is a fault of the subject, not an error.
 
     Args:
-        path: a file or folder.
+        path: a file or folder, or the URL of a scene file.
         format: the format's name, where the content should not decide.
         reading: reading options of the format; `lenient` plays no part.
 
@@ -24,16 +23,16 @@ def open_subject(path: Path, *, format: str | None = None, **reading: Any) -> Su
         UnknownFormatError: no format fits the path.
         OptionError: an option or its value is not known.
     """
-    form = find_format(path) if format is None else format_named(format)
+    form, where = format_and_place(path, format=format)
     options = {name: value for name, value in reading.items() if value is not None and name != "lenient"}
-    return _examined_scene_file(path, options) if form.name == "sfs" else _opened(form, path, options)
+    if isinstance(form, SfsFormat):
+        return _examined(form.examine(where, **options), where)
+    return _opened(form, where, options)
 
 
-def _examined_scene_file(path: Path, options: dict[str, Any]) -> Subject:
-    known = {name: value for name, value in options.items() if name in ReadingOptions.__dataclass_fields__}
-    examination = examine(path, ReadingOptions(**known))
+def _examined(examination: Examination, path: str | Path) -> Subject:
     if examination.scene is None:
-        return Subject(_nothing(path, "sfs"), faults=examination.faults)
+        return Subject(_nothing(path, SfsFormat.name), faults=examination.faults)
     return Subject(
         examination.scene,
         examination.header,
@@ -60,5 +59,5 @@ def _unreadable(path: Path, error: DataError) -> PlacedFault:
     return PlacedFault(place, error.problem, "unreadable")
 
 
-def _nothing(path: Path, format_name: str) -> Scene:
+def _nothing(path: str | Path, format_name: str) -> Scene:
     return Scene((), source=str(path), format=format_name)

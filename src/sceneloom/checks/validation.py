@@ -72,7 +72,7 @@ def validate(
     """Check a scene, a recording or a rig by the rules of a profile, and mend what can be mended without a choice.
 
     Args:
-        source: a file or folder, or a scene that is open.
+        source: a file or folder, the URL of a scene file, or a scene that is open.
         profile: "sfs", or "scale" for what Scale's own library loads and validates.
         fix: where to write the scene with all safe fixes applied; the findings are then those of what was written.
         overwrite: whether `fix` may be replaced.
@@ -98,7 +98,7 @@ def validate(
     )
     if fix is not None:
         check_output(Path(fix), overwrite=overwrite)
-    subject = Subject(source) if isinstance(source, Scene) else open_subject(Path(source), **reading)
+    subject = Subject(source) if isinstance(source, Scene) else open_subject(source, **reading)
     try:
         hits = terms.hits(subject)
         report = terms.report(subject, hits)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path), required=False)
+@click.argument("path", type=options.place, required=False)
 @click.option(
     "--profile",
     type=click.Choice(["sfs", "scale"]),
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 def validate(
     context: click.Context,
     /,
-    path: Path | None,
+    path: Path | str | None,
     profile: str,
     strict: bool,
     quick: bool,

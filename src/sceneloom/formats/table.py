@@ -117,14 +117,24 @@ def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -
         UnknownFormatError: no format fits the path.
         DataError: the content is wrong.
     """
-    where = path_or_url(path)
-    if isinstance(where, str):
-        form = _format_of_url(where) if format is None else format_named(format)
-        if not getattr(form, "reads_urls", False):
-            raise OptionError(f"{where}: the format {form.name} is not read from URLs; fetch the files first")
-        return form.open(where, **options)
-    form = find_format(where) if format is None else format_named(format)
+    form, where = format_and_place(path, format=format)
     return form.open(where, **options)
+
+
+def format_and_place(path: str | Path, *, format: str | None = None) -> tuple[Format, Any]:
+    """Find the format of a path or URL, and what it opens: a `Path`, or the URL as text.
+
+    Raises:
+        UnknownFormatError: no format fits the path.
+        OptionError: the format is not read from URLs.
+    """
+    where = path_or_url(path)
+    if not isinstance(where, str):
+        return find_format(where) if format is None else format_named(format), where
+    form = _format_of_url(where) if format is None else format_named(format)
+    if not getattr(form, "reads_urls", False):
+        raise OptionError(f"{where}: the format {form.name} is not read from URLs; fetch the files first")
+    return form, where
 
 
 def format_for_output(path: Path) -> Format:

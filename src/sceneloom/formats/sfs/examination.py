@@ -9,11 +9,11 @@ from sceneloom.formats.sfs.reading import read_all
 from sceneloom.formats.sfs.source import ReadingOptions
 
 
-def examine(path: Path, options: ReadingOptions | None = None) -> Examination:
+def examine(path: Path | str, options: ReadingOptions | None = None) -> Examination:
     """Read a file as far as it is sound, and give every fault of it with its place; nothing is raised for them.
 
     Args:
-        path: the file; only its header is read.
+        path: the file, or the URL of one; only its header is read.
         options: what the file does not say itself; `lenient` plays no part.
     """
     try:

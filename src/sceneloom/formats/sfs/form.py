@@ -6,6 +6,8 @@ from typing import Any
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.sfs.container import has_scene_header
+from sceneloom.formats.sfs.examination import examine
+from sceneloom.formats.sfs.faults import Examination
 from sceneloom.formats.sfs.reading import read_scene
 from sceneloom.formats.sfs.source import ReadingOptions
 from sceneloom.formats.sfs.writing import write_scene
@@ -35,6 +37,16 @@ class SfsFormat:
         given = {name: value for name, value in options.items() if value is not None}
         _check_options(given, tuple(ReadingOptions.__dataclass_fields__))
         return read_scene(path_or_url(path), ReadingOptions(**given))
+
+    def examine(self, path: Path | str, **options: Any) -> Examination:
+        """Give all faults of a file, or of the URL of one, and the scene of all that is sound; options as for `open`.
+
+        Raises:
+            OptionError: an option or its value is not known.
+        """
+        given = {name: value for name, value in options.items() if value is not None}
+        _check_options(given, tuple(ReadingOptions.__dataclass_fields__))
+        return examine(path_or_url(path), ReadingOptions(**given))
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write a scene; the options are those of `write_scene`, None for what is not said.

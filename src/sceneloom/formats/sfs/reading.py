@@ -94,7 +94,7 @@ def read_scene(path: Path | str, options: ReadingOptions) -> Scene:
         return _sound_scene(path, options)
 
 
-def _sound_scene(path: Path, options: ReadingOptions) -> Scene:
+def _sound_scene(path: Path | str, options: ReadingOptions) -> Scene:
     examination = read_all(path, options)
     refused = [fault for fault in examination.faults if fault.vital or not options.lenient]
     if refused or examination.scene is None:

@@ -2,21 +2,23 @@
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import (
-    MODELS,
-    Chart,
     check_camera,
+    domain_angle,
     lens_vector,
     project,
     project_unbounded,
     projection_kernel,
     unproject,
 )
+from sceneloom.cameras.table import MODELS, Chart, Model
 
 __all__ = [
     "MODELS",
     "Camera",
     "Chart",
+    "Model",
     "check_camera",
+    "domain_angle",
     "lens_vector",
     "project",
     "project_unbounded",

@@ -1,10 +1,12 @@
 """The lens of a camera: which projection model, with which numbers, for which picture size."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array
+from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 
 
@@ -13,7 +15,7 @@ class Camera:
     """Intrinsics of one camera in the centre convention: pixel (0, 0) is the centre of the top-left pixel.
 
     Attributes:
-        model: a name out of `sceneloom.cameras.MODELS` ("pinhole", "brown_conrady", "fisheye").
+        model: a name out of `sceneloom.cameras.MODELS` ("pinhole", "brown_conrady", "fisheye", …).
         width, height: picture size [px].
         fx, fy: focal lengths [px].
         cx, cy: principal point [px].
@@ -48,7 +50,12 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same lens for pictures of another size: c' = (c + 0.5) s - 0.5 along each axis."""
+        """The same lens for pictures of another size: c' = (c + 0.5) s - 0.5 along each axis.
+
+        Raises:
+            CalibrationError: the axes shrink differently, by more than rounding to whole pixels, and the model has no
+                focal length of its own for each of them.
+        """
         scale_u, scale_v = width / self.width, height / self.height
         return Camera(
             self.model,
@@ -58,5 +65,18 @@ class Camera:
             self.fy * scale_v,
             (self.cx + 0.5) * scale_u - 0.5,
             (self.cy + 0.5) * scale_v - 0.5,
-            self.coefficients,
+            self._resized_coefficients(scale_u, scale_v),
         )
+
+    def _resized_coefficients(self, scale_u: float, scale_v: float) -> tuple[float, ...]:
+        model = MODELS.get(self.model)
+        if model is None or not model.pixel_axes:
+            return self.coefficients
+        if "uv" in model.pixel_axes.values() and abs(scale_u - scale_v) * max(self.width, self.height) > 1.0:
+            raise CalibrationError(
+                f"picture size times {scale_u:g} and {scale_v:g}; expected the same for both axes of a "
+                f"{self.model} lens, whose coefficients are pixels in all directions"
+            )
+        scales = {None: 1.0, "u": scale_u, "v": scale_v, "uv": math.sqrt(scale_u * scale_v)}
+        axes = [model.pixel_axes.get(name) for name in model.coefficient_names]
+        return tuple(value * scales[axis] for value, axis in zip(self.coefficients, axes, strict=False))

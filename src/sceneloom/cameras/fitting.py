@@ -11,13 +11,12 @@ from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.least_squares import minimised
 from sceneloom.cameras.models import (
-    MODELS,
-    Chart,
     check_camera,
     project_beyond_domain,
     project_unbounded,
     unproject,
 )
+from sceneloom.cameras.table import MODELS, Chart
 from sceneloom.errors import CalibrationError, OptionError
 
 PERSPECTIVE_REACH = math.radians(80.0)

@@ -88,7 +88,9 @@ def _approach_angles(flat_pixels, lens, xs, ys, angles):  # type: ignore[no-unty
 def _turn_to_rays(xs, ys, angles, flat_rays):  # type: ignore[no-untyped-def]
     for i in range(len(angles)):
         distance = math.sqrt(xs[i] * xs[i] + ys[i] * ys[i])
-        sine, cosine = sine_and_cosine(angles[i])
+        # To the centre itself only the axis leads, not the directions of a cone.
+        angle = angles[i] if (distance > 0.0) | (angles[i] == 0.0) else math.nan
+        sine, cosine = sine_and_cosine(angle)
         scale = sine / distance if distance > 0.0 else sine
         flat_rays[3 * i], flat_rays[3 * i + 1], flat_rays[3 * i + 2] = xs[i] * scale, ys[i] * scale, cosine
 

@@ -1,113 +1,18 @@
-"""The table of projection models, and projecting and unprojecting with whichever a camera has."""
+"""Projecting and unprojecting with whichever model a camera has."""
 
-from collections.abc import Callable, Mapping
-from enum import StrEnum
+import math
+from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module
-from types import MappingProxyType
-from typing import NamedTuple, Protocol, cast
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.table import MODELS, Chart, Model
 from sceneloom.errors import ArrayError, CalibrationError
-
-
-class Chart(StrEnum):
-    """What a model's domain is a disk of, and so what the last number of `lens_vector` is the radius of."""
-
-    PERSPECTIVE = "perspective"
-    """The plane z = 1."""
-    ANGLE = "angle"
-    """The angle off the axis [rad]."""
-    SPHERE = "sphere"
-    """The plane on which a shifted unit sphere is seen."""
-    PANORAMA = "panorama"
-    """The angle to each side [rad]; all directions but straight up and down."""
-
-
-class Model(NamedTuple):
-    """A row of the table of models.
-
-    Attributes:
-        module: where the model is; imported on first use, since it loads the compiler.
-        coefficient_names: what the coefficients are called, in order.
-        chart: what the domain is a disk of.
-        source: where the formula comes from.
-        assumed: whether no source confirms the formula.
-        on_request: whether what is assumed is so much that a lens is computed with only where a user asks for it.
-    """
-
-    module: str
-    coefficient_names: tuple[str, ...]
-    chart: Chart
-    source: str
-    assumed: bool = False
-    on_request: bool = False
-
-
-def _row(
-    module: str, names: str, chart: Chart, source: str, *, assumed: bool = False, on_request: bool = False
-) -> Model:
-    return Model(f"sceneloom.cameras.{module}", tuple(names.split()), chart, source, assumed, on_request)
-
-
-_MEI = "Mei and Rives 2007"
-_SFS = "Sensor Fusion Scene's own library"
-
-MODELS: Mapping[str, Model] = MappingProxyType(
-    {
-        "pinhole": _row("pinhole", "", Chart.PERSPECTIVE, "Hartley and Zisserman 2004"),
-        "brown_conrady": _row(
-            "brown_conrady",
-            "k1 k2 p1 p2 k3 k4 k5 k6 lx ly s1 s2 s3 s4 tx ty",
-            Chart.PERSPECTIVE,
-            "OpenCV",
-        ),
-        "fisheye": _row("fisheye", "k1 k2 k3 k4", Chart.ANGLE, "OpenCV; Kannala and Brandt 2006"),
-        "mod_equi_fish": _row("mod_equi_fish", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
-        "mod_kannala": _row("mod_kannala", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
-        "cylindrical": _row(
-            "cylindrical", "", Chart.PANORAMA, "the usual cylindrical panorama", assumed=True
-        ),
-        "equirectangular": _row(
-            "equirectangular", "", Chart.PANORAMA, "the usual equirectangular panorama", assumed=True
-        ),
-        "omnidirectional": _row("omnidirectional", "k1 k2 k3 k4 p1 p2 xi lx ly", Chart.SPHERE, _MEI),
-        "fisheye_rad_tan_prism": _row(
-            "fisheye_rad_tan_prism",
-            "k1 k2 k3 k4 k5 k6 p1 p2 s1 s2 s3 s4",
-            Chart.ANGLE,
-            "Project Aria, Fisheye624",
-        ),
-        "fisheye_radial_custom": _row(
-            "fisheye_radial_custom",
-            "k1 k2 k3 k4 k5 k6 p1 p2 dcx dcy",
-            Chart.ANGLE,
-            "after the models beside it",
-            assumed=True,
-            on_request=True,
-        ),
-        "ftheta": _row(
-            "ftheta",
-            "k1 k2 k3 k4 k5",
-            Chart.ANGLE,
-            "after other lenses of the name",
-            assumed=True,
-            on_request=True,
-        ),
-        "kannala_brandt18": _row(
-            "kannala_brandt18",
-            "k0 k1 k2 k3 l1 l2 l3 i1 i2 i3 i4 m1 m2 m3 j1 j2 j3 j4",
-            Chart.ANGLE,
-            "Kannala and Brandt 2006",
-        ),
-        "omnidir": _row("omnidir", "k1 k2 s xi p1 p2", Chart.SPHERE, f"OpenCV; {_MEI}"),
-    }
-)
-"""The projection models by name: those of the Sensor Fusion Scene format by its names, then others."""
 
 _LARGEST_COEFFICIENT = 1e12
 
@@ -183,6 +88,34 @@ def lens_vector(camera: Camera) -> Float64Array:
     coefficients = (*camera.coefficients, *(0.0,) * missing)
     limit = _module(camera.model).domain_limit(coefficients)
     return read_only((camera.fx, camera.fy, camera.cx, camera.cy, *coefficients, limit), np.float64)
+
+
+def domain_angle(camera: Camera) -> float:
+    """Give the angle off the axis [rad] within which a lens has a pixel for every direction, π at most.
+
+    A panorama has one for all directions but straight up and down; its angle is π. An `ftheta` lens whose k1 is not 0
+    has none right ahead.
+
+    Raises:
+        CalibrationError: the model is unknown or the coefficients are too many.
+    """
+    limit = float(lens_vector(camera)[-1])
+    match MODELS[camera.model].chart:
+        case Chart.PERSPECTIVE:
+            return math.atan(limit)
+        case Chart.SPHERE:
+            names = MODELS[camera.model].coefficient_names
+            return _angle_on_sphere(limit, dict(zip(names, camera.coefficients, strict=False)).get("xi", 0.0))
+        case _:
+            return limit
+
+
+def _angle_on_sphere(limit: float, xi: float) -> float:
+    """The angle off the axis of a place on the plane of the sphere that is seen from xi behind its centre."""
+    if math.isinf(limit):
+        return math.acos(-min(xi, 1.0))
+    scale = (xi + math.sqrt(max(0.0, 1.0 + (1.0 - xi * xi) * limit * limit))) / (1.0 + limit * limit)
+    return math.atan2(scale * limit, scale - xi) if limit > 0.0 else 0.0
 
 
 def project_unbounded(camera: Camera, points_camera: ArrayLike) -> Float64Array:

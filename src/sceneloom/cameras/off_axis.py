@@ -17,6 +17,6 @@ def pixel_off_axis(x: Any, y: Any, z: Any, lens: Any) -> Any:
     distance, _ = distance_at(angle, lens)
     scale = distance / side if side > 0.0 else 0.0
     u, v = pixel_of_plane(x * scale, y * scale, lens)
-    ahead = (z > 0.0) & (distance == 0.0)
-    known = (angle < lens.limit) & (distance >= 0.0) & ((side > 0.0) | ahead)
+    ahead = (side == 0.0) & (z > 0.0) & (distance == 0.0)
+    known = (angle < lens.limit) & (((side > 0.0) & (distance > 0.0)) | ahead)
     return (u if known else math.nan), v

@@ -37,7 +37,7 @@ def angle_at(distance, lens):  # type: ignore[no-untyped-def]
     low, high = 0.0, lens.limit
     nearest, _ = distance_at(low, lens)
     farthest, _ = distance_at(high, lens)
-    if not nearest <= distance <= farthest:
+    if not (high > 0.0 and nearest <= distance < farthest):
         return math.nan
     angle = 0.5 * high
     for _ in range(_ITERATIONS):

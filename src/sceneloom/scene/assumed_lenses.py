@@ -5,7 +5,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.cameras.models import MODELS
+from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.notices import Notice, NoticeKind

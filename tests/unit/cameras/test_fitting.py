@@ -8,7 +8,7 @@ import pytest
 from sceneloom.cameras import MODELS, Camera, project_unbounded, unproject
 from sceneloom.cameras.fitting import PERSPECTIVE_REACH, fit, measured_fit, nearest
 from sceneloom.cameras.least_squares import minimised
-from sceneloom.cameras.models import Chart
+from sceneloom.cameras.table import Chart
 from sceneloom.errors import CalibrationError, OptionError
 
 BARREL = Camera("brown_conrady", 1920, 1080, 1200.0, 1205.0, 959.0, 541.0, (-0.2, 0.06, 1e-3, -5e-4, -0.01))

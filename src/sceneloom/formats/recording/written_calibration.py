@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import nearest
-from sceneloom.cameras.models import MODELS
+from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
 from sceneloom.geometry.rigid import RigidTransform

@@ -8,7 +8,8 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import MODELS, check_camera
+from sceneloom.cameras.models import check_camera
+from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.rig.records import Record
 from sceneloom.geometry.rigid import RigidTransform

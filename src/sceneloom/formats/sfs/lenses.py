@@ -6,7 +6,7 @@ from typing import Any
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import nearest
-from sceneloom.cameras.models import MODELS
+from sceneloom.cameras.table import MODELS
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
 from sceneloom.formats.sfs.drafts import with_further
 

@@ -29,6 +29,9 @@ from sceneloom.scene.span import scene_period_ns, time_span
 _LEAST_TOLERANCE_NS = 1_000_000
 """Times are written in microseconds and pictures are moved by half an exposure: a millisecond is no difference."""
 
+_BESIDE_NS = 1_000_000_000
+"""What lies no farther than a second from the scene was cut off with it, or comes after it."""
+
 _SAME_PICTURE = 4
 """A time within this part of a picture's interval means that picture."""
 
@@ -131,24 +134,67 @@ def _bounds(subject: Subject) -> tuple[int, int] | None:
 
 
 def _outside(subject: Subject) -> Iterator[Hit]:
-    bounds = _bounds(subject)
+    """Find what lies outside as a whole, and not just beside the scene."""
+    bounds, table = _bounds(subject), timed_parts(subject)
     if bounds is None:
         return
-    table = timed_parts(subject)
-    first_ns, last_ns = bounds
-    outside = (table.timestamps_ns < first_ns) | (table.timestamps_ns > last_ns)
-    if outside.any():
-        outside &= ~_holds_always(subject, table)[table.owners]
-    yield from table.hits(
-        subject,
-        outside,
-        lambda row: _said_outside(int(table.timestamps_ns[row]), bounds),
-        within=".timestamps",
-    )
+    for part in np.flatnonzero(np.diff(table.starts) > 0).tolist() if _may_be_outside(table, bounds) else ():
+        times = table.timestamps_ns[table.starts[part] : table.starts[part + 1]]
+        if _is_outside(int(times.min()), int(times.max()), bounds) and not _holds_always(
+            subject, table, part
+        ):
+            nearest = int(times.min()) if times.min() > bounds[1] else int(times.max())
+            yield Hit(f"{table.place(subject, part)}.timestamps", _said_outside(nearest, bounds), len(times))
     for path, event in _events(subject):
-        stop_ns = event.start_ns + max(event.duration_ns or 0, 0)
-        if event.start_ns > last_ns or stop_ns < first_ns:
+        stop_ns = int(event.start_ns + max(event.duration_ns or 0, 0))
+        if _is_outside(event.start_ns, stop_ns, bounds):
             yield Hit(f"{path}.start", _said_outside(event.start_ns, bounds))
+
+
+def _is_outside(first_ns: int, last_ns: int, bounds: tuple[int, int]) -> bool:
+    return first_ns > bounds[1] + _BESIDE_NS or last_ns < bounds[0] - _BESIDE_NS
+
+
+def _may_be_outside(table: PartTable, bounds: tuple[int, int]) -> bool:
+    """Whether any time lies that far out; most scenes need no look at each part."""
+    times = table.timestamps_ns
+    return len(times) > 0 and _is_outside(int(times.max()), int(times.min()), bounds)
+
+
+def _beyond(subject: Subject) -> Iterator[Hit]:
+    """Count the parts that reach beyond the scene, or lie just beside it, and name the one that reaches farthest."""
+    bounds, table = _bounds(subject), timed_parts(subject)
+    if bounds is None:
+        return
+    times = table.timestamps_ns
+    away = np.maximum(bounds[0] - times, times - bounds[1])
+    rows = np.flatnonzero(away > 0)
+    parts = np.searchsorted(table.starts, rows, side="right") - 1
+    told = {
+        part
+        for part in np.unique(parts).tolist()
+        if not _holds_always(subject, table, part) and not _part_is_outside(table, part, bounds)
+    }
+    rows = rows[np.isin(parts, list(told))]
+    if len(rows):
+        row = int(rows[np.argmax(away[rows])])
+        part = int(np.searchsorted(table.starts, row, side="right") - 1)
+        others = f"; of {len(told)} that reach beyond, it reaches farthest" if len(told) > 1 else ""
+        place = f"{table.place(subject, part)}.timestamps[{row - int(table.starts[part])}]"
+        yield Hit(place, _said_outside(int(times[row]), bounds) + others, count=len(told))
+
+
+def _part_is_outside(table: PartTable, part: int, bounds: tuple[int, int]) -> bool:
+    times = table.timestamps_ns[table.starts[part] : table.starts[part + 1]]
+    return _is_outside(int(times.min()), int(times.max()), bounds)
+
+
+def _holds_always(subject: Subject, table: PartTable, part: int) -> bool:
+    """Whether a part holds at all times: of something that stands still, or a static attribute."""
+    annotation, found = subject.scene.annotations[int(table.numbers[part])], table.parts[part]
+    return bool(getattr(annotation, "stationary", None)) or (
+        isinstance(found, AttributePath) and bool(found.static)
+    )
 
 
 def _said_outside(time_ns: int, bounds: tuple[int, int]) -> str:
@@ -156,17 +202,6 @@ def _said_outside(time_ns: int, bounds: tuple[int, int]) -> str:
     away = (first_ns - time_ns if time_ns < first_ns else time_ns - last_ns) / 1e9
     side = "before the scene begins" if time_ns < first_ns else "after the scene ends"
     return f"{away:.3f} s {side} ({time_ns} ns; the sensors' times are {first_ns} to {last_ns} ns)"
-
-
-def _holds_always(subject: Subject, table: PartTable) -> BoolArray:
-    """(P,) bool: what belongs to something that stands still, and static attributes, hold at all times."""
-    annotations = subject.scene.annotations
-    always = [
-        (isinstance(part, AttributePath) and bool(part.static))
-        or bool(getattr(annotations[number], "stationary", None))
-        for number, part in zip(table.numbers.tolist(), table.parts, strict=True)
-    ]
-    return np.array(always, bool)
 
 
 def _events(subject: Subject) -> Iterator[tuple[str, EventAnnotation]]:
@@ -234,9 +269,16 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "annotation-outside-scene",
         Severity.WARNING,
-        "Annotations lie within the time of the scene, give or take one sweep.",
+        "No annotation lies outside the time of the scene by more than a second.",
         "Look whether the annotations count time in another unit or from another start than the sensors.",
         find=_outside,
+    ),
+    Rule(
+        "annotation-beyond-scene",
+        Severity.HINT,
+        "Annotations lie within the time of the scene, give or take one sweep.",
+        "Cut the scene with its annotations (`sceneloom edit crop`) if the rest is of no use.",
+        find=_beyond,
     ),
     Rule(
         "annotation-duration",

@@ -21,7 +21,12 @@ from sceneloom.scene import LidarFrame, LidarSensor, Scene, Severity
 _LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
 """Steps that are shorter or slower show no direction [m], [m/s]."""
 
+_STRIDES = (1, 4, 16)
+_LONGEST_S = 1.0
+"""Over a longer time an object may turn, so that its heading is not that of its whole step."""
+
 _MOST_STEPS = 5_000
+_ENOUGH_STEPS = 50
 _LEAST_STEPS = 5
 _OFF_DEG, _ALONG_DEG = 20.0, 10.0
 """A reading whose headings are so far off the motion is wrong if under another one they are along it, in the median."""
@@ -73,16 +78,33 @@ def _turns(rows: Float64Array, reading: Reading) -> Float64Array:
 
 
 def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
-    """Some keyframes after which a cuboid moves on, (K, 9), and the directions that it takes, (K, 3) unit vectors."""
+    """Some keyframes at which a cuboid moves, (K, 9), and the directions that it takes there, (K, 3) unit vectors.
+
+    Labels of many keyframes a second move too little from one to the next: then those farther apart are compared.
+    """
+    found = _moving_over(subject, _STRIDES[0])
+    for stride in _STRIDES[1:]:
+        if len(found[0]) >= _ENOUGH_STEPS:
+            break
+        found = max(found, _moving_over(subject, stride), key=lambda steps: len(steps[0]))
+    return found
+
+
+def _moving_over(subject: Subject, stride: int) -> tuple[Float64Array, Float64Array]:
+    """The same, looking from half the stride before a keyframe to half of it after."""
     table, rows = cuboid_paths(subject), cuboid_rows(subject)
-    seconds = np.diff(table.timestamps_ns) / 1e9
-    with np.errstate(invalid="ignore"):
-        steps = np.diff(rows[:, 3:6], axis=0)
+    if len(rows) <= stride:
+        return np.zeros((0, 9)), np.zeros((0, 3))
+    owners, finite = table.owners, np.asarray(np.isfinite(rows).all(axis=1))
+    seconds = (table.timestamps_ns[stride:] - table.timestamps_ns[:-stride]) / 1e9
+    with np.errstate(invalid="ignore", over="ignore"):
+        steps = rows[stride:, 3:6] - rows[:-stride, 3:6]
         lengths = np.linalg.norm(steps, axis=1)
         moves = (lengths > _LEAST_STEP_M) & (lengths > _LEAST_SPEED * seconds)
-    chosen = np.flatnonzero(table.inner & moves & (seconds > 0) & np.isfinite(rows[:-1]).all(axis=1))
+    moves &= (owners[stride:] == owners[:-stride]) & finite[stride:] & finite[:-stride]
+    chosen = np.flatnonzero(moves & (seconds > 0) & (seconds < _LONGEST_S))
     chosen = chosen[:: len(chosen) // _MOST_STEPS + 1]
-    return rows[chosen], steps[chosen] / lengths[chosen, None]
+    return rows[chosen + stride // 2], steps[chosen] / lengths[chosen, None]
 
 
 def _off_motion(subject: Subject) -> tuple[dict[Reading, float], int]:

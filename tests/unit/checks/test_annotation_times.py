@@ -24,6 +24,7 @@ RULES = (
     "annotation-times-increasing",
     "annotation-path-empty",
     "annotation-outside-scene",
+    "annotation-beyond-scene",
     "annotation-duration",
     "projection-without-picture",
 )
@@ -104,22 +105,38 @@ def test_two_different_rows_of_one_time_are_left_to_a_person(sound, fixed):
 
 def test_annotations_may_reach_one_sweep_beyond_the_sensors(sound, found):
     within, beyond = 6 * PERIOD, 6 * PERIOD + 1
-    assert found(sound.scene(annotations=(cuboid([0, within]),)), "annotation-outside-scene") == []
-    [(path, message)] = found(sound.scene(annotations=(cuboid([0, beyond]),)), "annotation-outside-scene")
+    assert found(sound.scene(annotations=(cuboid([0, within]),)), "annotation-beyond-scene") == []
+    scene = sound.scene(annotations=(cuboid([0, beyond]),))
+    [(path, message)] = found(scene, "annotation-beyond-scene")
     assert path == "annotations[0].path.timestamps[1]"
     assert "after the scene ends" in message
+    assert found(scene, "annotation-outside-scene") == []
+
+
+def test_what_lies_outside_as_a_whole_by_more_than_a_second_is_found(sound, found):
+    for times, outside in (([16 * PERIOD, 20 * PERIOD], False), ([16 * PERIOD + 1, 20 * PERIOD], True)):
+        scene = sound.scene(annotations=(cuboid(times),))
+        assert bool(found(scene, "annotation-outside-scene")) == outside
+        assert bool(found(scene, "annotation-beyond-scene")) != outside
+
+
+def test_a_path_from_far_before_to_far_after_the_scene_is_in_it(sound, found):
+    scene = sound.scene(annotations=(cuboid([-90 * PERIOD, 90 * PERIOD]),))
+    assert found(scene, "annotation-outside-scene") == []
 
 
 def test_what_holds_always_may_lie_outside(sound, found):
     static = AttributePath("colour", ("red",), np.array([90 * PERIOD]), static=True)
     annotations = (cuboid([90 * PERIOD], stationary=True), replace(cuboid(attributes=(static,)), id="b"))
-    assert found(sound.scene(annotations=annotations), "annotation-outside-scene") == []
+    scene = sound.scene(annotations=annotations)
+    assert found(scene, "annotation-outside-scene") == []
+    assert found(scene, "annotation-beyond-scene") == []
 
 
 def test_events_outside_the_scene_and_of_negative_length_are_found(sound, found):
     events = (
-        EventAnnotation("early", -9 * PERIOD, 2 * PERIOD),
-        EventAnnotation("reaching in", -9 * PERIOD, 9 * PERIOD),
+        EventAnnotation("early", -19 * PERIOD, 2 * PERIOD),
+        EventAnnotation("reaching in", -19 * PERIOD, 19 * PERIOD),
         EventAnnotation("backwards", PERIOD, -1),
     )
     scene = sound.scene(annotations=events)

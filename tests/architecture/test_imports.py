@@ -40,7 +40,7 @@ WRAPPERS = {
     "PIL": {"formats", "pictures", "simulate"},
     "small_gicp": {"motion"},
     "fsspec": {"formats"},
-    "scipy": {"motion", "tracking", "calibrate", "detections", "evaluate"},
+    "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "click": {"cli"},
     "rich": {"cli"},
     "numpy": set(ROW_OF),

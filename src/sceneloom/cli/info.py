@@ -1,7 +1,8 @@
 """`sceneloom info`."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,12 +12,32 @@ from sceneloom.cli.printing import amount, print_json, print_notices, print_tabl
 from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
 
+if TYPE_CHECKING:
+    from sceneloom.scene import Scene
+
 
 @click.command()
 @click.argument("path", type=options.place)
+@click.option(
+    "--pictures",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Draw the annotations into a folder: in the photographs, from above, over time, and each type by itself.",
+)
+@click.option("--at", type=float, metavar="S", help="When to draw them. [default: the middle of the scene]")
+@click.option("--overwrite", is_flag=True, help="Replace pictures that exist.")
 @options.reading
 @options.printing
-def info(path: Path | str, as_json: bool, quiet: bool, verbose: bool, **reading: Any) -> None:
+def info(
+    path: Path | str,
+    pictures: Path | None,
+    at: float | None,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **reading: Any,
+) -> None:
     """Say what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
     from sceneloom.formats import open_scene, size_on_disk
     from sceneloom.scene.summary import summarise
@@ -24,9 +45,24 @@ def info(path: Path | str, as_json: bool, quiet: bool, verbose: bool, **reading:
     with open_scene(path, **options.said(**reading)) as scene:
         summary = summarise(scene, size_bytes=size_on_disk(path))
         mountings = [mounting_text(sensor) for sensor in scene.sensors]
+        drawn = 0 if pictures is None else _draw(scene, pictures, at, overwrite=overwrite)
     if as_json:
         print_json(summary)
         return
+    _print_summary(summary, mountings)
+    if drawn:
+        click.echo(f"{several(drawn, 'picture')}: {pictures}")
+    if not quiet:
+        print_notices(summary.notices, verbose=verbose)
+
+
+def _draw(scene: "Scene", folder: Path, at: float | None, *, overwrite: bool) -> int:
+    from sceneloom.pictures.annotations import save_annotation_pictures
+
+    return len(save_annotation_pictures(scene, folder, at=at, overwrite=overwrite))
+
+
+def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> None:
     size = "" if summary.size_bytes is None else f", {amount(summary.size_bytes)}"
     click.echo(f"{summary.source}: {summary.format}, {summary.duration:.3f} s{size}")
     if summary.start_ns is not None:
@@ -46,8 +82,6 @@ def info(path: Path | str, as_json: bool, quiet: bool, verbose: bool, **reading:
     )
     for kind, count in summary.annotations.items():
         click.echo(f"annotations: {count} {kind}")
-    if not quiet:
-        print_notices(summary.notices, verbose=verbose)
 
 
 def _trajectories_title(summary: SceneSummary) -> str:

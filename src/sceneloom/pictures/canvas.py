@@ -57,15 +57,20 @@ class Canvas:
         """Draw a line through two or more points."""
         ImageDraw.Draw(self.image).line(points, fill=colour, width=width, joint="curve")
 
-    def polygon(self, corners: Sequence[tuple[float, float]], colour: Colour) -> None:
-        """Fill a polygon, with smooth edges."""
+    def polygon(
+        self, corners: Sequence[tuple[float, float]], colour: Colour, *, opacity: float = 1.0
+    ) -> None:
+        """Fill a polygon, with smooth edges; below an opacity of 1 what is there shines through."""
         columns, rows = zip(*corners, strict=True)
-        left, top = int(min(columns)) - 1, int(min(rows)) - 1
-        width, height = int(max(columns)) + 2 - left, int(max(rows)) + 2 - top
+        left, top = max(int(min(columns)), 0) - 1, max(int(min(rows)), 0) - 1
+        width = min(int(max(columns)), self.image.width) + 2 - left
+        height = min(int(max(rows)), self.image.height) + 2 - top
+        if width <= 0 or height <= 0:
+            return
         mask = Image.new("L", (width * _FINE, height * _FINE))
         # The centre of pixel p is p, and its left edge p - 0.5.
         fine = [((u - left + 0.5) * _FINE - 0.5, (v - top + 0.5) * _FINE - 0.5) for u, v in corners]
-        ImageDraw.Draw(mask).polygon(fine, fill=255)
+        ImageDraw.Draw(mask).polygon(fine, fill=round(255 * opacity))
         self.image.paste(colour, (left, top), mask.resize((width, height), Image.Resampling.BOX))
 
     def arrow(
@@ -93,6 +98,25 @@ class Canvas:
     ) -> None:
         """Write one line; `anchor` is Pillow's two letters: l m r across, a m s d down."""
         ImageDraw.Draw(self.image).text(place, text, fill=colour, font=self._font(scale), anchor=anchor)
+
+    def disc(self, center: tuple[float, float], radius: float, colour: Colour) -> None:
+        """Fill a disc of a radius [px]."""
+        column, row = center
+        box = (column - radius, row - radius, column + radius, row + radius)
+        ImageDraw.Draw(self.image).ellipse(box, fill=colour)
+
+    def label(
+        self, place: tuple[float, float], text: str, *, colour: Colour = INK, scale: float = 1.0
+    ) -> None:
+        """Write one line around a place, on a dark plate that sets it off from a photograph."""
+        half, line = self.text_width(text, scale=scale) / 2 + 3, 0.62 * self.text_px * scale + 2
+        column, row = place
+        corners = [
+            (column - half, row - line), (column + half, row - line),
+            (column + half, row + line), (column - half, row + line),
+        ]  # fmt: skip
+        self.polygon(corners, BACKGROUND, opacity=0.7)
+        self.text(place, text, anchor="mm", colour=colour, scale=scale)
 
     def text_width(self, text: str, *, scale: float = 1.0) -> float:
         """Width of a line of text [px]."""

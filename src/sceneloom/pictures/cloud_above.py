@@ -1,6 +1,6 @@
 """A cloud from above: a map in metres with its grid, the way of the ego and its place."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +83,7 @@ def draw_cloud_above(
     caption: Sequence[str] = ("cloud from above",),
     reach: float | None = None,
     size_px: tuple[int, int] = SIZE_PX,
+    over: Callable[[Canvas, MapLayout], None] | None = None,
 ) -> PilImage:
     """Draw a cloud as a map: x of the world to the right, y up, the higher point over the lower.
 
@@ -95,6 +96,7 @@ def draw_cloud_above(
         caption: one or two lines; to one alone what the cloud holds is added.
         reach: from the map's middle to its upper edge [m]; by default it holds most of the points.
         size_px: width and height of the picture, at least 320x240.
+        over: draws more onto the map.
 
     Raises:
         ArrayError: the arrays do not fit together.
@@ -121,6 +123,8 @@ def draw_cloud_above(
     if ego_path is not None:
         drawn = _with_path(drawn, layout, ego_path, text_px)
     plot = Canvas.of(drawn, text_px=text_px)
+    if over is not None:
+        over(plot, layout)
     if ego is not None:
         _draw_ego(plot, layout, place)
     _draw_compass(plot)

@@ -34,7 +34,7 @@ def draw_overlay(view: FusedView, *, scale: DepthScale | None = None, show_hidde
         The picture, its pixels where they were, with a strip of caption and scale bar below it.
     """
     used = scale or view_scale(view)
-    drawn = _subdued(view.rgb)
+    drawn = subdued(view.rgb)
     if show_hidden:
         drawn = stamp_crosses(drawn, view.pixels[~view.visible], HIDDEN, arm_px=round(disc_radius(view)))
     depths = view.depths[view.visible]
@@ -85,7 +85,7 @@ def _title(view: FusedView) -> str:
     return f"{view.camera_id} · {seconds_text(view.timestamp_ns)}"
 
 
-def _subdued(rgb: UInt8Array) -> UInt8Array:
+def subdued(rgb: UInt8Array) -> UInt8Array:
     """Take colour and brightness off a picture, so that what is drawn over it stands out."""
     grey = (rgb @ _LUMA)[..., None]
     return np.asarray(_BRIGHTNESS * (_GREYNESS * grey + (1.0 - _GREYNESS) * rgb.astype(np.float32)), np.uint8)

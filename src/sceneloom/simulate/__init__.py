@@ -1,5 +1,6 @@
 """The analytic scene factory: made-up drives with exact answers, the test bench of everything else."""
 
+from sceneloom.simulate.annotated import annotate
 from sceneloom.simulate.boxes import BoxTruth
 from sceneloom.simulate.camera import CameraSpec, PictureTruth, camera_mount
 from sceneloom.simulate.detections import SimulatedDetections
@@ -56,6 +57,7 @@ __all__ = [
     "Sweep",
     "TrafficSpec",
     "Truth",
+    "annotate",
     "camera_mount",
     "demo_drive",
     "detect_2d",

@@ -1,0 +1,113 @@
+"""A photograph with everything that is said about what it shows."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.cameras import project_unbounded
+from sceneloom.cameras.camera import Camera
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pictures.annotations.figures import Figure, figures_in_picture, figures_in_world
+from sceneloom.pictures.annotations.marking import Name, draw_figure, draw_marks, write_names
+from sceneloom.pictures.annotations.placed import active_events, labelled_places
+from sceneloom.pictures.canvas import BACKGROUND, Canvas, PilImage, count_text, seconds_text, text_height
+from sceneloom.pictures.clouds import sample_polyline
+from sceneloom.pictures.scale_bar import draw_caption, draw_strip, strip_height
+from sceneloom.pictures.views import LEAST_WIDTH_PX, subdued
+from sceneloom.scene import Identifier, Scene
+from sceneloom.scene.sample import Sample
+
+_PIECES = 48
+"""A straight line of the world is bent by a lens: it is drawn in so many pieces."""
+_JUMP_SHARE = 0.5
+"""Neighbouring pieces farther apart than this share of the picture are not joined: a lens may see both sides."""
+
+
+def draw_annotations_in_picture(
+    scene: Scene, sample: Sample, camera_id: Identifier, *, title: str = ""
+) -> PilImage:
+    """Draw a picture of a sample with all annotations that have a place in it.
+
+    Boxes, lines, areas and points of the world go through the lens; what files say in pixels is drawn as they say it,
+    in thin lines. Points of labelled points are dots.
+
+    Args:
+        scene: what the annotations are of.
+        sample: has the picture.
+        camera_id: the camera.
+        title: what the picture is about; goes before camera and time.
+
+    Raises:
+        DataError: the picture cannot be decoded.
+        CalibrationError: the lens has no projection.
+    """
+    picture, camera = sample.pictures[camera_id], sample.cameras[camera_id]
+    size = (camera.height, camera.width)
+    pixels = np.full((*size, 3), BACKGROUND, np.uint8) if picture is None else subdued(picture.rgb)
+    timestamp_ns = sample.times_ns.get(camera_id, sample.timestamp_ns)
+    text_px = text_height(max(camera.width, LEAST_WIDTH_PX), camera.height)
+    canvas = Canvas.of(pixels, text_px=text_px)
+    names: list[Name] = []
+    labelled = 0
+    world_from_camera = sample.world_from_camera[camera_id]
+    if world_from_camera is not None:
+        camera_from_world = world_from_camera.inverse()
+        for positions, colour in labelled_places(scene, sample):
+            labelled += draw_marks(canvas, _pixels(camera, camera_from_world, positions), colour, 1.5) > 0
+        for _, figure in figures_in_world(scene, timestamp_ns):
+            names += draw_figure(canvas, _seen(figure, camera, camera_from_world), thickness=2)
+    for _, figure in figures_in_picture(scene, camera_id, timestamp_ns):
+        names += draw_figure(canvas, figure, thickness=1)
+    write_names(canvas, names)
+    about = " · ".join(filter(None, [title, str(camera_id), seconds_text(timestamp_ns)]))
+    return _framed(canvas, [about, _caption(scene, len(names) + labelled, timestamp_ns)])
+
+
+def _caption(scene: Scene, shown: int, timestamp_ns: int) -> str:
+    events = active_events(scene, timestamp_ns)
+    return count_text(shown, "annotation") + (f"; now: {', '.join(events)}" if events else "")
+
+
+def _seen(figure: Figure, camera: Camera, camera_from_world: RigidTransform) -> Figure:
+    """The same figure as pixels; lines end where the lens sees no further."""
+    lines = tuple(part for line in figure.lines for part in _projected_line(line, camera, camera_from_world))
+    areas = tuple(_pixels(camera, camera_from_world, _bent(area)) for area in figure.areas)
+    marks = None if figure.marks is None else _pixels(camera, camera_from_world, figure.marks)
+    anchor = None if figure.anchor is None else _pixels(camera, camera_from_world, figure.anchor[None])[0]
+    whole = tuple(area for area in areas if np.isfinite(area).all())
+    return Figure(figure.name, figure.colour, lines, whole, marks, anchor)
+
+
+def _bent(vertices: Float64Array) -> Float64Array:
+    closed = np.concatenate([vertices, vertices[:1]])
+    length = float(np.linalg.norm(np.diff(closed, axis=0), axis=1).sum())
+    return sample_polyline(closed, max(length / _PIECES, 1e-6))
+
+
+def _pixels(camera: Camera, camera_from_world: RigidTransform, positions: Float64Array) -> Float64Array:
+    return project_unbounded(camera, camera_from_world.apply(positions))
+
+
+def _projected_line(
+    line: Float64Array, camera: Camera, camera_from_world: RigidTransform
+) -> Iterator[Float64Array]:
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    pixels = _pixels(camera, camera_from_world, sample_polyline(line, max(length / _PIECES, 1e-6)))
+    reach = _JUMP_SHARE * max(camera.width, camera.height)
+    jumps = np.abs(np.diff(pixels, axis=0)).max(axis=1, initial=0.0)
+    broken = np.flatnonzero(~(jumps <= reach)) + 1  # a NaN breaks the line, too
+    for part in np.split(pixels, broken):
+        if len(part) > 1 and np.isfinite(part).all():
+            yield part
+
+
+def _framed(drawn: Canvas, lines: list[str]) -> PilImage:
+    width, height = drawn.image.size
+    canvas = Canvas.blank(
+        max(width, LEAST_WIDTH_PX), height + strip_height(drawn.text_px), text_px=drawn.text_px
+    )
+    canvas.paste(drawn, 0, 0)
+    draw_strip(canvas, height)
+    draw_caption(canvas, height, canvas.image.width, lines)
+    return canvas.image

@@ -18,6 +18,7 @@ from sceneloom.version import __version__
 
 if TYPE_CHECKING:
     from sceneloom.checks import validate
+    from sceneloom.editing.differences import diff_scenes as diff
     from sceneloom.formats.sfs import SceneWriter
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline import convert, deskew, fuse, iter_fused
     from sceneloom.scene import PosePath, Scene
     from sceneloom.simulate import simulate_street
+    from sceneloom.visibility import count_points, project_cuboids
 
 __all__ = [
     "PosePath",
@@ -33,11 +35,14 @@ __all__ = [
     "SceneloomError",
     "__version__",
     "convert",
+    "count_points",
     "deskew",
+    "diff",
     "find_ego_motion",
     "fuse",
     "iter_fused",
     "open",
+    "project_cuboids",
     "simulate_street",
     "validate",
     "write",
@@ -48,11 +53,14 @@ _ON_FIRST_USE = {
     "Scene": ("sceneloom.scene", "Scene"),
     "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),
     "convert": ("sceneloom.pipeline", "convert"),
+    "count_points": ("sceneloom.visibility", "count_points"),
     "deskew": ("sceneloom.pipeline", "deskew"),
+    "diff": ("sceneloom.editing.differences", "diff_scenes"),
     "find_ego_motion": ("sceneloom.motion.ego_motion", "find_ego_motion"),
     "fuse": ("sceneloom.pipeline", "fuse"),
     "iter_fused": ("sceneloom.pipeline", "iter_fused"),
     "open": ("sceneloom.formats.table", "open_scene"),
+    "project_cuboids": ("sceneloom.visibility", "project_cuboids"),
     "simulate_street": ("sceneloom.simulate", "simulate_street"),
     "validate": ("sceneloom.checks", "validate"),
     "write": ("sceneloom.formats.table", "write_scene"),

@@ -1,0 +1,133 @@
+"""Two scenes, sensor by sensor and annotation by annotation."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sceneloom.editing.differences.frames import Progress, compare_frames, compare_pictures
+from sceneloom.editing.differences.report import Change, Findings, SceneDifferences
+from sceneloom.editing.differences.tolerances import Tolerances
+from sceneloom.editing.differences.values import Comparison, shown
+from sceneloom.scene import CameraSensor, LidarFrame, LidarSensor, RadarFrame, RadarSensor, Scene, Sensor
+from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Key, key_of
+
+_FRAMED = (LidarSensor, RadarSensor, CameraSensor)
+
+
+def diff_scenes(
+    first: Scene,
+    second: Scene,
+    *,
+    tolerance_m: float = 0.0,
+    tolerance_deg: float = 0.0,
+    tolerance_ns: float = 0.0,
+    tolerance_px: float = 0.0,
+    pixels: bool = False,
+    progress: Progress | None = None,
+) -> SceneDifferences:
+    """Tell what differs between two scenes: what was added, removed and changed from the first to the second.
+
+    Sensors and annotations are the same if their ids are, frames if their stamps are. Where a scene comes from and what
+    was remarked on reading it does not count. Frames are read in pairs and not kept.
+
+    Args:
+        first, second: the scenes.
+        tolerance_m: largest distance of places, sizes and translations that counts as none [m].
+        tolerance_deg: largest turn [deg]; quaternions of one rotation are equal whatever their sign, and so are cuboids
+            whose angles are told in another unit or order.
+        tolerance_ns: largest difference of stamps [ns].
+        tolerance_px: largest difference of what is drawn into pictures [px].
+        pixels: decode pictures whose bytes differ or are not there, and compare their pixels.
+        progress: told after each frame how many are done, and of how many.
+
+    Raises:
+        OptionError: a tolerance is negative or not a number.
+        DataError: a frame cannot be read.
+    """
+    findings = Findings()
+    comparison = Comparison(
+        findings,
+        Tolerances(tolerance_m, tolerance_deg, tolerance_ns, tolerance_px),
+        (CuboidAngles.of(first), CuboidAngles.of(second)),
+    )
+    steps = _Steps(max(_frames(first), _frames(second)), progress)
+    for name in ("time_offset_ns", "metadata", "attributes", "extras"):
+        comparison.values(name, getattr(first, name), getattr(second, name), owner="Scene", name=name)
+    comparison.values("trajectories", first.trajectories, second.trajectories)
+
+    def compare_sensors(path: str, a: Sensor, b: Sensor) -> None:
+        _compare_sensor(comparison, path, a, b, steps.one, pixels=pixels)
+
+    _compare_members(comparison, "sensors", first.sensors, second.sensors, compare_sensors)
+    _compare_members(comparison, "annotations", first.annotations, second.annotations, comparison.records)
+    return findings.told()
+
+
+@dataclass(slots=True)
+class _Steps:
+    total: int
+    progress: Progress | None
+    done: int = 0
+
+    def one(self) -> None:
+        """Count a frame."""
+        self.done += 1
+        if self.progress is not None:
+            self.progress(self.done, max(self.total, self.done))
+
+
+def _frames(scene: Scene) -> int:
+    return sum(len(frame_times(sensor)) for sensor in scene.sensors if isinstance(sensor, _FRAMED))
+
+
+def _compare_members(
+    comparison: Comparison,
+    path: str,
+    first: Iterable[Any],
+    second: Iterable[Any],
+    compare: Callable[[str, Any, Any], None],
+) -> None:
+    """Compare what has ids: what only one has, what both have, and in which order."""
+    a: Mapping[Key, Any] = {key_of(member.id): member for member in first}
+    b: Mapping[Key, Any] = {key_of(member.id): member for member in second}
+    for key, member in a.items():
+        if key not in b:
+            comparison.add(f"{path}[{member.id!r}]", Change.REMOVED, _named(member))
+    for key, member in b.items():
+        if key not in a:
+            comparison.add(f"{path}[{member.id!r}]", Change.ADDED, _named(member))
+        else:
+            compare(f"{path}[{member.id!r}]", a[key], member)
+    if [key for key in a if key in b] != [key for key in b if key in a]:
+        comparison.add(path, Change.CHANGED, "in another order")
+
+
+def _named(member: Any) -> str:
+    label = getattr(member, "label", None)
+    return str(member.type) if label is None else f"{member.type} {shown(label)}"
+
+
+def _compare_sensor(
+    comparison: Comparison, path: str, a: Sensor, b: Sensor, on_frame: Callable[[], None], *, pixels: bool
+) -> None:
+    comparison.records(path, a, b, skipped=("frames", "pictures", "video"))
+    if isinstance(a, CameraSensor) and isinstance(b, CameraSensor):
+        compare_pictures(comparison, f"{path}.pictures", a, b, on_frame, pixels=pixels)
+    elif isinstance(a, LidarSensor | RadarSensor) and type(a) is type(b):
+        compare_frames(comparison, f"{path}.frames", a.frames, b.frames, _compare_cloud, on_frame)
+
+
+def _compare_cloud(
+    comparison: Comparison, path: str, a: LidarFrame | RadarFrame, b: LidarFrame | RadarFrame
+) -> None:
+    """Compare two frames; of different numbers of points only the numbers are told."""
+    if len(a.points) == len(b.points):
+        comparison.records(path, a, b)
+        return
+    comparison.records(path, a, b, skipped=("points",))
+    count, other = len(a.points), len(b.points)
+    comparison.add(
+        f"{path}.points", Change.CHANGED, f"{count} points; then {other}", abs(count - other), "points"
+    )

@@ -1,0 +1,343 @@
+"""What is told of two scenes that differ in one known thing, and that nothing is told of equal ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.editing.differences import Change, diff_scenes
+from sceneloom.editing.differences.arrays import apart
+from sceneloom.editing.differences.frames import pairs
+from sceneloom.errors import OptionError
+from sceneloom.geometry.euler import cuboid_angles_from_rotation
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    AttributePath,
+    CameraSensor,
+    CuboidAnnotation,
+    CuboidPath,
+    EventAnnotation,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Notice,
+    NoticeKind,
+    OdometrySensor,
+    Picture,
+    PosePath,
+    Projection,
+    Scene,
+    ShapeAnnotation,
+    ShapeType,
+    Trajectory,
+    VertexPath,
+)
+from sceneloom.scene.angles import CuboidAngles
+
+LENS = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)
+STAMPS = np.array([0, 100, 200])
+
+
+def a_path(stamps=STAMPS, *, x=0.0):
+    positions = np.column_stack([stamps * 0.01 + x, stamps * 0.0, stamps * 0.0])
+    return PosePath(stamps, positions, np.tile([0.0, 0.0, 0.6, 0.8], (len(stamps), 1)))
+
+
+def sweeps(count=3, *, moved=None, extra=0):
+    frames = []
+    for k in range(count):
+        positions = np.arange(30, dtype=np.float32).reshape(10, 3) + k
+        if moved and k in moved:
+            positions[4] += np.float32(moved[k])
+            positions = np.concatenate([positions, positions[:extra]])
+        points = LidarPoints(positions, intensities=np.full(len(positions), 9, np.uint8))
+        frames.append(LidarFrame(int(STAMPS[k]), points))
+    return LazyFrames.of(frames, [frame.timestamp_ns for frame in frames])
+
+
+def a_picture(k, *, value=7, encoded=b"jpeg"):
+    rgb = np.full((6, 8, 3), value, np.uint8)
+    return replace(
+        Picture.of(int(STAMPS[k]), LENS, rgb), encoded=None if encoded is None else (lambda: encoded)
+    )
+
+
+def a_camera(pictures=None):
+    made = pictures or [a_picture(k) for k in range(3)]
+    return CameraSensor("camera", LENS, LazyFrames.of(made, [p.timestamp_ns for p in made]), poses=a_path())
+
+
+def a_cuboid(identifier="car", *, yaw=30.0, x=5.0, stamps=STAMPS, **more):
+    values = np.tile([4.0, 2.0, 1.5, x, 0.0, 0.0, 0.0, 0.0, yaw], (len(stamps), 1))
+    return CuboidAnnotation(identifier, CuboidPath(np.asarray(stamps), values), **more)
+
+
+def a_scene(**more):
+    given = {
+        "sensors": (
+            LidarSensor("lidar", sweeps(), mount=RigidTransform(np.eye(3), np.array([0.0, 0.0, 2.0]))),
+            a_camera(),
+            OdometrySensor(7, a_path()),
+        ),
+        "annotations": (a_cuboid(), EventAnnotation("event", 50, label="stop")),
+        "trajectories": {"way": Trajectory("way", STAMPS, a_path().positions)},
+        "metadata": {"place": "here", "weather": {"rain": 0.5, "words": ["wet", "dark"]}},
+    }
+    return Scene(**{**given, **more})
+
+
+def with_lidar(frames):
+    scene = a_scene()
+    return replace(scene, sensors=(replace(scene.sensors[0], frames=frames), *scene.sensors[1:]))
+
+
+def only(first, second, **tolerances):
+    (difference,) = diff_scenes(first, second, **tolerances).differences
+    return difference
+
+
+def test_equal_scenes_do_not_differ():
+    assert diff_scenes(a_scene(), a_scene()).equal
+
+
+def test_where_a_scene_comes_from_does_not_count():
+    remark = Notice(kind=NoticeKind.ASSUMED, code="x", place="y", message="z")
+    assert diff_scenes(a_scene(), a_scene(source="elsewhere", format="sfs", notices=(remark,))).equal
+
+
+def test_moved_points_are_told_once_with_the_largest_distance():
+    found = only(a_scene(), with_lidar(sweeps(moved={0: (0, 0, 0.5), 2: (0.3, 0.4, 1.2)})))
+    assert found.path == "sensors['lidar'].frames[].points.positions"
+    assert (found.change, found.unit, found.count, found.frame) == (Change.CHANGED, "m", 2, 2)
+    assert found.amount == pytest.approx(1.3, abs=1e-5)  # float32 coordinates
+    assert "1 of 10 rows differ, row 4 most" in found.message
+
+
+def test_a_tolerance_lets_pass_what_is_within_it():
+    moved = with_lidar(sweeps(moved={1: (0, 0, 0.5)}))
+    assert not diff_scenes(a_scene(), moved, tolerance_m=0.49).equal
+    assert diff_scenes(a_scene(), moved, tolerance_m=0.51).equal
+
+
+def test_other_numbers_of_points_are_told_as_such():
+    found = only(a_scene(), with_lidar(sweeps(moved={1: (0, 0, 0)}, extra=3)))
+    assert (found.path, found.amount, found.unit) == ("sensors['lidar'].frames[].points", 3.0, "points")
+    assert found.message == "10 points; then 13"
+
+
+def test_frames_are_the_same_by_their_stamps():
+    fewer = with_lidar(sweeps(2))
+    assert (only(a_scene(), fewer).change, only(a_scene(), fewer).frame) == (Change.REMOVED, 2)
+    assert only(fewer, a_scene()).change is Change.ADDED
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "tolerance", "expected"),
+    [
+        ([0, 10], [0, 10], 0, [(0, 0), (1, 1)]),
+        ([0, 10, 20], [10, 30], 0, [(0, None), (1, 0), (2, None), (None, 1)]),
+        ([0, 10], [3, 12], 2, [(0, None), (None, 0), (1, 1)]),
+        ([0, 10], [3, 12], 3, [(0, 0), (1, 1)]),
+        ([], [5], 0, [(None, 0)]),
+    ],
+)
+def test_frames_are_paired_in_the_order_of_their_stamps(first, second, tolerance, expected):
+    assert list(pairs(np.array(first, np.int64), np.array(second, np.int64), tolerance)) == expected
+
+
+def test_stamps_within_the_tolerance_are_the_same_and_others_are_told():
+    later = with_lidar(
+        LazyFrames.of([replace(f, timestamp_ns=f.timestamp_ns + 3) for f in sweeps()], (STAMPS + 3).tolist())
+    )
+    assert diff_scenes(a_scene(), later, tolerance_ns=3).equal
+    changes = diff_scenes(a_scene(), later, tolerance_ns=2).differences
+    assert {(c.change, c.count) for c in changes} == {(Change.REMOVED, 3), (Change.ADDED, 3)}
+
+
+def test_stamps_of_today_are_compared_to_the_nanosecond():
+    first = np.array([1_700_000_000_000_000_001], np.int64)
+    assert apart(first, first + 1, "ns").tolist() == [1.0]
+
+
+def test_pictures_are_compared_byte_by_byte():
+    pictures = [a_picture(0), a_picture(1, encoded=b"other"), a_picture(2)]
+    changed = a_scene(sensors=(a_scene().sensors[0], a_camera(pictures), a_scene().sensors[2]))
+    found = only(a_scene(), changed)
+    assert (found.path, found.message, found.frame) == (
+        "sensors['camera'].pictures[].content",
+        "other bytes",
+        1,
+    )
+    assert diff_scenes(a_scene(), changed, pixels=True).equal
+
+
+def test_pixels_are_compared_on_request():
+    pictures = [a_picture(0), a_picture(1, value=9, encoded=b"other"), a_picture(2)]
+    changed = a_scene(sensors=(a_scene().sensors[0], a_camera(pictures), a_scene().sensors[2]))
+    found = only(a_scene(), changed, pixels=True)
+    assert (found.path, found.amount, found.unit) == ("sensors['camera'].pictures[].rgb", 2.0, "of 255")
+
+
+def test_pictures_without_bytes_are_told_to_be_left_out():
+    bare = a_scene(sensors=(a_camera([a_picture(k, encoded=None) for k in range(3)]),))
+    other = a_scene(sensors=(a_camera([a_picture(k, value=8, encoded=None) for k in range(3)]),))
+    passed = diff_scenes(bare, other)
+    assert passed.equal
+    assert len(passed.not_compared) == 1
+    assert only(bare, other, pixels=True).count == 3
+
+
+def test_another_lens_and_another_mounting_are_told_by_their_fields():
+    scene = a_scene()
+    turn = RigidTransform(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([0.0, 3.0, 6.0]))
+    lidar = replace(scene.sensors[0], mount=turn)
+    camera = replace(scene.sensors[1], camera=replace(LENS, fx=5.5))
+    found = diff_scenes(scene, replace(scene, sensors=(lidar, camera, scene.sensors[2]))).differences
+    assert {(f.path, round(f.amount, 6), f.unit) for f in found} == {
+        ("sensors['lidar'].mount.rotation", 90.0, "deg"),
+        ("sensors['lidar'].mount.translation", 4.0, "m"),
+        ("sensors['camera'].camera.fx", 0.5, ""),
+    }
+
+
+def test_a_quaternion_and_its_negative_are_one_rotation():
+    scene, path = a_scene(), a_path()
+    turned = PosePath(path.timestamps_ns, path.positions, -path.quaternions_xyzw)
+    assert diff_scenes(scene, replace(scene, sensors=(*scene.sensors[:2], OdometrySensor(7, turned)))).equal
+
+
+def test_poses_of_other_stamps_are_told_by_their_number():
+    scene = a_scene()
+    changed = replace(scene, sensors=(*scene.sensors[:2], OdometrySensor(7, a_path(np.array([0, 200])))))
+    paths = {f.path for f in diff_scenes(scene, changed).differences}
+    assert "sensors[7].poses.timestamps_ns" in paths
+
+
+def test_annotations_are_the_same_by_their_ids():
+    scene = a_scene()
+    changed = replace(scene, annotations=(a_cuboid("truck", label="truck"), scene.annotations[1]))
+    found = diff_scenes(scene, changed).differences
+    assert [(f.path, f.change, f.message) for f in found] == [
+        ("annotations['car']", Change.REMOVED, "cuboid"),
+        ("annotations['truck']", Change.ADDED, "cuboid 'truck'"),
+    ]
+
+
+def test_an_id_that_is_a_number_is_not_its_text():
+    found = diff_scenes(
+        a_scene(annotations=(a_cuboid(1),)), a_scene(annotations=(a_cuboid("1"),))
+    ).differences
+    assert {f.path for f in found} == {"annotations[1]", "annotations['1']"}
+
+
+def test_another_order_of_sensors_is_told():
+    scene = a_scene()
+    found = only(scene, replace(scene, sensors=scene.sensors[::-1]))
+    assert (found.path, found.message) == ("sensors", "in another order")
+
+
+def test_what_changed_of_a_cuboid_is_told_in_metres_and_degrees():
+    found = diff_scenes(a_scene(), a_scene(annotations=(a_cuboid(yaw=32.0, x=5.5), a_scene().annotations[1])))
+    assert {(f.path, round(f.amount, 6), f.unit) for f in found.differences} == {
+        ("annotations['car'].path.values.position", 0.5, "m"),
+        ("annotations['car'].path.values.rotation", 2.0, "deg"),
+    }
+
+
+def test_cuboids_told_in_radians_and_another_order_are_the_same_cuboids():
+    first = a_cuboid()
+    values = first.path.values.copy()
+    values[:, 6:] = [20.0, -10.0, 200.0]
+    degrees = replace(first, path=CuboidPath(STAMPS, values))
+    turned = CuboidAngles().quaternions(values[:, 6:])
+    radians = values.copy()
+    matrices = np.stack([RigidTransform.from_quaternion(np.zeros(3), q).rotation for q in turned])
+    radians[:, 6:] = cuboid_angles_from_rotation(matrices, unit="radians", order="zyx")
+    other = replace(first, path=CuboidPath(STAMPS, radians))
+    ours = {"euler_unit": "radians", "euler_order": "zyx"}
+    found = diff_scenes(
+        Scene((), (degrees,)), Scene((), (other,), metadata={"sceneloom": ours}), tolerance_deg=1e-9
+    )
+    assert [f.path for f in found.differences] == ["metadata['sceneloom']"]
+
+
+def test_nan_is_equal_to_nan_and_far_from_numbers():
+    boxes = np.array([[np.nan] * 4, [1.0, 2.0, 3.0, 4.0]])
+    first = a_cuboid(projections=(Projection("camera", STAMPS[:2], boxes),))
+    second = a_cuboid(projections=(Projection("camera", STAMPS[:2], boxes[::-1].copy()),))
+    copied = replace(first, projections=(Projection("camera", STAMPS[:2], boxes.copy()),))
+    assert diff_scenes(Scene((), (first,)), Scene((), (copied,))).equal
+    found = only(Scene((), (first,)), Scene((), (second,)), tolerance_px=1e9)
+    assert (found.path, found.amount) == ("annotations['car'].projections['camera'].boxes", np.inf)
+
+
+def test_attributes_are_the_same_by_name_and_sensor():
+    told = AttributePath("colour", ("red",)), AttributePath("points", (3,), STAMPS[:1], sensor_id="lidar")
+    other = AttributePath("points", (4,), STAMPS[:1], sensor_id="lidar"), AttributePath("colour", ("red",))
+    found = only(Scene((), (a_cuboid(attributes=told),)), Scene((), (a_cuboid(attributes=other),)))
+    assert found.path == "annotations['car'].attributes['points', 'lidar'].values[0]"
+    assert (found.message, found.amount) == ("3; then 4", 1.0)
+
+
+def test_vertices_are_counted_in_pixels_or_metres():
+    def line(kind, vertices):
+        path = VertexPath(np.array([0]), (np.array(vertices, float),))
+        return Scene((), (ShapeAnnotation("s", kind, path, sensor_id="camera"),))
+
+    flat = only(line(ShapeType.POLYLINE_2D, [[0, 0], [3, 4]]), line(ShapeType.POLYLINE_2D, [[0, 0], [3, 6]]))
+    deep = only(line(ShapeType.POLYLINE, [[0, 0, 0]]), line(ShapeType.POLYLINE, [[3, 4, 0]]))
+    assert (flat.amount, flat.unit, deep.amount, deep.unit) == (2.0, "px", 5.0, "m")
+
+
+def test_metadata_are_compared_key_by_key():
+    changed = a_scene(metadata={"place": "there", "weather": {"rain": 0.5, "words": ["wet"]}, "new": 1})
+    found = {(f.path, f.change) for f in diff_scenes(a_scene(), changed).differences}
+    assert found == {
+        ("metadata['place']", Change.CHANGED),
+        ("metadata['weather']['words']", Change.CHANGED),
+        ("metadata['new']", Change.ADDED),
+    }
+
+
+def test_true_is_not_one_and_text_no_number():
+    for first, second in ((True, 1), ("1", 1), (None, 0), ([], {})):
+        assert not diff_scenes(a_scene(metadata={"x": first}), a_scene(metadata={"x": second})).equal
+    assert diff_scenes(a_scene(metadata={"x": float("nan")}), a_scene(metadata={"x": float("nan")})).equal
+
+
+def test_a_sensor_of_another_kind_is_told():
+    scene = a_scene()
+    found = only(scene, replace(scene, sensors=(*scene.sensors[:2], LidarSensor(7, sweeps()))))
+    assert found.message == "a OdometrySensor; then a LidarSensor"
+
+
+def test_tolerances_that_are_none_are_refused():
+    with pytest.raises(OptionError, match="tolerance -1"):
+        diff_scenes(a_scene(), a_scene(), tolerance_m=-1.0)
+
+
+def test_frames_are_read_in_pairs_and_progress_is_told():
+    read, told = [], []
+    frames = sweeps()
+
+    class Reading:
+        def __call__(self, k):
+            read.append(k)
+            return frames[k]
+
+    lazy = with_lidar(LazyFrames(STAMPS, Reading()))
+    diff_scenes(lazy, lazy, progress=lambda done, total: told.append((done, total)))
+    assert read == [0, 0, 1, 1, 2, 2]
+    assert told[-1] == (6, 6)
+
+
+def test_a_written_scene_is_equal_to_what_was_written(tmp_path):
+    drive = sceneloom.simulate_street(1, frames=2, cameras=()).scene
+    sceneloom.write(drive, tmp_path / "a.sfs", time_unit="nanoseconds")
+    with sceneloom.open(tmp_path / "a.sfs") as first:
+        sceneloom.write(first, tmp_path / "b.sfs", time_unit="nanoseconds")
+        with sceneloom.open(tmp_path / "b.sfs") as second:
+            assert diff_scenes(first, second).differences == ()

@@ -18,8 +18,7 @@ from sceneloom.version import __version__
 
 if TYPE_CHECKING:
     from sceneloom.checks import validate
-    from sceneloom.editing.differences import diff_scenes as diff
-    from sceneloom.formats.sfs import SceneWriter
+    from sceneloom.formats.sfs import SceneWriter, salvage
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
     from sceneloom.motion.ego_motion import find_ego_motion
@@ -42,7 +41,7 @@ __all__ = [
     "fuse",
     "iter_fused",
     "open",
-    "project_cuboids",
+    "salvage",
     "simulate_street",
     "validate",
     "write",
@@ -60,7 +59,7 @@ _ON_FIRST_USE = {
     "fuse": ("sceneloom.pipeline", "fuse"),
     "iter_fused": ("sceneloom.pipeline", "iter_fused"),
     "open": ("sceneloom.formats.table", "open_scene"),
-    "project_cuboids": ("sceneloom.visibility", "project_cuboids"),
+    "salvage": ("sceneloom.formats.sfs", "salvage"),
     "simulate_street": ("sceneloom.simulate", "simulate_street"),
     "validate": ("sceneloom.checks", "validate"),
     "write": ("sceneloom.formats.table", "write_scene"),

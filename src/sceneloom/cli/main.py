@@ -22,7 +22,7 @@ VERBS = MappingProxyType(
         "fuse": "Fuse lidar and cameras of a drive into one scene.",
         "convert": "Write a recording or a scene in another format.",
         "validate": "Check a drive or a scene by rules, and mend what can be mended safely.",
-        "diff": "Tell what differs between two drives.",
+        "salvage": "Take out of a damaged scene file what is whole.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "formats": "List the formats that can be read and written.",
     }

@@ -169,6 +169,15 @@ class Container:
         """Give the bytes of an array, to be read piece by piece where the file is behind a URL."""
         return self._stored.bytes_of(array)
 
+    def bytes_between(self, start: int, stop: int) -> memoryview:
+        """Give bytes of a file on disk by their offsets from the end of the header, as many as there are."""
+        return memoryview(self._stored.content)[self.start + start : self.start + stop]
+
+    @property
+    def item_count(self) -> int:
+        """How many entries `$items` has."""
+        return len(self._items)
+
     def item(self, number: int) -> Any:
         """Give an entry of `$items` as the file has it."""
         return self._items[number]

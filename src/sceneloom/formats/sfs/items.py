@@ -116,11 +116,12 @@ def format_keys(keys: Any, root: Any = None) -> str:
             text += f"[{key}]"
         else:
             text += f".{key}" if text else str(key)
-        node = _step(node, key)
+        node = step(node, key)
     return text
 
 
-def _step(node: Any, key: Any) -> Any:
+def step(node: Any, key: Any) -> Any:
+    """Follow one key of a path; None where it leads nowhere."""
     if isinstance(node, dict):
         return node.get(str(key))
     index = _index(key)
@@ -237,7 +238,7 @@ def _put(header: dict[str, Any], keys: Any, array: AnyArray) -> None:
 def _find(header: dict[str, Any], keys: list[Any]) -> _Slot | None:
     holder: Any = header
     for key in keys[:-1]:
-        holder = _step(holder, key)
+        holder = step(holder, key)
     if not isinstance(holder, dict | list):
         return None
     slot = _slot(holder, keys[-1])
@@ -248,7 +249,7 @@ def _missing(header: dict[str, Any], keys: list[Any]) -> str:
     """The part of a path that is not in the header."""
     node: Any = header
     for depth, key in enumerate(keys[:-1]):
-        node = _step(node, key)
+        node = step(node, key)
         if not isinstance(node, dict | list):
             return format_keys(keys[: depth + 1], header)
     return format_keys(keys, header)

@@ -113,11 +113,31 @@ def read_all(path: Path | str, options: ReadingOptions) -> Examination:
     try:
         with collector_paused():
             items: list[ItemFault] = []
-            return _examination(_opened(path, options, items), items, options)
+            container = _opened(path, options, items)
     except RecursionError:
         raise DataError(path, "header", "nested too deeply") from None
+    return read_container(container, items, options)
+
+
+def read_container(container: Container, items: list[ItemFault], options: ReadingOptions) -> Examination:
+    """Read all of an open file that is sound, and note every fault.
+
+    Args:
+        container: the file.
+        items: what is wrong with its arrays.
+        options: what the file does not say itself.
+
+    Raises:
+        DataError: it nests too deeply.
+    """
+    try:
+        with collector_paused():
+            return _examination(container, items, options)
+    except RecursionError:
+        raise DataError(container.file, "header", "nested too deeply") from None
     except OptionError as error:
-        raise DataError(path, "", str(error).removeprefix(f"{path}: ")) from None
+        problem = str(error).removeprefix(f"{container.file}: ")
+        raise DataError(container.file, "", problem) from None
 
 
 def _opened(path: Path | str, options: ReadingOptions, items: list[ItemFault]) -> Container:

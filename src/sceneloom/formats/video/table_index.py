@@ -7,8 +7,8 @@ from typing import Any, BinaryIO, Protocol, cast
 
 from sceneloom.formats.video.index import VideoIndex, read_index
 
-_BY_TABLES = {"fflags": "noparse+nofillin"}
-"""Source: AVFMT_FLAG_NOPARSE of libavformat/avformat.h: packets are told as the tables tell them."""
+BY_TABLES = {"fflags": "noparse+nofillin"}
+"""Options for packets that are told as the tables tell them. Source: AVFMT_FLAG_NOPARSE of libavformat/avformat.h."""
 
 _LONG_SIZE, _TO_THE_END = 1, 0
 _LOOKED_AT = 64 << 10
@@ -29,11 +29,12 @@ def read_table_index(content: Bytes, name: str) -> VideoIndex:
     Raises:
         DataError: the container breaks off.
     """
+    return read_index(lambda: open_hollow(content), name, options=BY_TABLES)
+
+
+def open_hollow(content: Bytes) -> BinaryIO:
+    """Open an mp4 video as a file whose pictures read as NULs, but for the first bytes, by which decoders are told."""
     payloads = [(start + _LOOKED_AT, stop) for start, stop in _media(content)]
-    return read_index(lambda: _open(content, payloads), name, options=_BY_TABLES)
-
-
-def _open(content: Bytes, payloads: list[tuple[int, int]]) -> BinaryIO:
     return cast("BinaryIO", io.BufferedReader(_Hollow(content, payloads), _LOOKED_AT))
 
 

@@ -1,0 +1,398 @@
+"""Damaged scene files: what is whole comes back as a valid scene, what is not is told."""
+
+import json
+
+import av
+import numpy as np
+import pytest
+import simplejpeg
+from click.testing import CliRunner
+
+import sceneloom
+from sceneloom.cli.main import sceneloom as program
+from sceneloom.errors import DataError, OutputError, SceneloomError
+from sceneloom.formats.sfs.header_recovery import recover_header
+from sceneloom.formats.sfs.removal import parse_path, take_out, what_goes
+from sceneloom.formats.sfs.salvaging import salvage
+from sceneloom.formats.sfs.spool import Spool
+
+POSES = {"timestamps": [0, 10**6], "values": [[0, 0, 0, 0, 0, 0, 1], [9, 0, 0, 0, 0, 0, 1]]}
+LENS = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": 96, "height": 64}
+
+
+def cloud(k, *, points=10):
+    """A sweep of a tenth of a second, `k` in all its values."""
+    return {
+        "timestamp": 100_000 * k,
+        "points": {
+            "positions": np.full((points, 3), k, np.float32),
+            "intensities": np.full(points, k, np.uint8),
+            "timestamps": np.arange(points, dtype=np.uint32) + 100_000 * k,
+        },
+    }
+
+
+def drive(*, frames=5):
+    """A lidar, a camera with JPEG pictures, and annotations of which one counts frames."""
+    jpeg = np.frombuffer(simplejpeg.encode_jpeg(np.zeros((64, 96, 3), np.uint8), 50), np.uint8)
+    labels = [
+        {"sensor_id": "top", "sensor_frame": k, "point_ids": np.array([k], np.uint32)} for k in range(frames)
+    ]
+    path = {"timestamps": [0], "values": [[1.0] * 9]}
+    return {
+        "version": "1.0",
+        "annotations": [
+            {"id": "box", "type": "cuboid", "path": path},
+            {"id": "labels", "type": "labeled_points", "label": "car", "labeled_points": labels},
+        ],
+        "sensors": [
+            {"id": "top", "type": "lidar", "poses": POSES, "frames": [cloud(k) for k in range(frames)]},
+            {
+                "id": "cam",
+                "type": "camera",
+                "poses": POSES,
+                "intrinsics": LENS,
+                "images": [{"timestamp": 100_000 * k, "content": jpeg} for k in range(3)],
+            },
+        ],
+    }
+
+
+@pytest.fixture
+def salvaged(tmp_path):
+    """Salvage a content; give the report and the scene, opened without leniency."""
+
+    def run(content):
+        (tmp_path / "damaged.sfs").write_bytes(content)
+        report = salvage(tmp_path / "damaged.sfs", tmp_path / "whole.sfs", overwrite=True)
+        return report, sceneloom.open(tmp_path / "whole.sfs")
+
+    return run
+
+
+def items_of(content):
+    stop = content.index(b"\0")
+    return json.loads(content[:stop])["$items"], stop
+
+
+def cut_before(content, path):
+    """Cut a file in the middle of the array at a path of keys."""
+    items, stop = items_of(content)
+    item = next(item for item in items if item["keys"] == path)
+    return content[: stop + item["offset"] + item["length"] // 2]
+
+
+def test_a_whole_file_loses_nothing(salvaged, encode_sfs):
+    report, scene = salvaged(encode_sfs(drive()))
+    assert report.lost == ()
+    assert [(s.id, s.kept, s.count) for s in report.sensors] == [("top", 5, 5), ("cam", 3, 3)]
+    assert "salvaged" not in [notice.code for notice in scene.notices]
+
+
+def test_frames_behind_the_cut_are_left_out_and_told(salvaged, encode_sfs):
+    content = encode_sfs({name: v for name, v in drive().items() if name != "annotations"})
+    report, scene = salvaged(cut_before(content, ["sensors", 0, "frames", 3, "points", "positions"]))
+    assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [0, 1, 2]
+    places = [part.place for part in report.lost]
+    assert places[:2] == ["sensors[0].frames[3]", "sensors[0].frames[4]"]
+    assert places[2:] == [f"sensors[1].images[{k}]" for k in range(3)]
+    assert report.lost[0].bytes == 10 * (12 + 1 + 4)
+    assert "the file has" in report.lost[0].problem
+    assert [(s.id, s.kept, s.count) for s in report.sensors] == [("top", 3, 5), ("cam", 0, 3)]
+    assert scene.lidars[0].poses is not None
+    assert [n.count for n in scene.notices if n.code == "salvaged"] == [5]
+
+
+def test_an_optional_array_that_is_lost_leaves_its_frame(salvaged, encode_sfs):
+    header = {**drive(), "annotations": []}
+    header["sensors"] = header["sensors"][:1]
+    content = encode_sfs(header)
+    report, scene = salvaged(cut_before(content, ["sensors", 0, "frames", 4, "points", "intensities"]))
+    frames = scene.lidars[0].frames
+    assert len(frames) == 5
+    assert frames[4].points.intensities is None
+    assert frames[4].points.timestamps_ns is None
+    assert frames[3].points.intensities.tolist() == [3] * 10
+    assert [part.place for part in report.lost] == [
+        "sensors[0].frames[4].points.intensities",
+        "sensors[0].frames[4].points.timestamps",
+    ]
+
+
+def test_labelled_points_follow_the_frames_that_stay(salvaged, encode_sfs):
+    content = encode_sfs(drive())
+    damaged = content.replace(b'"length": 120', b'"length": 12x')
+    items, _ = items_of(content)
+    number = next(
+        k for k, i in enumerate(items) if i["keys"] == ["sensors", 0, "frames", 1, "points", "positions"]
+    )
+    items[number]["offset"] = 10**9
+    stop = content.index(b"\0")
+    header = json.loads(content[:stop])
+    text = json.dumps({**header, "$items": items}).encode()
+    damaged = text + content[stop:]
+    report, scene = salvaged(damaged)
+    assert [part.place for part in report.lost] == ["sensors[0].frames[1]"]
+    labels = next(a for a in scene.annotations if a.id == "labels")
+    found = [(part.sensor_frame, part.point_ids.tolist()) for part in labels.labeled_points]
+    assert found == [(0, [0]), (1, [2]), (2, [3]), (3, [4])]
+    assert scene.lidars[0].frames[1].points.positions[0, 0] == 2
+
+
+def test_a_label_whose_array_is_lost_leaves_the_others(salvaged, encode_sfs):
+    header = {"version": "1.0", "sensors": drive()["sensors"], "annotations": drive()["annotations"]}
+    content = encode_sfs(header)
+    cut = cut_before(content, ["annotations", 1, "labeled_points", 3, "point_ids"])
+    report, scene = salvaged(cut)
+    labels = next(a for a in scene.annotations if a.id == "labels")
+    assert [part.sensor_frame for part in labels.labeled_points] == [0, 1, 2]
+    assert [part.place for part in report.lost] == [
+        "annotations[1].labeled_points[3]",
+        "annotations[1].labeled_points[4]",
+    ]
+
+
+def test_a_header_that_was_cut_keeps_what_is_complete(salvaged, encode_sfs):
+    text = json.dumps({**drive(), "$items": []}, default=lambda _: "").encode()
+    cut = text[: text.index(b'"frames"') + 100]
+    report, scene = salvaged(cut)
+    assert [a.id for a in scene.annotations] == ["box", "labels"]
+    assert scene.sensors == ()
+    assert report.lost[0].place == "sensors[0]"
+    assert "cut off or damaged here" in report.lost[0].problem
+    assert report.annotations == 2
+
+
+def test_arrays_are_found_behind_a_damaged_part_of_the_header(salvaged, encode_sfs):
+    content = encode_sfs(drive())
+    damaged = content.replace(b'"intrinsics": {"fx"', b'"intrinsics": {#fx"')
+    report, scene = salvaged(damaged)
+    assert [sensor.id for sensor in scene.sensors] == ["top"]
+    assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [0, 1, 2, 3, 4]
+    assert report.lost[0].place == "sensors[1]"
+    assert "cut off or damaged here" in report.lost[0].problem
+    assert sum("lead nowhere" in part.problem for part in report.lost) == 3
+
+
+def test_a_changed_number_costs_one_frame(salvaged, encode_sfs):
+    content = encode_sfs({**drive(), "annotations": []})
+    place = content.index(b'"timestamp": 200000')
+    damaged = content[:place] + b'"timestamp": 2x0000'.replace(b"2x0000", b'"0000"') + content[place + 19 :]
+    report, scene = salvaged(damaged)
+    assert [part.place for part in report.lost] == ["sensors[0].frames[2]"]
+    assert len(scene.lidars[0].frames) == 4
+
+
+@pytest.mark.parametrize("reserve", [640, 1 << 17])
+def test_the_draft_of_a_writer_that_was_stopped_is_told(tmp_path, reserve, monkeypatch):
+    monkeypatch.setattr("sceneloom.formats.sfs.spool._IN_MEMORY", 1000)
+    with Spool(tmp_path / "draft.sfs", reserve=lambda: reserve) as spool:
+        spool.add(np.ones(100_000, np.float32))
+        spool.add(np.ones(100_000, np.float32))
+    with pytest.raises(DataError, match="draft of a writer that was stopped"):
+        salvage(tmp_path / "draft.sfs", tmp_path / "out.sfs")
+    assert not (tmp_path / "out.sfs").exists()
+
+
+def encoded(path, *, pictures, flags):
+    """H.264 with pictures that are stored in another order than they are shown in."""
+    rng = np.random.default_rng(5)
+    movie = av.open(path, "w", format="mp4", options={"movflags": flags} if flags else {})
+    stream = movie.add_stream("libx264", rate=10, options={"bf": "2", "g": "12"})
+    stream.width, stream.height = 96, 64
+    for _ in range(pictures):
+        frame = av.VideoFrame.from_ndarray(rng.integers(0, 256, (64, 96, 3), np.uint8), format="rgb24")
+        for packet in stream.encode(frame):
+            movie.mux(packet)
+    for packet in stream.encode():
+        movie.mux(packet)
+    movie.close()
+    return np.frombuffer(path.read_bytes(), np.uint8)
+
+
+def video_scene(encode_sfs, content, count):
+    video = {"timestamps": [1000 * k**2 for k in range(count)], "content": content, "fps": 10}
+    camera = {"id": "cam", "type": "camera", "poses": POSES, "intrinsics": LENS, "video": video}
+    return encode_sfs({"version": "1.0", "sensors": [camera]})
+
+
+def test_a_video_that_was_cut_keeps_its_whole_pictures_with_their_times(salvaged, encode_sfs, tmp_path):
+    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", pictures=30, flags="faststart"), 30)
+    (tmp_path / "original.sfs").write_bytes(content)
+    report, scene = salvaged(content[: len(content) * 2 // 3])
+    original = sceneloom.open(tmp_path / "original.sfs").cameras[0].pictures
+    pictures = scene.cameras[0].pictures
+    assert 10 < len(pictures) < 30
+    times = original.timestamps_ns.tolist()
+    for picture in pictures:
+        expected = original[times.index(picture.timestamp_ns)]
+        np.testing.assert_array_equal(picture.rgb, expected.rgb)
+    assert report.lost[0].place == "sensors[0].video.content"
+    assert f"{len(pictures)} of its 30 pictures" in report.lost[0].problem
+
+
+@pytest.mark.parametrize("flags", ["", "frag_keyframe+empty_moov"])
+def test_a_video_whose_tables_are_lost_is_left_out_and_its_camera_stays(
+    salvaged, encode_sfs, tmp_path, flags
+):
+    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", pictures=30, flags=flags), 30)
+    report, scene = salvaged(content[: len(content) * 2 // 3])
+    assert len(scene.cameras[0].pictures) == 0
+    assert scene.cameras[0].poses is not None
+    assert [part.place for part in report.lost] == ["sensors[0].video"]
+
+
+def test_a_scene_cut_anywhere_is_salvaged_or_refused(encode_sfs, tmp_path):
+    content = encode_sfs(drive(frames=3))
+    source, target = tmp_path / "cut.sfs", tmp_path / "out.sfs"
+    complete = 0
+    for length in [*range(0, len(content), 61), len(content)]:
+        source.unlink(missing_ok=True)
+        source.write_bytes(content[:length])
+        try:
+            report = salvage(source, target, overwrite=True)
+        except SceneloomError:
+            assert length < 20
+            continue
+        with sceneloom.open(target) as scene:
+            for sensor in scene.lidars:
+                for frame in sensor.frames:
+                    assert (frame.points.positions == frame.timestamp_ns // 100_000_000).all()
+            complete += not report.lost
+            assert bool(report.lost) == (length < items_of(content)[1] or length < len(content) - 4)
+    assert complete
+
+
+def test_changed_bytes_anywhere_are_salvaged_or_refused(encode_sfs, tmp_path):
+    content = encode_sfs(drive(frames=2))
+    rng = np.random.default_rng(7)
+    swaps = b'0-9"[]{},:.eE\0\xff '
+    source, target = tmp_path / "changed.sfs", tmp_path / "out.sfs"
+    for place in range(0, len(content), 29):
+        changed = bytearray(content)
+        changed[place] = swaps[int(rng.integers(len(swaps)))]
+        source.unlink(missing_ok=True)
+        source.write_bytes(changed)
+        try:
+            salvage(source, target, overwrite=True)
+        except SceneloomError:
+            continue
+        sceneloom.open(target).close()
+
+
+def test_the_damaged_file_is_never_written_over(encode_sfs, tmp_path):
+    path = tmp_path / "drive.sfs"
+    path.write_bytes(encode_sfs(drive()))
+    with pytest.raises(DataError, match="choose another name"):
+        salvage(path, path, overwrite=True)
+    with pytest.raises(OutputError, match="exists already"):
+        salvage(path, path)
+    with pytest.raises(DataError, match="No such file"):
+        salvage(tmp_path / "absent.sfs", tmp_path / "out.sfs")
+
+
+def test_the_command_tells_what_is_kept_and_lost(encode_sfs, tmp_path):
+    path, target = tmp_path / "drive.sfs", tmp_path / "out.sfs"
+    content = encode_sfs(drive())
+    path.write_bytes(cut_before(content, ["sensors", 0, "frames", 3, "points", "positions"]))
+    done = CliRunner().invoke(program, ["salvage", str(path), "-o", str(target)])
+    assert done.exit_code == 0, done.output
+    assert "top" in done.output
+    assert "3 of 5" in done.output
+    assert "sensors[0].frames[3]" in done.output
+    done = CliRunner().invoke(program, ["salvage", str(path), "-o", str(target), "--json", "--overwrite"])
+    assert json.loads(done.stdout)["sensors"][0] == {"id": "top", "type": "lidar", "kept": 3, "count": 5}
+
+
+@pytest.mark.parametrize(
+    ("text", "header", "lost"),
+    [
+        (
+            '{"version": "1.0", "sensors": [{"a": 1}, {"a"',
+            {"version": "1.0", "sensors": [{"a": 1}]},
+            "sensors[1]",
+        ),
+        ('{"version": "1.0", "time_offset": 12', {"version": "1.0"}, "…"),
+        ('{"version": "1.0"', {"version": "1.0"}, "header"),
+        (
+            '{"version": "1.0", "metadata": {"a": 1, "b": [1',
+            {"version": "1.0", "metadata": {"a": 1}},
+            "metadata.…",
+        ),
+        (
+            '{"version": "1.0", "metadata": {"sceneloom": {"layout": 1, "sensors": [{"id": "imu"}, 5',
+            {"version": "1.0", "metadata": {"sceneloom": {"layout": 1, "sensors": [{"id": "imu"}]}}},
+            "metadata.sceneloom.sensors[1]",
+        ),
+        ('{"version": "1.0", "sensors": [{"a": 1}]', {"version": "1.0", "sensors": [{"a": 1}]}, "header"),
+        ('{"version": "1.0",, "x": 1, "$items": [7]}', {"version": "1.0", "$items": [7]}, "…"),
+        ('{"a": [1, 2], "sensors": [{"b": "ä\udcff', {"a": [1, 2], "sensors": []}, "sensors[0]"),
+        ('{"version": ' + "[" * 5000 + '1, "$items": [7]}', {"$items": [7]}, "…"),
+    ],
+)
+def test_a_header_is_recovered_up_to_the_damage(text, header, lost):
+    found, told = recover_header(memoryview(text.encode("utf-8", "surrogateescape")), "file")
+    assert found == header
+    assert [place for place, _, _ in told] == [lost]
+
+
+def test_a_whole_header_is_not_touched():
+    assert recover_header(memoryview(b'{"a": [1]}'), "file") == ({"a": [1]}, [])
+
+
+@pytest.mark.parametrize("text", [b"hello", b"[1, 2", b"\xff\xfe"])
+def test_what_is_no_header_is_refused(text):
+    with pytest.raises(DataError, match="does not begin as the header"):
+        recover_header(memoryview(text), "file")
+
+
+HEADER = {
+    "version": "1.0",
+    "sensors": [
+        {"id": 1, "type": "lidar", "frames": [{"timestamp": 1, "points": {"positions": "", "ring": ""}}]},
+        {"id": 2, "type": "odometry", "poses": {"timestamps": [], "values": [1]}},
+        {"id": 3, "type": 5},
+    ],
+    "annotations": [{"id": 1, "type": "labeled_points", "labeled_points": [{"point_ids": ""}]}],
+    "metadata": {
+        "own": {"a": ""},
+        "sceneloom": {"sensors": [{"id": "i", "type": "imu", "streams": {"gyroscope": {"values": ""}}}]},
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("lost", "goes"),
+    [
+        ("sensors[0].frames[0].points.positions", "sensors[0].frames[0]"),
+        ("sensors[0].frames[0].points.ring", "sensors[0].frames[0].points.ring"),
+        ("sensors[0].frames[0].points.absent", None),
+        ("sensors[0].frames[0].points.positions[3]", "sensors[0].frames[0]"),
+        ("sensors[1].coordinates", None),
+        ("sensors[2].frames", None),
+        ("sensors[1].poses.values[0]", "sensors[1]"),
+        ("sensors[2].type", "sensors[2]"),
+        ("sensors[9].frames[0]", None),
+        ("annotations[0].labeled_points[0].point_ids", "annotations[0].labeled_points[0]"),
+        ("metadata.own.a", "metadata.own.a"),
+        (
+            "metadata.sceneloom.sensors[0].streams.gyroscope.values",
+            "metadata.sceneloom.sensors[0].streams.gyroscope",
+        ),
+        ("version", None),
+        ("nothing", None),
+    ],
+)
+def test_with_a_value_goes_what_cannot_be_without_it(lost, goes):
+    assert what_goes(HEADER, parse_path(lost)) == (None if goes is None else parse_path(goes))
+
+
+def test_notes_about_pictures_follow_those_that_stay():
+    notes = [{"id": "c", "pictures": {"camera_of_picture": [0, 1, 2], "mounts": [5], "extras": [{}, {}, {}]}}]
+    header = {
+        "sensors": [{"id": "c", "type": "camera", "images": ["a", "b", "c"]}],
+        "metadata": {"sceneloom": {"sensor_notes": notes}},
+    }
+    take_out(header, [("sensors", 0, "images", 1)])
+    assert header["sensors"][0]["images"] == ["a", "c"]
+    assert notes[0]["pictures"] == {"camera_of_picture": [0, 2], "mounts": [5], "extras": [{}, {}]}

@@ -34,14 +34,14 @@ LENSES: Mapping[str, Camera] = {
     "brown_conrady, 14": Camera("brown_conrady", *SIZE, (*RATIONAL, 0.0, 0.0, *PRISM_AND_TILT)),
     "fisheye": Camera("fisheye", *WIDE, (-0.0284, 0.0021, -0.0052, 4e-4)),
     "omnidir": Camera(
-        "omnidir", 1920, 1080, 1500.0, 1500.0, 959.5, 539.5, (-0.21, 0.034, 1.7, 1.23, 5e-4, -8e-4)
+        "omnidir", 1920, 1080, 2200.0, 2200.0, 959.5, 539.5, (-0.21, 0.034, 1.7, 1.23, 5e-4, -8e-4)
     ),
     "mod_equi_fish": Camera("mod_equi_fish", *WIDE, (0.0, -0.02, 0.004, -0.001)),
     "mod_kannala": Camera("mod_kannala", *WIDE, (0.02, -0.01, 0.002, 0.0)),
     "cylindrical": Camera("cylindrical", *WIDE),
     "equirectangular": Camera("equirectangular", *WIDE),
     "omnidirectional": Camera(
-        "omnidirectional", 1920, 1080, 1500.0, 1500.0, 959.5, 539.5, (-0.2, 0.03, 0, 0, 5e-4, -8e-4, 1.2)
+        "omnidirectional", 1920, 1080, 2200.0, 2200.0, 959.5, 539.5, (-0.2, 0.03, 0, 0, 5e-4, -8e-4, 1.2)
     ),
     "fisheye_rad_tan_prism": Camera(
         "fisheye_rad_tan_prism", *WIDE, (-0.03, 2e-3, -5e-3, 4e-4, 0, 0, 5e-4, -3e-4, 1e-3, -2e-4, 5e-4, 1e-4)
@@ -79,8 +79,6 @@ class Peer:
     project: Job
     unproject: Job
     exactly: Job | None = None
-    shift: float = 0.0
-    """Where the places on the plane are seen from: so far behind the middle of a unit sphere."""
 
 
 def perspective_peer(camera: Camera, points: np.ndarray, pixels: np.ndarray) -> Peer:
@@ -118,7 +116,6 @@ def omnidir_peer(camera: Camera, points: np.ndarray, pixels: np.ndarray) -> Peer
     return Peer(
         lambda: cv2.omnidir.projectPoints(points, ORIGIN, ORIGIN, matrix, xi, numbers)[0],
         lambda: cv2.omnidir.undistortPoints(pixels, matrix, numbers, strength, np.eye(3)),
-        shift=xi,
     )
 
 
@@ -151,17 +148,12 @@ def take_turns(jobs: Mapping[str, Job], repetitions: int) -> dict[str, float]:
     return {name: float(np.median(values)) for name, values in times.items()}
 
 
-def rays_of_places(places: np.ndarray, shift: float) -> np.ndarray:
-    """The rays on which a unit sphere, seen from so far behind its middle, lies behind places on the plane z = 1."""
-    x, y = places.reshape(-1, 2).T
-    square = x * x + y * y
-    length = (shift + np.sqrt(1.0 + (1.0 - shift * shift) * square)) / (1.0 + square)
-    return np.column_stack([length * x, length * y, length - shift])
-
-
-def residual_px(camera: Camera, rays: np.ndarray, pixels: np.ndarray) -> float:
-    """How far off the pixels are that rays fall on, at most."""
-    off = np.hypot(*(project_unbounded(camera, rays) - pixels).T)
+def residual_px(camera: Camera, rays_or_places: np.ndarray, pixels: np.ndarray) -> float:
+    """How far off the pixels are that rays, or places on the plane z = 1, fall on, at most."""
+    found = rays_or_places.reshape(len(pixels), -1)
+    if found.shape[1] == 2:
+        found = np.column_stack([found, np.ones(len(found))])
+    off = np.hypot(*(project_unbounded(camera, found) - pixels).T)
     return float(np.where(np.isnan(off), np.inf, off).max())
 
 
@@ -188,9 +180,9 @@ def measure(name: str, camera: Camera, count: int, repetitions: int) -> None:
 def _compared(name: str, camera: Camera, pixels: np.ndarray, peer: Peer, rate: Mapping[str, float]) -> str:
     faster = rate["project"] / rate["their project"], rate["unproject"] / rate["their unproject"]
     cells = f" | {rate['their project']:8.1f} {rate['their unproject']:10.1f}"
-    cells += f" {residual_px(camera, rays_of_places(peer.unproject(), peer.shift), pixels):10.1e} | {faster[0]:6.1f} {faster[1]:6.1f}"
+    cells += f" {residual_px(camera, peer.unproject(), pixels):10.1e} | {faster[0]:6.1f} {faster[1]:6.1f}"
     if peer.exactly is not None:
-        exact_px = residual_px(camera, rays_of_places(peer.exactly(), peer.shift), pixels)
+        exact_px = residual_px(camera, peer.exactly(), pixels)
         cells += f" {rate['unproject'] / rate['their exact unproject']:6.1f} ({exact_px:.0e} px)"
     if name in AIMS:
         kept = all(ratio >= aim for ratio, aim in zip(faster, AIMS[name], strict=True))

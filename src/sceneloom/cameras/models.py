@@ -135,7 +135,6 @@ def project_unbounded(camera: Camera, points_camera: ArrayLike) -> Float64Array:
     points = _rows("points_camera", points_camera, 3)
     pixels = np.empty((len(points), 2))
     _module(camera.model).project_points(points, lens_vector(camera), pixels)
-    pixels[~np.isfinite(points).all(axis=1)] = np.nan
     return pixels
 
 

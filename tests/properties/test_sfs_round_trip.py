@@ -161,36 +161,13 @@ def scenes(draw):
     )
 
 
-def assert_same(read, expected):
-    """Compare parts of the model field by field, arrays with their dtype."""
-    if isinstance(expected, np.ndarray):
-        assert read.dtype == expected.dtype
-        np.testing.assert_array_equal(read, expected)
-    elif isinstance(expected, LazyFrames):
-        assert_same(list(read), list(expected))
-    elif hasattr(expected, "__dataclass_fields__"):
-        assert type(read) is type(expected)
-        for name in expected.__dataclass_fields__:
-            assert_same(getattr(read, name), getattr(expected, name))
-    elif isinstance(expected, list | tuple):
-        assert len(read) == len(expected)
-        for a, b in zip(read, expected, strict=True):
-            assert_same(a, b)
-    elif hasattr(expected, "items"):
-        assert set(read) == set(expected)
-        for name in expected:
-            assert_same(read[name], expected[name])
-    else:
-        assert (type(read), read) == (type(expected), expected)
-
-
 @pytest.fixture(scope="module")
 def target(tmp_path_factory):
     return tmp_path_factory.mktemp("sfs") / "scene.sfs"
 
 
 @given(scenes())
-def test_nanosecond_files_hold_every_scene_exactly(target, scene):
+def test_nanosecond_files_hold_every_scene_exactly(target, assert_same, scene):
     target.unlink(missing_ok=True)
     write_scene(scene, target, time_unit="nanoseconds")
     read = FORMAT.open(target)
@@ -206,7 +183,7 @@ def test_nanosecond_files_hold_every_scene_exactly(target, scene):
 
 
 @given(scenes())
-def test_writing_what_was_read_gives_the_same_bytes(target, scene):
+def test_writing_what_was_read_gives_the_same_bytes(target, assert_same, scene):
     again = target.with_name("again.sfs")
     for path in (target, again):
         path.unlink(missing_ok=True)

@@ -60,7 +60,10 @@ def pick_points(  # type: ignore[no-untyped-def]
 @njit(**PART)
 def _place(flat_points, lens, flat_pixels):  # type: ignore[no-untyped-def]
     for i in range(len(flat_points) // 3):
-        u, v = project_point(flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2], lens)
+        x, y, z = flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2]
+        u, v = project_point(x, y, z, lens)
+        finite = (x - x) + (y - y) + (z - z) == 0.0
+        u = u if finite else math.nan
         flat_pixels[2 * i], flat_pixels[2 * i + 1] = u, (math.nan if math.isnan(u) else v)
 
 

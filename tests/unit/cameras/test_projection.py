@@ -1,6 +1,5 @@
-"""Every model against a slow oracle written from the formulas, at the picture's edges and beyond its domain."""
+"""What all models promise: at the picture's edges, beyond the domain, in the hot path; `test_formulas` has formulas."""
 
-import cmath
 import math
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from sceneloom.cameras import (
     MODELS,
     Camera,
     check_camera,
+    domain_angle,
     lens_vector,
     project,
     project_unbounded,
@@ -40,6 +40,8 @@ EVERYTHING = (
     0.02,
     -0.03,
 )
+SIX = (0.05, -0.02, 0.01, -0.003, 4e-4, -3e-5)
+ASYMMETRIC = (0.01, 0.002, -0.001, 0.3, -0.2, 0.1, 0.4, 0.01, -0.02, 0.001, 0.2, 0.3, -0.1, 0.2)
 
 CAMERAS = [
     Camera("pinhole", *SIZE),
@@ -51,70 +53,37 @@ CAMERAS = [
     Camera("fisheye", *SIZE),
     Camera("fisheye", *SIZE, (0.05, -0.02, 0.01, -0.003)),
     Camera("fisheye", 640, 480, 140.0, 140.0, 319.5, 239.5, (-0.01, 0.002)),
+    Camera("mod_equi_fish", *SIZE, (0.0, -0.05, 0.02, -0.003)),
+    Camera("mod_kannala", *SIZE, (0.05, -0.02, 0.01)),
+    Camera("cylindrical", *SIZE),
+    Camera("equirectangular", *SIZE),
+    Camera("omnidirectional", *SIZE, (-0.1, 0.03, 0.002, -4e-4, 1e-3, -2e-3, 0.8, 0.01, -0.02)),
+    Camera("omnidirectional", 640, 480, 640.0, 640.0, 319.5, 239.5, (0.0,) * 6 + (1.3,)),
+    Camera("fisheye_rad_tan_prism", *SIZE, (*SIX, 1e-3, -2e-3, 1.5e-3, 2e-4, -1e-3, 3e-4)),
+    Camera("fisheye_radial_custom", *SIZE, (*SIX, 1e-3, -2e-3, 3.5, -2.5)),
+    Camera("ftheta", *SIZE, (0.0, 505.0, 3.0, -5.0, -2.0)),
+    Camera("kannala_brandt18", *SIZE, (*SIX[:4], *ASYMMETRIC)),
+    Camera("omnidir", *SIZE, (-0.1, 0.02, 1.3, 1.2, 1e-3, -2e-3)),
 ]
 NAMES = [f"{camera.model}-{len(camera.coefficients)}-{camera.fx:g}" for camera in CAMERAS]
+SHIFTS = {"lx", "ly", "dcx", "dcy"}
+CENTRED = [c for c in CAMERAS if not SHIFTS & {*MODELS[c.model].coefficient_names[: len(c.coefficients)]}]
 EACH_CAMERA = pytest.mark.parametrize("camera", CAMERAS, ids=NAMES)
 ROUNDING_PX = 1e-9  # 1e-16 of some 1e3 px, through some tens of operations and lenses that magnify
 
 
-def slow_brown_conrady(coefficients, X, Y, Z):
-    """Word by word: r² of the plain point, then the shift, then radial and tangential, then prism, then tilt."""
-    named = dict(zip(MODELS["brown_conrady"].coefficient_names, (*coefficients, *[0.0] * 16), strict=False))
-    k1, k2, k3, k4, k5, k6, p1, p2 = (
-        named[name] for name in ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"]
-    )
-    x, y = X / Z, Y / Z
-    r2 = x**2 + y**2
-    x, y = x + named["lx"], y + named["ly"]
-    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
-    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2) + named["s1"] * r2 + named["s2"] * r2**2
-    yd = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y + named["s3"] * r2 + named["s4"] * r2**2
-    tx, ty = named["tx"], named["ty"]
-    about_x = np.array([[1, 0, 0], [0, math.cos(tx), math.sin(tx)], [0, -math.sin(tx), math.cos(tx)]])
-    about_y = np.array([[math.cos(ty), 0, -math.sin(ty)], [0, 1, 0], [math.sin(ty), 0, math.cos(ty)]])
-    turn = about_y @ about_x
-    onto_plane = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]])
-    tilted = onto_plane @ turn @ (xd, yd, 1.0)
-    return tilted[0] / tilted[2], tilted[1] / tilted[2]
-
-
-def slow_fisheye(coefficients, X, Y, Z):
-    """By polar coordinates as one complex number."""
-    angle = math.atan2(math.hypot(X, Y), Z)
-    radius = angle + sum(k * angle ** (2 * i + 3) for i, k in enumerate(coefficients))
-    place = cmath.rect(radius, math.atan2(Y, X))
-    return place.real, place.imag
-
-
-SLOW = {
-    "pinhole": lambda _, X, Y, Z: (X / Z, Y / Z),
-    "brown_conrady": slow_brown_conrady,
-    "fisheye": slow_fisheye,
-}
-
-
-def slow_pixel(camera: Camera, point) -> tuple[float, float]:
-    x, y = SLOW[camera.model](camera.coefficients, *map(float, point))
-    return camera.fx * x + camera.cx, camera.fy * y + camera.cy
-
-
 def points_before(camera: Camera, count: int, *, widest: float = 0.95) -> np.ndarray:
     """Random points inside most of the model's domain, at 1 to 50 m."""
-    limit = lens_vector(camera)[-1] if camera.model == "fisheye" else math.atan(lens_vector(camera)[-1])
     rng = np.random.default_rng(0)
-    angle, about = rng.uniform(0, widest * min(limit, 2.8), count), rng.uniform(0, 2 * math.pi, count)
+    angle, about = (
+        rng.uniform(0, widest * min(domain_angle(camera), 2.8), count),
+        rng.uniform(0, 2 * math.pi, count),
+    )
     rays = np.column_stack([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)])
     return rays * rng.uniform(1, 50, (count, 1))
 
 
-@EACH_CAMERA
-def test_pixels_are_those_of_the_formulas(camera):
-    points = points_before(camera, 500, widest=0.8)
-    expected = np.array([slow_pixel(camera, point) for point in points])
-    assert np.allclose(project_unbounded(camera, points), expected, rtol=1e-11, atol=ROUNDING_PX)
-
-
-@pytest.mark.parametrize("camera", [c for c in CAMERAS if not c.coefficients[8:]])
+@pytest.mark.parametrize("camera", CENTRED)
 def test_a_point_on_the_axis_falls_on_the_principal_point_of_a_centred_lens(camera):
     pixels, visible = project(camera, [[0.0, 0.0, 3.0]])
     assert visible.all()
@@ -194,7 +163,7 @@ def test_a_strong_barrel_does_not_fold_the_outside_back_into_the_picture():
     fold = math.sqrt(1 / 0.9)  # r - 0.3 r³ grows up to here
     assert lens_vector(camera)[-1] == pytest.approx(fold)
     far_out = np.array([[1.7, 0.0, 1.0]])  # r - 0.3 r³ = 0.226: 113 px from the centre if it were believed
-    assert 0 < slow_pixel(camera, far_out[0])[0] < 640
+    assert 0 < 318.7 + 500 * (1.7 - 0.3 * 1.7**3) < 640
     _, visible = project(camera, [*far_out, [0.6, 0.0, 1.0]])
     assert visible.tolist() == [False, True]
 

@@ -1,11 +1,12 @@
 """Rules about the times of the points of a sweep: on the scene's clock, and within the sweep."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.sensor_times import period_ns, seconds
+from sceneloom.checks.sightings import note_sighting, sightings_of
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.formats.sfs.times import UINT32_MAX
 from sceneloom.scene import LidarFrame, LidarSensor, RadarFrame, RadarSensor, Severity
@@ -36,15 +37,15 @@ def _relative_in_file(subject: Subject) -> Iterator[Hit]:
             yield Hit(notice.place, notice.message, notice.count)
 
 
-def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     if not isinstance(frame.sensor, LidarSensor) or not isinstance(frame.frame, LidarFrame):
-        return
+        return ()
     usual_ns = round(period_ns(frame.sensor.frames.timestamps_ns))
     previous: dict[str, RawTimes | None] = subject.table("raw point times by sensor", lambda _: {})
     timed = timed_frame(frame.frame, usual_ns, previous=previous.get(frame.sensor_path))
     previous[frame.sensor_path] = timed.raw
     if timed.raw is None:
-        return
+        return ()
     wraps = _wraps(timed.raw, subject.scene.time_offset_ns)
     problem = _WHAT.get(timed.verdict)
     if wraps:
@@ -52,7 +53,9 @@ def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     elif timed.verdict is PointTimes.WRONG_UNIT:
         problem = f"are {float(timed.found.factor):g} times too large"
     if problem is not None:
-        yield Hit(f"{frame.path}.points.timestamps", f"they {problem}; the first is {timed.raw.first_ns} ns")
+        problem = f"they {problem}; the first is {timed.raw.first_ns} ns"
+        note_sighting(subject, "point-times-clock", frame, "points.timestamps", problem)
+    return ()
 
 
 def _wraps(raw: RawTimes, zero_ns: int) -> int:
@@ -64,34 +67,36 @@ def _wraps(raw: RawTimes, zero_ns: int) -> int:
     return turns if abs(late_ns - turns * _WRAP_NS) < _NEAR_NS else 0
 
 
-def _all_equal(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    del subject
+def _all_equal(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     if isinstance(frame.frame, LidarFrame):
         times = frame.frame.points.timestamps_ns
         if times is not None and len(times) > 1 and times.min() == times.max():
             problem = (
                 f"all {len(times)} are {int(times[0])} ns; they tell nothing about the motion in the sweep"
             )
-            yield Hit(f"{frame.path}.points.timestamps", problem)
+            note_sighting(subject, "point-times-equal", frame, "points.timestamps", problem)
+    return ()
 
 
-def _outside_the_sweep(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    del subject
+def _outside_the_sweep(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     if not isinstance(frame.frame, LidarFrame | RadarFrame):
-        return
+        return ()
     times, sensor = frame.frame.points.timestamps_ns, frame.sensor
     if times is None or not len(times) or not isinstance(sensor, LidarSensor | RadarSensor):
-        return
+        return ()
     start_ns, usual_ns = frame.frame.timestamp_ns, period_ns(sensor.frames.timestamps_ns)
     early, late = start_ns - int(times.min()), int(times.max()) - start_ns - 2 * usual_ns
     if max(early, late) > _ON_ANOTHER_CLOCK * usual_ns:
-        return
-    place = f"{frame.path}.points.timestamps"
+        return ()
+    problem = None
     if early > _ROUNDING_NS:
         count = int(np.count_nonzero(times < start_ns))
-        yield Hit(place, f"{count} of {len(times)} points lie before their frame, by up to {seconds(early)}")
-    if late > 0:
-        yield Hit(place, f"points reach to {seconds(late)} beyond the end of the next sweep")
+        problem = f"{count} of {len(times)} points lie before their frame, by up to {seconds(early)}"
+    elif late > 0:
+        problem = f"points reach to {seconds(late)} beyond the end of the next sweep"
+    if problem is not None:
+        note_sighting(subject, "point-times-frame", frame, "points.timestamps", problem)
+    return ()
 
 
 RULES: tuple[Rule, ...] = (
@@ -102,6 +107,7 @@ RULES: tuple[Rule, ...] = (
         "Write absolute times; in microseconds of 32 bits choose a time_offset, or write nanoseconds.",
         find=_relative_in_file,
         look=_not_on_the_clock,
+        conclude=sightings_of("point-times-clock"),
     ),
     Rule(
         "point-times-frame",
@@ -109,6 +115,7 @@ RULES: tuple[Rule, ...] = (
         "No point lies before its frame, nor after the next one.",
         "Stamp frames at their earliest point: writing the scene does.",
         look=_outside_the_sweep,
+        conclude=sightings_of("point-times-frame"),
     ),
     Rule(
         "point-times-equal",
@@ -116,5 +123,6 @@ RULES: tuple[Rule, ...] = (
         "Points of a sweep have times of their own.",
         "Leave the times out if the sensor gives none; with them, the motion during a sweep can be undone.",
         look=_all_equal,
+        conclude=sightings_of("point-times-equal"),
     ),
 )

@@ -52,10 +52,14 @@ def _without_trajectory(subject: Subject) -> Iterator[Hit]:
     """Sensors that are mounted on an ego of which no way is known; points in the world need none."""
     if subject.scene.trajectories:
         return
-    for path, sensor in _placed_sensors(subject):
-        if sensor.poses is None and sensor.mount is not None and len(stamps_of(sensor)):
-            problem = "mounted on the ego, whose way through the world is not known"
-            yield Hit(f"{path}.poses", problem)
+    mounted = [
+        path
+        for path, sensor in _placed_sensors(subject)
+        if sensor.poses is None and sensor.mount is not None and len(stamps_of(sensor))
+    ]
+    if mounted:
+        problem = f"none, and {', '.join(mounted)} are known by their mountings on the ego only"
+        yield Hit("trajectories", problem)
 
 
 def _uncovered(subject: Subject) -> Iterator[Hit]:

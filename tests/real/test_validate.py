@@ -1,0 +1,34 @@
+"""Real, good data pass every rule: what is found in them is a hint, and each hint is true of them."""
+
+from pathlib import Path
+
+import pytest
+
+import sceneloom
+
+KNOWN_HINTS = {
+    "recordings/kitti_drive": {"ego-way-known"},
+    "recordings/kitti_oxts_0000": set(),
+    "recordings/pandaset": {"point-times-equal"},
+    "real/sfs_reference/argoverse2_2frames_cuboids.sfs": {"reading-assumed"},
+}
+"""What is known of the data: no way of the ego, times that are the frame's own, frame and angles that are not said."""
+
+
+@pytest.mark.parametrize("name", KNOWN_HINTS)
+@pytest.mark.parametrize("profile", ["sfs", "scale"])
+def test_real_data_give_the_hints_that_are_true_of_them_and_nothing_else(data_dir: Path, name, profile):
+    report = sceneloom.validate(data_dir / name, profile=profile, strict=True)
+    found = [(f.severity, f.rule, f.path, f.message) for f in report.findings]
+    assert report.passed, found
+    assert {finding.rule for finding in report.findings} == KNOWN_HINTS[name], found
+
+
+@pytest.mark.parametrize(
+    "name", ["recordings/kitti_drive", "real/sfs_reference/argoverse2_2frames_cuboids.sfs"]
+)
+def test_what_fixing_writes_of_real_data_is_as_good(data_dir: Path, tmp_path, name):
+    target = tmp_path / "fixed.sfs"
+    report = sceneloom.validate(data_dir / name, fix=target, strict=True)
+    assert report.passed
+    assert report.fixed == report.left_out == ()

@@ -1,13 +1,19 @@
 """What lies in and behind annotated boxes of real drives, against the numbers that come with the data."""
 
+import json
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    Boxes,
     CuboidAnnotation,
     CuboidPath,
     LazyFrames,
@@ -18,7 +24,7 @@ from sceneloom.scene import (
     PosePath,
     Scene,
 )
-from sceneloom.visibility.points import count_points
+from sceneloom.visibility import Sights, count_points, sight
 
 ARGOVERSE_LOG = "real/argoverse2/7fab2350-7eaf-3b7e-a39d-6937a4c1bede"
 
@@ -75,3 +81,111 @@ def test_the_points_of_a_scene_of_another_writer_lie_in_its_cuboids(data_dir):
     assert found.there.all()
     # one point in eight was kept, so that small and far things may have lost all of theirs
     assert (found.counts > 0).any(axis=0).mean() > 0.5
+
+
+def boxes_in_camera(rows: np.ndarray) -> Boxes:
+    """Boxes of rows x, y, z of the centre, l, h, w, turn about the camera's y axis."""
+    x, y, z, length, height, width, turn = rows.T
+    cosine, sine, none = np.cos(turn), np.sin(turn), np.zeros_like(turn)
+    forward, up = np.column_stack([cosine, none, -sine]), np.column_stack([none, none - 1.0, none])
+    axes = np.stack([forward, np.cross(up, forward), up], axis=2)
+    return Boxes(
+        tuple(range(len(rows))),
+        (None,) * len(rows),
+        np.column_stack([x, y, z]),
+        np.column_stack([length, width, height]),
+        Rotation.from_matrix(axes).as_quat(),
+    )
+
+
+def overlaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Intersection over union of boxes (N, 4), row by row."""
+    low, high = np.maximum(first[:, :2], second[:, :2]), np.minimum(first[:, 2:], second[:, 2:])
+    shared = np.maximum(high - low, 0.0).prod(axis=1)
+    areas = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (first, second)]
+    return shared / (areas[0] + areas[1] - shared)
+
+
+def kitti_labels(path: Path, first: int) -> list[tuple[str, np.ndarray]]:
+    """Frame, and truncation, occlusion, angle, 4 of the 2D box, h w l, x y z of the bottom, turn of each label."""
+    lines = [line.split() for line in path.read_text().splitlines()]
+    return [
+        (words[0], np.array(words[first + 1 : first + 15], float))
+        for words in lines
+        if words[first] != "DontCare"
+    ]
+
+
+def kitti_lens(numbers: list[str], size: tuple[int, int]) -> tuple[Camera, np.ndarray]:
+    """The lens of P2, and where the rectified frame's origin is in its frame."""
+    matrix = np.array(numbers, float).reshape(3, 4)
+    shift = np.linalg.solve(matrix[:, :3], matrix[:, 3])
+    (fx, _, cx), (_, fy, cy) = matrix[:2, :3]
+    return Camera("pinhole", *size, fx, fy, cx, cy), shift
+
+
+def seen_labels(labels: list[np.ndarray], lens: Camera, shift: np.ndarray) -> tuple[Sights, np.ndarray]:
+    """What the lens sees of labels, and these labels."""
+    rows = np.array(labels)
+    height, width, length, x, y, z, turn = rows[:, 7:14].T
+    centers = np.column_stack([x, y - height / 2, z]) + shift
+    seen = sight(
+        lens,
+        RigidTransform.identity(),
+        boxes_in_camera(np.column_stack([centers, length, height, width, turn])),
+    )
+    return seen, rows[seen.rows]
+
+
+def test_boxes_of_kitti_in_space_lie_where_its_boxes_in_the_picture_are(data_dir):
+    found = []
+    for path in sorted((data_dir / "real/kitti_object/label_2").glob("*.txt")):
+        calib = (data_dir / "real/kitti_object/calib" / path.name).read_text().splitlines()
+        (numbers,) = (line.split()[1:] for line in calib if line.startswith("P2"))
+        with Image.open(data_dir / "real/kitti_object/image_2" / f"{path.stem}.png") as picture:
+            lens, shift = kitti_lens(numbers, picture.size)
+        seen, rows = seen_labels([label for _, label in kitti_labels(path, 0)], lens, shift)
+        found.append(overlaps(seen.boxes_xyxy - 0.5, rows[:, 3:7]))
+    overlap = np.concatenate(found)
+    assert len(overlap) == 18
+    # boxes in the picture were drawn by hand around what is seen; of walking people legs stand out of the box in space
+    assert overlap.mean() > 0.94
+    assert np.median(overlap) > 0.96
+
+
+def test_shares_cut_off_and_hidden_rise_with_the_levels_that_people_gave_in_kitti(data_dir):
+    hidden, cut = defaultdict(list), defaultdict(list)
+    for name in ("0000", "0006", "0010"):
+        calib = (data_dir / f"real/kitti_tracking/calib/{name}.txt").read_text().splitlines()
+        (numbers,) = (line.split()[1:] for line in calib if line.startswith("P2"))
+        lens, shift = kitti_lens(numbers, (1242, 375))
+        frames = defaultdict(list)
+        for frame, label in kitti_labels(data_dir / f"real/kitti_tracking/label_02/{name}.txt", 2):
+            frames[frame].append(label)
+        for labels in frames.values():
+            seen, rows = seen_labels(labels, lens, shift)
+            for row, truncation, occlusion in zip(rows, seen.truncations, seen.occlusions, strict=True):
+                cut[int(row[0])].append(truncation)
+                hidden[int(row[1])].append(occlusion)
+    means = [np.mean(hidden[level]) for level in (0, 1, 2)]
+    assert means[0] < 0.15
+    assert means[0] + 0.1 < means[1] < means[2] - 0.1
+    assert np.mean(cut[0]) < 0.03
+    assert np.mean(cut[1]) > 0.4
+
+
+def test_boxes_in_the_pictures_of_nuscenes_are_those_that_its_tools_projected(data_dir):
+    sample = json.loads((data_dir / "real/nuscenes_one_sample/infos.json").read_text())["data_list"][0]
+    away, overlap = [], []
+    for name, labels in sample["cam_instances"].items():
+        (fx, _, cx), (_, fy, cy), _ = sample["images"][name]["cam2img"]
+        lens = Camera("pinhole", 1600, 900, fx, fy, cx, cy)
+        boxes = boxes_in_camera(np.array([label["bbox_3d"] for label in labels]))
+        seen = sight(lens, RigidTransform.identity(), boxes)
+        expected = np.array([label["bbox"] for label in labels])[seen.rows]
+        assert len(seen.rows) >= len(labels) - 1
+        away.append(np.abs(seen.boxes_xyxy - 0.5 - expected).max(axis=1))
+        overlap.append(overlaps(seen.boxes_xyxy - 0.5, expected))
+    # these rows keep only the turn about the camera's own axis, which is tilted by about a degree
+    assert np.median(np.concatenate(away)) < 2.0
+    assert np.concatenate(overlap).mean() > 0.95

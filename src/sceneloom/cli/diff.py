@@ -89,6 +89,7 @@ def _line(difference: "Difference") -> str:
     amount = "" if difference.amount is None else f" by {difference.amount:.6g} {difference.unit}".rstrip()
     frames = ""
     if difference.frame is not None:
-        frames = f" in {several(difference.count, 'frame')}, most in frame {difference.frame}"
+        which = "first" if difference.amount is None else "most"
+        frames = f" in {several(difference.count, 'frame')}, {which} in frame {difference.frame}"
     mark = MARKS[difference.change]
     return f"{mark} {difference.path}: {difference.change}{amount}{frames}: {difference.message}"

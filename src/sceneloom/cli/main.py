@@ -23,6 +23,7 @@ VERBS = MappingProxyType(
         "convert": "Write a recording or a scene in another format.",
         "validate": "Check a drive or a scene by rules, and mend what can be mended safely.",
         "salvage": "Take out of a damaged scene file what is whole.",
+        "diff": "Tell what differs between two drives.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "formats": "List the formats that can be read and written.",
     }

@@ -311,7 +311,7 @@ def test_true_is_not_one_and_text_no_number():
 def test_a_sensor_of_another_kind_is_told():
     scene = a_scene()
     found = only(scene, replace(scene, sensors=(*scene.sensors[:2], LidarSensor(7, sweeps()))))
-    assert found.message == "a OdometrySensor; then a LidarSensor"
+    assert found.message == "OdometrySensor; then LidarSensor"
 
 
 def test_tolerances_that_are_none_are_refused():

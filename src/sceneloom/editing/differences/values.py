@@ -78,7 +78,7 @@ class Comparison:
     def records(self, path: str, a: Any, b: Any, *, skipped: Iterable[str] = ()) -> None:
         """Compare two records field by field."""
         if type(a) is not type(b):
-            self.add(path, Change.CHANGED, f"a {type(a).__name__}; then a {type(b).__name__}")
+            self.add(path, Change.CHANGED, f"{type(a).__name__}; then {type(b).__name__}")
             return
         owner = type(a).__name__
         for each in fields(a):
@@ -224,7 +224,7 @@ def shown(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of {_form(value)}"
     if _is_record(value):
-        return f"a {type(value).__name__}"
+        return type(value).__name__
     if isinstance(value, Mapping):
         return f"a mapping of {len(value)}"
     text = repr(value)

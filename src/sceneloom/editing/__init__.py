@@ -4,6 +4,7 @@ from sceneloom.editing.apply import apply_corrections
 from sceneloom.editing.crop import crop_scene
 from sceneloom.editing.frames import to_ego, to_sensor, to_world
 from sceneloom.editing.lenses import convert_lenses
+from sceneloom.editing.merge import merge_scenes
 from sceneloom.editing.simplify import simplify_scene
 from sceneloom.editing.thin import thin_scene
 from sceneloom.editing.undistortion import undistort_scene
@@ -12,6 +13,7 @@ __all__ = [
     "apply_corrections",
     "convert_lenses",
     "crop_scene",
+    "merge_scenes",
     "simplify_scene",
     "thin_scene",
     "to_ego",

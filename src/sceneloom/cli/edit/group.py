@@ -10,6 +10,7 @@ VERBS = MappingProxyType(
     {
         "deskew": "Undo the motion during each lidar sweep.",
         "crop": "Keep a part: in time, in space, of some sensors or labels.",
+        "merge": "Make one scene of several of one drive.",
         "thin": "Keep fewer points, or fewer frames.",
         "to-world": "Bring points, poses and annotations into the world.",
         "to-ego": "Bring points, poses and annotations onto the ego.",

@@ -1,0 +1,32 @@
+"""`sceneloom edit merge`: several scenes of one drive made one."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli.edit.running import OUTPUT, common, run_edit
+
+if TYPE_CHECKING:
+    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.scene import Scene
+
+
+@click.command()
+@click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path))
+@OUTPUT
+@click.option("--rename", is_flag=True, help="Give new ids to sensors and annotations whose ids are taken.")
+@click.option(
+    "--join", is_flag=True, help="Take sensors and annotations of equal ids for consecutive parts of one."
+)
+@common
+def merge(paths: tuple[Path, ...], output: Path, rename: bool, join: bool, **common: Any) -> None:
+    """Make one scene of several scenes of one drive on one clock."""
+    from sceneloom.editing import merge_scenes
+
+    def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
+        del on_points
+        return merge_scenes(scenes, rename=rename, join=join)
+
+    run_edit("merge", paths, output, change, **common)

@@ -1,0 +1,302 @@
+"""Consecutive parts of one sensor joined into one sensor."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    CameraSensor,
+    GnssSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarSensor,
+    OdometrySensor,
+    PlainSensor,
+    PointsSensor,
+    PosePath,
+    RadarFrame,
+    RadarSensor,
+    Sensor,
+    Trajectory,
+    VectorSamples,
+)
+
+Item_co = TypeVar("Item_co", covariant=True)
+Moving = TypeVar("Moving", LidarSensor, RadarSensor, CameraSensor)
+
+MOUNT_TOLERANCE = 1e-9
+"""Mountings of the parts of one sensor that differ by more are two mountings [m], [rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JoinedFrames(Generic[Item_co]):
+    """Reads the frames of two parts; what `LazyFrames` asks for.
+
+    Attributes:
+        parts: the two.
+        places: (N, 2) int64, of each frame its part and its number there.
+    """
+
+    parts: tuple[LazyFrames[Item_co], LazyFrames[Item_co]]
+    places: Int64Array
+
+    def __call__(self, k: int) -> Item_co:
+        """Read frame `k`.
+
+        Raises:
+            DataError: it cannot be read.
+        """
+        part, number = (int(place) for place in self.places[k])
+        return self.parts[part][number]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """How the frames of a second part go on from those of a first.
+
+    Attributes:
+        places: (N, 2) int64, of each frame of the whole its part and its number there.
+        first, second: (M,) int64, new number of each frame of a part.
+        twice: how many frames are in both.
+    """
+
+    places: Int64Array
+    first: Int64Array
+    second: Int64Array
+    twice: int
+
+    @classmethod
+    def of(cls, first_ns: Int64Array, second_ns: Int64Array, name: str) -> "Joint":
+        """Join by time stamps; frames of equal stamps are one.
+
+        Raises:
+            OptionError: frames of one part lie between those of the other.
+        """
+        alone = np.flatnonzero(~np.isin(second_ns, first_ns))
+        stamps = np.concatenate([first_ns, second_ns[alone]])
+        parts = np.concatenate([np.zeros(len(first_ns), np.int64), np.ones(len(alone), np.int64)])
+        numbers = np.concatenate([np.arange(len(first_ns)), alone])
+        order = np.argsort(stamps, kind="stable")
+        if np.count_nonzero(np.diff(parts[order])) > 1:
+            raise OptionError(
+                f"{name}: the frames of the second part lie between those of the first; expected parts that follow "
+                "each other"
+            )
+        new = np.empty(len(order), np.int64)
+        new[order] = np.arange(len(order))
+        second = np.empty(len(second_ns), np.int64)
+        second[alone] = new[len(first_ns) :]
+        both = np.flatnonzero(np.isin(second_ns, first_ns))
+        by_time = np.argsort(first_ns, kind="stable")
+        second[both] = new[by_time[np.searchsorted(first_ns, second_ns[both], sorter=by_time)]]
+        places = np.stack([parts[order], numbers[order]], axis=1)
+        return cls(places, new[: len(first_ns)], second, len(both))
+
+    def frames(self, first: LazyFrames[Any], second: LazyFrames[Any]) -> LazyFrames[Any]:
+        """The frames of the whole."""
+        stamps = [(first, second)[part].timestamps_ns[number] for part, number in self.places.tolist()]
+        return LazyFrames(np.array(stamps, np.int64), JoinedFrames((first, second), self.places))
+
+
+Joined = tuple[Sensor, Joint | None]
+
+
+def joined_sensor(first: Sensor, second: Sensor, name: str) -> Joined:
+    """Join two parts of one sensor.
+
+    Returns:
+        The sensor, and how its frames were joined; None for one without frames.
+
+    Raises:
+        OptionError: they are of different kinds, differently mounted, or do not follow each other.
+        DataError: a frame that is in both parts cannot be read.
+    """
+    join = _JOINS.get(type(first))
+    if type(first) is not type(second) or join is None:
+        raise OptionError(
+            f"{name}: a {first.type} in one scene and a {second.type} in another; expected one kind"
+        )
+    joined: Joined = join(first, second, name)
+    return joined
+
+
+def _lidar(first: LidarSensor, second: LidarSensor, name: str) -> Joined:
+    joint = _cloud_joint(first, second, name)
+    frames = joint.frames(first.frames, second.frames)
+    return replace(_placed(first, second, name), frames=frames), joint
+
+
+def _radar(first: RadarSensor, second: RadarSensor, name: str) -> Joined:
+    joint = _cloud_joint(first, second, name)
+    frames = joint.frames(first.frames, second.frames)
+    return replace(_placed(first, second, name), frames=frames), joint
+
+
+def _cloud_joint(first: Any, second: Any, name: str) -> Joint:
+    """Join frames; those of equal stamps must have equal points."""
+    if first.points_frame is not second.points_frame:
+        raise OptionError(
+            f"{name}: points in the {first.points_frame} frame in one scene and in the {second.points_frame} frame in "
+            "another; expected one frame"
+        )
+    joint = Joint.of(first.frames.timestamps_ns, second.frames.timestamps_ns, name)
+    for k in np.flatnonzero(np.isin(second.frames.timestamps_ns, first.frames.timestamps_ns)).tolist():
+        part, number = joint.places[joint.second[k]].tolist()
+        if part == 0 and not _equal_points(first.frames[number], second.frames[k]):
+            stamp = second.frames.timestamps_ns[k]
+            raise OptionError(f"{name}: two frames at {stamp} ns whose points differ; expected one")
+    return joint
+
+
+def _equal_points(a: LidarFrame | RadarFrame, b: LidarFrame | RadarFrame) -> bool:
+    return np.array_equal(a.points.positions, b.points.positions, equal_nan=True)
+
+
+def _camera(first: CameraSensor, second: CameraSensor, name: str) -> Joined:
+    """Join pictures; those of equal stamps are one, though another encoding may have changed them."""
+    joint = Joint.of(first.pictures.timestamps_ns, second.pictures.timestamps_ns, name)
+    pictures = joint.frames(first.pictures, second.pictures)
+    placed = _placed(first, second, name)
+    if len(second.pictures) == joint.twice:
+        return placed, joint
+    if len(first.pictures) == 0:
+        return replace(placed, pictures=pictures, video=second.video), joint
+    return replace(placed, pictures=pictures, video=None), joint
+
+
+def _placed(first: Moving, second: Moving, name: str) -> Moving:
+    """The first part with the poses of both."""
+    if (first.mount is None) != (second.mount is None) or (
+        first.mount is not None
+        and second.mount is not None
+        and np.abs(first.mount.matrix - second.mount.matrix).max() > MOUNT_TOLERANCE
+    ):
+        raise OptionError(f"{name}: mounted otherwise in one scene than in another; expected one mounting")
+    if first.poses is None or second.poses is None:
+        return replace(first, poses=first.poses or second.poses)
+    if first.coordinates is not second.coordinates:
+        raise OptionError(
+            f"{name}: poses in {first.coordinates} and in {second.coordinates}; expected one frame"
+        )
+    return replace(first, poses=joined_path(first.poses, second.poses, name))
+
+
+def joined_path(first: PosePath, second: PosePath, name: str) -> PosePath:
+    """The poses of both; of two at one time that of the first.
+
+    Raises:
+        OptionError: one holds at all times and is not the same in both.
+    """
+    if first.endless and second.endless:
+        same = np.allclose(first.positions, second.positions, rtol=0, atol=MOUNT_TOLERANCE) and np.allclose(
+            first.quaternions_xyzw, second.quaternions_xyzw, rtol=0, atol=MOUNT_TOLERANCE
+        )
+        if same:
+            return first
+    if first.endless or second.endless:
+        raise OptionError(f"{name}: stands still in one scene, and elsewhere or moves in another")
+    rows = new_rows(first.timestamps_ns, second.timestamps_ns)
+    return PosePath(
+        np.concatenate([first.timestamps_ns, second.timestamps_ns])[rows],
+        np.concatenate([first.positions, second.positions])[rows],
+        np.concatenate([first.quaternions_xyzw, second.quaternions_xyzw])[rows],
+    )
+
+
+def new_rows(first_ns: Int64Array, second_ns: Int64Array) -> Int64Array:
+    """The rows of two series put one behind the other that make one series in order; of equal times the first."""
+    return np.unique(np.concatenate([first_ns, second_ns]), return_index=True)[1]
+
+
+def _odometry(first: OdometrySensor, second: OdometrySensor, name: str) -> Joined:
+    return replace(first, poses=joined_path(first.poses, second.poses, name)), None
+
+
+def joined_trajectory(first: Trajectory, second: Trajectory) -> Trajectory:
+    """The poses of both; of two at one time that of the first, and only what both have."""
+    rows = new_rows(first.timestamps_ns, second.timestamps_ns)
+    names = ("positions", "quaternions_xyzw", "file_seconds", "covariances")
+    stamps = np.concatenate([first.timestamps_ns, second.timestamps_ns])[rows]
+    return Trajectory(
+        first.name, stamps, *(_both(getattr(first, name), getattr(second, name), rows) for name in names)
+    )
+
+
+def _both(a: Any, b: Any, rows: Int64Array) -> Any:
+    return None if a is None or b is None else np.concatenate([a, b])[rows]
+
+
+def _imu(first: ImuSensor, second: ImuSensor, name: str) -> Joined:
+    del name
+    streams = {**second.streams, **first.streams}
+    for stream in set(first.streams) & set(second.streams):
+        a, b = first.streams[stream], second.streams[stream]
+        rows = new_rows(a.timestamps_ns, b.timestamps_ns)
+        streams[stream] = VectorSamples(
+            np.concatenate([a.timestamps_ns, b.timestamps_ns])[rows],
+            np.concatenate([a.values, b.values])[rows],
+            _both(a.file_seconds, b.file_seconds, rows),
+        )
+    return replace(first, streams=streams), None
+
+
+def _gnss(first: GnssSensor, second: GnssSensor, name: str) -> Joined:
+    del name
+    rows = new_rows(first.timestamps_ns, second.timestamps_ns)
+    names = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
+    arrays = {what: _both(getattr(first, what), getattr(second, what), rows) for what in names}
+    return replace(first, **arrays), None
+
+
+def _unchanging(first: Any, second: Any, name: str) -> Joined:
+    if not is_same(first, second):
+        raise OptionError(
+            f"{name}: differs between the scenes and has no time; expected the same, or another id"
+        )
+    return first, None
+
+
+_JOINS: Mapping[type, Callable[[Any, Any, str], Joined]] = MappingProxyType(
+    {
+        LidarSensor: _lidar,
+        RadarSensor: _radar,
+        CameraSensor: _camera,
+        OdometrySensor: _odometry,
+        ImuSensor: _imu,
+        GnssSensor: _gnss,
+        PointsSensor: _unchanging,
+        PlainSensor: _unchanging,
+    }
+)
+"""How the parts of each kind of sensor are joined."""
+
+SAME_TOLERANCE = 1e-6
+"""Numbers of two scenes that differ by no more are the same, brought into one world by computing [m], …"""
+
+
+def is_same(a: Any, b: Any) -> bool:
+    """Whether two values, records or arrays say the same, numbers within `SAME_TOLERANCE`."""
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return _same_arrays(np.asarray(a), np.asarray(b))
+    if hasattr(a, "__dataclass_fields__"):
+        names = a.__dataclass_fields__
+        return type(a) is type(b) and all(is_same(getattr(a, name), getattr(b, name)) for name in names)
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(is_same(a[name], b[name]) for name in a)
+    if isinstance(a, Sequence) and isinstance(b, Sequence) and not isinstance(a, str):
+        return len(a) == len(b) and all(is_same(x, y) for x, y in zip(a, b, strict=True))
+    return bool(a == b)
+
+
+def _same_arrays(a: Any, b: Any) -> bool:
+    if a.shape != b.shape or a.dtype.kind != b.dtype.kind:
+        return False
+    if a.dtype.kind != "f":
+        return bool(np.array_equal(a, b))
+    return bool(np.allclose(a, b, rtol=0.0, atol=SAME_TOLERANCE, equal_nan=True))

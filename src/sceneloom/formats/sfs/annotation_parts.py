@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.errors import ArrayError
-from sceneloom.formats.sfs.poses import path_of, rows_of, times_of
+from sceneloom.formats.sfs.poses import mended_path_of, rows_of, times_of
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.scene import AttributePath, PosePath
 
@@ -169,14 +169,15 @@ def read_poses(values: Record, faults: Faults) -> PosePath | None:
     record = values.get("poses")
     if record is None:
         return None
-    with noting(faults, ("poses",)):
-        path = path_of(record)
-        if path is None:
-            raise FieldError("empty; expected at least one pose")
-        if len(path.timestamps_ns) > 1:
-            return path
-        return PosePath(path.timestamps_ns, path.positions, path.quaternions_xyzw, endless=True)
-    return None
+    before = len(faults)
+    path = mended_path_of(record, faults)
+    if path is None:
+        if len(faults) == before:
+            faults.add(("poses",), "empty; expected at least one pose")
+        return None
+    if len(path.timestamps_ns) > 1:
+        return path
+    return PosePath(path.timestamps_ns, path.positions, path.quaternions_xyzw, endless=True)
 
 
 def vertices_of(

@@ -306,7 +306,7 @@ def _read_ours(source: Source, raw: Any) -> dict[str, Any]:
         source.notes[type(note["id"]), note["id"]] = note
     for record in ours.get("notices") or []:
         try:
-            source.notices.append(msgspec.convert(record, Notice))
+            source.remember(msgspec.convert(record, Notice))
         except msgspec.ValidationError as error:
             _root_fault(source, ("metadata", OURS, "notices"), str(error))
     return ours

@@ -81,6 +81,7 @@ class Source:
     notes: dict[tuple[type, Identifier], Mapping[str, Any]] = field(default_factory=dict)
     faults: list[PlacedFault] = field(default_factory=list)
     left_out: set[Place] = field(default_factory=set)
+    _noticed: set[Notice] = field(default_factory=set)
     tangential: str | None = None
 
     @property
@@ -99,8 +100,13 @@ class Source:
     def notice(self, kind: NoticeKind, code: str, place: Place, message: str, *, count: int = 1) -> None:
         """Remark something, unless the file's own notices say it already."""
         notice = Notice(kind=kind, code=code, place=format_keys(place), message=message, count=count)
-        if notice not in self.notices:
-            self.notices.append(notice)
+        if notice not in self._noticed:
+            self.remember(notice)
+
+    def remember(self, notice: Notice) -> None:
+        """Take a notice as it is."""
+        self.notices.append(notice)
+        self._noticed.add(notice)
 
     def collect(self, faults: Faults, place: Place) -> None:
         """Note faults of what no scene can do without; whoever is lenient is refused for them, too."""

@@ -3,16 +3,26 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
+from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.sfs.times import READABLE_TICKS_NS, TICKS_NS, UINT32_MAX
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.scene import (
+    Annotation,
+    Box2DAnnotation,
+    CameraCalibration,
     CameraSensor,
     CuboidAnnotation,
+    EventAnnotation,
     LidarSensor,
+    LocalizationAdjustment,
     OdometrySensor,
+    PointsAnnotation,
     RadarSensor,
     Scene,
+    ShapeAnnotation,
 )
 
 _LATEST_START_NS = {"sfs": None, "scale": 90_000_000_000}
@@ -96,6 +106,20 @@ def _known_times(scene: Scene) -> Iterator[int]:
             if poses is not None and not poses.endless:
                 yield from (poses.start_ns, poses.stop_ns)
     for annotation in scene.annotations:
-        if isinstance(annotation, CuboidAnnotation) and len(annotation.path.timestamps_ns):
-            times = annotation.path.timestamps_ns
-            yield from (int(times.min()), int(times.max()))
+        for times in _times_of(annotation):
+            if len(times):
+                yield from (int(times.min()), int(times.max()))
+
+
+def _times_of(annotation: Annotation) -> list[Int64Array]:
+    """The times of an annotation's paths, or of its beginning."""
+    if isinstance(annotation, CuboidAnnotation | Box2DAnnotation | ShapeAnnotation):
+        return [annotation.path.timestamps_ns]
+    if isinstance(annotation, PointsAnnotation):
+        return [path.timestamps_ns for path in annotation.paths]
+    if isinstance(annotation, EventAnnotation):
+        return [np.array([annotation.start_ns], np.int64)]
+    if isinstance(annotation, LocalizationAdjustment | CameraCalibration):
+        poses = annotation.poses
+        return [] if poses is None or poses.endless else [poses.timestamps_ns]
+    return []

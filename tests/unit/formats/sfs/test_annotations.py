@@ -1,0 +1,442 @@
+"""Annotations of every type: what becomes of their fields, and where faults are said to be."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
+from sceneloom.scene import (
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
+    CameraCalibration,
+    CuboidAnnotation,
+    CuboidPath,
+    EventAnnotation,
+    GroupAnnotation,
+    LabeledPointsAnnotation,
+    LinkAnnotation,
+    LocalizationAdjustment,
+    ObjectAnnotation,
+    PointPath,
+    PointsAnnotation,
+    PosePath,
+    Projection,
+    Scene,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
+)
+
+ROW = [4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]
+POSE = [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]
+LENS = {"fx": 10.0, "fy": 11.0, "cx": 3.0, "cy": 2.0, "width": 8, "height": 6}
+ATTRIBUTE = {"name": "speed", "timestamps": [1, 2], "values": [1.5, "fast"]}
+
+
+@pytest.fixture
+def read(open_header, make):
+    """Read annotations whose file counts microseconds from 1 µs."""
+
+    def read_them(*annotations, **options):
+        return open_header(make.scene(annotations=list(annotations), time_offset=1), **options)
+
+    return read_them
+
+
+@pytest.fixture
+def read_one(read):
+    def read_it(type_name, **fields):
+        (annotation,) = read({"id": "a", "type": type_name, **fields}).annotations
+        return annotation
+
+    return read_it
+
+
+def path_of(*values, **fields):
+    return {"timestamps": list(range(1, len(values) + 1)), "values": list(values), **fields}
+
+
+def test_boxes_in_pictures(read_one):
+    box = read_one(
+        "box_2d", sensor_id=7, path=path_of([1, 2, 3, 4.5], smooth=1), stationary=True, label="car"
+    )
+    assert isinstance(box, Box2DAnnotation)
+    assert (box.sensor_id, box.label, box.stationary) == (7, "car", True)
+    assert box.path.timestamps_ns.tolist() == [2000]
+    assert box.path.values.tolist() == [[1, 2, 3, 4.5]]
+    assert box.path.extras == {"smooth": 1}
+    assert not box.path.values.flags.writeable
+
+
+@pytest.mark.parametrize("kind", ["polyline_2d", "polygon_2d", "point_2d"])
+def test_shapes_in_pictures_have_pairs(read_one, kind):
+    shape = read_one(kind, sensor_id="front", path=path_of([1, 2, 3, 4, 5, 6], []))
+    assert isinstance(shape, ShapeAnnotation)
+    assert (shape.type, shape.sensor_id) == (ShapeType(kind), "front")
+    assert [vertices.tolist() for vertices in shape.path.vertices] == [[[1, 2], [3, 4], [5, 6]], []]
+
+
+@pytest.mark.parametrize("kind", ["polygon", "polygon_topdown", "polyline", "point", "point_topdown"])
+def test_shapes_in_space_have_triples(read_one, kind):
+    shape = read_one(kind, path=path_of([1, 2, 3, 4, 5, 6], [7, 8, 9]))
+    assert (shape.type, shape.sensor_id) == (ShapeType(kind), None)
+    assert [vertices.tolist() for vertices in shape.path.vertices] == [[[1, 2, 3], [4, 5, 6]], [[7, 8, 9]]]
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ([[1, 2, 3, 4]], [[[1, 2, 0], [3, 4, 0]]]),
+        ([[1, 2, 3, 4, 5, 6], [1, 2]], [[[1, 2, 0], [3, 4, 0], [5, 6, 0]], [[1, 2, 0]]]),
+    ],
+)
+def test_pairs_in_space_lie_at_height_zero_with_a_notice(read, rows, expected):
+    scene = read({"id": 1, "type": "polygon", "path": path_of(*rows)})
+    assert [vertices.tolist() for vertices in scene.annotations[0].path.vertices] == expected
+    assert [(n.code, n.place) for n in scene.notices] == [("no-height", "annotations[0].path.values")]
+
+
+def test_whether_a_line_is_closed_is_known_of_lines_only(read_one):
+    assert read_one("polyline", path=path_of([1, 2, 3]), is_closed=True).is_closed is True
+    polygon = read_one("polygon", path=path_of([1, 2, 3]), is_closed=True)
+    assert (polygon.is_closed, polygon.extras) == (None, {"is_closed": True})
+
+
+def test_keypoints_have_paths_labels_and_projections_each(read_one):
+    paths = [{"id": "nose", **path_of([1, 2, 3], why="seen")}, path_of([4, 5, 6])]
+    projection = {
+        "sensor_id": "front",
+        "timestamps": [1, 2],
+        "points": [[1, 2], None],
+        "confirmed": [True, None],
+        "positions": [None, [1, 2, 3]],
+        "score": 1,
+    }
+    attributes = [{**ATTRIBUTE, "point_index": 1}]
+    points = read_one(
+        "points", paths=paths, labels=["a", "b"], projections=[[projection], []], attributes=attributes
+    )
+    assert isinstance(points, PointsAnnotation)
+    assert [path.id for path in points.paths] == ["nose", None]
+    assert points.paths[0].extras == {"why": "seen"}
+    assert [path.values.tolist() for path in points.paths] == [[[1, 2, 3]], [[4, 5, 6]]]
+    assert points.labels == ("a", "b")
+    assert points.attributes[0].point_index == 1
+    ((seen,), unseen) = points.projections
+    assert unseen == ()
+    np.testing.assert_array_equal(seen.points, [[1, 2], [np.nan, np.nan]])
+    np.testing.assert_array_equal(seen.positions, [[np.nan] * 3, [1, 2, 3]])
+    assert seen.confirmed == (True, None)
+    assert seen.extras == {"score": 1}
+
+
+def test_one_path_of_points_may_stand_without_a_list_and_hold_several(read):
+    scene = read({"id": 1, "type": "points", "paths": path_of([1, 2, 3, 4, 5, 6]), "labels": ["a", "b"]})
+    (path,) = scene.annotations[0].paths
+    assert path.values.tolist() == [[1, 2, 3, 4, 5, 6]]
+    assert scene.annotations[0].labels == ("a", "b")
+
+
+def test_keypoints_of_pairs_lie_at_height_zero_with_a_notice(read):
+    scene = read({"id": 1, "type": "points", "paths": [path_of([1, 2], [3, 4])]})
+    assert scene.annotations[0].paths[0].values.tolist() == [[1, 2, 0], [3, 4, 0]]
+    assert [(n.code, n.place) for n in scene.notices] == [("no-height", "annotations[0].paths[0].values")]
+
+
+def test_events(read_one):
+    event = read_one("event", start=5, duration=1.5, sensor_id="top")
+    assert isinstance(event, EventAnnotation)
+    assert (event.start_ns, event.duration_ns, event.sensor_id) == (6000, 1500, "top")
+    assert read_one("event", start=5, duration=0.0001).duration_ns == pytest.approx(0.1, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["labeled_points", "point_segmentation"])
+def test_labelled_points(read_one, kind):
+    parts = [
+        {"sensor_id": 1, "sensor_frame": 2, "point_ids": np.array([4, 5], np.uint32), "q": 1},
+        {"sensor_id": "map", "point_ids": [7]},
+    ]
+    found = read_one(kind, labeled_points=parts, label="road", is_instance=False)
+    assert isinstance(found, LabeledPointsAnnotation)
+    assert (found.type, found.label, found.is_instance) == (kind, "road", False)
+    assert [(p.sensor_id, p.sensor_frame, p.point_ids.tolist()) for p in found.labeled_points] == [
+        (1, 2, [4, 5]),
+        ("map", None, [7]),
+    ]
+    assert found.labeled_points[0].extras == {"q": 1}
+    assert found.labeled_points[1].point_ids.dtype == np.uint32
+
+
+def test_adjustments(read_one):
+    adjustment = read_one("localization_adjustment", poses=path_of(POSE, POSE, by="hand"))
+    assert isinstance(adjustment, LocalizationAdjustment)
+    assert adjustment.poses.timestamps_ns.tolist() == [2000, 3000]
+    assert adjustment.poses.positions[0].tolist() == POSE[:3]
+    assert adjustment.extras == {"poses": {"by": "hand"}}
+
+
+def test_a_single_pose_of_a_correction_holds_at_all_times(read_one):
+    assert read_one("localization_adjustment", poses=path_of(POSE)).poses.endless
+    assert read_one("camera_calibration", sensor_id="c", poses=path_of(POSE)).poses.endless
+
+
+def test_the_time_of_a_correction_without_end_does_not_move_the_clock(target):
+    late = 1_700_000_000 * 10**9
+    always = LocalizationAdjustment("a", PosePath.identity())
+    write_scene(Scene((), (always, EventAnnotation("e", late))), target)
+    scene = FORMAT.open(target)
+    assert scene.time_offset_ns == late
+    assert scene.annotations[0].poses.endless
+
+
+def test_calibrations(read_one):
+    lens = {**LENS, "distortion": {"model": "fisheye", "params": [0.1, 0.2, 0.3, 0.4], "fit": 1}, "skew": 0}
+    calibration = read_one(
+        "camera_calibration",
+        sensor_id="front",
+        poses=path_of(POSE, POSE, x=1),
+        intrinsics=lens,
+        time_offset=-4,
+    )
+    assert isinstance(calibration, CameraCalibration)
+    camera = calibration.intrinsics
+    assert (camera.model, camera.coefficients) == ("fisheye", (0.1, 0.2, 0.3, 0.4))
+    assert (camera.fx, camera.width) == (10.0, 8)
+    assert calibration.time_offset_ns == -4000
+    assert calibration.extras == {
+        "poses": {"x": 1},
+        "intrinsics": {"skew": 0, "distortion": {"fit": 1}},
+    }
+    bare = read_one("camera_calibration", sensor_id="front")
+    assert (bare.poses, bare.intrinsics, bare.time_offset_ns) == (None, None, None)
+
+
+def test_objects_groups_and_links(read):
+    scene = read(
+        {"id": "o", "type": "object", "label": "x", "start_of": 1},
+        {"id": 1, "type": "attributes", "attributes": [ATTRIBUTE], "parent_id": "o"},
+        {"id": 2, "type": "group", "label": "g"},
+        {"id": 3, "type": "link", "from_id": 1, "to_id": "1", "is_bidirectional": True, "sensor_id": 5},
+    )
+    thing, said, group, link = scene.annotations
+    assert isinstance(thing, ObjectAnnotation)
+    assert (thing.type, thing.label, thing.extras) == ("object", "x", {"start_of": 1})
+    assert (said.type, said.parent_id, said.attributes[0].name) == ("attributes", "o", "speed")
+    assert isinstance(group, GroupAnnotation)
+    assert isinstance(link, LinkAnnotation)
+    assert (link.from_id, link.to_id, link.is_bidirectional, link.sensor_id) == (1, "1", True, 5)
+
+
+def test_attributes_hold_text_numbers_and_lists_of_text(open_header, make):
+    values = ["a", 1, 2.5, ["x", "y"], [], True, None, ["x", 1], {"odd": 1}]
+    raw = {
+        "name": "n",
+        "sensor_id": 7,
+        "static": False,
+        "timestamps": list(range(9)),
+        "values": values,
+        "by": "hand",
+    }
+    (attribute,) = open_header(make.scene(attributes=[raw])).attributes
+    assert isinstance(attribute, AttributePath)
+    assert attribute.values == ("a", 1, 2.5, ("x", "y"), (), True, None, ["x", 1], {"odd": 1})
+    assert attribute.timestamps_ns.tolist() == [k * 1000 for k in range(9)]
+    assert (attribute.sensor_id, attribute.static, attribute.extras) == (7, False, {"by": "hand"})
+
+
+def test_a_static_attribute_may_have_one_stamp_for_all(open_header, make):
+    raw = {"name": "n", "static": True, "timestamps": [0], "values": ["a", "b"]}
+    (attribute,) = open_header(make.scene(attributes=[raw])).attributes
+    assert attribute.values == ("a", "b")
+
+
+USUAL = {"id": "c", "type": "cuboid", "path": path_of(ROW, ROW), "attributes": [ATTRIBUTE]}
+
+
+@pytest.mark.parametrize(
+    "unusual",
+    [
+        {"colour": "red"},
+        {"path": path_of(ROW, ROW, smooth=1)},
+        {"path": {"timestamps": [1.5, 2], "values": [ROW, ROW]}},
+        {"path": {"timestamps": np.array([1, 2]), "values": np.array([ROW, ROW])}},
+        {"attributes": [{**ATTRIBUTE, "by": "hand"}]},
+        {"activations": []},
+        {"stationary": None, "label": None},
+        {},
+    ],
+)
+def test_a_cuboid_is_the_same_whichever_way_it_is_read(read, unusual):
+    first, cuboid = read({**USUAL, "id": "first"}, {**USUAL, **unusual}).annotations
+    stamps = [2500, 3000] if unusual.get("path", {}).get("timestamps", [1])[0] == 1.5 else [2000, 3000]
+    for found, expected in ((first, [2000, 3000]), (cuboid, stamps)):
+        assert isinstance(found, CuboidAnnotation)
+        assert found.path.timestamps_ns.tolist() == expected
+        assert found.path.timestamps_ns.dtype == np.int64
+        np.testing.assert_array_equal(found.path.values, [ROW, ROW])
+        assert not found.path.values.flags.writeable
+        assert found.attributes[0].values == (1.5, "fast")
+        assert found.attributes[0].timestamps_ns.tolist() == [2000, 3000]
+    assert cuboid.extras == ({"colour": "red"} if "colour" in unusual else {})
+
+
+def test_cuboids_of_different_lengths_share_their_arrays_and_keep_their_own_rows(read):
+    rows = [[float(k)] * 9 for k in range(6)]
+    parts = (rows[:1], rows[1:3], rows[3:])
+    scene = read(*({"id": k, "type": "cuboid", "path": path_of(*part)} for k, part in enumerate(parts)))
+    assert [c.path.values[:, 0].tolist() for c in scene.annotations] == [[0], [1, 2], [3, 4, 5]]
+    assert [c.path.timestamps_ns.tolist() for c in scene.annotations] == [
+        [2000],
+        [2000, 3000],
+        [2000, 3000, 4000],
+    ]
+
+
+CUBOID = {"type": "cuboid", "path": path_of(ROW)}
+BOX = {"type": "box_2d", "sensor_id": "c", "path": path_of([1, 2, 3, 4])}
+POINTS = {"type": "points", "paths": [path_of([1, 2, 3])]}
+
+
+def projected(**fields):
+    return {**CUBOID, "projections": [{"sensor_id": "c", "timestamps": [1]}] * 2 + [{**SEEN, **fields}]}
+
+
+SEEN = {"sensor_id": "c", "timestamps": [1, 2]}
+
+
+@pytest.mark.parametrize(
+    ("annotation", "place", "problem"),
+    [
+        ({**CUBOID, "path": path_of(ROW, ROW[:8])}, "path.values[1]", "8 numbers; expected 9 numbers"),
+        ({**CUBOID, "path": path_of(ROW, None)}, "path.values[1]", "None; expected 9 numbers"),
+        (
+            {**CUBOID, "path": path_of([*ROW[:8], "x"])},
+            "path.values[0]",
+            "[4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 'x']; expected 9 numbers",
+        ),
+        (
+            {**CUBOID, "path": {"timestamps": [1], "values": [ROW, ROW]}},
+            "path",
+            "1 timestamps and 2 values; expected as many of both",
+        ),
+        ({**CUBOID, "path": {"timestamps": [2**62], "values": [ROW]}}, "path.timestamps", "64 bits"),
+        (
+            projected(boxes=[None, [1, 2, 3]]),
+            "projections[2].boxes[1]",
+            "3 numbers; expected 4 numbers",
+        ),
+        (projected(boxes=[None]), "projections[2].boxes", "2 timestamps and 1 boxes"),
+        (projected(confirmed=[True, 1]), "projections[2].confirmed[1]", "1; expected true, false or null"),
+        (projected(cuboids=[None, ROW[:3]]), "projections[2].cuboids[1]", "3 numbers; expected 9"),
+        (
+            {**CUBOID, "activations": [{**SEEN, "durations": [1]}]},
+            "activations[0].durations",
+            "2 timestamps and 1 durations",
+        ),
+        (
+            {**CUBOID, "attributes": [ATTRIBUTE, {**ATTRIBUTE, "values": []}]},
+            "attributes[1]",
+            "2 timestamps and 0 values",
+        ),
+        (
+            {**CUBOID, "attributes": [{**ATTRIBUTE, "point_index": "1"}]},
+            "attributes[0].point_index",
+            "'1'; expected an integer",
+        ),
+        ({**BOX, "path": path_of([1, 2, 3])}, "path.values[0]", "3 numbers; expected 4"),
+        ({**BOX, "sensor_id": None}, "sensor_id", "missing; expected an id"),
+        (
+            {**BOX, "type": "polygon_2d", "path": path_of([1, 2], [1, 2, 3])},
+            "path.values[1]",
+            "3 numbers; expected a multiple of 2",
+        ),
+        (
+            {**BOX, "type": "polygon", "path": path_of([1, 2, 3], [1, 2, 3, 4, 5])},
+            "path.values[1]",
+            "5 numbers; expected a multiple of 3",
+        ),
+        ({**BOX, "type": "polyline", "path": path_of([1, "2", 3])}, "path.values[0]", "expected a list of"),
+        ({**BOX, "type": "point", "path": path_of([[1, 2], [3]])}, "path.values[0]", "expected a list of"),
+        ({**POINTS, "labels": ["a", "b"]}, "labels", "2 labels for 1 points"),
+        ({**POINTS, "labels": [None]}, "labels[0]", "None; expected text"),
+        (
+            {**POINTS, "paths": [path_of([1, 2, 3]), path_of([1, 2, 3], [1, 2])]},
+            "paths[1].values[1]",
+            "2 numbers; expected 3",
+        ),
+        ({**POINTS, "paths": [path_of([1.0] * 5)]}, "paths[0].values", "rows of 5 numbers"),
+        (
+            {**POINTS, "projections": [[], [{**SEEN, "points": [None, [1]]}]]},
+            "projections[1][0].points[1]",
+            "1 numbers; expected 2 numbers",
+        ),
+        ({"type": "localization_adjustment", "poses": path_of()}, "poses", "empty; expected at least one"),
+        (
+            {"type": "localization_adjustment", "poses": path_of(POSE, [0.0] * 7)},
+            "poses",
+            "norm 0.0000",
+        ),
+        (
+            {"type": "camera_calibration", "sensor_id": 1, "intrinsics": {**LENS, "fx": -1}},
+            "intrinsics",
+            "focal lengths -1.0",
+        ),
+        (
+            {"type": "labeled_points", "labeled_points": [{"sensor_id": 1, "point_ids": [-1]}]},
+            "labeled_points[0].point_ids",
+            "numbers beyond uint32",
+        ),
+    ],
+)
+def test_a_fault_is_named_with_its_place(read, annotation, place, problem):
+    sound = {"id": "sound", "type": "object"}
+    with pytest.raises(DataError) as caught:
+        read(sound, {"id": "a", **annotation})
+    assert caught.value.place == f"annotations[1].{place}"
+    assert problem in caught.value.problem
+
+
+def test_lenient_reading_leaves_out_only_the_annotation_at_fault(read):
+    bad = {**USUAL, "id": "bad", "path": path_of(ROW, ROW[:8])}
+    scene = read({**USUAL, "id": 1}, bad, {**USUAL, "id": 2}, lenient=True)
+    assert [annotation.id for annotation in scene.annotations] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("annotation", "place"),
+    [
+        (
+            Box2DAnnotation("a", "c", BoxPath(np.zeros(1, np.int64), np.full((1, 4), np.inf))),
+            "path.values[0]",
+        ),
+        (
+            ShapeAnnotation(
+                "a", ShapeType.POINT, VertexPath(np.zeros(1, np.int64), (np.full((1, 3), np.nan),))
+            ),
+            "path.values[0], vertices[0]",
+        ),
+        (
+            PointsAnnotation("a", (PointPath(np.zeros(1, np.int64), np.full((1, 3), np.nan)),)),
+            "paths[0].values[0]",
+        ),
+        (
+            CuboidAnnotation(
+                "a",
+                CuboidPath(np.zeros(1, np.int64), np.ones((1, 9))),
+                projections=(Projection("c", np.zeros(1, np.int64), boxes=np.array([[1, np.nan, 2, 3]])),),
+            ),
+            "projections[0].boxes[0]",
+        ),
+    ],
+)
+def test_numbers_that_json_cannot_say_are_refused_with_their_place(target, annotation, place):
+    with pytest.raises(OptionError) as caught, SceneWriter(target) as writer:
+        writer.add_annotation(annotation)
+    assert f"annotations[a].{place}: " in str(caught.value)
+
+
+def test_many_notices_take_no_longer_each(read):
+    """Each is compared with those before it by its hash: 3,000 in a list took seconds."""
+    flat = [{"id": k, "type": "point", "path": path_of([1, 2])} for k in range(3000)]
+    assert len(read(*flat).notices) == 3000

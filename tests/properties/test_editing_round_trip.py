@@ -1,0 +1,143 @@
+"""What an edit does and another undoes: the world seen from the ego and back, parts joined to the whole, cubes."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sceneloom.editing import crop_scene, merge_scenes, to_ego, to_sensor, to_world
+from sceneloom.editing.voxels import one_per_cube
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CuboidAnnotation,
+    CuboidPath,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    OdometrySensor,
+    PointsFrame,
+    PosePath,
+    Scene,
+    ShapeAnnotation,
+    ShapeType,
+    Trajectory,
+    VertexPath,
+)
+from sceneloom.scene.angles import CuboidAngles
+
+PERIOD_NS = 100_000_000
+
+
+@st.composite
+def drives(draw):
+    """A lidar on an ego that goes any way, with points and annotations in the world."""
+    seed = draw(st.integers(0, 2**32 - 1))
+    frames = draw(st.integers(1, 6))
+    numbers = np.random.default_rng(seed)
+    times = np.arange(-1, frames + 1, dtype=np.int64) * PERIOD_NS
+    turns = numbers.normal(size=(len(times), 4))
+    path = PosePath(
+        times,
+        numbers.uniform(-1, 1, (len(times), 3)).cumsum(axis=0) * draw(st.floats(0.0, 3.0)),
+        turns / np.linalg.norm(turns, axis=1, keepdims=True),
+    )
+    stamps = times[1:-1]
+    points = [LidarPoints(numbers.uniform(-50, 50, (20, 3)).astype(np.float32)) for _ in stamps]
+    sweeps = [LidarFrame(int(t), p) for t, p in zip(stamps, points, strict=True)]
+    mount = RigidTransform.from_quaternion(numbers.uniform(-2, 2, 3), numbers.normal(size=4))
+    lidar = LidarSensor(
+        "lidar", LazyFrames.of(sweeps, stamps.tolist()), mount=mount, points_frame=PointsFrame.WORLD
+    )
+    rows = np.concatenate(
+        [
+            numbers.uniform(0.5, 5, (frames, 3)),
+            numbers.uniform(-50, 50, (frames, 3)),
+            numbers.uniform(-400, 400, (frames, 3)),
+        ],
+        axis=1,
+    )
+    corners = tuple(numbers.uniform(-50, 50, (4, 3)) for _ in stamps)
+    annotations = (
+        CuboidAnnotation("box", CuboidPath(stamps, rows)),
+        CuboidAnnotation("parked", CuboidPath(stamps[:1], rows[:1]), stationary=True),
+        ShapeAnnotation("area", ShapeType.POLYGON_TOPDOWN, VertexPath(stamps, corners)),
+    )
+    way = Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
+    unit, order = draw(st.sampled_from(["degrees", "radians"])), draw(st.sampled_from(["xyz", "zyx", "yxz"]))
+    return Scene(
+        (lidar, OdometrySensor("ego", path)),
+        annotations,
+        trajectories={"ego": way},
+        metadata={"sceneloom": {"euler_unit": unit, "euler_order": order}},
+    )
+
+
+def assert_same_cuboids(scene, before, after):
+    """Rows with equal numbers, and equal rotations whichever angles say them."""
+    angles = CuboidAngles.of(scene)
+    assert after.path.timestamps_ns.tolist() == before.path.timestamps_ns.tolist()
+    np.testing.assert_allclose(after.path.values[:, :6], before.path.values[:, :6], atol=1e-9)
+    turns = [angles.quaternions(annotation.path.values[:, 6:]) for annotation in (before, after)]
+    # a quaternion and its negative are one rotation
+    np.testing.assert_allclose(np.abs((turns[0] * turns[1]).sum(axis=1)), 1.0, atol=1e-9)
+
+
+@given(drives())
+def test_the_world_seen_from_the_ego_and_back_is_the_world(scene):
+    again = to_world(to_ego(scene))
+    for before, after in zip(scene.sensor("lidar").frames, again.sensor("lidar").frames, strict=True):
+        # both ways are rounded to float32, at up to 120 m from the origin
+        np.testing.assert_allclose(after.points.positions, before.points.positions, atol=4e-5)
+    box, parked, area = again.annotations
+    assert_same_cuboids(scene, scene.annotations[0], box)
+    assert_same_cuboids(scene, scene.annotations[1], parked)
+    assert parked.stationary is True
+    np.testing.assert_allclose(area.path.vertices, scene.annotations[2].path.vertices, atol=1e-9)
+
+
+@given(drives())
+def test_points_come_back_from_the_sensor_by_way_of_the_ego(scene):
+    on_ego = to_ego(to_sensor(scene)).sensor("lidar").frames
+    for direct, around in zip(to_ego(scene).sensor("lidar").frames, on_ego, strict=True):
+        np.testing.assert_allclose(around.points.positions, direct.points.positions, atol=4e-5)
+
+
+@given(drives(), st.floats(0.0, 0.6))
+def test_parts_of_a_scene_are_joined_to_the_whole(scene, seconds):
+    lidar = scene.sensor("lidar")
+    cut = int(np.searchsorted(lidar.frames.timestamps_ns, seconds * 1e9))
+    if not 0 < cut < len(lidar.frames):
+        return
+    at = lidar.frames.timestamps_ns[cut] * 1e-9 + PERIOD_NS * 1e-9
+    parts = [crop_scene(scene, stop=at), crop_scene(scene, start=at)]
+    joined = merge_scenes(parts, join=True)
+    for before, after in zip(lidar.frames, joined.sensor("lidar").frames, strict=True):
+        np.testing.assert_array_equal(after.points.positions, before.points.positions)
+    np.testing.assert_array_equal(joined.annotations[0].path.values, scene.annotations[0].path.values)
+
+
+@given(
+    st.lists(st.tuples(*(st.floats(-1e5, 1e5, width=32),) * 3), max_size=60),
+    st.floats(0.01, 100.0),
+    st.sampled_from(["nearest", "first"]),
+)
+def test_each_cube_with_points_keeps_one_of_them(points, side, keep):
+    positions = np.array(points, np.float32).reshape(-1, 3)
+    rows = one_per_cube(positions, side, keep=keep)
+    cubes = np.floor(positions.astype(np.float64) / side)
+    assert np.array_equal(rows, np.unique(rows))
+    assert len(np.unique(cubes[rows], axis=0)) == len(rows) == len(np.unique(cubes, axis=0))
+    # what was thinned once stays
+    assert len(one_per_cube(positions[rows], side, keep=keep)) == len(rows)
+
+
+@given(drives(), st.floats(1.0, 80.0))
+def test_cropping_twice_is_cropping_once(scene, reach):
+    once = crop_scene(scene, reach=reach, frame="ego")
+    twice = crop_scene(once, reach=reach, frame="ego")
+    for a, b in zip(once.sensor("lidar").frames, twice.sensor("lidar").frames, strict=True):
+        np.testing.assert_array_equal(a.points.positions, b.points.positions)
+    assert [a.id for a in once.annotations] == [a.id for a in twice.annotations]
+    assert replace(once, notices=()).source == scene.source

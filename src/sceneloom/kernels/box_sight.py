@@ -13,8 +13,8 @@ _BEHIND = 1e-9
 
 
 @numba.njit(**_PART)
-def _entry(x, y, z, b, centers, rotations, halves):  # type: ignore[no-untyped-def]
-    """Distance along a ray from the origin at which it enters a box; infinity where it misses it or starts in it."""
+def _crossing(x, y, z, b, centers, rotations, halves):  # type: ignore[no-untyped-def]
+    """Where a ray from the origin enters and leaves a box, in lengths of the ray; the first is larger if it misses."""
     near, far = -np.inf, np.inf
     for axis in range(3):
         along = rotations[b, 0, axis] * x + rotations[b, 1, axis] * y + rotations[b, 2, axis] * z
@@ -25,10 +25,17 @@ def _entry(x, y, z, b, centers, rotations, halves):  # type: ignore[no-untyped-d
         )
         if along == 0.0:
             if abs(middle) > halves[b, axis]:
-                return np.inf
+                return 1.0, 0.0
             continue
         first, last = (middle - halves[b, axis]) / along, (middle + halves[b, axis]) / along
         near, far = max(near, min(first, last)), min(far, max(first, last))
+    return near, far
+
+
+@numba.njit(**_PART)
+def _entry(x, y, z, b, centers, rotations, halves):  # type: ignore[no-untyped-def]
+    """Where a ray from the origin enters a box, in lengths of the ray; infinity where it misses it or starts in it."""
+    near, far = _crossing(x, y, z, b, centers, rotations, halves)
     if near <= far and near > 0.0:
         return near
     return np.inf
@@ -79,3 +86,45 @@ def count_sights(
                 if _entry(x, y, z, rivals[r], centers, rotations, halves) < own * (1.0 - _BEHIND):
                     hidden[b] += 1
                     break
+
+
+@numba.njit(
+    "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], float64, "
+    "int64[:,::1])",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def count_evidence(
+    points: Float64Array,
+    pixels: Float64Array,
+    extents: Float64Array,
+    centers: Float64Array,
+    rotations: Float64Array,
+    halves: Float64Array,
+    margin: float,
+    evidence: Int64Array,
+) -> None:
+    """Count the points that lie before each box, as seen from the origin, and those that lie on or in it.
+
+    Args:
+        points: (N, 3) [m].
+        pixels: (N, 2) [px], where they are in the picture; NaN for those that are not.
+        extents: (B, 4) [px], left, top, right, bottom of each box in the picture.
+        centers, rotations, halves: as in `count_sights`.
+        margin: how far outside its faces a point still counts as on a box [m].
+        evidence: (B, 2), filled: points before it, points on it.
+    """
+    evidence[:] = 0
+    for i in range(len(points)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        slack = margin / np.sqrt(x * x + y * y + z * z)
+        for b in range(len(centers)):
+            if extents[b, 0] <= u <= extents[b, 2] and extents[b, 1] <= v <= extents[b, 3]:
+                near, far = _crossing(x, y, z, b, centers, rotations, halves)
+                if near <= far and far > 0.0:
+                    if near - slack > 1.0:
+                        evidence[b, 0] += 1
+                    elif far + slack >= 1.0:
+                        evidence[b, 1] += 1

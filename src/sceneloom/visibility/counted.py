@@ -16,10 +16,12 @@ from sceneloom.scene import (
     Scene,
 )
 from sceneloom.scene.types import Key, key_of
+from sceneloom.visibility.activations import activation_of
 from sceneloom.visibility.points import FrameCounts, PointCounts
 
 POINTS = "points"
 """Name of the attribute that holds the counts."""
+
 
 def with_attributes(
     annotation: CuboidAnnotation,
@@ -64,6 +66,33 @@ def _attribute(lidar: FrameCounts, row: int) -> AttributePath | None:
         return None
     values = tuple(lidar.counts[frames, row].tolist())
     return AttributePath(POINTS, values, lidar.timestamps_ns[frames], sensor_id=lidar.lidar_id)
+
+
+def with_activations(scene: Scene, counts: PointCounts, *, min_points: int = 1) -> Scene:
+    """Tell when each lidar sees each cuboid: while frame after frame has points of it; replaces what was told of them.
+
+    Args:
+        scene: the scene, or one with the same cuboids.
+        counts: what `count_points` found.
+        min_points: fewer points in a frame are not seen.
+    """
+    rows = {key_of(identifier): row for row, identifier in enumerate(counts.annotation_ids)}
+    keys = {key_of(lidar.lidar_id) for lidar in counts.lidars}
+    annotations: list[Annotation] = []
+    for each in scene.annotations:
+        row = rows.get(key_of(each.id))
+        if isinstance(each, CuboidAnnotation) and row is not None:
+            kept = [told for told in each.activations if key_of(told.sensor_id) not in keys]
+            made = [
+                activation_of(lidar.lidar_id, lidar.timestamps_ns, lidar.counts[:, row] >= min_points)
+                for lidar in counts.lidars
+            ]
+            annotations.append(
+                replace(each, activations=(*kept, *(told for told in made if told is not None)))
+            )
+        else:
+            annotations.append(each)
+    return replace(scene, annotations=tuple(annotations))
 
 
 def with_labeled_points(scene: Scene, counts: PointCounts) -> Scene:

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, UInt32Array
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, UInt32Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions, rotate_vectors
 from sceneloom.kernels.path_transform import transform_by_path
@@ -110,7 +110,7 @@ def count_points(
     found: list[FrameCounts] = []
     total, done, unplaced = sum(len(lidar.frames) for lidar in chosen), 0, 0
     for lidar in chosen:
-        counter = _Counter(table, lidar, _points_place(scene, lidar, ego), Moment(moment), margin, listed)
+        counter = _Counter(table, lidar, points_place(scene, lidar, ego), Moment(moment), margin, listed)
         rows: list[_Row | None] = []
         for frame in lidar.frames:
             rows.append(counter.count(frame))
@@ -218,18 +218,9 @@ class _Counter:
         """Take each point into the world at its own time, and the boxes to the times of the points."""
         points = frame.points
         times = np.asarray(points.timestamps_ns, np.int64)
-        path, reach_ns = self.place.path, self.place.reach_ns
-        if not path.endless and (
-            times.min() < path.start_ns - reach_ns or times.max() > path.stop_ns + reach_ns
-        ):
+        positions = points_in_world(self.place, points.positions, times)
+        if positions is None:
             return None
-        positions: FloatArray = points.positions
-        if self.place is not WORLD:
-            positions = np.empty(positions.shape)
-            transform_by_path(
-                np.ascontiguousarray(points.positions), times, np.ascontiguousarray(self.place.mount.matrix[:3]),
-                path.timestamps_ns, path.positions, path.quaternions_xyzw, positions,
-            )  # fmt: skip
         measured = points.extras.get(_MEASURED, times)
         first, last = int(measured.min()), int(measured.max())
         count = min(max(-(-(last - first) // _KNOT_NS) + 1, 2), _MOST_KNOTS)
@@ -243,7 +234,34 @@ class _Counter:
         return _Row(there, *boxes.count(points, listed=self.listed))
 
 
-def _points_place(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None) -> PoseSource:
+def points_in_world(
+    place: PoseSource, positions: Float32Array, timestamps_ns: Int64Array
+) -> FloatArray | None:
+    """Take points (N, 3) [m] into the world, each at its own time (N,) [ns]; None where the way does not reach so far.
+
+    Args:
+        place: takes the points as stored into the world; those that are there already stay as they are.
+    """
+    if place is WORLD or len(positions) == 0:
+        return positions
+    path, reach_ns = place.path, place.reach_ns
+    first, last = int(timestamps_ns.min()), int(timestamps_ns.max())
+    if not path.endless and (first < path.start_ns - reach_ns or last > path.stop_ns + reach_ns):
+        return None
+    world = np.empty(positions.shape)
+    transform_by_path(
+        np.ascontiguousarray(positions), timestamps_ns, np.ascontiguousarray(place.mount.matrix[:3]),
+        path.timestamps_ns, path.positions, path.quaternions_xyzw, world,
+    )  # fmt: skip
+    return world
+
+
+def points_place(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None) -> PoseSource:
+    """Give what takes a lidar's points as stored into the world.
+
+    Raises:
+        PoseError: it is not known.
+    """
     place = place_of_points(scene, lidar, ego)
     if place.source is None:
         raise PoseError(

@@ -29,10 +29,15 @@ from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
 from sceneloom.scene.types import key_of
 from sceneloom.visibility.activations import activation_of
 from sceneloom.visibility.counted import with_attributes
+from sceneloom.visibility.evidence import SweptPoints
+from sceneloom.visibility.points import points_place
 from sceneloom.visibility.sights import Sights, sight
 
-TRUNCATION, OCCLUSION = "truncation", "occlusion"
+SHARES = ("truncation", "occlusion", "occlusion_by_points")
 """Names of the attributes that tell the shares."""
+
+LEAST_POINTS = 5
+"""Fewer points before and on a cuboid tell no share."""
 
 _DECIMALS = 3
 """Of shares and pixels that are written: far below what they are good for."""
@@ -42,12 +47,11 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class _Sighting:
-    """One cuboid in one picture."""
+    """One cuboid in one picture; its shares in the order of `SHARES`."""
 
     picture: int
     box_xyxy: tuple[float, ...]
-    truncation: float
-    occlusion: float
+    shares: tuple[float | None, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +71,7 @@ def project_cuboids(
     trajectory: str | EgoMotion | None = None,
     min_pixels: float = 1.0,
     see_through: Iterable[str] = (),
+    lidar: Identifier | None = None,
     activations: bool = False,
     progress: Progress | None = None,
 ) -> Scene:
@@ -83,25 +88,33 @@ def project_cuboids(
         trajectory: name of the ego's way, as for `Scene.samples`.
         min_pixels: what is narrower or lower than this in a picture is not seen in it [px].
         see_through: labels of what fills little of its box and shall hide nothing, such as trees.
+        lidar: id of a lidar whose points are asked, too: an attribute `occlusion_by_points` tells which share of its
+            points before and on a cuboid, as the camera sees it, lie before. They know of walls and trees without one.
         activations: also tell when each camera sees it.
         progress: told after each picture how many are done, and of how many.
 
     Raises:
-        OptionError: there is no such camera or trajectory.
+        OptionError: there is no such camera, lidar or trajectory.
         PoseError: it is not known where a chosen camera was, or any.
         DataError: a picture cannot be read.
     """
     chosen = chosen_sensors(scene, "camera", scene.cameras, cameras)
-    places = places_of(scene, chosen, choose_ego(scene, trajectory))
+    ego = choose_ego(scene, trajectory)
+    places = places_of(scene, chosen, ego)
+    swept = None
+    if lidar is not None:
+        (asked,) = chosen_sensors(scene, "lidar", scene.lidars, [lidar])
+        swept = SweptPoints(asked, points_place(scene, asked, ego))
     placed = [(camera, source) for camera in chosen if (source := places[camera.id].source) is not None]
     lost = [camera for camera in chosen if places[camera.id].source is None]
     if lost and (not placed or cameras != ALL):
         raise PoseError(places[lost[0].id].problem)
-    table, views, done, thin = BoxTable(scene), [], 0, frozenset(see_through)
+    table, views, done = BoxTable(scene), [], 0
+    look = _Look(table, frozenset(see_through), min_pixels, swept)
     total = sum(len(camera.pictures) for camera, _ in placed)
     for camera, source in placed:
         view = _View(camera.id, camera.pictures.timestamps_ns, {}, _unplaced(camera, source))
-        for k, found, rows in _looks(camera, source, table, min_pixels, thin):
+        for k, found, rows in look.through(camera, source):
             _keep(view, k, found, rows)
             done += 1
             if progress is not None:
@@ -119,30 +132,46 @@ def _unplaced(camera: CameraSensor, source: PoseSource) -> int:
     return int((~np.isfinite(poses.positions).all(axis=1)).sum())
 
 
-def _looks(
-    camera: CameraSensor, source: PoseSource, table: BoxTable, min_pixels: float, see_through: Collection[str]
-) -> Iterator[tuple[int, Sights | None, Int64Array]]:
-    """What each picture shows: its number, the sights (None where its pose is not known), the rows of its boxes."""
-    for k, time_ns in enumerate(camera.pictures.timestamps_ns.tolist()):
-        picture = camera.pictures[k]
-        pose = source.mounted(picture.mount).at(np.array([time_ns], np.int64))
-        rows, boxes = table.find(time_ns)
-        if not np.isfinite(pose.positions).all():
-            yield k, None, rows
-            continue
-        world_from_camera = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
-        hides = np.array([label not in see_through for label in boxes.labels], np.bool_)
-        yield k, sight(picture.camera, world_from_camera, boxes, hides=hides, min_pixels=min_pixels), rows
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """How pictures are looked at; arguments of `project_cuboids`."""
+
+    table: BoxTable
+    see_through: Collection[str | None]
+    min_pixels: float
+    swept: SweptPoints | None
+
+    def through(
+        self, camera: CameraSensor, source: PoseSource
+    ) -> Iterator[tuple[int, Sights | None, Int64Array]]:
+        """What each picture shows: its number, the sights (None where its pose is not known), the rows of its boxes."""
+        for k, time_ns in enumerate(camera.pictures.timestamps_ns.tolist()):
+            picture = camera.pictures[k]
+            pose = source.mounted(picture.mount).at(np.array([time_ns], np.int64))
+            rows, boxes = self.table.find(time_ns)
+            if not np.isfinite(pose.positions).all():
+                yield k, None, rows
+                continue
+            sights = sight(
+                picture.camera,
+                RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
+                boxes,
+                hides=np.array([label not in self.see_through for label in boxes.labels], np.bool_),
+                min_pixels=self.min_pixels,
+                points_world=None if self.swept is None else self.swept.at(time_ns),
+            )
+            yield k, sights, rows
 
 
 def _keep(view: _View, picture: int, found: Sights | None, rows: Int64Array) -> None:
     if found is None:
         return
-    shares = zip(found.truncations.tolist(), found.occlusions.tolist(), strict=True)
-    for row, box, (truncation, occlusion) in zip(
-        rows[found.rows].tolist(), found.boxes_xyxy.tolist(), shares, strict=True
-    ):
-        sighting = _Sighting(picture, tuple(box), round(truncation, _DECIMALS), round(occlusion, _DECIMALS))
+    for k, row in enumerate(rows[found.rows].tolist()):
+        before, on = found.evidences[k].tolist()
+        by_points = before / (before + on) if before + on >= LEAST_POINTS else None
+        shares = (float(found.truncations[k]), float(found.occlusions[k]), by_points)
+        told = tuple(None if share is None else round(share, _DECIMALS) for share in shares)
+        sighting = _Sighting(picture, tuple(found.boxes_xyxy[k].tolist()), told)
         view.sightings.setdefault(row, []).append(sighting)
 
 
@@ -165,7 +194,7 @@ class _Writer:
         projections = [self._projection(annotation, row, view) for view in seeing]
         others = [each for each in annotation.projections if key_of(each.sensor_id) not in keys]
         attributes = [path for view in seeing for path in _shares(view, view.sightings[row])]
-        written = with_attributes(annotation, attributes, names=(TRUNCATION, OCCLUSION), sensor_ids=ids)
+        written = with_attributes(annotation, attributes, names=SHARES, sensor_ids=ids)
         written = replace(written, projections=(*others, *projections))
         if not self.activations:
             return written
@@ -211,12 +240,14 @@ def _keep_confirmed(annotation: CuboidAnnotation, view: _View, boxes: Float64Arr
     return confirmed
 
 
-def _shares(view: _View, sightings: Sequence[_Sighting]) -> tuple[AttributePath, AttributePath]:
-    times = view.timestamps_ns[[found.picture for found in sightings]]
-    return (
-        AttributePath(TRUNCATION, tuple(s.truncation for s in sightings), times, sensor_id=view.camera_id),
-        AttributePath(OCCLUSION, tuple(s.occlusion for s in sightings), times, sensor_id=view.camera_id),
-    )
+def _shares(view: _View, sightings: Sequence[_Sighting]) -> Iterator[AttributePath]:
+    for k, name in enumerate(SHARES):
+        told = [found for found in sightings if found.shares[k] is not None]
+        if told:
+            times = view.timestamps_ns[[found.picture for found in told]]
+            yield AttributePath(
+                name, tuple(found.shares[k] for found in told), times, sensor_id=view.camera_id
+            )
 
 
 def _lost(camera: CameraSensor) -> Notice:

@@ -4,18 +4,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array
+from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project, unproject
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions
-from sceneloom.kernels.box_sight import count_sights
+from sceneloom.kernels.box_sight import count_evidence, count_sights
 from sceneloom.scene import Boxes
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER, edge_extents, picture_corner_rays, widest_angle
 
 NEAR = 0.05
 """A box nearer to the camera than this holds the camera: it is not seen, and hides nothing [m]."""
+
+ON_BOX = 0.2
+"""A point so near to a box is on it [m]: boxes are drawn tightly, and things move between sweep and picture."""
 
 _RAYS = 24
 """Rays to a box along each side of its place in the picture, to tell how much of it others hide."""
@@ -33,18 +36,21 @@ class Sights:
         truncations: (S,) float64, which share of the box, of what the camera would see of it with an endless picture,
             lies outside the picture: a share of the solid angle, so that it means the same with every lens.
         occlusions: (S,) float64, which share of its area in the picture nearer boxes hide.
+        evidences: (S, 2) int64, points of a lidar that lie before it, as the camera sees it, and on it; 0 without one.
     """
 
     rows: Int64Array
     boxes_xyxy: Float64Array
     truncations: Float64Array
     occlusions: Float64Array
+    evidences: Int64Array
 
     def __post_init__(self) -> None:
         count = check_array("rows", self.rows, (None,), np.int64)
         check_array("boxes_xyxy", self.boxes_xyxy, (count, 4), np.float64)
         check_array("truncations", self.truncations, (count,), np.float64)
         check_array("occlusions", self.occlusions, (count,), np.float64)
+        check_array("evidences", self.evidences, (count, 2), np.int64)
 
 
 def sight(
@@ -54,6 +60,7 @@ def sight(
     *,
     hides: BoolArray | None = None,
     min_pixels: float = 1.0,
+    points_world: FloatArray | None = None,
 ) -> Sights:
     """See boxes with a camera.
 
@@ -64,6 +71,7 @@ def sight(
         world_from_camera: where it is.
         boxes: in the world.
         hides: (B,) bool, which of the boxes hide what is behind them; None for all.
+        points_world: (N, 3) [m], what a lidar saw about then, as evidence of what hides the boxes; None for none.
         min_pixels: what is narrower or lower than this in the picture is not seen, but hides [px].
 
     Raises:
@@ -86,7 +94,11 @@ def sight(
     truncations = np.zeros(len(rows))
     truncations[~whole] = _truncations(camera, near.some(np.flatnonzero(~whole)))
     seen = np.flatnonzero((extents[:, 2:] - extents[:, :2] >= min_pixels).all(axis=1))
-    return Sights(rows[seen], extents[seen], truncations[seen], occlusions[seen])
+    evidences = np.zeros((len(rows), 2), np.int64)
+    if points_world is not None:
+        finite = points_world[np.isfinite(points_world).all(axis=1)]
+        evidences = _evidences(camera, world_from_camera.inverse().apply(finite), near, extents)
+    return Sights(rows[seen], extents[seen], truncations[seen], occlusions[seen], evidences[seen])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +112,11 @@ class _Near:
 
     def some(self, rows: Int64Array) -> "_Near":
         return _Near(self.centers[rows], self.sizes[rows], self.quaternions[rows], self.axes[rows])
+
+    @property
+    def arrays(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Centres, axes and half sizes, as the kernels take them."""
+        return tuple(map(np.ascontiguousarray, (self.centers, self.axes, self.sizes / 2.0)))  # type: ignore[return-value]
 
     @property
     def cameras_box(self) -> Float64Array:
@@ -164,9 +181,7 @@ def _occlusions(camera: Camera, near: _Near, extents: Float64Array, solid: BoolA
     count_sights(
         unproject(camera, grid.reshape(-1, 2) - CENTRE_TO_CORNER),
         np.arange(count + 1) * _RAYS**2,
-        np.ascontiguousarray(near.centers),
-        np.ascontiguousarray(near.axes),
-        np.ascontiguousarray(near.sizes / 2.0),
+        *near.arrays,
         rival_starts,
         rivals,
         met,
@@ -174,6 +189,21 @@ def _occlusions(camera: Camera, near: _Near, extents: Float64Array, solid: BoolA
     )
     shares: Float64Array = hidden / np.maximum(met, 1)
     return shares
+
+
+def _evidences(camera: Camera, points_camera: Float64Array, near: _Near, extents: Float64Array) -> Int64Array:
+    """How many points lie before each box and on it."""
+    pixels, visible = project(camera, points_camera)
+    evidences = np.zeros((len(extents), 2), np.int64)
+    count_evidence(
+        np.ascontiguousarray(points_camera[visible]),
+        pixels[visible] + CENTRE_TO_CORNER,
+        np.ascontiguousarray(extents),
+        *near.arrays,
+        ON_BOX,
+        evidences,
+    )
+    return evidences
 
 
 def _rivals(near: _Near, extents: Float64Array, solid: BoolArray) -> tuple[Int64Array, Int64Array]:

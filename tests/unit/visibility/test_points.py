@@ -9,6 +9,7 @@ from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.boxes import points_in_box
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    Activation,
     AttributePath,
     CuboidAnnotation,
     CuboidPath,
@@ -23,7 +24,7 @@ from sceneloom.scene import (
     Trajectory,
 )
 from sceneloom.simulate import LidarSpec, TrafficSpec, simulate_street
-from sceneloom.visibility.counted import with_counts, with_labeled_points
+from sceneloom.visibility.counted import with_activations, with_counts, with_labeled_points
 from sceneloom.visibility.points import count_points
 
 ON_FACES = 0.02
@@ -204,3 +205,16 @@ def test_a_lidar_with_a_path_of_its_own_is_placed_by_it():
     poses = PosePath(np.array([0]), np.array([[0.0, 0, 10]]), np.array([[0.0, 0, 0, 1]]), endless=True)
     lidar = replace(scene.lidars[0], mount=None, poses=poses)
     assert count_points(replace(scene, sensors=(lidar,))).lidars[0].counts.tolist() == [[1]]
+
+
+def test_frames_with_points_of_a_cuboid_become_activations():
+    of_others = Activation("camera", np.array([3]))
+    box = a_box("a", [1, 1, 1, 5, 0, 0, 0, 0, 0], stamps=(0, 300), activations=(of_others,))
+    scene = a_scene(
+        [[5, 0, 0], [5.1, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 100, 200, 400)
+    )
+    counts = count_points(scene)
+    kept, told = with_activations(scene, counts).annotations[0].activations
+    assert kept is of_others
+    assert (told.sensor_id, told.timestamps_ns.tolist(), told.durations_ns) == ("lidar", [0], (400,))
+    assert with_activations(scene, counts, min_points=3).annotations[0].activations == (of_others,)

@@ -263,3 +263,20 @@ def test_the_pose_of_the_camera_counts():
     turn = Rotation.from_matrix(ahead.rotation @ AXES).as_quat()
     seen = sight(PINHOLE, ahead, some_boxes(world, [[4.0, 2.0, 1.0]], turn))
     np.testing.assert_allclose(seen.boxes_xyxy, [[337.5, 268.75, 462.5, 331.25]], atol=1e-9)
+
+
+def test_points_before_a_box_and_on_it_are_told_apart():
+    box = some_boxes([[0.0, 0.0, 10.0]], [[4.0, 2.0, 2.0]])
+    ahead = np.array([[0.0, 0.0, 1.0]])
+    before, on, behind, beside, at_back = 5.0 * ahead, 7.9 * ahead, 20.0 * ahead, [[3.0, 0, 10]], -5.0 * ahead
+    points = np.concatenate([before, 0.5 * before, on, 10.0 * ahead, 12.1 * ahead, behind, beside, at_back])
+    seen = sight(PINHOLE, HERE, box, points_world=points)
+    # 7.9 and 12.1 m are within 0.2 m of its faces at 8 and 12 m
+    assert seen.evidences.tolist() == [[2, 3]]
+    assert sight(PINHOLE, HERE, box).evidences.tolist() == [[0, 0]]
+
+
+def test_points_that_are_not_finite_are_no_evidence():
+    box = some_boxes([[0.0, 0.0, 10.0]], [[4.0, 2.0, 2.0]])
+    points = np.array([[np.nan, 0.0, 1.0], [0.0, 0.0, np.inf], [0.0, 0.0, 0.0]])
+    assert sight(PINHOLE, HERE, box, points_world=points).evidences.tolist() == [[0, 0]]

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     help="Meet cuboids at the time of the frame (deskewed sweeps), or of each point (sweeps as measured).",
 )
 @click.option("--margin", type=float, default=0.0, metavar="M", help="Count points so far outside, too.")
+@click.option("--activations", is_flag=True, help="Also tell when each lidar has points of each cuboid.")
 @click.option("--labeled-points", is_flag=True, help="Add an annotation of labelled points for each cuboid.")
 def count(
     path: Path,
@@ -42,11 +43,12 @@ def count(
     lidars: tuple[str, ...],
     at: str,
     margin: float,
+    activations: bool,
     labeled_points: bool,
     **common: Any,
 ) -> None:
     """Count the points in each cuboid: an attribute `points` per lidar, and labelled points on request."""
-    from sceneloom.visibility import count_points, with_counts, with_labeled_points
+    from sceneloom.visibility import count_points, with_activations, with_counts, with_labeled_points
 
     details: dict[str, Any] = {}
 
@@ -61,6 +63,7 @@ def count(
         )
         details.update(_told(counts))
         counted = with_counts(scenes[0], counts)
+        counted = with_activations(counted, counts) if activations else counted
         return with_labeled_points(counted, counts) if labeled_points else counted
 
     run_edit("count", [path], output, change, details=details, **common)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli.edit.running import chosen_way, editing, run_edit, way
-from sceneloom.cli.identifiers import known_ids
+from sceneloom.cli.identifiers import known_id, known_ids
 
 if TYPE_CHECKING:
     from sceneloom.scene import Scene
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     metavar="LABEL",
     help="What fills little of its cuboid, such as trees, and hides nothing.",
 )
+@click.option("--lidar", metavar="ID", help="Ask the points of this lidar, too, what hides a cuboid.")
 @click.option("--activations", is_flag=True, help="Also tell when each camera sees each cuboid.")
 def project(
     path: Path,
@@ -46,6 +47,7 @@ def project(
     cameras: tuple[str, ...],
     min_pixels: float,
     see_through: tuple[str, ...],
+    lidar: str | None,
     activations: bool,
     **common: Any,
 ) -> None:
@@ -62,6 +64,7 @@ def project(
             trajectory=chosen_way(scenes[0], trajectory, heading),
             min_pixels=min_pixels,
             see_through=see_through,
+            lidar=None if lidar is None else known_id(scenes[0], lidar),
             activations=activations,
         )
         cuboids = [each for each in projected.annotations if isinstance(each, CuboidAnnotation)]

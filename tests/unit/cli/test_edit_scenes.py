@@ -57,7 +57,7 @@ def test_crop_is_told_to_machines(call: Call, scene_file: Path, tmp_path: Path) 
     assert "sensors-left-out" in [notice["code"] for notice in report["notices"]]
     with sceneloom.open(tmp_path / "crop.sfs") as scene:
         away = np.concatenate([frame.points.positions for frame in scene.lidars[0].frames])
-        assert not scene.cameras
+        assert [camera.id for camera in scene.cameras] == ["camera0"]
         assert "car" in {annotation.label for annotation in scene.annotations}
         assert "pole" not in {annotation.label for annotation in scene.annotations}
     assert np.linalg.norm(away, axis=1).max() <= 15.0

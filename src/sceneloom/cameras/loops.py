@@ -77,7 +77,9 @@ def place_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
 def look_along(pixels, lens, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel of a model that can be solved for it; see `compiled`."""
     for i in range(len(pixels)):
-        rays[i, 0], rays[i, 1], rays[i, 2] = ray_of_pixel(pixels[i, 0], pixels[i, 1], lens)
+        x, y, z = ray_of_pixel(pixels[i, 0], pixels[i, 1], lens)
+        known = not math.isnan(x + y + z)
+        rays[i, 0], rays[i, 1], rays[i, 2] = (x, y, z) if known else (math.nan, math.nan, math.nan)
 
 
 @njit(**PART)

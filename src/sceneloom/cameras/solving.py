@@ -15,6 +15,7 @@ _ITERATIONS = 60
 _SMALLEST_STEP = 1e-4
 _EXACT = 1e-14
 _GOOD = 1e-12
+_ROUNDING = 1e-15
 _INSIDE = 1.0 - 1e-12
 
 
@@ -95,22 +96,58 @@ def _distort_beyond(a, b, lens):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(**PART)
-def place_at(x, y, lens):  # type: ignore[no-untyped-def]
-    """Solve distort(a, b) = x, y with steps that are halved until they come nearer; NaN where nothing solves it."""
-    if not lens.limit > 0.0 or not abs(x) + abs(y) < math.inf:
-        return math.nan, math.nan
+@njit(**INLINE)
+def _start(x, y, lens):  # type: ignore[no-untyped-def]
+    """Give a place in the domain, towards x, y, that the distortion does not take farther out than that."""
     size = math.sqrt(x * x + y * y)
-    start = 1.0 if size < lens.limit else 0.9 * lens.limit / size
-    a, b = start * x, start * y
+    part = 1.0 if size < lens.limit else 0.9 * lens.limit / size
+    for _ in range(_ITERATIONS):
+        to_x, to_y, _, _, _, _ = distort(part * x, part * y, lens)
+        if to_x * to_x + to_y * to_y <= size * size:
+            break
+        part *= 0.7
+    return part * x, part * y
+
+
+@njit(**INLINE)
+def _half_way_to_rim(a, b, step_a, step_b, lens):  # type: ignore[no-untyped-def]
+    """Shorten a step that leaves the domain to half the way to its rim."""
+    aim_a, aim_b = a + step_a, b + step_b
+    if aim_a * aim_a + aim_b * aim_b < lens.limit * lens.limit:
+        return step_a, step_b
+    square, along = step_a * step_a + step_b * step_b, a * step_a + b * step_b
+    left = lens.limit * lens.limit - a * a - b * b
+    part = 0.5 * left / (along + math.sqrt(along * along + square * left))
+    return part * step_a, part * step_b
+
+
+@njit(**PART)
+def _search(x, y, lens, inside):  # type: ignore[no-untyped-def]
+    """Go by Newton's steps, halved until they come nearer, to where the distortion gives x, y.
+
+    Args:
+        inside: whether to stay in the domain; else the search sees the mapping continued beyond it.
+
+    Returns:
+        a, b: where it ends.
+        solved: whether the distortion, or its continuation, gives x, y there.
+    """
+    size = math.sqrt(x * x + y * y)
+    a, b = _start(x, y, lens)
     to_x, to_y, xx, xy, yx, yy = _distort_beyond(a, b, lens)
     off_x, off_y = to_x - x, to_y - y
     off = math.sqrt(off_x * off_x + off_y * off_y)
+    enough = _GOOD * (1.0 + size)
     for _ in range(_ITERATIONS):
         if off <= _EXACT * (1.0 + size):
             break
+        # Nearer than the rounding of a and b lets it come nothing can.
+        steepest = abs(xx) + abs(xy) + abs(yx) + abs(yy)
+        enough = _GOOD * (1.0 + size) + _ROUNDING * steepest * (abs(a) + abs(b))
         share = 1.0 / (xx * yy - xy * yx)
         step_a, step_b = (xy * off_y - yy * off_x) * share, (yx * off_x - xx * off_y) * share
+        if inside:
+            step_a, step_b = _half_way_to_rim(a, b, step_a, step_b, lens)
         before, part = off, 1.0
         while part > _SMALLEST_STEP and not off < before:
             new_a, new_b = a + part * step_a, b + part * step_b
@@ -119,9 +156,23 @@ def place_at(x, y, lens):  # type: ignore[no-untyped-def]
             off = math.sqrt(off_x * off_x + off_y * off_y)
             part *= 0.5
         if not off < before:
-            off = before
-            break
+            return a, b, before <= enough
         a, b = new_a, new_b
-    if off <= _GOOD * (1.0 + size) and a * a + b * b < lens.limit * lens.limit:
+    return a, b, off <= enough
+
+
+@njit(**PART)
+def place_at(x, y, lens):  # type: ignore[no-untyped-def]
+    """Solve distort(a, b) = x, y; NaN where no place of the domain does.
+
+    A search that may leave the domain slides along its rim, and tells soon where nothing is to be found; one that stays
+    inside is for poles on the rim, beyond which a continuation means nothing.
+    """
+    if not lens.limit > 0.0 or not abs(x) + abs(y) < math.inf:
+        return math.nan, math.nan
+    a, b, solved = _search(x, y, lens, False)
+    if not solved:
+        a, b, solved = _search(x, y, lens, True)
+    if solved and a * a + b * b < lens.limit * lens.limit:
         return a, b
     return math.nan, math.nan

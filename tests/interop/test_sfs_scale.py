@@ -9,18 +9,25 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
 from sceneloom.scene import (
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
+    EventAnnotation,
     GnssSensor,
+    GroupAnnotation,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
+    LinkAnnotation,
     OdometrySensor,
     Picture,
-    PlainAnnotation,
     PlainSensor,
+    PointPath,
+    PointsAnnotation,
     PointsFrame,
     PointsSensor,
     PosePath,
@@ -28,6 +35,9 @@ from sceneloom.scene import (
     RadarPoints,
     RadarSensor,
     Scene,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
 )
 
 READ = """
@@ -154,30 +164,30 @@ def a_drive():
     pictures = [Picture.of(t, lens, np.full((6, 8, 3), 90, np.uint8)) for t in times]
     lazy = LazyFrames.of(pictures, times)
     row = np.array([[4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]])
-    attributes = [
-        {"name": "speed", "timestamps": times[:2], "values": [1.5, -2.25]},
-        {"name": "colour", "static": True, "timestamps": times[:2], "values": ["red", "red"]},
-    ]
-    path = {"timestamps": [times[0]], "values": [[1.0, 2.0, 3.0]]}
-    named = (
-        "box_2d",
-        "polygon_2d",
-        "polyline_2d",
-        "point_2d",
-        "polygon",
-        "polygon_topdown",
-        "polyline",
-        "point",
+    stamps, two = np.array(times[:1]), np.array(times[:2])
+    attributes = (
+        AttributePath("speed", (1.5, -2.25), two),
+        AttributePath("colour", ("red", "red"), two, static=True),
     )
+    flat, solid = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0, 2.0, 3.0]])
+    shapes = [
+        ShapeAnnotation(
+            kind.value,
+            kind,
+            VertexPath(stamps, (flat if kind.value.endswith("_2d") else solid,)),
+            "front",
+        )
+        for kind in ShapeType
+        if kind is not ShapeType.POINT_TOPDOWN
+    ]
     annotations = [
-        CuboidAnnotation("c", CuboidPath(np.array(times[:1]), row), "car", extras={"attributes": attributes}),
-        *(PlainAnnotation(name, name, {"sensor_id": "front", "path": path}) for name in named),
-        PlainAnnotation("g", "group", {"label": "all"}),
-        PlainAnnotation("k", "points", {"paths": [path]}),
-        PlainAnnotation("e", "event", {"start": times[1], "duration": 5 * MS}),
-        PlainAnnotation(
-            "lk", "link", {"label": "l", "from_id": "c", "to_id": "g", "is_bidirectional": False}
-        ),
+        CuboidAnnotation("c", CuboidPath(stamps, row), "car", attributes=attributes),
+        Box2DAnnotation("box_2d", "front", BoxPath(stamps, np.array([[1.0, 2.0, 3.0, 4.0]]))),
+        *shapes,
+        GroupAnnotation("g", "all"),
+        PointsAnnotation("k", (PointPath(stamps, solid),)),
+        EventAnnotation("e", times[1], duration_ns=5 * MS),
+        LinkAnnotation("lk", "c", "g", "l", is_bidirectional=False),
     ]
     one = np.ones(1)
     sensors = (
@@ -191,7 +201,7 @@ def a_drive():
         GnssSensor("gnss", np.array(times[:1]), np.ones((1, 3)), one, one),
         PlainSensor("sonar", "sonar", {"depth": 3}),
     )
-    scene_attributes = ({"name": "fog", "timestamps": times[:1], "values": [0.5]},)
+    scene_attributes = (AttributePath("fog", (0.5,), stamps),)
     return Scene(sensors, tuple(annotations), attributes=scene_attributes, metadata={"town": "Ulm"})
 
 
@@ -248,7 +258,7 @@ def test_the_profile_of_the_text_loads_in_scales_library(scale, tmp_path):
     with SceneWriter(path) as writer:
         for name in ("top", "front", "ego", "map"):
             writer.add_sensor(drive.sensor(name))
-        writer.add_annotation(PlainAnnotation("e", "event", {"start": START}))
+        writer.add_annotation(EventAnnotation("e", START))
     read = scale(READ, path)
     assert [len(frame["positions"]) for frame in read["sensors"][0]["frames"]] == [50, 0, 30]
     refused = sorted(where[:2] for where, _ in read["faults"])
@@ -271,8 +281,8 @@ def test_a_file_of_that_library_opens_here_and_survives_writing(scale, tmp_path)
     assert (camera.model, camera.coefficients[:4]) == ("brown_conrady", (0.1, 0.01, 0.001, 0.002))
     by_id = {annotation.id: annotation for annotation in scene.annotations}
     assert by_id["c"].path.values[0].tolist() == [4, 2, 1.5, 1, 2, 3, 0, 0, 90]
-    assert by_id["e"].fields["start"] == 1_005_000
-    assert by_id["l"].fields["labeled_points"][0]["point_ids"].tolist() == [1, 3]
+    assert by_id["e"].start_ns == 1_005_000
+    assert by_id["l"].labeled_points[0].point_ids.tolist() == [1, 3]
     assert scene.metadata["town"] == "Ulm"
     assert len(write_scene(scene, ours, profile="scale")) == 0
     assert scale(READ, ours) == scale(READ, path)

@@ -22,6 +22,7 @@ from sceneloom.errors import CalibrationError, OptionError
 PERSPECTIVE_REACH = math.radians(80.0)
 """How far off its axis a model that ends at 90 degrees is fitted: there it magnifies 33 times already."""
 
+_PERSPECTIVE_COSINE = math.cos(PERSPECTIVE_REACH)
 _PLACES = ("fx", "fy", "cx", "cy")
 _FITTED_GRID, _MEASURED_GRID = (33, 25), (97, 73)
 _NEAR_AXIS = 1e-4
@@ -31,7 +32,8 @@ _EQUALLY_GOOD_PX = 1e-9
 _STAGES = (0, 1, 2, 4, 5, 8, 10, 100)
 """How many coefficients are free in each stage, in the model's order."""
 _FACTORS = tuple(f"{letter}{number}" for letter in "ij" for number in range(1, 5))
-_STARTS: Mapping[str, float] = MappingProxyType({"xi": 1.0, **dict.fromkeys(_FACTORS, 1.0)})
+_SHIFT = "xi"
+_STARTS: Mapping[str, float] = MappingProxyType({_SHIFT: 1.0, **dict.fromkeys(_FACTORS, 1.0)})
 """Coefficients that begin at another value than 0: a sphere of that shift sees behind the camera, and a factor of
 others, all of them 0, would never leave it."""
 _IN_PIXELS, _OFFSET = "ftheta", "k1"
@@ -126,7 +128,7 @@ def measured_fit(exact: Camera, other: Camera) -> Fit:
     off = np.hypot(*(project_unbounded(other, rays) - pixels).T)
     held = np.isfinite(off)
     if _is_perspective(other):
-        held &= rays[:, 2] > math.cos(PERSPECTIVE_REACH)
+        held &= rays[:, 2] > _PERSPECTIVE_COSINE
     off = off[held]
     largest, rms = (
         (float(off.max()), float(np.sqrt(np.mean(off * off)))) if len(off) else (math.inf, math.inf)
@@ -180,7 +182,7 @@ class _Search:
         search = cls(exact, plain.model, fixed, pixels, rays)
         usable = np.isfinite(search.project(search.start())).all(axis=1)
         if _is_perspective(plain):
-            usable &= rays[:, 2] > math.cos(PERSPECTIVE_REACH)
+            usable &= rays[:, 2] > _PERSPECTIVE_COSINE
         if not usable.any():
             raise CalibrationError(
                 f"{plain.model} holds nothing of what the {exact.model} lens sees; choose another model"
@@ -224,13 +226,31 @@ class _Search:
         coefficients = [0.0 if name in self.fixed else known.get(name, 0.0) for name in self.names[4:]]
         return np.array([exact.fx, exact.fy, exact.cx, exact.cy, *coefficients])
 
+    def unshifted(self) -> Float64Array | None:
+        """The start of a model with a shifted sphere without that shift, which is a perspective lens.
+
+        None where the model has no shift to be found, or a perspective lens does not see as far.
+        """
+        perspective = (self.rays[:, 2] > _PERSPECTIVE_COSINE).all()
+        if _SHIFT not in self.names or _SHIFT in self.fixed or not perspective:
+            return None
+        plain, place = self.start(), self.names.index(_SHIFT)
+        plain[:2] /= 1.0 + plain[place]
+        plain[place] = 0.0
+        return plain
+
     def candidates(self) -> list[Camera]:
         """The lens after each group of numbers that was set free, and the one from coefficients of equal names."""
-        numbers, found = self.start(), []
-        stages = self._stages()
+        stages, found = self._stages(), list[Float64Array]()
+        numbers, unshifted = self.start(), self.unshifted()
         for free in stages:
             numbers = self._fitted(numbers, free)
             found.append(numbers)
+        if unshifted is not None:
+            still = np.array([name != _SHIFT for name in self.names])
+            for free in (*(one & still for one in stages), stages[-1]):
+                unshifted = self._fitted(unshifted, free)
+                found.append(unshifted)
         if self.model == self.exact.model:
             found.append(self._fitted(self.same_names(), stages[-1]))
         return [self.camera(one) for one in found if one[0] > 0 and one[1] > 0]

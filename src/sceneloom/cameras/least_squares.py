@@ -27,6 +27,8 @@ def minimised(
 
     Source: Marquardt 1963, "An Algorithm for Least-Squares Estimation of Nonlinear Parameters".
     """
+    from sceneloom.kernels.triangle import triangle_of
+
     values, off = start.copy(), residuals(start)
     damping = _FIRST_DAMPING
     for _ in range(_ROUNDS):
@@ -36,7 +38,7 @@ def minimised(
         # a value that changes nothing stays as it is
         lengths = np.linalg.norm(slopes, axis=0)
         lengths[lengths <= _NOTHING * lengths.max(initial=0.0)] = np.inf
-        triangle = np.asarray(np.linalg.qr(np.column_stack([slopes / lengths, off]), mode="r"))
+        triangle = triangle_of(np.ascontiguousarray(np.column_stack([slopes / lengths, off]).T))
         before = float(off @ off)
         while damping < _LARGEST_DAMPING:
             trial = values + _damped_step(triangle, damping) / lengths
@@ -67,7 +69,7 @@ def _damped_step(triangle: Float64Array, damping: float) -> Float64Array:
     """Solve the damped linear problem as one of least squares, which squares no condition number.
 
     Args:
-        triangle: (K, N + 1), upper triangular: slopes and residuals, turned so that most of their rows vanish.
+        triangle: (N + 1, N + 1), upper triangular: slopes and residuals, turned so that most of their rows vanish.
         damping: 0 for the undamped problem.
     """
     count = triangle.shape[1] - 1

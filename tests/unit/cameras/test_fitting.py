@@ -188,3 +188,12 @@ def test_a_value_that_changes_nothing_stays():
         return np.array([values[0] - 2.0, values[0] + 1.0])
 
     assert minimised(residuals, np.array([0.0, 7.0]), np.ones(2)) == pytest.approx([0.5, 7.0])
+
+
+@pytest.mark.parametrize(
+    "numbers", [(-0.5894, 0.66, 0.0011, -0.001, -1.0088), (-0.165, 0.0099, -7.5e-4, 5.4e-5, 0.01)]
+)
+def test_perspective_lenses_of_real_cameras_are_held_by_a_sphere_without_shift(numbers):
+    focal = 1970.0 if numbers[1] > 0.1 else 930.0
+    lens = Camera("brown_conrady", 1920, 1080, focal, focal, 970.0, 500.0, numbers)
+    assert fit(lens, "omnidirectional").largest_px < 0.1

@@ -100,7 +100,8 @@ def _paths(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array, Fl
 def _jumps(subject: Subject) -> Iterator[Hit]:
     for path, stamps_ns, positions, _ in _paths(subject):
         times = np.diff(stamps_ns) / 1e9
-        steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         for k in np.flatnonzero(
             _beyond_neighbours(steps, times, FASTEST, _STEP_FACTOR, _STEP_MARGIN)
         ).tolist():
@@ -134,13 +135,14 @@ def _beyond_neighbours(
         factor: so many times the neighbours' rate is still believed.
         margin: so much more than that, too.
     """
-    wrong: BoolArray = steps > np.maximum(fastest * times, margin)
+    wrong: BoolArray = ~(steps <= np.maximum(fastest * times, margin))
     if len(steps) < _FEWEST_STEPS:
         return wrong
-    padded = np.pad(steps / times, 2, mode="reflect")
-    neighbours = np.stack([padded[shift : shift + len(steps)] for shift in (0, 1, 3, 4)])
-    usual = np.sort(neighbours, axis=0)[-2]
-    wrong |= steps > factor * usual * times + margin
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        padded = np.pad(steps / times, 2, mode="reflect")
+        neighbours = np.stack([padded[shift : shift + len(steps)] for shift in (0, 1, 3, 4)])
+        usual = np.sort(neighbours, axis=0)[-2]
+        wrong |= steps > factor * usual * times + margin
     return wrong
 
 

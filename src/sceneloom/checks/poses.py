@@ -100,8 +100,7 @@ def _paths(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array, Fl
 def _jumps(subject: Subject) -> Iterator[Hit]:
     for path, stamps_ns, positions, _ in _paths(subject):
         times = np.diff(stamps_ns) / 1e9
-        with np.errstate(over="ignore", invalid="ignore"):
-            steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+        steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         for k in np.flatnonzero(
             _beyond_neighbours(steps, times, FASTEST, _STEP_FACTOR, _STEP_MARGIN)
         ).tolist():
@@ -138,11 +137,10 @@ def _beyond_neighbours(
     wrong: BoolArray = ~(steps <= np.maximum(fastest * times, margin))
     if len(steps) < _FEWEST_STEPS:
         return wrong
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        padded = np.pad(steps / times, 2, mode="reflect")
-        neighbours = np.stack([padded[shift : shift + len(steps)] for shift in (0, 1, 3, 4)])
-        usual = np.sort(neighbours, axis=0)[-2]
-        wrong |= steps > factor * usual * times + margin
+    padded = np.pad(steps / times, 2, mode="reflect")
+    neighbours = np.stack([padded[shift : shift + len(steps)] for shift in (0, 1, 3, 4)])
+    usual = np.sort(neighbours, axis=0)[-2]
+    wrong |= steps > factor * usual * times + margin
     return wrong
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.checks.annotation_table import sensor_mentions
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import (
@@ -42,8 +43,10 @@ def _count(sensor: Sensor) -> int | None:
 
 
 def _empty(subject: Subject) -> Iterator[Hit]:
+    """Sensors without content; those that annotations name belong to a scene whose data are elsewhere."""
+    named = {(type(mention.sensor_id), mention.sensor_id) for mention in sensor_mentions(subject)}
     for path, sensor in subject.sensors():
-        if _count(sensor) == 0:
+        if _count(sensor) == 0 and (type(sensor.id), sensor.id) not in named:
             what = "pictures" if isinstance(sensor, CameraSensor) else "measurements"
             yield Hit(path, f"{sensor.type} {sensor.id!r} has no {what}")
 
@@ -136,8 +139,8 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "sensor-empty",
         Severity.WARNING,
-        "Every sensor has frames, pictures, points or samples.",
-        "Leave the sensor out if nothing was recorded, or find its data.",
+        "Every sensor has frames, pictures, points or samples, or annotations name it.",
+        "Leave the sensor out if it is not used, or find its data.",
         find=_empty,
     ),
     Rule(

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sceneloom.checks.reordering import with_sorted_frames
-from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, stamps_of
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.sfs.times import chosen_offset_ns
@@ -29,12 +29,28 @@ _FPS_TOLERANCE = 0.05
 _FEWEST_FOR_A_RATE = 4
 
 
-def _not_increasing(subject: Subject) -> Iterator[Hit]:
+def _out_of_order(*, in_videos: bool) -> Find:
+    """Frames that go back in time; those of videos cannot be sorted without encoding the video anew."""
+
+    def find(subject: Subject) -> Iterator[Hit]:
+        for path, sensor in subject.sensors():
+            stamps_ns = stamps_of(sensor)
+            if (isinstance(sensor, CameraSensor) and sensor.video is not None) is in_videos:
+                for k in np.flatnonzero(np.diff(stamps_ns) < 0).tolist():
+                    problem = f"{stamps_ns[k + 1]} ns after {stamps_ns[k]} ns; expected a later time"
+                    yield Hit(f"{frames_path(path, sensor)}[{k + 1}]", problem)
+
+    return find
+
+
+def _of_one_time(subject: Subject) -> Iterator[Hit]:
     for path, sensor in subject.sensors():
         stamps_ns = stamps_of(sensor)
-        for k in np.flatnonzero(np.diff(stamps_ns) <= 0).tolist():
-            problem = f"{stamps_ns[k + 1]} ns after {stamps_ns[k]} ns; expected a later time than that before"
-            yield Hit(f"{frames_path(path, sensor)}[{k + 1}]", problem)
+        order = np.argsort(stamps_ns, kind="stable")
+        for k in np.flatnonzero(np.diff(stamps_ns[order]) == 0).tolist():
+            first, second = int(order[k]), int(order[k + 1])
+            problem = f"{stamps_ns[second]} ns, as frame {first}; expected a time of its own"
+            yield Hit(f"{frames_path(path, sensor)}[{second}]", problem)
 
 
 def _too_many_a_second(subject: Subject) -> Iterator[Hit]:
@@ -127,10 +143,24 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "frame-times-increasing",
         Severity.ERROR,
-        "Frames and pictures of a sensor have strictly increasing times.",
-        "Sort the frames by time, which `--fix` does but for videos; of frames of one time keep one.",
-        find=_not_increasing,
+        "Frames and images of a sensor stand in the order of their times.",
+        "Sort them by time.",
+        find=_out_of_order(in_videos=False),
         fix=with_sorted_frames,
+    ),
+    Rule(
+        "video-times-increasing",
+        Severity.ERROR,
+        "The stamps of a video stand in the order of its pictures.",
+        "Find out which pictures the stamps belong to.",
+        find=_out_of_order(in_videos=True),
+    ),
+    Rule(
+        "frame-times-unique",
+        Severity.ERROR,
+        "No two frames or pictures of a sensor have one time.",
+        "Keep one of them, or give each the time at which it was measured.",
+        find=_of_one_time,
     ),
     Rule(
         "frame-rate",

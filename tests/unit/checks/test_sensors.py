@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from sceneloom.scene import GnssSensor, ImuSensor, PlainSensor, PointsSensor, Scene, VectorSamples
+from sceneloom.scene import (
+    Box2DAnnotation,
+    BoxPath,
+    GnssSensor,
+    ImuSensor,
+    PlainSensor,
+    PointsSensor,
+    Scene,
+    VectorSamples,
+)
 
 PERIOD = 100_000_000
 
@@ -49,6 +58,12 @@ def test_sensors_without_content_are_found(sound, found):
         ("sensors[2]", "points 'map' has no measurements"),
         ("sensors[3]", "imu 'imu' has no measurements"),
     ]
+
+
+def test_a_camera_without_pictures_that_annotations_name_is_used(sound, found):
+    box = Box2DAnnotation("box", "front", BoxPath(np.zeros(1, np.int64), np.ones((1, 4))))
+    scene = sound.scene(sound.camera([]), sound.lidar([]), annotations=(box,))
+    assert [path for path, _ in found(scene, "sensor-empty")] == ["sensors[1]"]
 
 
 def test_a_type_that_no_format_lists_is_found(sound, found):

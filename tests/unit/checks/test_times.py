@@ -1,11 +1,24 @@
 """Rules about the times of frames and of the scene's clock."""
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 
+from sceneloom.scene import VideoContent
+
 PERIOD, SECOND = 100_000_000, 1_000_000_000
 
-RULES = ("frame-times-increasing", "frame-rate", "frame-doubled", "frame-gaps", "frame-jitter", "video-fps")
+RULES = (
+    "frame-times-increasing",
+    "video-times-increasing",
+    "frame-times-unique",
+    "frame-rate",
+    "frame-doubled",
+    "frame-gaps",
+    "frame-jitter",
+    "video-fps",
+)
 
 
 def test_a_sound_scene_keeps_all_of_them(sound, found):
@@ -13,14 +26,27 @@ def test_a_sound_scene_keeps_all_of_them(sound, found):
     assert [found(scene, rule) for rule in RULES] == [[]] * len(RULES)
 
 
-def test_frames_out_of_order_and_twice_are_found(sound, found):
+def test_frames_out_of_order_are_found(sound, found):
     stamps = [0, 2 * PERIOD, PERIOD, PERIOD, 3 * PERIOD]
-    assert [path for path, _ in found(sound.scene(sound.lidar(stamps)), "frame-times-increasing")] == [
-        "sensors[0].frames[2]",
-        "sensors[0].frames[3]",
+    assert found(sound.scene(sound.lidar(stamps)), "frame-times-increasing") == [
+        ("sensors[0].frames[2]", f"{PERIOD} ns after {2 * PERIOD} ns; expected a later time")
     ]
-    assert found(sound.scene(sound.camera([PERIOD, 0])), "frame-times-increasing") == [
-        ("sensors[0].pictures[1]", f"0 ns after {PERIOD} ns; expected a later time than that before")
+
+
+def test_stamps_of_a_video_out_of_order_are_found_and_left_alone(sound, found, fixed):
+    video = VideoContent(lambda: BytesIO(b""), "h264")
+    filmed = sound.scene(sound.camera([PERIOD, 0], video=video))
+    assert [path for path, _ in found(filmed, "video-times-increasing")] == ["sensors[0].pictures[1]"]
+    assert found(filmed, "frame-times-increasing") == []
+    assert fixed(filmed, "frame-times-increasing") is filmed
+    assert found(sound.scene(sound.camera([PERIOD, 0])), "video-times-increasing") == []
+
+
+def test_frames_of_one_time_are_found_wherever_they_stand(sound, found):
+    stamps = [0, PERIOD, 2 * PERIOD, 0, PERIOD]
+    assert found(sound.scene(sound.lidar(stamps)), "frame-times-unique") == [
+        ("sensors[0].frames[3]", "0 ns, as frame 0; expected a time of its own"),
+        ("sensors[0].frames[4]", f"{PERIOD} ns, as frame 1; expected a time of its own"),
     ]
 
 

@@ -146,7 +146,8 @@ def _outside(subject: Subject) -> Iterator[Hit]:
             nearest = int(times.min()) if times.min() > bounds[1] else int(times.max())
             yield Hit(f"{table.place(subject, part)}.timestamps", _said_outside(nearest, bounds), len(times))
     for path, event in _events(subject):
-        stop_ns = int(event.start_ns + max(event.duration_ns or 0, 0))
+        length_ns = event.duration_ns or 0
+        stop_ns = event.start_ns + (int(length_ns) if 0 < length_ns < np.inf else 0)
         if _is_outside(event.start_ns, stop_ns, bounds):
             yield Hit(f"{path}.start", _said_outside(event.start_ns, bounds))
 

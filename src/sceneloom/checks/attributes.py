@@ -54,6 +54,11 @@ def _is_usual(value: Any) -> bool:
     return isinstance(value, str | int | float) and not isinstance(value, bool)
 
 
+def _same(one: Any, other: Any) -> bool:
+    """Whether two values are equal; of what is no value of the format only the very object is."""
+    return one is other or (_is_usual(one) and _is_usual(other) and bool(one == other))
+
+
 def _unusual(subject: Subject) -> Iterator[Hit]:
     for said in _attributes(subject):
         odd = [k for k, value in enumerate(said.values) if not _is_usual(value)]
@@ -78,7 +83,7 @@ def _of_several_kinds(subject: Subject) -> Iterator[Hit]:
 
 def _static_changes(subject: Subject) -> Iterator[Hit]:
     for said in _attributes(subject):
-        different = [k for k, value in enumerate(said.values) if value != said.values[0]]
+        different = [k for k, value in enumerate(said.values) if not _same(value, said.values[0])]
         if said.static and different:
             message = f"{said.name!r} is static and {said.values[0]!r}, then {said.values[different[0]]!r}"
             yield Hit(f"{said.path}.values[{different[0]}]", message, count=len(different))
@@ -86,7 +91,11 @@ def _static_changes(subject: Subject) -> Iterator[Hit]:
 
 def _static_repeats(subject: Subject) -> Iterator[Hit]:
     for said in _attributes(subject):
-        if said.static and len(said.values) > 1 and all(value == said.values[0] for value in said.values):
+        if (
+            said.static
+            and len(said.values) > 1
+            and all(_same(value, said.values[0]) for value in said.values)
+        ):
             message = f"{said.name!r} is static and told {len(said.values)} times; once is enough"
             yield Hit(said.path, message)
 
@@ -108,7 +117,7 @@ def _with_static_once(annotation: Any) -> Any:
 
 def _once(attribute: AttributePath) -> AttributePath:
     values, times = attribute.values, attribute.timestamps_ns
-    if not attribute.static or len(values) < 2 or any(value != values[0] for value in values):
+    if not attribute.static or len(values) < 2 or not all(_same(value, values[0]) for value in values):
         return attribute
     return replace(
         attribute, values=values[:1], timestamps_ns=None if times is None else read_only(times[:1])

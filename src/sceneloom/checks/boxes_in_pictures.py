@@ -40,8 +40,7 @@ def _or_nan(values: Float64Array | None, count: int, columns: int) -> Float64Arr
 
 def _box_hits(subject: Subject, judge: Callable[[Float64Array], BoolArray], expected: str) -> Iterator[Hit]:
     for table, boxes, name in _boxes(subject):
-        with np.errstate(invalid="ignore"):
-            bad = judge(boxes)
+        bad = judge(boxes)
 
         def say(row: int, boxes: Float64Array = boxes) -> str:
             return f"{_told(boxes[row])}; expected {expected}"
@@ -123,9 +122,8 @@ def _outside(subject: Subject, *, wholly: bool) -> Iterator[Hit]:
         for camera, rows in camera_rows(subject, table):
             sizes[rows] = camera.camera.width, camera.camera.height
             bad[rows] = True
-        with np.errstate(invalid="ignore"):
-            gone = ((extents[:, 2:] < -_SLACK_PX) | (extents[:, :2] > sizes + _SLACK_PX)).any(axis=1)
-            beyond = ((extents[:, :2] < -_SLACK_PX) | (extents[:, 2:] > sizes + _SLACK_PX)).any(axis=1)
+        gone = ((extents[:, 2:] < -_SLACK_PX) | (extents[:, :2] > sizes + _SLACK_PX)).any(axis=1)
+        beyond = ((extents[:, :2] < -_SLACK_PX) | (extents[:, 2:] > sizes + _SLACK_PX)).any(axis=1)
         bad &= gone if wholly else beyond & ~gone
 
         def say(row: int, extents: Float64Array = extents, sizes: Float64Array = sizes) -> str:

@@ -73,8 +73,7 @@ def cuboid_headings(rows: Float64Array, reading: Reading) -> Float64Array:
 
 
 def _turns(rows: Float64Array, reading: Reading) -> Float64Array:
-    with np.errstate(invalid="ignore"):
-        return rotation_from_cuboid_angles(rows[:, 6:9], unit=reading.unit, order=reading.order)
+    return rotation_from_cuboid_angles(rows[:, 6:9], unit=reading.unit, order=reading.order)
 
 
 def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
@@ -97,10 +96,9 @@ def _moving_over(subject: Subject, stride: int) -> tuple[Float64Array, Float64Ar
         return np.zeros((0, 9)), np.zeros((0, 3))
     owners, finite = table.owners, np.asarray(np.isfinite(rows).all(axis=1))
     seconds = (table.timestamps_ns[stride:] - table.timestamps_ns[:-stride]) / 1e9
-    with np.errstate(invalid="ignore", over="ignore"):
-        steps = rows[stride:, 3:6] - rows[:-stride, 3:6]
-        lengths = np.linalg.norm(steps, axis=1)
-        moves = (lengths > _LEAST_STEP_M) & (lengths > _LEAST_SPEED * seconds)
+    steps = rows[stride:, 3:6] - rows[:-stride, 3:6]
+    lengths = np.linalg.norm(steps, axis=1)
+    moves = (lengths > _LEAST_STEP_M) & (lengths > _LEAST_SPEED * seconds)
     moves &= (owners[stride:] == owners[:-stride]) & finite[stride:] & finite[:-stride]
     chosen = np.flatnonzero(moves & (seconds > 0) & (seconds < _LONGEST_S))
     chosen = chosen[:: len(chosen) // _MOST_STEPS + 1]

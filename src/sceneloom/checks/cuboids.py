@@ -98,9 +98,8 @@ def _absurd_size(subject: Subject) -> Iterator[Hit]:
 def _size_changes(subject: Subject) -> Iterator[Hit]:
     table, sizes = cuboid_paths(subject), np.abs(cuboid_rows(subject)[:, :3])
     before, after = sizes[:-1], sizes[1:]
-    with np.errstate(invalid="ignore"):
-        smaller, larger = np.minimum(before, after), np.maximum(before, after)
-        jumps = (larger > _SIZE_FACTOR * smaller) & (larger - smaller > _SIZE_CHANGE_M) & np.isfinite(larger)
+    smaller, larger = np.minimum(before, after), np.maximum(before, after)
+    jumps = (larger > _SIZE_FACTOR * smaller) & (larger - smaller > _SIZE_CHANGE_M) & np.isfinite(larger)
     bad = _from_second(table, _in_any(jumps))
     return _hits(
         subject, bad, lambda row: f"size {_numbers(sizes[row])} m after {_numbers(sizes[row - 1])} m"
@@ -119,10 +118,9 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
     table, positions = cuboid_paths(subject), cuboid_rows(subject)[:, 3:6]
     seconds = np.diff(table.timestamps_ns) / 1e9
     forward = table.inner & (seconds > 0)
-    with np.errstate(invalid="ignore", over="ignore"):
-        way = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-        out_of_reach = _from_second(table, forward & (way > _SLACK_M + _FASTEST * seconds))
-        off = _off_the_way(positions, seconds, forward)
+    way = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    out_of_reach = _from_second(table, forward & (way > _SLACK_M + _FASTEST * seconds))
+    off = _off_the_way(positions, seconds, forward)
 
     def say(row: int) -> str:
         if off[row]:
@@ -165,8 +163,7 @@ def _turns(subject: Subject) -> Iterator[Hit]:
     steps = np.diff(table.timestamps_ns)
     reading = said_reading(subject.scene)
     half_turn = 180.0 if reading.unit == AngleUnit.DEGREES else np.pi
-    with np.errstate(invalid="ignore"):
-        reach = np.abs(np.diff(rows[:, 6:9], axis=0)).sum(axis=1) / half_turn * 180.0
+    reach = np.abs(np.diff(rows[:, 6:9], axis=0)).sum(axis=1) / half_turn * 180.0
     # no cuboid turns by more than its three angles do together
     may = table.inner & (steps > 0) & (steps <= _TURN_WITHIN_NS) & (reach > _TURN_DEG)
     steps_chosen = np.flatnonzero(may)

@@ -96,9 +96,8 @@ def _planned(subject: Subject, path: str, sensor: LidarSensor | RadarSensor) -> 
     where = places_at(place, sensor)
     pairs: dict[tuple[int, int], None] = {}
     for number in spread:
-        with np.errstate(invalid="ignore"):
-            moved = np.linalg.norm(where - where[number], axis=1)
-            others = np.flatnonzero((moved > _LEAST_MOVE_M) & (moved < _LARGEST_MOVE_M))
+        moved = np.linalg.norm(where - where[number], axis=1)
+        others = np.flatnonzero((moved > _LEAST_MOVE_M) & (moved < _LARGEST_MOVE_M))
         if len(others):
             other = int(others[np.argmin(np.abs(others - number))])
             pairs[min(number, other), max(number, other)] = None

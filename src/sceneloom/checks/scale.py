@@ -46,8 +46,9 @@ def _scene_faults(subject: Subject) -> Iterator[Hit]:
     version = header.get("version")
     if not isinstance(version, str) or version != _VERSION:
         yield _hit(("version",), f"{version!r}; expected {_VERSION!r}")
-    if header.get("time_unit", "microseconds") != "microseconds":
-        yield _hit(("time_unit",), f"{header['time_unit']!r}; expected microseconds")
+    unit = header.get("time_unit", "microseconds")
+    if not (isinstance(unit, str) and unit == "microseconds"):
+        yield _hit(("time_unit",), f"{unit!r}; expected microseconds")
     offset = header.get("time_offset")
     if isinstance(offset, int) and offset < 0:
         yield _hit(("time_offset",), f"{offset}; expected none below 0")
@@ -58,14 +59,16 @@ def _scene_faults(subject: Subject) -> Iterator[Hit]:
         yield _hit(place, problem)
 
 
-def _type_of(record: Any) -> Any:
-    return record.get("type") if isinstance(record, dict) else None
+def _type_of(record: Any) -> str:
+    """The type that a sensor or annotation says, "" where it says none."""
+    kind = record.get("type") if isinstance(record, dict) else None
+    return kind if isinstance(kind, str) else ""
 
 
 def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
     for place, sensor in _items(subject, "sensors"):
         kind = _type_of(sensor)
-        if not isinstance(kind, str) or kind not in VALIDATED_SENSORS:
+        if kind not in VALIDATED_SENSORS:
             yield _hit(
                 (*place, "type"), f"{kind!r}; the library validates {', '.join(VALIDATED_SENSORS)} only"
             )
@@ -74,7 +77,7 @@ def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
 def _unknown_annotations(subject: Subject) -> Iterator[Hit]:
     for place, annotation in _items(subject, "annotations"):
         kind = _type_of(annotation)
-        if not isinstance(kind, str) or kind not in ANNOTATIONS:
+        if kind not in ANNOTATIONS:
             yield _hit((*place, "type"), f"{kind!r}; the library loads {', '.join(ANNOTATIONS)} only")
 
 
@@ -82,7 +85,7 @@ def _field_faults(subject: Subject) -> Iterator[Hit]:
     for name, records in (("sensors", SENSORS), ("annotations", ANNOTATIONS)):
         for place, record in _items(subject, name):
             kind = _type_of(record)
-            if isinstance(kind, str) and kind in records:
+            if kind in records:
                 for inner, problem in record_faults(record, records[kind], place):
                     yield _hit(inner, problem)
 
@@ -212,19 +215,17 @@ def _static_attributes(subject: Subject) -> Iterator[Hit]:
 
 
 _DROPPED: Mapping[str, tuple[str, ...]] = {
-    "lidar": ("parent_id",),
-    "radar": ("parent_id",),
+    "lidar": ("parent_id", "coordinates"),
+    "radar": ("parent_id", "coordinates"),
     "camera": ("parent_id", "coordinates"),
 }
 
 
 def _dropped(subject: Subject) -> Iterator[Hit]:
     for place, sensor in _items(subject, "sensors"):
-        for name in _DROPPED.get(str(_type_of(sensor)), ()):
-            if sensor.get(name) not in (None, "world"):
-                yield _hit((*place, name), f"{sensor[name]!r} is not taken over")
-        if _type_of(sensor) in ("lidar", "radar") and sensor.get("coordinates") == "ego":
-            yield _hit((*place, "coordinates"), "'ego' is taken over as 'world'")
+        for name in _DROPPED.get(_type_of(sensor), ()):
+            if isinstance(sensor.get(name), str | int) and sensor[name] != "world":
+                yield _hit((*place, name), f"{sensor[name]!r} is dropped by the loader")
 
 
 RULES: tuple[Rule, ...] = (

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import SceneloomError
@@ -14,10 +16,11 @@ Hits = dict[str, list[Hit]]
 """What was found, by the id of the rule, in the order of the rules."""
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def find_all(
     subject: Subject, rules: Sequence[Rule], *, frames: bool = True, progress: Progress | None = None
 ) -> Hits:
-    """Run rules over a scene.
+    """Run rules over a scene; they look at whatever numbers there are, and those that overflow are not within limits.
 
     Args:
         subject: the scene.

@@ -28,7 +28,7 @@ def rows_of(values: Any, columns: int) -> Float64Array:
         found = np.asarray(values)
     except ValueError:
         raise FieldError(f"rows of different lengths; expected {columns} numbers in each") from None
-    if found.size == 0:
+    if found.size == 0 and len(found) == 0:
         return np.zeros((0, columns))
     if found.dtype.kind not in "iuf" or found.ndim != 2 or found.shape[1] != columns:
         what = "something else" if found.dtype.kind not in "iuf" else f"shape {found.shape}"

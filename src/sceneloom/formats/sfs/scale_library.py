@@ -216,8 +216,8 @@ CHECKS: Mapping[str, Callable[[Any], bool]] = MappingProxyType(
             isinstance(value, list) and all(row is None or _is_numbers(row) for row in value)
         ),
         "attribute values": lambda value: isinstance(value, list) and all(map(attribute_value_fits, value)),
-        "ego or world": lambda value: value in ("ego", "world"),
-        "distortion model": lambda value: value in DISTORTION_MODELS,
+        "ego or world": lambda value: isinstance(value, str) and value in ("ego", "world"),
+        "distortion model": lambda value: isinstance(value, str) and value in DISTORTION_MODELS,
     }
 )
 """What a field can be, and how that is told."""

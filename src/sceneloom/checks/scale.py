@@ -5,7 +5,7 @@ They look at the header of a file, since that is what the library reads; the fie
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,13 +81,37 @@ def _unknown_annotations(subject: Subject) -> Iterator[Hit]:
             yield _hit((*place, "type"), f"{kind!r}; the library loads {', '.join(ANNOTATIONS)} only")
 
 
+class Parsed(NamedTuple):
+    """A sensor or annotation of a type that the library knows, and what it has against its fields."""
+
+    place: Place
+    record: Mapping[str, Any]
+    faults: tuple[tuple[Place, str], ...]
+
+
+def _parsed(subject: Subject) -> list[Parsed]:
+    def made(inner: Subject) -> list[Parsed]:
+        return [
+            Parsed(place, record, tuple(record_faults(record, records[_type_of(record)], place)))
+            for name, records in (("sensors", SENSORS), ("annotations", ANNOTATIONS))
+            for place, record in _items(inner, name)
+            if _type_of(record) in records
+        ]
+
+    return subject.table("what Scale's library parses", made)
+
+
 def _field_faults(subject: Subject) -> Iterator[Hit]:
-    for name, records in (("sensors", SENSORS), ("annotations", ANNOTATIONS)):
-        for place, record in _items(subject, name):
-            kind = _type_of(record)
-            if kind in records:
-                for inner, problem in record_faults(record, records[kind], place):
-                    yield _hit(inner, problem)
+    for parsed in _parsed(subject):
+        for place, problem in parsed.faults:
+            yield _hit(place, problem)
+
+
+def _sound(subject: Subject, name: str) -> Iterator[tuple[Place, Mapping[str, Any]]]:
+    """The sensors or annotations whose fields are as they have to be, so that their contents can be judged."""
+    for place, record, faults in _parsed(subject):
+        if place[0] == name and not faults:
+            yield place, record
 
 
 def _repeated_ids(subject: Subject) -> Iterator[Hit]:
@@ -100,22 +124,8 @@ def _repeated_ids(subject: Subject) -> Iterator[Hit]:
                 yield _hit((*place, "id"), f"{identifier!r} is the id of {format_keys(first)}, too")
 
 
-def _validated(subject: Subject) -> Iterator[tuple[Place, Mapping[str, Any]]]:
-    """The sensors whose fields are as they have to be, so that their contents can be judged."""
-
-    def made(inner: Subject) -> list[tuple[Place, Mapping[str, Any]]]:
-        return [
-            (place, sensor)
-            for place, sensor in _items(inner, "sensors")
-            if _type_of(sensor) in VALIDATED_SENSORS
-            and not any(record_faults(sensor, SENSORS[_type_of(sensor)]))
-        ]
-
-    yield from subject.table("sensors that Scale's library parses", made)
-
-
 def _time_faults(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _validated(subject):
+    for place, sensor in _sound(subject, "sensors"):
         for inside, stamps in _series_of(sensor):
             fault = time_fault(stamps, paced=inside[0] != "poses")
             if fault is not None:
@@ -133,15 +143,12 @@ def _series_of(sensor: Mapping[str, Any]) -> Iterator[tuple[Place, list[int]]]:
 
 
 def _rows_that_do_not_convert(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _validated(subject):
+    for place, sensor in _sound(subject, "sensors"):
         yield from _path_faults(sensor["poses"], 7, (*place, "poses"), empty=False)
-    for place, annotation in _items(subject, "annotations"):
-        kind = _type_of(annotation)
-        if kind not in ANNOTATIONS or any(record_faults(annotation, ANNOTATIONS[kind])):
-            continue
-        if kind == "cuboid":
+    for place, annotation in _sound(subject, "annotations"):
+        if annotation["type"] == "cuboid":
             yield from _path_faults(annotation["path"], 9, (*place, "path"), empty=True)
-        elif kind == "localization_adjustment":
+        elif annotation["type"] == "localization_adjustment":
             yield from _path_faults(annotation["poses"], 7, (*place, "poses"), empty=False)
 
 
@@ -168,7 +175,7 @@ _COLUMNS = {"positions": 3, "colors": 3, "directions": 3}
 
 
 def _point_faults(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _validated(subject):
+    for place, sensor in _sound(subject, "sensors"):
         for number, frame in enumerate(sensor.get("frames", ())):
             inside = (*place, "frames", number, "points")
             for name, problem in _faults_of_points(frame["points"], frame["timestamp"]):

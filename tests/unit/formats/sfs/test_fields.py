@@ -31,6 +31,62 @@ def test_every_field_and_type_stands_on_the_page_about_the_format():
     assert names - words - told_in_words == set()
 
 
+SHARED = {"poses": "Poses", "attribute": "Attributes"}
+"""Records that have a table of their own on the page."""
+
+EVERYWHERE = {"sensor": ("Every sensor", "Poses"), "annotation": ("Every annotation", "Poses")}
+ELSEWHERE = {"sensor imu", "sensor gnss"}
+"""Sensors of ours, that stand under our metadata."""
+
+NOT_BOTH = {"annotation cuboid": ("points", "positions"), "annotation points": ("boxes", "cuboids")}
+"""One record serves the projections of cuboids and of keypoints."""
+
+
+def tables_of_the_page():
+    """The fields in the first columns of the page's tables, by the words of their headings."""
+    section = PAGE.read_text("utf-8").split("### Field by field")[1].split("\n### ")[0]
+    tables = {}
+    for part in section.split("\n#### ")[1:]:
+        heading, _, text = part.partition("\n")
+        cells = re.findall(r"^\| (`.*?) \|", text, flags=re.MULTILINE)
+        names = set(re.findall(r"`([^`]+)`", " ".join(cells)))
+        for word in re.findall(r"`([^`]+)`", heading) or [heading]:
+            tables[word] = names
+    return tables
+
+
+def leaves(record, prefix=""):
+    """The paths of all fields of a record that hold no further record."""
+    for field in RECORDS[record].values():
+        if field.record in SHARED:
+            yield f"{prefix}{field.name}", SHARED[field.record]
+        elif field.kind in OF_RECORDS:
+            many = {Kind.RECORDS: "[]", Kind.RECORD_OR_RECORDS: "[]", Kind.RECORD_LISTS: "[][]"}
+            yield from leaves(field.record, f"{prefix}{field.name}{many.get(field.kind, '')}.")
+        else:
+            yield f"{prefix}{field.name}", None
+
+
+@pytest.mark.parametrize("record", [r for r in RECORDS if r.split()[0] in EVERYWHERE and r not in ELSEWHERE])
+def test_the_page_says_what_becomes_of_every_field(record):
+    tables = tables_of_the_page()
+    kind, name = record.split()
+    own = {"lidar": "Lidar", "radar": "Radar", "points": "Points", "camera": "Camera", "odometry": "Odometry"}
+    heading = own[name] if kind == "sensor" else name
+    told = tables[heading].union(*(tables[shared] for shared in EVERYWHERE[kind]))
+    not_here = NOT_BOTH.get(record, ())
+    for path, shared in leaves(record):
+        if path.startswith("projections") and path.rsplit(".", 1)[1] in not_here:
+            continue
+        assert path in told or (shared is not None and shared in tables), path
+
+
+@pytest.mark.parametrize("record", ["scene", "poses", "attribute"])
+def test_the_page_says_what_becomes_of_shared_records(record):
+    told = tables_of_the_page()["Scene" if record == "scene" else SHARED[record]]
+    assert {field.name for field in RECORDS[record].values()} <= told
+
+
 def test_every_annotation_of_the_description_is_in_the_table():
     # Source: the headings of the description, plus `attributes`, `point`, `point_topdown`, `point_segmentation`
     expected = (

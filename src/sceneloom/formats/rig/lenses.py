@@ -23,6 +23,7 @@ MODEL_ALIASES: Mapping[str, str] = {
     "opencv_fisheye": "fisheye",
     "kannala_brandt": "fisheye",
     "kannala_brandt4": "fisheye",
+    "fisheye624": "fisheye_rad_tan_prism",
 }
 """Names that ROS, OpenCV and others have for models of the table."""
 

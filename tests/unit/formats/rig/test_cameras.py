@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sceneloom.cameras import project
+from sceneloom.cameras import MODELS, project
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.rig.lenses import frame_from_camera, read_lens
 
@@ -49,6 +49,20 @@ def test_coefficients_may_have_names():
     )
     probe = np.array([[0.1, 0.2, 1.0]])
     np.testing.assert_array_equal(project(named, probe)[0], project(listed, probe)[0])
+
+
+@pytest.mark.parametrize("model", [name for name in MODELS if MODELS[name].coefficient_names])
+def test_every_model_of_the_table_is_read_with_its_own_coefficients(model):
+    names = MODELS[model].coefficient_names
+    values = {name: 1e-3 * (k + 1) for k, name in enumerate(names)}
+    lens = read_lens({"K": K, "model": model.replace("_", "-").upper(), "coefficients": values}, SIZE)
+    assert lens.model == model
+    assert dict(zip(names, lens.coefficients, strict=True)) == values
+    if model != "brown_conrady":  # whose lists are OpenCV's, without lx and ly
+        listed = read_lens({"K": K, "model": model, "coefficients": list(values.values())}, SIZE)
+        assert listed == lens
+        with pytest.raises(CalibrationError, match=f"{len(names) + 1} distortion coefficients; {model} has"):
+            read_lens({"K": K, "model": model, "coefficients": [0.0] * (len(names) + 1)}, SIZE)
 
 
 def test_a_projection_matrix_moves_the_camera_within_its_frame():

@@ -71,6 +71,18 @@ def to_world(
     return with_ours(changed, **{ANNOTATIONS_FRAME: Coordinates.WORLD.value, TO_EGO: None})
 
 
+def annotations_to_world(scene: Scene, *, trajectory: str | None = None, heading: str | None = None) -> Scene:
+    """Bring only the annotations into the world, if the scene says that they are on the ego.
+
+    Arguments and errors as in `to_world`.
+    """
+    if annotations_frame(scene) is Coordinates.WORLD:
+        return scene
+    ego = _found(scene, trajectory, heading, None)
+    moved = annotations_moved(scene, FrameChange(_way(scene, ego)), added_before(scene))
+    return with_ours(moved, **{ANNOTATIONS_FRAME: Coordinates.WORLD.value, TO_EGO: None})
+
+
 def to_ego(
     scene: Scene,
     *,

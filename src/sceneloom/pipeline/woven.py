@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array
+from sceneloom.editing import annotations_to_world
+from sceneloom.editing.odometry import with_odometry
 from sceneloom.errors import DataError, OptionError
 from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed, with_way_found
 from sceneloom.motion.sensor_paths import camera_path
@@ -17,9 +19,7 @@ from sceneloom.scene import (
     LazyFrames,
     LidarFrame,
     LidarSensor,
-    OdometrySensor,
     PointsFrame,
-    PosePath,
     RadarSensor,
     Scene,
     Sensor,
@@ -30,8 +30,6 @@ from sceneloom.scene.part import chosen_interval, cut_scene
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import must_be_placed, needs_ego, sensor_source
 from sceneloom.scene.span import frame_times
-
-EGO_ID = "ego"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +74,7 @@ def weave(
     """
     _check_order(scene)
     check_lenses(scene, [camera for camera in scene.cameras if len(camera.pictures)])
+    scene = annotations_to_world(scene, trajectory=trajectory, heading=heading)
     part = cut_scene(scene, start=start, stop=stop)
     if not needs_ego(scene):
         if trajectory is not None:
@@ -110,9 +109,8 @@ def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identif
         if must_be_placed(sensor) or (isinstance(sensor, LidarSensor) and sensor.poses is not None)
     }
     sensors = [_output_sensor(sensor, sources) for sensor in woven.scene.sensors]
-    if woven.ego is not None and not _is_told(woven.ego.path, woven.scene):
-        sensors.append(OdometrySensor(_free_id(woven.scene, EGO_ID), woven.ego.path))
-    return replace(woven.scene, sensors=tuple(sensors)), sources
+    written = replace(woven.scene, sensors=tuple(sensors))
+    return (written if woven.ego is None else with_odometry(written, woven.ego.path)[0]), sources
 
 
 def _check_order(scene: Scene) -> None:
@@ -132,24 +130,6 @@ def _check_order(scene: Scene) -> None:
 
 def _lidars_and_cameras(scene: Scene) -> list[LidarSensor | CameraSensor]:
     return [*scene.cameras, *scene.lidars]
-
-
-def _is_told(path: PosePath, scene: Scene) -> bool:
-    """Whether an odometry sensor of the scene tells this very path."""
-    return any(
-        np.array_equal(sensor.poses.timestamps_ns, path.timestamps_ns)
-        and np.array_equal(sensor.poses.positions, path.positions)
-        and np.array_equal(sensor.poses.quaternions_xyzw, path.quaternions_xyzw)
-        for sensor in scene.sensors
-        if isinstance(sensor, OdometrySensor)
-    )
-
-
-def _free_id(scene: Scene, wanted: str) -> str:
-    """The id itself, or with a number where another sensor has it."""
-    taken = {sensor.id for sensor in scene.sensors}
-    choices = (wanted if number == 1 else f"{wanted}{number}" for number in range(1, len(taken) + 2))
-    return next(choice for choice in choices if choice not in taken)
 
 
 def _output_sensor(sensor: Sensor, sources: Mapping[Identifier, PoseSource]) -> Sensor:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates
 
@@ -25,3 +25,10 @@ def annotations_frame(scene: Scene) -> Coordinates:
         place = f"metadata.sceneloom.{ANNOTATIONS_FRAME}"
         raise DataError(scene.source, place, f"{named!r}; expected one of {', '.join(Coordinates)}")
     return Coordinates(named)
+
+
+def not_in_world(source: str) -> OptionError:
+    """What to say of a scene of that name whose annotations are on the ego, where they are needed in the world."""
+    return OptionError(
+        f"{source}: its annotations are in the ego frame; bring them into the world first: `sceneloom edit to-world`"
+    )

@@ -9,9 +9,10 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations import CuboidAnnotation
+from sceneloom.scene.annotations_frame import annotations_frame, not_in_world
 from sceneloom.scene.at import turned
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.types import Identifier
+from sceneloom.scene.types import Coordinates, Identifier
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,11 +69,15 @@ class BoxTable:
             a for a in scene.annotations if isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns)
         ]
         self.annotations = tuple(found)
+        self._in_world = annotations_frame(scene) is Coordinates.WORLD
+        self._source = scene.source
         self.angles = CuboidAngles.of(scene)
 
     @cached_property
     def _paths(self) -> tuple[Int64Array, Float64Array, Int64Array, Int64Array]:
         """Stamps and rows of all paths one after the other, and where each path begins and ends."""
+        if not self._in_world:
+            raise not_in_world(self._source)
         paths = [annotation.path for annotation in self.annotations]
         lengths = np.array([len(path.timestamps_ns) for path in paths], np.int64)
         stops = np.cumsum(lengths)
@@ -90,7 +95,7 @@ class BoxTable:
         go straight and the rotation turns the shorter way.
 
         Raises:
-            OptionError: unit or order of the angles is none of those known.
+            OptionError: unit or order of the angles is none of those known, or the annotations are not in the world.
 
         Source: READING of "paths" in docs/CONVENTIONS.md.
         """

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.editing import to_ego, to_sensor, to_world
+from sceneloom.editing import annotations_to_world, to_ego, to_sensor, to_world
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.scene import (
     Activation,
@@ -32,6 +32,7 @@ from sceneloom.scene import (
     VertexPath,
 )
 from sceneloom.scene.at import cuboid_at
+from sceneloom.scene.sample_boxes import BoxTable
 
 CHANGES = {PointsFrame.WORLD: to_world, PointsFrame.EGO: to_ego, PointsFrame.SENSOR: to_sensor}
 
@@ -234,3 +235,13 @@ def test_annotations_are_where_they_are_said_to_be(drive, box):
     changed = to_world(drive.scene(annotations=[seen]), annotations_in="ego")
     expected = drive.world_from_ego(100_000_000).apply(np.array([10.0, 0, 0]))
     np.testing.assert_allclose(changed.annotations[0].path.values[0, 3:6], expected, atol=1e-9)
+
+
+def test_boxes_on_the_ego_are_not_taken_for_boxes_in_the_world(drive, box):
+    on_ego = to_ego(drive.scene(annotations=[box("a", drive.stamps_ns, np.ones((5, 3)))]))
+    with pytest.raises(OptionError, match="sceneloom edit to-world"):
+        BoxTable(on_ego).at(0)
+    assert len(BoxTable(to_world(on_ego)).at(0)) == 1
+    assert annotations_to_world(on_ego).annotations[0].path.values[0, 3:6].tolist() == pytest.approx(
+        [1, 1, 1]
+    )

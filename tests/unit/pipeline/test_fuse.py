@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom.editing.odometry import EGO_ID
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
-from sceneloom.pipeline.woven import EGO_ID, weave
+from sceneloom.pipeline.woven import weave
 from sceneloom.scene import (
     LazyFrames,
     LidarFrame,

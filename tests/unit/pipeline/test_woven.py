@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom.editing.odometry import EGO_ID
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
-from sceneloom.pipeline.woven import EGO_ID
 from sceneloom.scene import (
     Activation,
     Annotation,

@@ -17,7 +17,7 @@ from sceneloom.formats.sfs.spool import Blob
 from sceneloom.formats.sfs.times import FileClock
 
 Items = list[tuple[Place, Blob]]
-"""The arrays below a record, each with its place."""
+"""The arrays below what is written first, each with its place there."""
 
 
 class StandingTime(int):
@@ -56,31 +56,36 @@ class RecordWriter:
         fields = RECORDS[record]
         written: dict[str, Any] = {}
         for name, value in values.items():
+            if type(value) is Blob:
+                written[name] = ""
+                items.append(((*self._place, name), value))
+                continue
             field = fields.get(name)
             if value is None:
                 if field is None:
                     written[name] = None
                 continue
-            inner: Items = []
             self._place.append(name)
             kind = Kind.ANYTHING if field is None else field.kind
-            written[name] = _WRITERS[kind](self, value, field or _UNKNOWN, inner)
+            written[name] = _WRITERS[kind](self, value, field or _UNKNOWN, items)
             self._place.pop()
-            if inner:
-                items.extend(((name, *place), blob) for place, blob in inner)
+        return written
+
+    def write_part(self, name: str, values: Mapping[str, Any], record: str, items: Items) -> dict[str, Any]:
+        """Write one of several records that an object holds by name."""
+        self._place.append(name)
+        written = self.write(values, record, items)
+        self._place.pop()
         return written
 
     def write_list(self, values: Any, record: str, items: Items) -> list[Any]:
         """Write a list of records, or, as in the projections of keypoints, a list of lists of them."""
         written = []
         for index, value in enumerate(values):
-            inner: Items = []
             self._place.append(index)
-            is_record = isinstance(value, Mapping)
-            written.append((self.write if is_record else self.write_list)(value, record, inner))
+            is_record = type(value) is dict or isinstance(value, Mapping)
+            written.append((self.write if is_record else self.write_list)(value, record, items))
             self._place.pop()
-            if inner:
-                items.extend(((index, *place), blob) for place, blob in inner)
         return written
 
     def plain(self, value: Any, items: Items) -> Any:
@@ -104,7 +109,7 @@ class RecordWriter:
         """Leave the place of an array empty, as the container has it, and note its item."""
         if isinstance(value, np.ndarray) and value.dtype.name not in DTYPES:
             raise OptionError(f"{self.place}: an array of {value.dtype}; expected numbers")
-        items.append(((), value if isinstance(value, Blob) else self.spool.add(value)))
+        items.append((tuple(self._place), value if isinstance(value, Blob) else self.spool.add(value)))
         return ""
 
     @property
@@ -126,12 +131,9 @@ class RecordWriter:
     def _plain_parts(self, parts: dict[Any, Any], items: Items) -> dict[Any, Any]:
         written = {}
         for key, part in parts.items():
-            inner: Items = []
             self._place.append(key)
-            written[key] = self.plain(part, inner)
+            written[key] = self.plain(part, items)
             self._place.pop()
-            if inner:
-                items.extend(((key, *place), blob) for place, blob in inner)
         return written
 
     def plain_number(self, value: float) -> float | None:
@@ -245,9 +247,7 @@ def _write_records(writer: RecordWriter, value: Any, field: Field, items: Items)
 def _write_record_map(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
     written = {}
     for name, record in value.items():
-        inner: Items = []
-        written[name] = writer.write(record, field.record, inner)
-        items.extend(((name, *place), blob) for place, blob in inner)
+        written[name] = writer.write_part(name, record, field.record, items)
     return written
 
 

@@ -128,6 +128,18 @@ def step(node: Any, key: Any) -> Any:
     return node[index] if isinstance(node, list) and index is not None and index < len(node) else None
 
 
+def _walk(node: Any, keys: list[Any]) -> Any:
+    """Follow a path; what files nearly always have goes first, as there may be hundreds of thousands of paths."""
+    for key in keys:
+        if type(node) is list and type(key) is int and 0 <= key < len(node):
+            node = node[key]
+        elif type(node) is dict and type(key) is str:
+            node = node.get(key)
+        else:
+            node = step(node, key)
+    return node
+
+
 class _ItemError(ValueError):
     """What is wrong with an item."""
 
@@ -139,7 +151,10 @@ class _TakenError(_ItemError):
 def _place_item(header: dict[str, Any], item: Any, content: mmap, start: int) -> tuple[int, int]:
     if not isinstance(item, dict):
         raise _ItemError(f"a {type(item).__name__}; expected an object with keys, length and offset")
-    offset, length = _count(item, "offset"), _count(item, "length")
+    offset, length = item.get("offset"), item.get("length")
+    if not (type(offset) is int and type(length) is int and offset >= 0 and length >= 0):
+        name = "length" if _is_count(offset) else "offset"
+        raise _ItemError(f"{name} {item.get(name)!r}; expected a whole number of bytes, 0 or more")
     available = len(content) - start
     if offset + length > available:
         raise _ItemError(f"bytes {offset} to {offset + length}; the file has {available} after its header")
@@ -155,10 +170,16 @@ def _array(item: dict[str, Any], content: mmap, start: int, length: int) -> AnyA
     count, rest = divmod(length, dtype.itemsize)
     if rest:
         raise _ItemError(f"{length} bytes are no whole number of {dtype.name}")
-    array: AnyArray = np.frombuffer(content, dtype, count, start if count else 0)
-    if item.get("shape") is not None:
-        return _shaped(array, item["shape"])
-    return array.view(RawBytes) if name is None else array
+    shape = item.get("shape")
+    if shape is not None:
+        _check_shape(shape, count)
+    try:
+        array: AnyArray = np.ndarray(
+            (count,) if shape is None else shape, dtype, content, start if count else 0
+        )
+    except (ValueError, OverflowError):
+        raise _ItemError(f"shape {shape} is beyond what an array can have") from None
+    return array.view(RawBytes) if name is None and shape is None else array
 
 
 def _overlaps(extents: list[tuple[int, int, int]]) -> dict[int, str]:
@@ -193,24 +214,17 @@ def _clear(header: dict[str, Any], item: Any, *, placed: bool) -> None:
         cast("dict[str | int, Any]", holder)[slot] = None
 
 
-def _count(item: dict[str, Any], name: str) -> int:
-    value = item.get(name)
-    if type(value) is not int or value < 0:
-        raise _ItemError(f"{name} {value!r}; expected a whole number of bytes, 0 or more")
-    return value
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value >= 0
 
 
-def _shaped(array: AnyArray, shape: Any) -> AnyArray:
-    if not isinstance(shape, list) or any(type(length) is not int or length < 0 for length in shape):
+def _check_shape(shape: Any, count: int) -> None:
+    if not isinstance(shape, list) or not all(map(_is_count, shape)):
         raise _ItemError(f"shape {shape!r}; expected a list of numbers, 0 or more")
     if len(shape) > _MOST_AXES:
         raise _ItemError(f"a shape of {len(shape)} axes is beyond what an array can have")
-    if prod(shape) != array.size:
-        raise _ItemError(f"shape {shape} needs {prod(shape)} values; the item holds {array.size}")
-    try:
-        return array.reshape(shape)
-    except (ValueError, OverflowError):
-        raise _ItemError(f"shape {shape} is beyond what an array can have") from None
+    if prod(shape) != count:
+        raise _ItemError(f"shape {shape} needs {prod(shape)} values; the item holds {count}")
 
 
 def _index(key: Any) -> int | None:
@@ -236,9 +250,7 @@ def _put(header: dict[str, Any], keys: Any, array: AnyArray) -> None:
 
 
 def _find(header: dict[str, Any], keys: list[Any]) -> _Slot | None:
-    holder: Any = header
-    for key in keys[:-1]:
-        holder = step(holder, key)
+    holder = _walk(header, keys[:-1])
     if not isinstance(holder, dict | list):
         return None
     slot = _slot(holder, keys[-1])

@@ -79,9 +79,13 @@ class Spool:
 
     def add(self, array: AnyArray) -> Blob:
         """Write an array, byte for byte, in little-endian order."""
-        values = np.ascontiguousarray(array, _little_endian(array.dtype))
-        self._write(values.reshape(-1).view(np.uint8).data, values.nbytes)
-        return self._added(values.nbytes, _name_of(values.dtype), tuple(array.shape))
+        dtype, name = _form_of(array.dtype)
+        if array.nbytes < _SMALL:
+            content: Any = array.astype(dtype, copy=False).tobytes()
+        else:
+            content = np.ascontiguousarray(array, dtype).reshape(-1).view(np.uint8).data
+        self._write(content, array.nbytes)
+        return self._added(array.nbytes, name, array.shape)
 
     def add_file(self, path: Path) -> Blob:
         """Write the bytes of a file as an array of uint8."""
@@ -156,22 +160,16 @@ class Spool:
         return file
 
     def _added(self, length: int, dtype: str, shape: tuple[int, ...]) -> Blob:
-        blob = Blob(self._end, length, dtype, shape)
-        end = _aligned(self._end + length + _GAP)
-        self._gathered += _NULS[: end - self._end - length]
-        self._end = end
-        return blob
+        start, stop = self._end, self._end + length
+        self._end = -(-(stop + _GAP) // ALIGNMENT) * ALIGNMENT
+        self._gathered += _NULS[: self._end - stop]
+        return Blob(start, length, dtype, shape)
 
 
 @lru_cache(maxsize=64)
-def _name_of(dtype: np.dtype[Any]) -> str:
-    """NumPy's name of a dtype, which it takes long to put together."""
-    return dtype.name
-
-
-@lru_cache(maxsize=64)
-def _little_endian(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    return dtype.newbyteorder("<")
+def _form_of(dtype: np.dtype[Any]) -> tuple[np.dtype[Any], str]:
+    """The little-endian dtype, and NumPy's name of it, which it takes long to put together."""
+    return dtype.newbyteorder("<"), dtype.name
 
 
 def _changed(content: bytes, blob: Blob, change: Callable[[AnyArray], AnyArray]) -> bytes:

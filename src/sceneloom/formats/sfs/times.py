@@ -24,6 +24,8 @@ SMALL_START_NS = 10_000_000_000
 
 _SECOND_NS = 1_000_000_000
 
+_PIECE = 1 << 13
+
 _EXACT_QUOTIENT = 2**50
 """Below it a quotient in float64 is off by less than a thousandth, so that it rounds as the exact one does."""
 
@@ -66,7 +68,10 @@ class FileClock:
         highest = 0 if stamps.size == 0 else max(abs(int(stamps.min())), abs(int(stamps.max())))
         if highest * self.tick_ns > INT64_MAX:
             return self._absolute_exactly(stamps)
-        return stamps.astype(np.int64) * self.tick_ns + self.offset_ns
+        absolute_ns = stamps.astype(np.int64)
+        absolute_ns *= self.tick_ns
+        absolute_ns += self.offset_ns
+        return absolute_ns
 
     def _absolute_exactly(self, stamps: AnyArray) -> Int64Array:
         if self.offset_ns == 0:
@@ -113,20 +118,57 @@ class FileClock:
             return np.zeros(0, dtype), 0
         first_ns, last_ns = span_ns or (int(timestamps_ns.min()), int(timestamps_ns.max()))
         lowest, highest = checked_ns(first_ns - self.offset_ns), checked_ns(last_ns - self.offset_ns)
+        if dtype is np.uint32 and lowest >= 0 and highest - lowest < UINT32_MAX - 4 * self.tick_ns:
+            return self._stamps_of_sweep(timestamps_ns, lowest)
+        if self.tick_ns > 1 and lowest > -_EXACT_QUOTIENT and highest < _EXACT_QUOTIENT:
+            return self._nearest_stamps(timestamps_ns, dtype)
         since_offset = timestamps_ns - self.offset_ns
         if self.tick_ns == 1:
             return since_offset.astype(dtype, copy=False), 0
-        if lowest > -_EXACT_QUOTIENT and highest < _EXACT_QUOTIENT:
-            # a whole quotient is exact, and no other one is near enough to a whole number to look like one
-            quotients = since_offset / self.tick_ns
-            nearest = np.rint(quotients, out=since_offset.view(np.float64))
-            inexact = int(np.count_nonzero(np.not_equal(quotients, nearest)))
-            return nearest.astype(dtype), inexact
         quotient = since_offset // self.tick_ns
         # a half goes up only where that makes the stamp even; ticks are of even length
         stamps = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
         inexact = int(np.count_nonzero(since_offset - quotient * self.tick_ns))
         return stamps.astype(dtype, copy=False), inexact
+
+    def _stamps_of_sweep(self, timestamps_ns: Int64Array, lowest: int) -> tuple[AnyArray, int]:
+        """Divide in 32 bits, which takes half the time, what lies within 4 s.
+
+        Args:
+            timestamps_ns: (N,) int64 [ns].
+            lowest: the earliest, from the offset [ns].
+        """
+        tick = np.uint32(self.tick_ns)
+        first = lowest // (2 * self.tick_ns) * 2  # an even stamp, so that it does not change what is even
+        start_ns = self.offset_ns + first * self.tick_ns
+        since = np.empty(len(timestamps_ns), np.uint32)
+        np.subtract(timestamps_ns, start_ns, out=since, casting="unsafe")
+        stamps = since // tick
+        inexact = int(np.count_nonzero(since != stamps * tick))
+        if inexact:
+            # a half goes up only where that makes the stamp even; ticks are of even length or 1
+            since += stamps & np.uint32(1)
+            since += np.uint32(self.tick_ns // 2 - 1)
+            stamps = since // tick
+        stamps += np.uint32(first)
+        return stamps, inexact
+
+    def _nearest_stamps(
+        self, timestamps_ns: Int64Array, dtype: type[np.integer[Any]]
+    ) -> tuple[AnyArray, int]:
+        """Divide in float64, piece by piece: fresh memory for every step would take longer than the steps."""
+        stamps, inexact = np.empty(len(timestamps_ns), dtype), 0
+        since, quotients, nearest = np.empty(_PIECE, np.int64), np.empty(_PIECE), np.empty(_PIECE)
+        for start in range(0, len(timestamps_ns), _PIECE):
+            piece = timestamps_ns[start : start + _PIECE]
+            part = slice(0, len(piece))
+            np.subtract(piece, self.offset_ns, out=since[part])
+            np.divide(since[part], self.tick_ns, out=quotients[part])
+            np.rint(quotients[part], out=nearest[part])
+            # a whole quotient is exact, and no other one is near enough to a whole number to look like one
+            inexact += int(np.count_nonzero(quotients[part] != nearest[part]))
+            stamps[start : start + _PIECE] = nearest[part]
+        return stamps, inexact
 
     def duration_ns(self, duration: float) -> int | float:
         """Give a duration of the file in nanoseconds: an integer, if that is the same number when it is written."""

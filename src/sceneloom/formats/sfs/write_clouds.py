@@ -91,13 +91,14 @@ class CloudWriter:
         return {name: self.spool.add(array) for name, array in arrays.items() if array is not None}
 
     def _add(self, draft: SensorDraft, frame: LidarFrame | RadarFrame, arrays: dict[str, Any]) -> None:
-        further = {name: array for name, array in frame.points.extras.items() if arrays.get(name) is None}
+        extras = frame.points.extras
+        further = {name: v for name, v in extras.items() if arrays.get(name) is None} if extras else {}
         if arrays["timestamps"] is not None and further.pop(_FLOAT_TIMES, None) is not None:
             what = "left out: the same times in another form"
             self.losses.add(f"{draft.place}.frames[].points.{_FLOAT_TIMES}", what)
         blobs = {
             name: self.spool.add(array) if isinstance(array, np.ndarray) else array
-            for name, array in {**arrays, **further}.items()
+            for name, array in ({**arrays, **further} if further else arrays).items()
             if array is not None or name in further
         }
         stamp_ns = self._frame_stamp(draft, frame)

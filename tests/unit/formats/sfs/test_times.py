@@ -1,0 +1,51 @@
+"""Many times at once become the stamps that each of them has alone."""
+
+import numpy as np
+import pytest
+
+from sceneloom.formats.sfs.times import FileClock, TimeRangeError
+
+OFFSETS_NS = [0, 1_700_000_000_000_000_000, -5_000]
+
+
+def near_halves(start_ns, span_ns, count=2_000):
+    """Times of which many lie on or beside a whole or half microsecond."""
+    rng = np.random.default_rng(3)
+    whole = rng.integers(0, span_ns // 500, count) * 500
+    return start_ns + whole + rng.integers(-1, 2, count).clip(-whole)
+
+
+@pytest.mark.parametrize("offset_ns", OFFSETS_NS)
+@pytest.mark.parametrize("start_ns", [0, 1_001, 3_000_000_500])
+@pytest.mark.parametrize("span_ns", [100_000_000, 4_200_000_000, 60_000_000_000])
+@pytest.mark.parametrize("dtype", [np.uint32, np.int64])
+def test_stamps_of_many_are_those_of_each(offset_ns, start_ns, span_ns, dtype):
+    clock = FileClock(1_000, offset_ns)
+    times_ns = near_halves(offset_ns + start_ns, span_ns)
+    stamps, inexact = clock.stamp_array(times_ns, dtype=dtype)
+    assert stamps.dtype == dtype
+    assert stamps.tolist() == [clock.stamp(time) for time in times_ns.tolist()]
+    assert inexact == sum((time - offset_ns) % 1_000 != 0 for time in times_ns.tolist())
+
+
+@pytest.mark.parametrize("dtype", [np.uint32, np.int64])
+def test_exact_times_are_counted_as_exact(dtype):
+    clock = FileClock(1_000, 7_000)
+    times_ns = 7_000 + 1_000 * np.arange(20_000)
+    stamps, inexact = clock.stamp_array(times_ns, dtype=dtype, span_ns=(7_000, 7_000 + 19_999_000))
+    np.testing.assert_array_equal(stamps, np.arange(20_000))
+    assert inexact == 0
+
+
+def test_nanoseconds_pass_as_they_are():
+    times_ns = np.array([5, 2**62], np.int64)
+    stamps, inexact = FileClock(1, 5).stamp_array(times_ns, dtype=np.uint64)
+    assert (stamps.tolist(), inexact) == ([0, 2**62 - 5], 0)
+
+
+def test_a_span_beyond_64_bits_is_refused():
+    clock = FileClock(1_000, -(2**62))
+    with pytest.raises(TimeRangeError):
+        clock.stamp_array(np.array([2**62 + 2**61], np.int64))
+    with pytest.raises(TimeRangeError):
+        clock.stamps_of_span(0, 2**62 + 2**61)

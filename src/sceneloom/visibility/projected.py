@@ -20,6 +20,7 @@ from sceneloom.scene import (
     Projection,
     Scene,
 )
+from sceneloom.scene.assumed_lenses import check_lenses
 from sceneloom.scene.at import cuboid_at
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
@@ -95,10 +96,12 @@ def project_cuboids(
 
     Raises:
         OptionError: there is no such camera, lidar or trajectory.
+        CalibrationError: nothing confirms the formula of a lens, and computing with it was not asked for.
         PoseError: it is not known where a chosen camera was, or any.
         DataError: a picture cannot be read.
     """
     chosen = chosen_sensors(scene, "camera", scene.cameras, cameras)
+    check_lenses(scene, chosen)
     ego = choose_ego(scene, trajectory)
     places = places_of(scene, chosen, ego)
     swept = None

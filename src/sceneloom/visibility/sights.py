@@ -20,8 +20,9 @@ NEAR = 0.05
 ON_BOX = 0.2
 """A point so near to a box is on it [m]: boxes are drawn tightly, and things move between sweep and picture."""
 
-_RAYS = 24
-"""Rays to a box along each side of its place in the picture, to tell how much of it others hide."""
+_RAYS = ((8.0, 6), (32.0, 12), (np.inf, 24))
+"""Rays to a box along each side of its place in the picture, to tell how much of it others hide: so many where it is up
+to so many pixels long."""
 _CELLS = 24
 """Cells along each side of a face, to tell how much of a box the picture cuts off."""
 
@@ -165,22 +166,12 @@ def _occlusions(camera: Camera, near: _Near, extents: Float64Array, solid: BoolA
     count = len(extents)
     if count == 0:
         return np.zeros(0)
-    steps = (np.arange(_RAYS) + 0.5) / _RAYS
-    spans = extents[:, 2:] - extents[:, :2]
-    u = extents[:, 0, None] + steps * spans[:, 0, None]
-    v = extents[:, 1, None] + steps * spans[:, 1, None]
-    grid = np.stack(
-        [
-            np.broadcast_to(u[:, None, :], (count, _RAYS, _RAYS)),
-            np.broadcast_to(v[:, :, None], (count, _RAYS, _RAYS)),
-        ],
-        axis=3,
-    )
+    rays, starts = _rays(camera, extents)
     rivals, rival_starts = _rivals(near, extents, solid)
     met, hidden = np.zeros(count, np.int64), np.zeros(count, np.int64)
     count_sights(
-        unproject(camera, grid.reshape(-1, 2) - CENTRE_TO_CORNER),
-        np.arange(count + 1) * _RAYS**2,
+        rays,
+        starts,
         *near.arrays,
         rival_starts,
         rivals,
@@ -189,6 +180,22 @@ def _occlusions(camera: Camera, near: _Near, extents: Float64Array, solid: BoolA
     )
     shares: Float64Array = hidden / np.maximum(met, 1)
     return shares
+
+
+def _rays(camera: Camera, extents: Float64Array) -> tuple[Float64Array, Int64Array]:
+    """Rays through a grid over each box's place in the picture, (R, 3), and where those of each begin, (B + 1,)."""
+    spans = extents[:, 2:] - extents[:, :2]
+    sides = np.array([side for _, side in _RAYS])[np.searchsorted([px for px, _ in _RAYS], spans.max(axis=1))]
+    starts = np.concatenate([[0], np.cumsum(sides**2)])
+    rays = np.empty((int(starts[-1]), 3))
+    for side in np.unique(sides).tolist():
+        rows = np.flatnonzero(sides == side)
+        v, u = (grid.ravel() for grid in np.mgrid[0:side, 0:side])
+        shares = (np.column_stack([u, v]) + 0.5) / side
+        pixels = extents[rows, None, :2] + shares * spans[rows, None] - CENTRE_TO_CORNER
+        places = starts[rows, None] + np.arange(side * side)
+        rays[places.ravel()] = unproject(camera, pixels.reshape(-1, 2))
+    return rays, starts
 
 
 def _evidences(camera: Camera, points_camera: Float64Array, near: _Near, extents: Float64Array) -> Int64Array:

@@ -11,8 +11,9 @@ from sceneloom.formats.sfs.encoding import Items, RecordWriter, encode_header
 from sceneloom.formats.sfs.exactness import simplified_attributes, thousandths
 from sceneloom.formats.sfs.fields import annotation_record, sensor_record
 from sceneloom.formats.sfs.profiles import Profile, attribute_fits
-from sceneloom.formats.sfs.reading import DEFAULT_EULER, OURS
+from sceneloom.formats.sfs.reading import DEFAULT_EULER
 from sceneloom.formats.sfs.records import Place
+from sceneloom.formats.sfs.root import OURS
 from sceneloom.formats.sfs.spool import Blob, Spool
 from sceneloom.formats.sfs.times import TICKS_NS
 from sceneloom.scene import Identifier

@@ -1,58 +1,38 @@
-"""Reading a file into a scene: root fields, clock, sensors, annotations, our metadata."""
+"""Reading a file into a scene, with all that is wrong in it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, TypeVar
-
-import msgspec
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.sfs.annotation_parts import read_attributes
 from sceneloom.formats.sfs.container import Container, ItemFault, format_keys
 from sceneloom.formats.sfs.exactness import restore_exact_attributes
 from sceneloom.formats.sfs.faults import Examination, error_of
-from sceneloom.formats.sfs.fields import SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
 from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.garbage import collector_paused
-from sceneloom.formats.sfs.lens_readings import lens_records, note_tangential, with_lens_readings
+from sceneloom.formats.sfs.lens_readings import lens_records, with_lens_readings
 from sceneloom.formats.sfs.read_annotations import read_annotations
-from sceneloom.formats.sfs.read_cameras import read_camera
-from sceneloom.formats.sfs.read_clouds import note_further_faults, read_lidar, read_points, read_radar
-from sceneloom.formats.sfs.read_motion import (
-    read_gnss,
-    read_imu,
-    read_odometry,
-    read_plain_sensor,
-    read_trajectories,
+from sceneloom.formats.sfs.read_motion import read_trajectories
+from sceneloom.formats.sfs.read_sensors import read_sensors
+from sceneloom.formats.sfs.records import Faults, Place
+from sceneloom.formats.sfs.root import (
+    DEFAULT_TICK_NS,
+    OURS,
+    check_version,
+    part_metadata,
+    read_clock,
+    read_ours,
 )
-from sceneloom.formats.sfs.records import MALFORMED, Faults, Place, RecordReader
 from sceneloom.formats.sfs.source import ReadingOptions, Source
-from sceneloom.formats.sfs.times import INT64_MAX, READABLE_TICKS_NS, FileClock, TimeRangeError, scaled
-from sceneloom.scene import (
-    Annotation,
-    AttributePath,
-    CuboidAnnotation,
-    Identifier,
-    Notice,
-    NoticeKind,
-    Scene,
-    Sensor,
-)
-
-VERSIONS = ("1.0", "5.1")
-"""Beginnings of the versions that we read."""
+from sceneloom.formats.sfs.times import FileClock
+from sceneloom.scene import Annotation, AttributePath, CuboidAnnotation, Identifier, NoticeKind, Scene, Sensor
 
 DEFAULT_EULER = {"euler_unit": "degrees", "euler_order": "xyz"}
 """How the angles of cuboids are read where nothing says it. Source: `CuboidPath.from_matrix` of Scale's library."""
 
 Thing = TypeVar("Thing", Sensor, Annotation)
-
-_DEFAULT_TICK_NS = READABLE_TICKS_NS["microseconds"]
-
-OURS = "sceneloom"
-"""Our entry of the scene's metadata."""
 
 _ABSORBED = frozenset(
     {
@@ -67,20 +47,6 @@ _ABSORBED = frozenset(
     }
 )
 _ROOT = frozenset({"version", "sensors", "annotations", "attributes", "time_offset", "metadata"})
-
-_SENSOR_READERS: Mapping[str, Callable[[Source, dict[str, Any], Place, Faults], Sensor | None]] = (
-    MappingProxyType(
-        {
-            "lidar": read_lidar,
-            "radar": read_radar,
-            "points": read_points,
-            "camera": read_camera,
-            "odometry": read_odometry,
-            "imu": read_imu,
-            "gnss": read_gnss,
-        }
-    )
-)
 
 
 def read_scene(path: Path | str, options: ReadingOptions) -> Scene:
@@ -155,11 +121,11 @@ def _parts_again(options: ReadingOptions, path: Path | str) -> FileParts:
 def _source(container: Container, options: ReadingOptions) -> tuple[Source, dict[str, Any], dict[str, Any]]:
     """Begin with a file: what its readers share, our metadata and the free ones."""
     parts = FileParts(container, partial(_parts_again, options))
-    source = Source(container, parts, FileClock(_DEFAULT_TICK_NS, 0), options)
-    _check_version(source)
-    metadata, raw = _metadata(source)
-    source.clock = _clock(source, raw)
-    return source, _read_ours(source, raw), metadata
+    source = Source(container, parts, FileClock(DEFAULT_TICK_NS, 0), options)
+    check_version(source)
+    metadata, raw = part_metadata(source)
+    source.clock = read_clock(source, raw)
+    return source, read_ours(source, raw), metadata
 
 
 def _all_annotations(source: Source, ours: dict[str, Any]) -> tuple[Annotation, ...]:
@@ -171,8 +137,8 @@ def _all_annotations(source: Source, ours: dict[str, Any]) -> tuple[Annotation, 
 
 def _all_sensors(source: Source, ours: dict[str, Any]) -> tuple[Sensor, ...]:
     return (
-        *_sensors(source, source.container.header.get("sensors"), ("sensors",)),
-        *_sensors(source, ours.get("sensors"), ("metadata", OURS, "sensors")),
+        *read_sensors(source, source.container.header.get("sensors"), ("sensors",)),
+        *read_sensors(source, ours.get("sensors"), ("metadata", OURS, "sensors")),
     )
 
 
@@ -237,124 +203,6 @@ def _kept_places(source: Source, raw: Any, root: Place) -> list[Place]:
     """The places of all entries of a list but those that were left out."""
     places = [(*root, k) for k in range(len(raw) if isinstance(raw, list) else 0)]
     return [place for place in places if place not in source.left_out] if source.left_out else places
-
-
-def _check_version(source: Source) -> None:
-    version = source.container.header.get("version")
-    if not isinstance(version, str) or not version.startswith(VERSIONS):
-        expected = " or ".join(f"{known}*" for known in VERSIONS)
-        _root_fault(source, ("version",), f"{version!r}; expected {expected}", code="version")
-
-
-def _root_fault(source: Source, place: Place, problem: str, *, code: str = MALFORMED) -> None:
-    faults = Faults()
-    faults.add(place, problem, code=code)
-    source.collect(faults, ())
-
-
-def _metadata(source: Source) -> tuple[dict[str, Any], Any]:
-    """Part the free metadata from ours."""
-    metadata = source.container.header.get("metadata")
-    if metadata is None:
-        return {}, {}
-    if not isinstance(metadata, dict):
-        _root_fault(source, ("metadata",), f"a {type(metadata).__name__}; expected an object")
-        return {}, {}
-    ours = metadata.get(OURS)
-    return {name: value for name, value in metadata.items() if name != OURS}, {} if ours is None else ours
-
-
-def _clock(source: Source, ours: Any) -> FileClock:
-    """The clock that the root tells; what it tells wrongly is taken as if it said nothing."""
-    header = source.container.header
-    unit = header.get("time_unit")
-    if unit is not None and not (isinstance(unit, str) and unit in READABLE_TICKS_NS):
-        _root_fault(source, ("time_unit",), f"{unit!r}; expected one of {', '.join(READABLE_TICKS_NS)}")
-        unit = None
-    tick_ns = READABLE_TICKS_NS[unit] if unit else _DEFAULT_TICK_NS
-    offset = header.get("time_offset")
-    if offset is not None and type(offset) not in (int, float):
-        _root_fault(source, ("time_offset",), f"{offset!r}; expected an integer")
-        offset = None
-    shift_ns = ours.get("time_shift_ns") if isinstance(ours, dict) else None
-    if shift_ns is not None and type(shift_ns) is not int:
-        _root_fault(source, ("metadata", OURS, "time_shift_ns"), f"{shift_ns!r}; expected an integer")
-        shift_ns = None
-    return FileClock(tick_ns, _offset_ns(source, offset or 0, tick_ns, shift_ns or 0))
-
-
-def _offset_ns(source: Source, offset: float, tick_ns: int, shift_ns: int) -> int:
-    try:
-        offset_ns = scaled(offset, tick_ns) - shift_ns
-    except TimeRangeError as error:
-        _root_fault(source, ("time_offset",), str(error))
-        return 0
-    if abs(offset_ns) > INT64_MAX:
-        _root_fault(source, ("time_offset",), f"{offset}; expected a time of at most 292 years")
-        return 0
-    return offset_ns
-
-
-def _read_ours(source: Source, raw: Any) -> dict[str, Any]:
-    """Read our metadata; a fault in it is a fault of the file."""
-    faults = Faults()
-    ours = RecordReader(source.clock).read(raw, OURS, faults)
-    source.collect(faults, ("metadata", OURS))
-    ours = _without(ours, faults)
-    note_tangential(source, ours)
-    for note in ours.get("sensor_notes") or []:
-        source.notes[type(note["id"]), note["id"]] = note
-    for record in ours.get("notices") or []:
-        try:
-            source.remember(msgspec.convert(record, Notice))
-        except msgspec.ValidationError as error:
-            _root_fault(source, ("metadata", OURS, "notices"), str(error))
-    return ours
-
-
-def _without(ours: dict[str, Any], faults: Faults) -> dict[str, Any]:
-    """Our metadata without the entries of lists that are at fault."""
-    wrong = {fault.place[:2] for fault in faults}
-    return {
-        name: [item for k, item in enumerate(value) if (name, k) not in wrong]
-        if isinstance(value, list)
-        else value
-        for name, value in ours.items()
-    }
-
-
-def _sensors(source: Source, raw: Any, place: Place) -> list[Sensor]:
-    if raw is None:
-        return []
-    if not isinstance(raw, list):
-        _root_fault(source, place, "expected a list of sensors")
-        return []
-    sensors = []
-    for index, item in enumerate(raw):
-        faults = Faults()
-        sensor = _sensor(source, item, (*place, index), faults)
-        if source.settle(faults, (*place, index)) and sensor is not None:
-            sensors.append(sensor)
-    return sensors
-
-
-def _sensor(source: Source, raw: Any, place: Place, faults: Faults) -> Sensor | None:
-    type_name = raw.get("type") if isinstance(raw, dict) else None
-    if not isinstance(type_name, str):
-        faults.add(("type",), f"{type_name!r}; expected one of {', '.join(SENSOR_RECORDS)}")
-        return None
-    known = SENSOR_ALIASES.get(type_name, type_name)
-    if known != type_name:
-        source.notice(NoticeKind.ASSUMED, "sensor-alias", place, f"type {type_name!r}; read as {known!r}")
-    is_known = known in _SENSOR_READERS
-    values = source.reader(forgiving=not is_known).read(raw, sensor_record(type_name), faults)
-    if not is_known and not isinstance(values.get("id"), str | int):
-        faults.add(("id",), f"{values.get('id')!r}; expected text or an integer")
-    if faults:
-        if is_known:
-            note_further_faults(values, faults)
-        return None
-    return _SENSOR_READERS.get(known, read_plain_sensor)(source, values, place, faults)
 
 
 def _attributes(source: Source, raw: Any) -> tuple[AttributePath, ...]:

@@ -16,7 +16,7 @@ from sceneloom.formats.sfs.drafts import Losses, SensorDraft, check_new
 from sceneloom.formats.sfs.garbage import collector_paused
 from sceneloom.formats.sfs.picture_notes import PictureNotesWriter
 from sceneloom.formats.sfs.profiles import profile_named
-from sceneloom.formats.sfs.reading import OURS
+from sceneloom.formats.sfs.root import OURS
 from sceneloom.formats.sfs.sensor_drafts import draft_of
 from sceneloom.formats.sfs.spool import Spool
 from sceneloom.formats.sfs.times import TICKS_NS, chosen_offset_ns

@@ -18,6 +18,15 @@ from sceneloom.version import __version__
 
 if TYPE_CHECKING:
     from sceneloom.checks import validate
+    from sceneloom.editing import (
+        apply_corrections,
+        crop_scene,
+        merge_scenes,
+        thin_scene,
+        to_ego,
+        to_sensor,
+        to_world,
+    )
     from sceneloom.formats.sfs import SceneWriter, salvage
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
@@ -33,16 +42,24 @@ __all__ = [
     "SceneWriter",
     "SceneloomError",
     "__version__",
+    "apply_corrections",
     "convert",
     "count_points",
+    "crop_scene",
     "deskew",
     "diff",
     "find_ego_motion",
     "fuse",
     "iter_fused",
+    "merge_scenes",
     "open",
+    "project_cuboids",
     "salvage",
     "simulate_street",
+    "thin_scene",
+    "to_ego",
+    "to_sensor",
+    "to_world",
     "validate",
     "write",
 ]
@@ -51,16 +68,24 @@ _ON_FIRST_USE = {
     "PosePath": ("sceneloom.scene", "PosePath"),
     "Scene": ("sceneloom.scene", "Scene"),
     "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),
+    "apply_corrections": ("sceneloom.editing", "apply_corrections"),
     "convert": ("sceneloom.pipeline", "convert"),
     "count_points": ("sceneloom.visibility", "count_points"),
+    "crop_scene": ("sceneloom.editing", "crop_scene"),
     "deskew": ("sceneloom.pipeline", "deskew"),
     "diff": ("sceneloom.editing.differences", "diff_scenes"),
     "find_ego_motion": ("sceneloom.motion.ego_motion", "find_ego_motion"),
     "fuse": ("sceneloom.pipeline", "fuse"),
     "iter_fused": ("sceneloom.pipeline", "iter_fused"),
+    "merge_scenes": ("sceneloom.editing", "merge_scenes"),
     "open": ("sceneloom.formats.table", "open_scene"),
+    "project_cuboids": ("sceneloom.visibility", "project_cuboids"),
     "salvage": ("sceneloom.formats.sfs", "salvage"),
     "simulate_street": ("sceneloom.simulate", "simulate_street"),
+    "thin_scene": ("sceneloom.editing", "thin_scene"),
+    "to_ego": ("sceneloom.editing", "to_ego"),
+    "to_sensor": ("sceneloom.editing", "to_sensor"),
+    "to_world": ("sceneloom.editing", "to_world"),
     "validate": ("sceneloom.checks", "validate"),
     "write": ("sceneloom.formats.table", "write_scene"),
 }

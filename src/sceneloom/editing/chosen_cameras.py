@@ -6,7 +6,7 @@ from typing import Any
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.scene import CameraSensor, Identifier, Scene
+from sceneloom.scene import CameraCalibration, CameraSensor, Identifier, Scene
 from sceneloom.scene.assumed_lenses import check_lenses
 from sceneloom.scene.types import key_of
 
@@ -22,7 +22,7 @@ def chosen_cameras(
         unless: a model that needs no change.
 
     Raises:
-        OptionError: the scene has no such camera, or none at all.
+        OptionError: the scene has no such camera, or none at all, or an annotation replaces its lens.
         CalibrationError: nothing confirms the formula of a lens, and computing with it was not asked for.
     """
     wanted = None if cameras is None else {key_of(scene.sensor(identifier).id) for identifier in cameras}
@@ -31,15 +31,28 @@ def chosen_cameras(
     for index, sensor in enumerate(scene.sensors):
         if wanted is None:
             if isinstance(sensor, CameraSensor) and sensor.camera.model != unless:
-                check_lenses(scene, [sensor])
+                _check(scene, sensor)
                 yield index, sensor
         elif key_of(sensor.id) in wanted:
             if not isinstance(sensor, CameraSensor):
                 raise OptionError(
                     f"{scene.source}: sensor {sensor.id!r} is a {sensor.type}; expected a camera"
                 )
-            check_lenses(scene, [sensor])
+            _check(scene, sensor)
             yield index, sensor
+
+
+def _check(scene: Scene, sensor: CameraSensor) -> None:
+    """Refuse lenses that cannot be computed with, or that an annotation replaces."""
+    check_lenses(scene, [sensor])
+    for annotation in scene.annotations:
+        if not isinstance(annotation, CameraCalibration) or annotation.intrinsics is None:
+            continue
+        if key_of(annotation.sensor_id) == key_of(sensor.id):
+            raise OptionError(
+                f"{scene.source}: annotations[{annotation.id}] gives camera {sensor.id!r} another lens; apply it first "
+                "(`sceneloom edit apply`)"
+            )
 
 
 def lens_record(camera: Camera) -> dict[str, Any]:

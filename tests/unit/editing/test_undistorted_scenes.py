@@ -13,6 +13,7 @@ from sceneloom.errors import OptionError
 from sceneloom.scene import (
     Box2DAnnotation,
     BoxPath,
+    CameraCalibration,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -182,3 +183,14 @@ def test_only_cameras_can_be_undistorted(distorted):
         undistort_scene(distorted, cameras=[distorted.lidars[0].id])
     with pytest.raises(OptionError, match="has no camera"):
         undistort_scene(Scene(()))
+
+
+def test_a_lens_that_an_annotation_replaces_is_to_be_applied_first():
+    calibration = CameraCalibration("better", "front", intrinsics=PINHOLE)
+    with pytest.raises(
+        OptionError, match=r"annotations\[better\] gives camera 'front' another lens; apply it first"
+    ):
+        undistort_scene(scene_of(BARREL, calibration))
+    of_another = CameraCalibration("better", "rear", intrinsics=PINHOLE)
+    moved_only = CameraCalibration("moved", "front", time_offset_ns=5)
+    assert undistort_scene(scene_of(BARREL, of_another, moved_only)).annotations == (of_another, moved_only)

@@ -54,8 +54,9 @@ def pixel_by_sphere(x: Any, y: Any, z: Any, lens: Any) -> Any:
 
 
 def ray_in_perspective(a: Any, b: Any, _lens: Any) -> Any:
-    """Give the unit ray through (a, b) on the plane z = 1."""
+    """Give the unit ray through (a, b) on the plane z = 1; NaN where that is too far out for numbers."""
     scale = 1.0 / math.sqrt(a * a + b * b + 1.0)
+    scale = scale if scale > 0.0 else math.nan
     return a * scale, b * scale, scale
 
 

@@ -37,6 +37,8 @@ from sceneloom.cameras.formulas import (
 from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
 from sceneloom.cameras.off_axis import pixel_off_axis
 
+_NOTHING_PX = 1e-9
+
 
 class FthetaLens(NamedTuple):
     """The numbers of a lens, as the compiled functions take them apart."""
@@ -79,7 +81,8 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 @njit(**INLINE)
 def _lens(numbers):  # type: ignore[no-untyped-def]
-    return FthetaLens(1.0, 1.0, *first_numbers(numbers, _COUNT)[2:])
+    _, _, cx, cy, k1, k2, k3, k4, k5, limit = first_numbers(numbers, _COUNT)
+    return FthetaLens(1.0, 1.0, cx, cy, (k1 if abs(k1) > _NOTHING_PX else 0.0), k2, k3, k4, k5, limit)
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
+from sceneloom.cameras.charts import ray_in_perspective
 from sceneloom.cameras.compiled import (
     INLINE,
     KERNEL,
@@ -17,9 +18,15 @@ from sceneloom.cameras.compiled import (
     first_numbers,
 )
 from sceneloom.cameras.formulas import (
+    centred_pixel,
     formula_of,
+    pixel_of_plane,
+    plane_of_centred_pixel,
+    plane_of_pixel,
     project_point,
+    ray_of_chart,
     ray_of_pixel,
+    use_formulas,
 )
 from sceneloom.cameras.loops import look_along, pick_points, place_points
 
@@ -37,16 +44,26 @@ class PinholeLens(NamedTuple):
 _COUNT = len(PinholeLens._fields)
 
 
+use_formulas(
+    PinholeLens,
+    {
+        pixel_of_plane: centred_pixel,
+        plane_of_pixel: plane_of_centred_pixel,
+        ray_of_chart: ray_in_perspective,
+    },
+)
+
+
 @formula_of(PinholeLens, project_point)
 def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
-    return (lens.fx * (x / z) + lens.cx if z > MINIMUM_DEPTH else math.nan), lens.fy * (y / z) + lens.cy
+    u, v = pixel_of_plane(x / z, y / z, lens)
+    return (u if z > MINIMUM_DEPTH else math.nan), v
 
 
 @formula_of(PinholeLens, ray_of_pixel)
 def _ray(u: Any, v: Any, lens: Any) -> Any:
-    x, y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
-    scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
-    return x * scale, y * scale, scale
+    x, y = plane_of_pixel(u, v, lens)
+    return ray_of_chart(x, y, lens)
 
 
 def domain_limit(_coefficients: tuple[float, ...]) -> float:

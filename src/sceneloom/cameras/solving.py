@@ -12,6 +12,7 @@ from sceneloom.cameras.formulas import distance_at, distort
 
 _QUICK_STEPS = 4
 _ITERATIONS = 60
+_ANYWHERE, _INSIDE_ONLY = False, True
 _SMALLEST_STEP = 1e-4
 _EXACT = 1e-14
 _GOOD = 1e-12
@@ -170,9 +171,9 @@ def place_at(x, y, lens):  # type: ignore[no-untyped-def]
     """
     if not lens.limit > 0.0 or not abs(x) + abs(y) < math.inf:
         return math.nan, math.nan
-    a, b, solved = _search(x, y, lens, False)
+    a, b, solved = _search(x, y, lens, _ANYWHERE)
     if not solved:
-        a, b, solved = _search(x, y, lens, True)
+        a, b, solved = _search(x, y, lens, _INSIDE_ONLY)
     if solved and a * a + b * b < lens.limit * lens.limit:
         return a, b
     return math.nan, math.nan

@@ -1,5 +1,6 @@
 """What the points of one frame look like in numbers, found in one pass for all rules, and kept for each sensor."""
 
+import zlib
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,6 +27,7 @@ class CloudFacts:
         coloured: how many have a colour.
         white: how many of these are white.
         black: how many are black.
+        digest: of the places.
     """
 
     count: int
@@ -37,6 +39,7 @@ class CloudFacts:
     coloured: int = 0
     white: int = 0
     black: int = 0
+    digest: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -49,6 +52,8 @@ class SensorFacts:
         counts: of their points.
         levels: (256,) int64, sums of `CloudFacts.levels`; None without intensities.
         coloured, white, black: sums of these.
+        digest: of the latest frame.
+        repeated: numbers of frames with the very points of the frame before.
     """
 
     path: str
@@ -58,6 +63,8 @@ class SensorFacts:
     coloured: int = 0
     white: int = 0
     black: int = 0
+    digest: int | None = None
+    repeated: list[int] = field(default_factory=list)
 
     def add(self, number: int, facts: CloudFacts) -> None:
         """Take in one more frame."""
@@ -68,6 +75,9 @@ class SensorFacts:
         self.coloured += facts.coloured
         self.white += facts.white
         self.black += facts.black
+        if facts.count and facts.digest == self.digest:
+            self.repeated.append(number)
+        self.digest = facts.digest
 
 
 SensorKey = tuple[type, Identifier]
@@ -108,4 +118,5 @@ def facts_of(points: LidarPoints | RadarPoints) -> CloudFacts:
         coloured=0 if colors is None else len(colors),
         white=0 if colors is None else int(np.count_nonzero(colors.min(axis=1, initial=255) == 255)),
         black=0 if colors is None else int(np.count_nonzero(colors.max(axis=1, initial=0) == 0)),
+        digest=zlib.crc32(np.ascontiguousarray(positions).data),
     )

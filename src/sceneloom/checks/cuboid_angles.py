@@ -16,7 +16,7 @@ from sceneloom.checks.point_places import point_places, transform_at
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
-from sceneloom.scene import LidarFrame, LidarSensor, Scene, Severity
+from sceneloom.scene import LidarFrame, LidarSensor, NoticeKind, Scene, Severity
 
 _LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
 """Steps that are shorter or slower show no direction [m], [m/s]."""
@@ -142,11 +142,12 @@ def _against_motion(subject: Subject) -> Iterator[Hit]:
 
 @dataclass(slots=True, eq=False)
 class Tally:
-    """Points in boxes, by reading, of how many boxes, and the frames that are looked at."""
+    """Points in boxes, by reading, of how many boxes; the frames that are to be looked at, and those that were."""
 
     points: dict[Reading, int] = field(default_factory=dict)
     boxes: int = 0
     wanted: dict[str, frozenset[int]] = field(default_factory=dict)
+    counted: set[str] = field(default_factory=set)
 
 
 def _tally(subject: Subject) -> Tally:
@@ -161,6 +162,8 @@ def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
         return
     if len(cuboid_rows(subject)) == 0 or frame.number not in _wanted(subject, frame.sensor_path, lidar):
         return
+    if frame.path in _tally(subject).counted:
+        return
     source = point_places(subject, lidar).get(lidar.points_frame)
     world_from_points = None if source is None else transform_at(source, sweep.timestamp_ns)
     positions = sweep.points.positions
@@ -171,6 +174,7 @@ def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     points_world = world_from_points.apply(some)
     rows = _boxes_at(subject, sweep, np.median(points_world, axis=0))
     tally = _tally(subject)
+    tally.counted.add(frame.path)
     tally.boxes += len(rows)
     for reading, count in _points_in(points_world, rows, said_reading(subject.scene)).items():
         tally.points[reading] = tally.points.get(reading, 0) + count
@@ -239,6 +243,27 @@ def _against_points(subject: Subject) -> Iterator[Hit]:
     )
 
 
+def _unsaid(subject: Subject) -> Iterator[Hit]:
+    """Where nothing says how the angles are meant, tell what the data say about the reading that was taken."""
+    assumed = {notice.code for notice in subject.scene.notices if notice.kind is NoticeKind.ASSUMED}
+    if not assumed & {"euler-unit", "euler-order"}:
+        return
+    said = said_reading(subject.scene)
+    other = Reading(next(unit.value for unit in AngleUnit if unit.value != said.unit), said.order)
+    tally, (angles, steps) = _tally(subject), _off_motion(subject)
+    evidence = []
+    if angles:
+        evidence.append(
+            f"headings are {angles[said]:.0f}° off the motion in the median of {steps} steps, in {other.unit} "
+            f"{angles[other]:.0f}°"
+        )
+    if tally.points:
+        held, in_other = tally.points[said], tally.points[other]
+        evidence.append(f"{tally.boxes} boxes hold {held} points, in {other.unit} {in_other}")
+    told = "; ".join(evidence) or "neither motion nor points in the boxes tell"
+    yield Hit("annotations", f"not said; taken to be {said}: {told}")
+
+
 _REMEDY = "Open the file with `--euler-unit` and `--euler-order` as the message says, and write it again."
 
 RULES: tuple[Rule, ...] = (
@@ -256,5 +281,13 @@ RULES: tuple[Rule, ...] = (
         _REMEDY,
         look=_count_in_boxes,
         conclude=_against_points,
+    ),
+    Rule(
+        "cuboid-angles-unsaid",
+        Severity.HINT,
+        "The scene says in which unit and order the angles of its cuboids are.",
+        "Open the file with `--euler-unit` and `--euler-order`, and write it again, which records them.",
+        look=_count_in_boxes,
+        conclude=_unsaid,
     ),
 )

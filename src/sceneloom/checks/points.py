@@ -95,6 +95,15 @@ def _collapsed(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"{facts.path}.frames[{number}].points", message, count=len(few))
 
 
+def _repeated(subject: Subject) -> Iterator[Hit]:
+    for facts in sensor_facts(subject).values():
+        if facts.repeated:
+            message = (
+                f"{len(facts.repeated)} of {len(facts.counts)} frames have the very points of the one before"
+            )
+            yield Hit(f"{facts.path}.frames[{facts.repeated[0]}]", message, count=len(facts.repeated))
+
+
 def _odd_intensities(subject: Subject) -> Iterator[Hit]:
     for facts in sensor_facts(subject).values():
         told = _told_intensities(facts)
@@ -191,6 +200,14 @@ RULES: tuple[Rule, ...] = (
         "Look whether the sensor was off, or its packets were lost.",
         look=_seen,
         conclude=_without_points,
+    ),
+    Rule(
+        "frame-repeated",
+        Severity.HINT,
+        "No frame has the very points of the frame before it.",
+        "Look whether the sensor hung, or frames were filled in.",
+        look=_seen,
+        conclude=_repeated,
     ),
     Rule(
         "point-count-collapses",

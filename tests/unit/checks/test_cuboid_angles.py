@@ -1,5 +1,7 @@
 """Rules about how the angles of cuboids are read, on objects whose orientation is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,6 +13,8 @@ from sceneloom.scene import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
+    Notice,
+    NoticeKind,
     PointsFrame,
     Scene,
 )
@@ -103,6 +107,24 @@ def test_without_points_motion_tells(found):
     scene = scene_of(("degrees", "xyz"), ("radians", "xyz"), points=False)
     assert found(scene, BY_POINTS) == []
     assert len(found(scene, BY_MOTION, frames=False)) == 1
+
+
+def test_where_nothing_is_said_the_evidence_is_told(found):
+    assumed = Notice(
+        kind=NoticeKind.ASSUMED, code="euler-unit", place="annotations", message="taken to be degrees"
+    )
+    scene = scene_of(("degrees", "xyz"), ("degrees", "xyz"))
+    assert found(scene, "cuboid-angles-unsaid") == []
+    [(path, message)] = found(replace(scene, notices=(assumed,)), "cuboid-angles-unsaid")
+    assert path == "annotations"
+    assert message.startswith(
+        "not said; taken to be degrees in the order xyz: headings are 0° off the motion"
+    )
+    blind = replace(
+        scene_of(("degrees", "xyz"), ("degrees", "xyz"), speed=0.0, points=False), notices=(assumed,)
+    )
+    [(_, message)] = found(blind, "cuboid-angles-unsaid")
+    assert message.endswith("neither motion nor points in the boxes tell")
 
 
 def test_objects_that_drive_backwards_are_along_their_motion(found):

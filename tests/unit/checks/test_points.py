@@ -122,6 +122,14 @@ def test_a_frame_of_less_than_a_tenth_of_the_usual_points_is_found(sound, found)
     assert found(swept(sound, 98, 98, 1, 98, 98, 98), "point-count-collapses") == []
 
 
+def test_frames_with_the_very_points_of_the_one_before_are_counted(sound, found):
+    scene = swept(sound, 10, 20, 20, 20, 10, 0)
+    assert found(scene, "frame-repeated") == [
+        ("sensors[0].frames[2]", "2 of 6 frames have the very points of the one before")
+    ]
+    assert found(swept(sound, 10, 0, 0, 10, 20, 10), "frame-repeated") == []
+
+
 @pytest.mark.parametrize(
     ("intensities", "said"),
     [

@@ -1,5 +1,6 @@
 """`sceneloom.validate`: a path or a scene in, findings out."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,8 +131,7 @@ def _after_fixing(
     subject = open_subject(output)
     with subject.scene:
         after = terms.report(subject, terms.hits(subject))
-    still = {(finding.rule, finding.path) for finding in after.findings}
-    gone = [finding for finding in before.findings if (finding.rule, finding.path) not in still]
+    gone = _gone(before.findings, after.findings)
     return msgspec.structs.replace(
         after,
         source=before.source,
@@ -140,6 +140,18 @@ def _after_fixing(
         left_out=_left_out(gone, applied),
         output=str(output),
     )
+
+
+def _gone(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
+    """The findings that are not there any more; places move up where something before them was left out."""
+    still = Counter((finding.rule, finding.message) for finding in after)
+    gone = []
+    for finding in before:
+        if still[finding.rule, finding.message]:
+            still[finding.rule, finding.message] -= 1
+        else:
+            gone.append(finding)
+    return gone
 
 
 def _left_out(gone: Sequence[Finding], applied: frozenset[str]) -> tuple[Finding, ...]:

@@ -45,7 +45,8 @@ class Sound:
     def sweep(self, timestamp_ns: int, **fields: Any) -> LidarFrame:
         """100 points around the sensor, measured over the sweep."""
         angles = np.linspace(0, 6, 100)
-        positions = np.column_stack([10 * np.cos(angles), 10 * np.sin(angles), np.zeros(100)])
+        radius = 10 + np.sin(timestamp_ns / SECOND)
+        positions = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros(100)])
         given = {
             "positions": positions.astype(np.float32),
             "intensities": np.arange(100, dtype=np.uint8),

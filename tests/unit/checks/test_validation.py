@@ -137,6 +137,19 @@ def test_fixing_writes_a_sound_scene_and_says_what_was_done(faulty, target):
         assert lidar.poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]] * 2
 
 
+def test_what_a_fix_leaves_is_not_told_as_fixed_though_its_place_moves(tmp_path, encode_sfs, target):
+    frames = [{"timestamp": t, "points": {"positions": np.ones((1, 3), np.float32)}} for t in (100_000, 0, 0)]
+    content = header()
+    content["sensors"][1]["frames"] = frames
+    path = tmp_path / "faulty.sfs"
+    path.write_bytes(encode_sfs(content))
+    report = validate(
+        path, fix=target, rules=["frame-times-increasing", "frame-times-unique", "fields-valid"]
+    )
+    assert rules_of(report.fixed) == {"frame-times-increasing"}
+    assert [(f.rule, f.path) for f in report.findings] == [("frame-times-unique", "sensors[0].frames[1]")]
+
+
 def test_fixing_what_was_fixed_changes_no_byte(faulty, target, tmp_path):
     validate(faulty, fix=target)
     again = tmp_path / "again.sfs"

@@ -27,6 +27,9 @@ MOST = 10 * SHOWN
 @click.option(
     "--tolerance-px", type=float, default=0.0, metavar="PX", help="The same of what is drawn into pictures."
 )
+@click.option(
+    "--other-stamps", is_flag=True, help="Paths may be told at other stamps, if they are the same ways."
+)
 @click.option("--pixels", is_flag=True, help="Decode pictures whose bytes differ, and compare their pixels.")
 @options.reading
 @options.printing
@@ -40,6 +43,7 @@ def diff(
     tolerance_deg: float,
     tolerance_ns: float,
     tolerance_px: float,
+    other_stamps: bool,
     pixels: bool,
     **reading: Any,
 ) -> int:
@@ -60,6 +64,7 @@ def diff(
             tolerance_deg=tolerance_deg,
             tolerance_ns=tolerance_ns,
             tolerance_px=tolerance_px,
+            other_stamps=other_stamps,
             pixels=pixels,
             progress=progress,
         )

@@ -7,6 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.editing import simplify_scene
 from sceneloom.editing.differences import Change, diff_scenes
 from sceneloom.editing.differences.arrays import apart
 from sceneloom.editing.differences.frames import pairs
@@ -36,6 +37,7 @@ from sceneloom.scene import (
     VertexPath,
 )
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.simulate import TrafficSpec
 
 LENS = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)
 STAMPS = np.array([0, 100, 200])
@@ -209,11 +211,36 @@ def test_a_quaternion_and_its_negative_are_one_rotation():
     assert diff_scenes(scene, replace(scene, sensors=(*scene.sensors[:2], OdometrySensor(7, turned)))).equal
 
 
-def test_poses_of_other_stamps_are_told_by_their_number():
+def test_paths_told_at_other_stamps_are_compared_as_ways():
     scene = a_scene()
-    changed = replace(scene, sensors=(*scene.sensors[:2], OdometrySensor(7, a_path(np.array([0, 200])))))
-    paths = {f.path for f in diff_scenes(scene, changed).differences}
+    fewer = replace(scene, sensors=(*scene.sensors[:2], OdometrySensor(7, a_path(np.array([0, 200])))))
+    found = only(scene, fewer)
+    assert (found.path, found.unit) == ("sensors[7].poses", "m")
+    assert found.amount == pytest.approx(0.0, abs=1e-12)
+    assert found.message.startswith("3 stamps; then 2; as ways up to")
+    assert diff_scenes(scene, fewer, tolerance_m=1e-9, tolerance_deg=1e-6, other_stamps=True).equal
+    bent = a_path(np.array([0, 50, 200]))
+    bent = PosePath(
+        bent.timestamps_ns, bent.positions + [[0, 0, 0], [0, 0.3, 0], [0, 0, 0]], bent.quaternions_xyzw
+    )
+    other = replace(scene, sensors=(*scene.sensors[:2], OdometrySensor(7, bent)))
+    assert only(scene, other, tolerance_m=0.2, other_stamps=True).amount == pytest.approx(0.3)
+
+
+def test_paths_of_other_times_are_told_by_their_stamps():
+    scene = a_scene()
+    shorter = replace(scene, sensors=(*scene.sensors[:2], OdometrySensor(7, a_path(np.array([0, 100])))))
+    paths = {f.path for f in diff_scenes(scene, shorter, tolerance_m=9.0, other_stamps=True).differences}
     assert "sensors[7].poses.timestamps_ns" in paths
+
+
+def test_a_simplified_scene_is_the_same_within_its_tolerances():
+    scene = sceneloom.simulate_street(1, frames=3, cameras=(), traffic=TrafficSpec()).scene
+    simple = simplify_scene(scene, tolerance_m=0.05, tolerance_deg=0.5)
+    assert not diff_scenes(scene, simple).equal
+    within = {"tolerance_m": 0.05, "tolerance_deg": 0.5, "other_stamps": True}
+    assert diff_scenes(scene, simple, **within).differences == ()
+    assert not diff_scenes(scene, simple, **{**within, "tolerance_m": 0.01}).equal
 
 
 def test_annotations_are_the_same_by_their_ids():

@@ -24,6 +24,7 @@ def diff_scenes(
     tolerance_deg: float = 0.0,
     tolerance_ns: float = 0.0,
     tolerance_px: float = 0.0,
+    other_stamps: bool = False,
     pixels: bool = False,
     progress: Progress | None = None,
 ) -> SceneDifferences:
@@ -39,6 +40,7 @@ def diff_scenes(
             whose angles are told in another unit or order.
         tolerance_ns: largest difference of stamps [ns].
         tolerance_px: largest difference of what is drawn into pictures [px].
+        other_stamps: let a path be told at other stamps, if at those of both it is the same within the tolerances.
         pixels: decode pictures whose bytes differ or are not there, and compare their pixels.
         progress: told after each frame how many are done, and of how many.
 
@@ -49,7 +51,7 @@ def diff_scenes(
     findings = Findings()
     comparison = Comparison(
         findings,
-        Tolerances(tolerance_m, tolerance_deg, tolerance_ns, tolerance_px),
+        Tolerances(tolerance_m, tolerance_deg, tolerance_ns, tolerance_px, other_stamps),
         (CuboidAngles.of(first), CuboidAngles.of(second)),
     )
     steps = _Steps(max(_frames(first), _frames(second)), progress)

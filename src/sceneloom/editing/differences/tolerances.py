@@ -16,6 +16,7 @@ class Tolerances:
         degrees: of turns.
         nanoseconds: of stamps; frames so near in time are the same frame.
         pixels: of what is drawn into pictures.
+        other_stamps: whether a path may be told at other stamps, if it is the same way within the tolerances.
 
     Raises:
         OptionError: one is negative or not a number.
@@ -25,6 +26,7 @@ class Tolerances:
     degrees: float = 0.0
     nanoseconds: float = 0.0
     pixels: float = 0.0
+    other_stamps: bool = False
 
     def __post_init__(self) -> None:
         for each in fields(self):

@@ -19,6 +19,7 @@ from sceneloom.editing.differences.tolerances import (
     limit_of,
     unit_of,
 )
+from sceneloom.editing.differences.ways import WAYS, is_way, ways_apart
 from sceneloom.scene.angles import CuboidAngles
 
 SHOWN = 60
@@ -81,10 +82,32 @@ class Comparison:
             self.add(path, Change.CHANGED, f"{type(a).__name__}; then {type(b).__name__}")
             return
         owner = type(a).__name__
+        passed = {*skipped, *self._ways(path, a, b)}
         for each in fields(a):
-            if each.name not in skipped:
+            if each.name not in passed:
                 inner = f"{path}.{each.name}" if path else each.name
                 self.values(inner, getattr(a, each.name), getattr(b, each.name), owner=owner, name=each.name)
+
+    def _ways(self, path: str, a: Any, b: Any) -> tuple[str, ...]:
+        """Compare two paths told at other stamps as ways; gives the fields that this settles."""
+        if not (is_way(a) and is_way(b)):
+            return ()
+        count, other = len(a.timestamps_ns), len(b.timestamps_ns)
+        if count == other:
+            away = np.abs(a.timestamps_ns - b.timestamps_ns)
+            if away.max() <= self.tolerances.nanoseconds:
+                return ()
+        found = ways_apart(a, b, self.angles)
+        if found is None:
+            return ()
+        metres, degrees = found
+        within = metres <= self.tolerances.metres and degrees <= self.tolerances.degrees
+        if not (self.tolerances.other_stamps and within):
+            message = (
+                f"{count} stamps; then {other}; as ways up to {metres:.3g} m and {degrees:.3g} deg apart"
+            )
+            self.add(path, Change.CHANGED, message, metres, METRES)
+        return WAYS[type(a).__name__][1]
 
     def record(self, path: str, a: Any, b: Any, _owner: str, _name: str) -> None:
         """Compare two records field by field."""

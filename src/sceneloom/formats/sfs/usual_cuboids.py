@@ -6,6 +6,8 @@ respect is left to the table of fields, which knows unknown fields and tells wha
 """
 
 import struct
+from collections.abc import Callable
+from functools import lru_cache
 from itertools import chain
 from typing import Any, Literal
 
@@ -97,14 +99,19 @@ def _sound(attribute: _Attribute) -> list[int]:
 
 
 def _packed_stamps(stamps: list[int]) -> bytes:
-    return struct.pack(f"{len(stamps)}q", *stamps)
+    return _packer("q", len(stamps))(*stamps)
 
 
 def _packed_rows(path: _Path) -> bytes:
     count = len(path.timestamps)
     if len(path.values) != count or set(map(len, path.values)) != {_COLUMNS}:
         raise _UnusualError
-    return struct.pack(f"{count * _COLUMNS}d", *chain.from_iterable(path.values))
+    return _packer("d", count * _COLUMNS)(*chain.from_iterable(path.values))
+
+
+@lru_cache(maxsize=256)
+def _packer(code: str, count: int) -> Callable[..., bytes]:
+    return struct.Struct(f"{count}{code}").pack
 
 
 def _times(packed: list[bytes], clock: FileClock) -> Int64Array:

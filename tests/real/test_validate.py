@@ -10,7 +10,7 @@ KNOWN_HINTS = {
     "recordings/kitti_drive": {"ego-way-known"},
     "recordings/kitti_oxts_0000": set(),
     "recordings/pandaset": {"point-times-equal"},
-    "real/sfs_reference/argoverse2_2frames_cuboids.sfs": {"reading-assumed"},
+    "real/sfs_reference/argoverse2_2frames_cuboids.sfs": {"reading-assumed", "cuboid-angles-unsaid"},
 }
 """What is known of the data: no way of the ego, times that are the frame's own, frame and angles that are not said."""
 

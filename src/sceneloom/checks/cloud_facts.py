@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene import Identifier, LidarFrame, LidarPoints, RadarFrame, RadarPoints
 
@@ -104,7 +104,8 @@ def cloud_facts(subject: Subject, frame: FrameInHand) -> CloudFacts | None:
 def facts_of(points: LidarPoints | RadarPoints) -> CloudFacts:
     """Look through the points of one frame."""
     positions = points.positions
-    largest = np.abs(positions).max(axis=1, initial=0.0)
+    x, y, z = np.abs(positions).T
+    largest = np.maximum(np.maximum(x, y), z)
     finite = np.isfinite(largest)
     colors = points.colors if isinstance(points, LidarPoints) else None
     intensities = points.intensities if isinstance(points, LidarPoints) else None
@@ -116,7 +117,13 @@ def facts_of(points: LidarPoints | RadarPoints) -> CloudFacts:
         farthest=float(largest[finite].max(initial=0.0)),
         levels=None if intensities is None else np.bincount(intensities, minlength=256),
         coloured=0 if colors is None else len(colors),
-        white=0 if colors is None else int(np.count_nonzero(colors.min(axis=1, initial=255) == 255)),
-        black=0 if colors is None else int(np.count_nonzero(colors.max(axis=1, initial=0) == 0)),
+        white=0 if colors is None else _count_of(colors, 255),
+        black=0 if colors is None else _count_of(colors, 0),
         digest=zlib.crc32(np.ascontiguousarray(positions).data),
     )
+
+
+def _count_of(colors: UInt8Array, level: int) -> int:
+    """How many points have this level in red, green and blue."""
+    red, green, blue = colors.T
+    return int(np.count_nonzero((red == level) & (green == level) & (blue == level)))

@@ -22,7 +22,7 @@ _LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
 """Steps that are shorter or slower show no direction [m], [m/s]."""
 
 _STRIDES = (1, 4, 16)
-_LONGEST_S = 1.0
+_LONGEST_S = 2.0
 """Over a longer time an object may turn, so that its heading is not that of its whole step."""
 
 _MOST_STEPS = 5_000
@@ -100,7 +100,7 @@ def _moving_over(subject: Subject, stride: int) -> tuple[Float64Array, Float64Ar
     lengths = np.linalg.norm(steps, axis=1)
     moves = (lengths > _LEAST_STEP_M) & (lengths > _LEAST_SPEED * seconds)
     moves &= (owners[stride:] == owners[:-stride]) & finite[stride:] & finite[:-stride]
-    chosen = np.flatnonzero(moves & (seconds > 0) & (seconds < _LONGEST_S))
+    chosen = np.flatnonzero(moves & (seconds > 0) & (seconds <= _LONGEST_S))
     chosen = chosen[:: len(chosen) // _MOST_STEPS + 1]
     return rows[chosen + stride // 2], steps[chosen] / lengths[chosen, None]
 

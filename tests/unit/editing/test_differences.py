@@ -220,9 +220,8 @@ def test_paths_told_at_other_stamps_are_compared_as_ways():
     assert found.message.startswith("3 stamps; then 2; as ways up to")
     assert diff_scenes(scene, fewer, tolerance_m=1e-9, tolerance_deg=1e-6, other_stamps=True).equal
     bent = a_path(np.array([0, 50, 200]))
-    bent = PosePath(
-        bent.timestamps_ns, bent.positions + [[0, 0, 0], [0, 0.3, 0], [0, 0, 0]], bent.quaternions_xyzw
-    )
+    aside = np.array([[0, 0, 0], [0, 0.3, 0], [0, 0, 0]])
+    bent = PosePath(bent.timestamps_ns, bent.positions + aside, bent.quaternions_xyzw)
     other = replace(scene, sensors=(*scene.sensors[:2], OdometrySensor(7, bent)))
     assert only(scene, other, tolerance_m=0.2, other_stamps=True).amount == pytest.approx(0.3)
 

@@ -8,6 +8,7 @@ from sceneloom.checks.annotation_table import SensorMention, sensor_mentions
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import (
+    Activation,
     Annotation,
     AttributePath,
     Box2DAnnotation,
@@ -109,11 +110,13 @@ def _wrong_sensors(subject: Subject) -> Iterator[Hit]:
 
 
 def _expected_sensor(part: Any) -> tuple[tuple[type, ...], str] | None:
-    """Which sensors a part can be about: those with pictures, or those with points; None: any."""
+    """Which sensors a part can be about, and in words; None: any."""
     if isinstance(part, Projection | PointProjection | Box2DAnnotation | CameraCalibration):
         return (CameraSensor,), "a camera"
     if isinstance(part, ShapeAnnotation) and part.dimensions == 2:
         return (CameraSensor,), "a camera"
+    if isinstance(part, Activation):
+        return (LidarSensor, RadarSensor, CameraSensor), "a lidar, a radar or a camera"
     return (_CLOUDS, "a sensor with points") if isinstance(part, LabeledPoints) else None
 
 
@@ -212,7 +215,7 @@ RULES: tuple[Rule, ...] = (
         "annotation-sensor-type",
         Severity.ERROR,
         "Boxes and shapes in pictures, projections and camera calibrations are of cameras; labelled points are of "
-        "sensors with points.",
+        "sensors with points; activations are of lidars, radars and cameras.",
         "Name the sensor that was meant.",
         find=_wrong_sensors,
     ),

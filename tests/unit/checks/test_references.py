@@ -152,6 +152,17 @@ def test_activations_and_shapes_in_space_may_be_of_any_sensor(sound, found):
     assert found(sound.scene(annotations=(line, seen)), "annotation-sensor-type") == []
 
 
+def test_an_activation_of_an_odometry_is_found(sound, found):
+    seen = cuboid(activations=(Activation("ego", TIMES),))
+    scene = sound.scene(sound.lidar(), sound.odometry(), annotations=(seen,))
+    assert found(scene, "annotation-sensor-type") == [
+        (
+            "annotations[0].activations[0].sensor_id",
+            "'ego' is an odometry; expected a lidar, a radar or a camera",
+        )
+    ]
+
+
 def test_links_to_nothing_and_to_themselves_are_found(sound, found):
     links = (
         LinkAnnotation("l", "car", "gone"),

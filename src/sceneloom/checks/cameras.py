@@ -29,7 +29,7 @@ def _notices(code: str) -> Callable[[Subject], Iterator[Hit]]:
     """Tell what the reader remarked under a code."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        return (Hit(n.place, n.message, n.count) for n in subject.scene.notices if n.code == code)
+        return (Hit(n.place, n.message, n.count) for n in subject.remarks if n.code == code)
 
     return find
 

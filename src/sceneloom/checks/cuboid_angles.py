@@ -245,7 +245,7 @@ def _against_points(subject: Subject) -> Iterator[Hit]:
 
 def _unsaid(subject: Subject) -> Iterator[Hit]:
     """Where nothing says how the angles are meant, tell what the data say about the reading that was taken."""
-    assumed = {notice.code for notice in subject.scene.notices if notice.kind is NoticeKind.ASSUMED}
+    assumed = {notice.code for notice in subject.remarks if notice.kind is NoticeKind.ASSUMED}
     if not assumed & {"euler-unit", "euler-order"}:
         return
     said = said_reading(subject.scene)

@@ -39,6 +39,7 @@ def _examined(examination: Examination, path: str | Path) -> Subject:
         examination.faults,
         examination.sensor_paths,
         examination.annotation_paths,
+        examination.notices,
     )
 
 

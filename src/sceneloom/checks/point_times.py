@@ -32,7 +32,7 @@ _WHAT: dict[PointTimes, str] = {
 
 def _relative_in_file(subject: Subject) -> Iterator[Hit]:
     """What the reader of scene files has put right already."""
-    for notice in subject.scene.notices:
+    for notice in subject.remarks:
         if notice.code == "relative-point-times":
             yield Hit(notice.place, notice.message, notice.count)
 

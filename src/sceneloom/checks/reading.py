@@ -33,7 +33,7 @@ def _faults_of(*codes: str) -> Find:
 
 def _notices_of(kind: NoticeKind) -> Find:
     def find(subject: Subject) -> Iterator[Hit]:
-        for notice in subject.scene.notices:
+        for notice in subject.remarks:
             if notice.kind == kind and notice.code not in _TOLD_BY_RULES:
                 yield Hit(notice.place, notice.message, notice.count)
 

@@ -10,6 +10,7 @@ from sceneloom.scene import (
     CameraSensor,
     Identifier,
     LidarFrame,
+    Notice,
     Picture,
     RadarFrame,
     Scene,
@@ -54,6 +55,7 @@ class Subject:
         faults: what was found wrong while the file was read.
         sensor_paths: where each sensor of the scene stands in its file; empty: counted in the scene.
         annotation_paths: where each annotation stands; empty: counted in the scene.
+        notices: what the reader assumed, repaired or left out this time; None: all that the scene tells of.
         cache: what `table` keeps.
     """
 
@@ -62,6 +64,7 @@ class Subject:
     faults: tuple[PlacedFault, ...] = ()
     sensor_paths: Sequence[str] = ()
     annotation_paths: Sequence[str] = ()
+    notices: Sequence[Notice] | None = None
     cache: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,6 +72,11 @@ class Subject:
             attribute = f"{name.removesuffix('s')}_paths"
             if len(getattr(self, attribute)) != len(things):
                 object.__setattr__(self, attribute, tuple(f"{name}[{k}]" for k in range(len(things))))
+
+    @property
+    def remarks(self) -> Sequence[Notice]:
+        """What the reader remarked; of a scene file not what was remarked when it was made."""
+        return self.scene.notices if self.notices is None else self.notices
 
     def table(self, name: str, make: Callable[["Subject"], Table]) -> Table:
         """Give a table that several rules need; the first that asks has it made."""

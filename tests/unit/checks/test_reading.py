@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import sceneloom
 from sceneloom.checks.reading import FAULT_RULES
 from sceneloom.errors import DataError
 from sceneloom.scene import LazyFrames, LidarSensor, Notice, NoticeKind
@@ -112,11 +113,19 @@ def test_remarks_of_readers_are_hints(sound, found, kind):
     assert found(sound.scene(), rule) == []
 
 
-def test_a_broken_recording_is_checked_without_what_is_broken(tmp_path, sound, found):
-    from sceneloom import write
+def test_what_was_remarked_when_a_file_was_made_is_not_remarked_again(file_of, tmp_path, found):
+    path, written = file_of(header()), tmp_path / "written.sfs"
+    assert [where for where, _ in found(path, "reading-assumed")] == ["sensors[0]"]
+    with sceneloom.open(path) as scene:
+        sceneloom.write(scene, written)
+    with sceneloom.open(written) as scene:
+        assert scene.notices
+    assert found(written, "reading-assumed") == []
 
+
+def test_a_broken_recording_is_checked_without_what_is_broken(tmp_path, sound, found):
     folder = tmp_path / "drive"
-    write(sound.scene(sound.lidar(), sound.odometry()), folder)
+    sceneloom.write(sound.scene(sound.lidar(), sound.odometry()), folder)
     lines = (folder / "data.jsonl").read_text("utf-8").splitlines()
     (folder / "data.jsonl").write_text("\n".join([lines[0], "{torn", *lines[1:]]), "utf-8")
     [(place, message)] = found(folder, "file-readable")

@@ -195,6 +195,19 @@ def test_a_file_that_cannot_be_read_at_all_gives_one_finding(tmp_path, target):
     assert report.output is None
 
 
+def test_short_distortions_are_written_in_full(tmp_path, encode_sfs, target):
+    path = tmp_path / "short.sfs"
+    distortion = {"model": "fisheye", "params": [0.1]}
+    lens = {"fx": 9.0, "fy": 9.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24, "distortion": distortion}
+    poses = {"timestamps": [0], "values": [POSE]}
+    camera = {"id": "c", "type": "camera", "intrinsics": lens, "poses": poses, "images": []}
+    path.write_bytes(encode_sfs({"version": "1.0", "sensors": [camera]}))
+    report = validate(path, fix=target)
+    assert "distortion-length" in rules_of(report.fixed)
+    with sceneloom.open(target) as scene:
+        assert scene.cameras[0].camera.coefficients == (0.1, 0.0, 0.0, 0.0)
+
+
 def test_epoch_stamps_are_mended_without_moving_anything(tmp_path, encode_sfs, target):
     start_us = 1_700_000_000_000_000
     path = tmp_path / "epoch.sfs"

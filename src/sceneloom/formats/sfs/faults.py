@@ -7,7 +7,7 @@ from typing import Any
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.records import MALFORMED, Place
-from sceneloom.scene import Scene
+from sceneloom.scene import Notice, Scene
 
 _TOLD = 4
 """So many places of further faults stand in an error."""
@@ -49,6 +49,7 @@ class Examination:
         header: the file's header without `$items`, arrays in their places; None where it cannot be decoded.
         sensor_places: where each sensor of the scene stands in the file.
         annotation_places: where each annotation of the scene stands in the file.
+        notices: what was assumed, repaired or left out this time; the scene has those that the file had kept, too.
     """
 
     scene: Scene | None
@@ -56,6 +57,7 @@ class Examination:
     header: dict[str, Any] | None = None
     sensor_places: tuple[Place, ...] = ()
     annotation_places: tuple[Place, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
     @property
     def sensor_paths(self) -> tuple[str, ...]:

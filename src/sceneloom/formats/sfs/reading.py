@@ -174,7 +174,8 @@ def _examination(container: Container, items: list[ItemFault], options: ReadingO
         on_close=source.parts.close,
     )
     scene = with_lens_readings(scene, source)
-    return Examination(scene, source.found_faults(), header, sensor_places, annotation_places)
+    noticed = tuple(source.noticed_now)
+    return Examination(scene, source.found_faults(), header, sensor_places, annotation_places, noticed)
 
 
 def _unique(

@@ -66,7 +66,8 @@ class Source:
         parts: what the scene keeps of it.
         clock: of the file.
         options: of the caller.
-        notices: collected on the way.
+        notices: collected on the way, and those that the file had kept.
+        noticed_now: those of this reading, in their order.
         notes: what our metadata says about sensors, by id.
         faults: collected on the way.
         left_out: the places of sensors and annotations that are at fault.
@@ -78,6 +79,7 @@ class Source:
     clock: FileClock
     options: ReadingOptions
     notices: list[Notice] = field(default_factory=list)
+    noticed_now: dict[Notice, None] = field(default_factory=dict)
     notes: dict[tuple[type, Identifier], Mapping[str, Any]] = field(default_factory=dict)
     faults: list[PlacedFault] = field(default_factory=list)
     left_out: set[Place] = field(default_factory=set)
@@ -100,6 +102,7 @@ class Source:
     def notice(self, kind: NoticeKind, code: str, place: Place, message: str, *, count: int = 1) -> None:
         """Remark something, unless the file's own notices say it already."""
         notice = Notice(kind=kind, code=code, place=format_keys(place), message=message, count=count)
+        self.noticed_now[notice] = None
         if notice not in self._noticed:
             self.remember(notice)
 

@@ -11,6 +11,7 @@ from sceneloom.editing.choose import with_annotations, with_labels_chosen, with_
 from sceneloom.editing.chosen_points import CloudSensor, OnPoints, chosen_map, with_chosen_points
 from sceneloom.editing.crop_annotations import SpaceCrop
 from sceneloom.editing.frame_change import KNOWN, FrameChange
+from sceneloom.editing.frame_of_annotations import frames_ns
 from sceneloom.editing.moved_clouds import chosen_frames
 from sceneloom.editing.record import skipped, with_notices, with_ours
 from sceneloom.editing.region import FrameChoice, Placed, Region, held_at
@@ -40,7 +41,7 @@ from sceneloom.scene.labelled import Renumbering, renumbered
 from sceneloom.scene.part import cut_scene
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import sensor_source
-from sceneloom.scene.span import frame_times, scene_period_ns
+from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Key, key_of
 
 
@@ -135,7 +136,7 @@ class _Crop:
     def cropped(self) -> Scene:
         sensors = tuple(self._sensor(sensor) for sensor in self.scene.sensors)
         crop = SpaceCrop(
-            self._around(annotations_frame(self.scene)), self._times_ns(), CuboidAngles.of(self.scene)
+            self._around(annotations_frame(self.scene)), frames_ns(self.scene), CuboidAngles.of(self.scene)
         )
         cut = with_annotations(self.scene, [crop(annotation) for annotation in self.scene.annotations])
         annotations, told = renumbered(cut.annotations, self.changes)
@@ -202,17 +203,12 @@ class _Crop:
         ego = find_ego_motion(self.scene) if self.ego is None else self.ego
         return PoseSource(ego.path, RigidTransform.identity(), reach_ns)
 
-    def _times_ns(self) -> Int64Array:
-        clouds = [s for s in self.scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
-        stamps = [frame_times(sensor) for sensor in clouds]
-        return np.unique(np.concatenate(stamps)) if stamps else np.zeros(0, np.int64)
-
     def _held_once(self, positions: Float32Array) -> BoolArray:
         """Say which points of a map lie inside at any time."""
         inside = np.zeros(len(positions), np.bool_)
         for placed in self._around(Coordinates.WORLD):
             constant = all(change is None or change.is_constant for _, change in placed)
-            times_ns = np.zeros(1, np.int64) if constant else self._times_ns()
+            times_ns = np.zeros(1, np.int64) if constant else frames_ns(self.scene)
             for time_ns in times_ns[_known(placed, times_ns)].tolist():
                 left = np.flatnonzero(~inside)
                 inside[left] = held_at(placed, time_ns, positions[left])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sceneloom.arrays import Int64Array
 from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.editing.keyframes import AddedKeyframes, Keyframer, PathKey
 from sceneloom.editing.moved_adjustments import led_from
@@ -35,7 +36,9 @@ def annotations_moved(
         before: what an earlier change added, to be taken away.
         entry: what is added is written here, as `added_before` reads it.
     """
-    keyframer = Keyframer(change, _span_ns(scene, change), before)
+    times = _known(change, frames_ns(scene))
+    span_ns = (int(times[0]), int(times[-1])) if len(times) else None
+    keyframer = Keyframer(change, span_ns, times, before)
     mover = AnnotationMover(keyframer, CuboidAngles.of(scene), partial(led_from, change))
     moved = mover.moved(scene.annotations)
     if entry is not None:
@@ -64,13 +67,17 @@ def annotations_moved(
     return with_notices(replace(scene, annotations=moved), notices)
 
 
-def _span_ns(scene: Scene, change: FrameChange) -> tuple[int, int] | None:
-    """From the first to the last frame at whose time the change is known; None where there is none."""
+def frames_ns(scene: Scene) -> Int64Array:
+    """The times (N,) int64 [ns], ascending, of all sweeps, radar cycles and pictures of a scene."""
     framed = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
-    stamps = [times for times in map(frame_times, framed) if len(times)] or [change.knots_ns]
-    times = np.unique(np.concatenate(stamps))
-    known = times[change.at(times).coverage <= KNOWN]
-    return (int(known[0]), int(known[-1])) if len(known) else None
+    stamps = [frame_times(sensor) for sensor in framed]
+    return np.unique(np.concatenate(stamps)) if stamps else np.zeros(0, np.int64)
+
+
+def _known(change: FrameChange, times_ns: Int64Array) -> Int64Array:
+    """Those of the times at which the change is known; those of its own poses where there are none."""
+    times = times_ns if len(times_ns) else change.knots_ns
+    return times[change.at(times).coverage <= KNOWN]
 
 
 def _entry(path: PathKey, added: AddedKeyframes) -> dict[str, Any]:

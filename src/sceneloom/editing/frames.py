@@ -93,9 +93,9 @@ def to_ego(
 ) -> Scene:
     """Bring points, poses and annotations onto the ego, each frame and keyframe at its own time.
 
-    An odometry sensor tells where the ego was. Annotations get keyframes where they would otherwise be further than
-    1 mm or 0.01 degrees off between two of theirs; what stands still in the world moves on the ego. `to_world` takes
-    these away again. Maps stay in the world, as the format has them. Arguments and errors as in `to_world`.
+    An odometry sensor tells where the ego was. Annotations get keyframes at the times of frames at which they would
+    otherwise be further than 1 mm or 0.01 degrees off; what stands still in the world moves on the ego. `to_world`
+    takes these away again. Maps stay in the world, as the format has them. Arguments and errors as in `to_world`.
     """
     said = _annotations_in(scene, annotations_in)
     ego = _found(scene, trajectory, heading, progress)

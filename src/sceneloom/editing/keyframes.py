@@ -1,4 +1,4 @@
-"""Which keyframes a path needs in another frame, so that it is true between them, too."""
+"""Which keyframes a path needs in another frame, so that it is true at the frames between them, too."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,10 +14,7 @@ from sceneloom.geometry.rotations import multiply_quaternions
 from sceneloom.scene import Identifier
 
 PLACE_TOLERANCE, TURN_TOLERANCE = 1e-3, radians(0.01)
-"""A keyframe is added where without it something between two others would be further off [m], [rad]."""
-
-_BETWEEN = 4
-"""Looks between two poses of a way: what is seen from a turning frame goes on an arc there."""
+"""A keyframe is added at a frame's time where without it something would be further off then [m], [rad]."""
 
 PathKey = tuple[type, Identifier, int]
 """A path of an annotation: type of its id, its id, number of the path among those of its points."""
@@ -60,12 +57,15 @@ class Keyframer:
         change: `new_from_old`.
         span_ns: what stands still in the old frame moves in the new one: it gets keyframes from the first to the last
             of these times. None: it stands still in both.
+        looks_ns: (L,) int64 [ns], ascending, when paths shall be true besides at their keyframes: the times of the
+            scene's frames, since annotations are about what these show.
         added_before: what an earlier change added, to be taken away again.
         tally: told of all choices.
     """
 
     change: FrameChange
     span_ns: tuple[int, int] | None = None
+    looks_ns: Int64Array = field(default_factory=lambda: np.zeros(0, np.int64))
     added_before: Mapping[PathKey, AddedKeyframes] = field(default_factory=lambda: MappingProxyType({}))
     tally: KeyframeTally = field(default_factory=KeyframeTally)
 
@@ -117,14 +117,11 @@ class Keyframer:
         return np.union1d(span, stamps_ns[(stamps_ns >= span[0]) & (stamps_ns <= span[1])])
 
     def _looks(self, times_ns: Int64Array) -> Int64Array:
-        """These times, and those between the first and the last at which the change may bend a path."""
+        """These times, and those of the scene's frames between the first and the last of them."""
         if self.change.is_constant or len(times_ns) < 2:
             return times_ns
-        knots = self.change.knots_ns
-        knots = np.union1d(times_ns, knots[(knots > times_ns[0]) & (knots < times_ns[-1])])
-        steps = np.diff(knots)
-        between = [knots[:-1] + steps * part // _BETWEEN for part in range(1, _BETWEEN)]
-        return np.unique(np.concatenate([knots, *between]))
+        looks = self.looks_ns
+        return np.union1d(times_ns, looks[(looks > times_ns[0]) & (looks < times_ns[-1])])
 
     def _bends(self, looks_ns: Int64Array, required_ns: Int64Array, sample: Sampler) -> Int64Array:
         """Rows of the looks that are needed besides the required times."""

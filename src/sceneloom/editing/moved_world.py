@@ -7,6 +7,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.cloud_moves import CloudMoves
 from sceneloom.editing.frame_change import KNOWN, FrameChange
+from sceneloom.editing.frame_of_annotations import frames_ns
 from sceneloom.editing.keyframes import Keyframer
 from sceneloom.editing.moved_adjustments import seen_from
 from sceneloom.editing.moved_annotations import AnnotationMover
@@ -45,7 +46,7 @@ def moved_world(scene: Scene, change: FrameChange) -> Scene:
     mover = _WorldMover(change)
     sensors = tuple(mover.sensor(sensor) for sensor in scene.sensors)
     annotations, told = renumbered(scene.annotations, mover.moves.frames)
-    keyframer = Keyframer(change)
+    keyframer = Keyframer(change, looks_ns=frames_ns(scene))
     if annotations_frame(scene) is Coordinates.WORLD:
         adjust = AnnotationMover(
             keyframer, CuboidAngles.of(scene), lambda adjustment: seen_from(change, adjustment)

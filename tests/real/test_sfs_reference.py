@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats.sfs import FORMAT, write_scene
+from sceneloom.scene import CuboidAnnotation
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +25,22 @@ def test_it_holds_two_frames_and_81_cuboid_tracks(reference, decode_sfs):
     for annotation, expected in zip(scene.annotations, raw["annotations"], strict=True):
         assert (annotation.id, annotation.label) == (expected["id"], expected["label"])
         np.testing.assert_array_equal(annotation.path.values, expected["path"]["values"])
+
+
+def test_its_cuboids_are_whole_and_come_back_from_a_file_of_ours(reference, tmp_path, decode_sfs):
+    raw = decode_sfs(reference.read_bytes())["annotations"]
+    write_scene(FORMAT.open(reference), tmp_path / "again.sfs")
+    first, second = FORMAT.open(reference), FORMAT.open(tmp_path / "again.sfs")
+    for read, again, expected in zip(first.annotations, second.annotations, raw, strict=True):
+        assert isinstance(read, CuboidAnnotation)
+        assert read.extras == {}
+        said = expected["attributes"] or []
+        assert [attribute.name for attribute in read.attributes] == [record["name"] for record in said]
+        for found in (read, again):
+            stamps = [1000 * stamp for stamp in expected["path"]["timestamps"]]
+            assert found.path.timestamps_ns.tolist() == stamps
+            np.testing.assert_array_equal(found.path.values, expected["path"]["values"])
+            assert (found.label, bool(found.stationary)) == (expected["label"], bool(expected["stationary"]))
 
 
 @pytest.mark.parametrize("profile", ["sfs", "scale"])

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.checks.walk import Hits, Progress, find_all
 from sceneloom.formats.output import check_output
+from sceneloom.formats.sfs.faults import PlacedFault
 from sceneloom.formats.table import format_for_output, write_scene
-from sceneloom.scene import Finding, Scene
+from sceneloom.scene import Finding, Notice, NoticeKind, Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,8 @@ def validate(
         if fix is None or not _can_be_written(subject):
             return report
         scene, applied = mended(subject.scene, terms.rules, hits)
-        _write(scene, Path(fix), profile, overwrite=overwrite)
+        told = replace(scene, notices=(*scene.notices, *_remarks(subject.faults)))
+        _write(told, Path(fix), profile, overwrite=overwrite)
     finally:
         if subject.scene is not source:
             subject.scene.close()
@@ -117,6 +119,23 @@ def _can_be_written(subject: Subject) -> bool:
     """Whether the scene means what its file means: not if its clock, say, had to be guessed."""
     is_empty = not (subject.scene.sensors or subject.scene.annotations)
     return not any(fault.vital for fault in subject.faults) and not (subject.faults and is_empty)
+
+
+def _remarks(faults: Sequence[PlacedFault]) -> tuple[Notice, ...]:
+    """What the written file is to say about the faults of the one that it was made from: one remark for each kind."""
+    kinds: dict[tuple[str, bool], list[PlacedFault]] = {}
+    for fault in faults:
+        kinds.setdefault((fault.code, fault.mended), []).append(fault)
+    return tuple(
+        Notice(
+            kind=NoticeKind.REPAIRED if is_mended else NoticeKind.SKIPPED,
+            code="mended" if is_mended else "at-fault",
+            place=alike[0].where,
+            message=f"{'mended' if is_mended else 'left out'} on validating: {alike[0].problem}",
+            count=len(alike),
+        )
+        for (_, is_mended), alike in kinds.items()
+    )
 
 
 def _write(scene: Scene, path: Path, profile: str, *, overwrite: bool) -> None:

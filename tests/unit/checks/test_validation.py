@@ -135,6 +135,12 @@ def test_fixing_writes_a_sound_scene_and_says_what_was_done(faulty, target):
         assert lidar.frames.timestamps_ns.tolist() == [0, PERIOD]
         assert [float(frame.points.positions[0, 0]) for frame in lidar.frames] == [1.0, pytest.approx(1.1)]
         assert lidar.poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]] * 2
+        assert [
+            (notice.code, notice.place) for notice in scene.notices if notice.code in ("mended", "at-fault")
+        ] == [
+            ("at-fault", "sensors[0].type"),
+            ("mended", "sensors[1].poses.values[1]"),
+        ]
 
 
 def test_what_a_fix_leaves_is_not_told_as_fixed_though_its_place_moves(tmp_path, encode_sfs, target):

@@ -239,9 +239,16 @@ def _write_record(writer: RecordWriter, value: Any, field: Field, items: Items) 
 
 
 def _write_records(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
-    if isinstance(value, list | tuple) and all(isinstance(item, Mapping | list | tuple) for item in value):
+    if _are_records(value):
         return writer.write_list(value, field.record, items)
     return _write_record(writer, value, field, items)
+
+
+def _are_records(value: Any) -> bool:
+    """Whether a value is a list of records, or a list of such lists; fields of unknown types may be anything."""
+    return isinstance(value, list | tuple) and all(
+        type(item) is dict or isinstance(item, Mapping) or _are_records(item) for item in value
+    )
 
 
 def _write_record_map(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:

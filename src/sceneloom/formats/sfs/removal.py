@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from sceneloom.formats.sfs.fields import RECORDS, Kind, annotation_record, sensor_record
+from sceneloom.formats.sfs.fields import RECORDS, Field, Kind, annotation_record, sensor_record
 
 Keys = tuple[str | int, ...]
 """The path of a value in the header."""
@@ -42,12 +42,12 @@ def what_goes(header: Mapping[str, Any], keys: Keys) -> Keys | None:
     for depth, key in enumerate(keys):
         if isinstance(node, dict):
             if key not in node:
-                needed = RECORDS[record].get(str(key)) if record is not None else None
+                needed = _field_of(record, key)
                 return removable if needed is not None and needed.required else None
             if record is not None and record.startswith(_MAP):
                 record, removable, node = record.removeprefix(_MAP), keys[: depth + 1], node[key]
                 continue
-            field = RECORDS[record].get(str(key)) if record else None
+            field = _field_of(record, key)
             if field is None or not field.required:
                 removable = keys[: depth + 1]
             record = _record_below(record, str(key), field, keys[:depth])
@@ -63,7 +63,11 @@ def what_goes(header: Mapping[str, Any], keys: Keys) -> Keys | None:
     return removable
 
 
-def _record_below(record: str | None, name: str, field: Any, above: Keys) -> str | None:
+def _field_of(record: str | None, key: str | int) -> Field | None:
+    return RECORDS.get(record or "", {}).get(str(key))
+
+
+def _record_below(record: str | None, name: str, field: Field | None, above: Keys) -> str | None:
     if record in {"scene", "sceneloom"} and name in _TYPED_LISTS:
         return f"{_ANY}{name}"
     if record == "scene" and name == "metadata":

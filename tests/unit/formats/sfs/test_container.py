@@ -1,9 +1,12 @@
 """The container: what is read, where arrays land, and what is refused with its place."""
 
+import json
+
 import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
+from sceneloom.formats.sfs import container as module
 from sceneloom.formats.sfs.container import DTYPES, Container, RawBytes, format_keys, has_scene_header
 
 
@@ -166,6 +169,55 @@ def test_all_faulty_items_are_collected_and_leave_nothing_in_their_places(tmp_pa
     assert header["d"] is None
     assert header["e"] is None
     np.testing.assert_array_equal(header["a"][0]["b"], ARRAY)
+
+
+def test_arrays_behind_four_gigabytes_are_read(tmp_path):
+    """A file of holes takes no room on disk."""
+    far = 5 * 2**30 + 3
+    item = {"keys": ["a"], "offset": far, "length": 24, "dtype": "float32", "shape": [2, 3]}
+    path = tmp_path / "scene.sfs"
+    with path.open("wb") as file:
+        text = json.dumps({"a": "", "$items": [item]}).encode()
+        file.write(text + bytes(1))
+        file.seek(len(text) + far)
+        file.write(ARRAY.tobytes())
+    np.testing.assert_array_equal(Container(path).header["a"], ARRAY)
+
+
+@pytest.mark.parametrize("limit", [100, 200])
+def test_a_header_beyond_the_limit_is_refused(tmp_path, encode_sfs, monkeypatch, limit):
+    monkeypatch.setattr(module, "HEADER_LIMIT", limit)
+    path = tmp_path / "scene.sfs"
+    path.write_bytes(encode_sfs({"a": ARRAY, "text": "x" * 300}))
+    with pytest.raises(DataError, match=f"no NUL ends it within {limit} bytes"):
+        Container(path)
+
+
+def test_a_shape_of_a_million_axes_is_refused_at_once(opened):
+    error = refused(opened, {"a": ARRAY}, shape=[2**62] * 1_000_000)
+    assert "1000000 axes" in error.problem
+
+
+def test_items_are_found_by_the_place_that_they_fill(opened):
+    container = opened({"a": [{"b": ARRAY}, {"b": ARRAY}], "c": ARRAY})
+    assert container.item_number("a[1].b") == 1
+    assert container.item_number("c") == 2
+    assert container.item_number("d") is None
+
+
+def test_an_item_at_fault_takes_no_array_from_another(tmp_path):
+    items = [
+        {"keys": ["a"], "offset": 4, "length": 4, "dtype": "uint8", "shape": [4]},
+        {"keys": ["a"], "offset": 4, "length": 4, "dtype": "text"},
+        7,
+    ]
+    path = tmp_path / "scene.sfs"
+    path.write_bytes(json.dumps({"a": "", "$items": items}).encode() + bytes(8))
+    faults = []
+    container = Container(path, faults=faults)
+    assert container.header["a"].tolist() == [0] * 4
+    assert [fault.number for fault in faults] == [1, 2]
+    assert container.item_number("a") == 0
 
 
 def test_an_item_for_a_taken_place_leaves_what_stands_there(tmp_path, encode_sfs):

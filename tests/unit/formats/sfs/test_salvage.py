@@ -379,6 +379,7 @@ HEADER = {
             "metadata.sceneloom.sensors[0].streams.gyroscope.values",
             "metadata.sceneloom.sensors[0].streams.gyroscope",
         ),
+        ("metadata.sceneloom.sensors[0].streams.absent", None),
         ("version", None),
         ("nothing", None),
     ],

@@ -1,6 +1,6 @@
 """From one frame into another over time, by way of a frame that both are known in."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,6 +19,10 @@ KNOWN = 1
 """Greatest coverage of a pose that is used: inside its path, or extrapolated within reach."""
 
 
+_MOST_REMEMBERED = 16
+"""Series of times whose changes are kept for the next time they are asked for."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameChange:
     """`new_from_old` over time.
@@ -32,6 +36,7 @@ class FrameChange:
     hub_from_old: PoseSource | None = None
     hub_from_new: PoseSource | None = None
     held: bool = False
+    _remembered: dict[bytes, PoseSamples] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def constant(cls, new_from_old: RigidTransform) -> "FrameChange":
@@ -59,6 +64,15 @@ class FrameChange:
 
     def at(self, timestamps_ns: Int64Array) -> PoseSamples:
         """Give `new_from_old` at each time, (M,) int64 [ns]; NaN where it is not known."""
+        # annotations of one scene are asked for at the same times over and over
+        key = timestamps_ns.tobytes()
+        if key not in self._remembered:
+            if len(self._remembered) >= _MOST_REMEMBERED:
+                self._remembered.clear()
+            self._remembered[key] = self._computed(timestamps_ns)
+        return self._remembered[key]
+
+    def _computed(self, timestamps_ns: Int64Array) -> PoseSamples:
         hub_from_old = self._of(self.hub_from_old, timestamps_ns)
         if self.hub_from_new is None:
             return hub_from_old

@@ -42,3 +42,41 @@ def test_each_axis_is_scaled_by_its_own_factor():
 def test_equal_cameras_are_equal_keys():
     first, second = (Camera("pinhole", 64, 48, 50.0, 50.0, 32.0, 24.0) for _ in range(2))
     assert {first: 1}[second] == 1
+
+
+ALL_AROUND = np.column_stack([np.sin(np.linspace(-1, 1, 40)), np.linspace(-0.4, 0.5, 40), np.full(40, 0.8)])
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [
+        ("ftheta", (0.5, 300.0, 2.0, -3.0, -1.0)),
+        ("omnidir", (-0.1, 0.02, 1.5, 1.1, 1e-3, -1e-3)),
+        ("fisheye_radial_custom", (0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-3, -1e-3, 2.5, -1.5)),
+    ],
+)
+def test_coefficients_in_pixels_grow_with_the_picture(model, coefficients):
+    camera = Camera(model, 640, 480, 300.0, 300.0, 319.5, 239.5, coefficients)
+    twice = camera.resized(1280, 960)
+    edges, edges_twice = (project_unbounded(lens, ALL_AROUND) + 0.5 for lens in (camera, twice))
+    assert np.isfinite(edges).all()
+    assert np.allclose(edges_twice, 2 * edges)
+
+
+def test_skew_and_shift_are_scaled_along_their_own_axis():
+    sheared = Camera("omnidir", 640, 480, 300.0, 300.0, 319.5, 239.5, (0.0, 0.0, 1.5, 1.1)).resized(1280, 480)
+    assert sheared.coefficients == (0.0, 0.0, 3.0, 1.1)
+    numbers = (0.0,) * 8 + (2.0, -4.0)
+    shifted = Camera("fisheye_radial_custom", 640, 480, 300.0, 300.0, 319.5, 239.5, numbers).resized(
+        1280, 240
+    )
+    assert shifted.coefficients[8:] == (4.0, -2.0)
+
+
+def test_an_ftheta_lens_cannot_be_made_wider_only():
+    camera = Camera("ftheta", 640, 480, 300.0, 300.0, 319.5, 239.5, (0.0, 300.0))
+    with pytest.raises(CalibrationError, match="expected the same for both axes of a ftheta lens"):
+        camera.resized(1280, 480)
+    assert camera.resized(213, 160).coefficients[1] == pytest.approx(
+        100.0, rel=1e-3
+    )  # rounded to whole pixels

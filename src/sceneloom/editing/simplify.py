@@ -53,6 +53,7 @@ class Simplified:
         told[1] += after
 
 
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def simplify_scene(
     scene: Scene,
     *,

@@ -93,6 +93,7 @@ def turned(
     return slerp(angles.quaternions(before_rpy), angles.quaternions(after_rpy), share)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def cuboid_poses(
     annotation: CuboidAnnotation, times_ns: ArrayLike, *, angles: CuboidAngles = STANDARD_ANGLES
 ) -> CuboidPoses:
@@ -119,6 +120,7 @@ def cuboid_poses(
     return CuboidPoses(np.ascontiguousarray(rows[:, 3:]), rows[:, :3], turns, found.there)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def cuboid_at(
     annotation: CuboidAnnotation, times_ns: ArrayLike, *, angles: CuboidAngles = STANDARD_ANGLES
 ) -> tuple[Float64Array, BoolArray]:

@@ -102,6 +102,7 @@ class BoxTable:
         there = np.flatnonzero(self._there(time_ns))
         return there, self.placed(there, time_ns)
 
+    @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
     def placed(self, rows: Int64Array, time_ns: int) -> Boxes:
         """Give some boxes at a time [ns], by rows of `annotations`; each holds beyond its first and last stamp.
 

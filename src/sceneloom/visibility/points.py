@@ -25,6 +25,8 @@ Progress = Callable[[int, int], None]
 _KNOT_NS = 10_000_000
 """Boxes that are met point by point are placed so often during a sweep [ns]; between, they go straight."""
 _MOST_KNOTS = 101
+_FARTHEST = 1e8
+"""Boxes farther away, or larger, have no points [m]: no number of theirs means anything."""
 _NOTHING = np.zeros(0, np.int64)
 _NO_POINTS = np.zeros(0, np.uint32)
 _MEASURED = "measured_timestamps_ns"
@@ -75,6 +77,7 @@ class PointCounts:
     unplaced: int = 0
 
 
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def count_points(
     scene: Scene,
     *,
@@ -99,12 +102,14 @@ def count_points(
         progress: told after each frame how many are done, and of how many.
 
     Raises:
-        OptionError: there is no such lidar, trajectory or moment.
+        OptionError: there is no such lidar, trajectory or moment, or the margin is negative.
         PoseError: it is not known where a lidar's points are in the world.
         DataError: a frame cannot be read.
     """
     if moment not in tuple(Moment):
         raise OptionError(f"moment {str(moment)!r}; expected one of {', '.join(Moment)}")
+    if not 0.0 <= margin < _FARTHEST:
+        raise OptionError(f"margin {margin} m; expected a number from 0 on")
     chosen = chosen_sensors(scene, "lidar", scene.lidars, lidars)
     table, ego = BoxTable(scene), choose_ego(scene, trajectory)
     found: list[FrameCounts] = []
@@ -146,14 +151,16 @@ class _Moving:
         return cls(
             np.stack([each.centers_world for each in boxes]),
             np.stack([each.rotations_world for each in boxes]),
-            np.where(sizes >= 0.0, sizes / 2.0 + margin, -1.0),
+            np.where(sizes >= 0.0, sizes / 2.0 + margin, np.nan),
             places,
         )
 
     @property
     def usable(self) -> Int64Array:
-        """Rows of the boxes all of whose numbers are finite."""
-        finite = np.isfinite(self.centers).all(axis=(0, 2)) & np.isfinite(self.halves).all(axis=(0, 2))
+        """Rows of the boxes that have a size, and whose numbers are numbers and of this world."""
+        finite = (np.abs(self.centers) < _FARTHEST).all(axis=(0, 2)) & (np.abs(self.halves) < _FARTHEST).all(
+            axis=(0, 2)
+        )
         return np.flatnonzero(finite & np.isfinite(self.rotations).all(axis=(0, 2, 3)))
 
     def count(self, points: FloatArray, *, listed: bool) -> tuple[Int64Array, tuple[UInt32Array, ...]]:

@@ -17,6 +17,9 @@ from sceneloom.visibility.outlines import CENTRE_TO_CORNER, edge_extents, pictur
 NEAR = 0.05
 """A box nearer to the camera than this holds the camera: it is not seen, and hides nothing [m]."""
 
+_FARTHEST = 1e8
+"""Boxes farther away, or larger, are not seen [m]."""
+
 ON_BOX = 0.2
 """A point so near to a box is on it [m]: boxes are drawn tightly, and things move between sweep and picture."""
 
@@ -54,6 +57,7 @@ class Sights:
         check_array("evidences", self.evidences, (count, 2), np.int64)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def sight(
     camera: Camera,
     world_from_camera: RigidTransform,
@@ -141,10 +145,11 @@ class _Near:
 
 def _in_view(camera: Camera, world_from_camera: RigidTransform, boxes: Boxes) -> tuple[Int64Array, _Near]:
     """The boxes that may be in the picture, in the camera's frame, and which they are."""
-    finite = np.isfinite(boxes.centers_world).all(axis=1) & np.isfinite(boxes.quaternions_xyzw).all(axis=1)
-    rows = np.flatnonzero(
-        finite & np.isfinite(boxes.sizes_lwh).all(axis=1) & (boxes.sizes_lwh > 0).all(axis=1)
+    places = (np.abs(boxes.centers_world) < _FARTHEST).all(axis=1) & np.isfinite(boxes.quaternions_xyzw).all(
+        axis=1
     )
+    sized = ((boxes.sizes_lwh > 0) & (boxes.sizes_lwh < _FARTHEST)).all(axis=1)
+    rows = np.flatnonzero(places & sized)
     camera_from_world = world_from_camera.inverse()
     centers, sizes = camera_from_world.apply(boxes.centers_world[rows]), boxes.sizes_lwh[rows]
     distances, reaches = np.linalg.norm(centers, axis=1), np.linalg.norm(sizes, axis=1) / 2.0

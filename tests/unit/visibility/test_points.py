@@ -143,6 +143,31 @@ def test_a_lidar_that_is_nowhere_is_refused():
         count_points(scene)
 
 
+@pytest.mark.parametrize("strange", [np.nan, np.inf, -np.inf, 1e300, -1e300])
+@pytest.mark.parametrize("column", [0, 3, 8])
+@pytest.mark.parametrize("moment", ["frame", "points"])
+def test_numbers_that_mean_nothing_spoil_their_own_cuboid_only(strange, column, moment):
+    values = np.array([2.0, 2, 2, 0, 0, 0, 0, 0, 0])
+    values[column] = strange
+    good = a_box("good", [2, 2, 2, 0, 0, 0, 0, 0, 0], stationary=True)
+    scene = a_scene([[0, 0, 0]], coordinates_path=straight_way(), cuboids=(a_box("bad", values), good))
+    raised = replace(scene, annotations=(*scene.annotations, a_box("up", [2, 2, 2, 0, 0, 2, 0, 0, 0])))
+    assert count_points(raised, moment=moment).lidars[0].counts[0, 1:].tolist() == [0, 1]
+    alone = replace(scene, annotations=scene.annotations[:1])
+    assert count_points(alone, moment=moment).lidars[0].counts.sum() == 0
+
+
+def test_boxes_inside_out_hold_nothing_even_alone():
+    box = a_box("a", [-2, -2, -2, 0, 0, 0, 0, 0, 0])
+    scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,))
+    assert count_points(scene, margin=0.1).lidars[0].counts.tolist() == [[0]]
+
+
+def test_a_margin_below_zero_is_refused():
+    with pytest.raises(OptionError, match="margin"):
+        count_points(a_scene([[0, 0, 0]], frame=PointsFrame.WORLD), margin=-0.1)
+
+
 def test_a_moment_that_is_not_known_is_refused():
     with pytest.raises(OptionError, match="'noon'; expected one of frame, points"):
         count_points(a_scene([[0, 0, 0]], frame=PointsFrame.WORLD), moment="noon")

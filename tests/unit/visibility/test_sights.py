@@ -250,6 +250,16 @@ def test_boxes_of_no_volume_or_of_no_place_are_not_seen():
     assert len(sight(PINHOLE, HERE, some_boxes(np.zeros((0, 3)), np.zeros((0, 3)))).rows) == 0
 
 
+@pytest.mark.parametrize("strange", [np.inf, -np.inf, 1e300])
+def test_boxes_out_of_this_world_are_not_seen(strange):
+    centers, sizes = (
+        [[0.0, 0.0, strange], *[[0.0, 0.0, 9.0]] * 2],
+        [[1.0, 1, 1], [1, 1, abs(strange)], [1, 1, 1]],
+    )
+    boxes = some_boxes(centers, sizes)
+    assert sight(PINHOLE, HERE, boxes).rows.tolist() == [2]
+
+
 def test_boxes_smaller_than_asked_for_are_left_out_but_hide():
     plates = some_boxes([[0.0, 0.0, 10.0], [0.0, 0.0, 5.0]], [[0.01, 2.0, 2.0], [0.01, 0.02, 2.0]])
     seen = sight(PINHOLE, HERE, plates, min_pixels=4.0)

@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from sceneloom.editing.differences.frames import Progress, compare_frames, compare_pictures
 from sceneloom.editing.differences.report import Change, Findings, SceneDifferences
 from sceneloom.editing.differences.tolerances import Tolerances
@@ -16,6 +18,7 @@ from sceneloom.scene.types import Key, key_of
 _FRAMED = (LidarSensor, RadarSensor, CameraSensor)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def diff_scenes(
     first: Scene,
     second: Scene,

@@ -11,7 +11,15 @@ from sceneloom.formats.sfs import FORMAT, salvage, write_scene
 UNKNOWN = {"id": "p", "type": "x", "paths": [[{"timestamps": [1]}]], "projections": [[1]]}
 STREAMS = {"id": "i", "type": "imu", "streams": {"gyroscope": {"values": 1}}}
 
+STRANGER = {
+    "id": "c",
+    "type": "x",
+    "images": [{"timestamp": "x", "content": ""}],
+    "video": {"timestamps": "yz"},
+}
+
 FOUND = {
+    "an unknown sensor whose images have text for times": {"version": "1.0", "sensors": [STRANGER]},
     "an unknown annotation with lists of numbers in the place of projections": {
         "version": "1.0",
         "annotations": [UNKNOWN],

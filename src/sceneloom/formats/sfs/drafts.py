@@ -76,8 +76,10 @@ class SensorDraft:
     def first_ns(self) -> int | None:
         """The earliest time stamp that stands in the sensor's record so far [ns]."""
         stamps = [frame["timestamp"] for frame in self.frames or []]
-        stamps += [image["timestamp"] for image in self.fields.get("images") or []]
-        video = self.fields.get("video")
+        # sensors of unknown types may have fields of these names that are something else
+        fields = self.fields if self.type == "camera" else {}
+        stamps += [image["timestamp"] for image in fields.get("images") or []]
+        video = fields.get("video")
         if video is not None and len(video["timestamps"]):
             stamps.append(int(min(video["timestamps"])))
         if self.poses is not None and not self.poses.endless:

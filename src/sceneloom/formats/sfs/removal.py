@@ -97,7 +97,9 @@ def take_out(header: dict[str, Any], victims: Iterable[Keys]) -> None:
         node = _at(header, parent)
         if isinstance(node, dict):
             for name in names:
-                node.pop(str(name), None)
+                gone_with = node.pop(str(name), None)
+                if name == "video" and isinstance(gone_with, dict):
+                    counted.append((node.get("id"), "images", [], _count_of(gone_with.get("timestamps"))))
             continue
         gone = set(names)
         kept = [k for k in range(len(node)) if k not in gone]
@@ -127,6 +129,10 @@ def keep_in_step(header: dict[str, Any], sensor_id: Any, name: str, kept: list[i
         for root in ((), _OURS):
             for annotation in _records(header, (*root, "annotations")):
                 _renumber(annotation, sensor_id, places)
+
+
+def _count_of(values: Any) -> int:
+    return len(values) if isinstance(values, list) else 0
 
 
 def _at(header: dict[str, Any], keys: Keys) -> Any:

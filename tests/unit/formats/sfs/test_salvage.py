@@ -388,6 +388,17 @@ def test_with_a_value_goes_what_cannot_be_without_it(lost, goes):
     assert what_goes(HEADER, parse_path(lost)) == (None if goes is None else parse_path(goes))
 
 
+def test_notes_about_pictures_go_with_their_video():
+    notes = [{"id": "c", "pictures": {"extras": [{}, {}, {}]}}, {"id": "d", "pictures": {"extras": [{}]}}]
+    header = {
+        "sensors": [{"id": "c", "type": "camera", "video": {"timestamps": [1, 2, 3]}}],
+        "metadata": {"sceneloom": {"sensor_notes": notes}},
+    }
+    take_out(header, [("sensors", 0, "video")])
+    assert header["sensors"] == [{"id": "c", "type": "camera"}]
+    assert [note["pictures"]["extras"] for note in notes] == [[], [{}]]
+
+
 def test_notes_about_pictures_follow_those_that_stay():
     notes = [{"id": "c", "pictures": {"camera_of_picture": [0, 1, 2], "mounts": [5], "extras": [{}, {}, {}]}}]
     header = {

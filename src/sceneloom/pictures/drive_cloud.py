@@ -7,6 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.colouring.results import FusedFrame
+from sceneloom.editing.voxels import FIRST, one_per_cube
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pictures.canvas import count_text
 from sceneloom.pictures.cloud_above import draw_cloud_above
@@ -97,9 +98,7 @@ def _one_per_cube(positions: Float32Array, camera_index: UInt8Array) -> Int64Arr
     """Numbers of the finite points that are kept, one per cube, one that a camera saw where there is one."""
     rows = np.flatnonzero(np.isfinite(positions).all(axis=1))
     rows = rows[np.argsort(camera_index[rows] == UNSEEN, kind="stable")]
-    cubes = np.floor(positions[rows].astype(np.float64) / CUBE).astype(np.int64)
-    keys = (cubes[:, 0] * 73_856_093) ^ (cubes[:, 1] * 19_349_663) ^ (cubes[:, 2] * 83_492_791)
-    kept: Int64Array = rows[np.sort(np.unique(keys, return_index=True)[1])]
+    kept: Int64Array = rows[one_per_cube(positions[rows], CUBE, keep=FIRST)]
     return kept
 
 

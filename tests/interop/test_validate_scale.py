@@ -286,6 +286,28 @@ TAKEN = {
 """What is unusual, and still taken."""
 
 
+ODD_VALUES = [
+    *(None, True, -1, 0, 7, 0.5, 1.0, "", "world", "x", [], [[]], [None], [1], [0.5], ["a"], [[1.0] * 9], {}),
+    *({"type": "lidar"}, np.ones(3), np.ones((0, 3), np.float32), np.ones(4, np.uint8), GONE),
+]
+
+
+def places_of(node, place=()):
+    """All places of a header."""
+    if isinstance(node, dict | list):
+        for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+            yield (*place, key)
+            yield from places_of(value, (*place, key))
+
+
+def drawn(count=80):
+    """Some of all pairs of a place and an odd value."""
+    rng = np.random.default_rng(4)
+    places = list(places_of(a_file()))
+    pairs = [(int(rng.integers(len(places))), int(rng.integers(len(ODD_VALUES)))) for _ in range(count)]
+    return {f"drawn {place} {value}": (places[place], ODD_VALUES[value]) for place, value in pairs}
+
+
 def planted(place, value):
     """The sound scene with one thing changed."""
     header = a_file()
@@ -304,7 +326,7 @@ def verdicts(scale_python, encode_sfs, tmp_path_factory):
     """What Scale's library says of every file, and where the file is; its interpreter is started once."""
     folder = tmp_path_factory.mktemp("planted")
     paths = {}
-    for number, (name, (place, value)) in enumerate({**REFUSED, **TAKEN}.items()):
+    for number, (name, (place, value)) in enumerate({**REFUSED, **TAKEN, **drawn()}.items()):
         paths[name] = str(folder / f"{number}.sfs")
         (folder / f"{number}.sfs").write_bytes(encode_sfs(planted(place, value)))
     (folder / "files.json").write_text(json.dumps(paths))
@@ -342,3 +364,17 @@ def test_what_the_library_takes_passes(verdicts, name):
     (loaded, validated), path = verdicts[name]
     assert (loaded, validated) == (None, None)
     assert errors_of(path) == {}
+
+
+def test_odd_values_anywhere_are_found_if_the_library_refuses_them(verdicts):
+    """It takes some that the description of the format refuses: a type left out, rows that pandas fills up."""
+    refusals = 0
+    for name in drawn():
+        verdict, path = verdicts[name]
+        errors = [f for f in validate(path, profile="scale", frames=False).findings if f.severity == "error"]
+        refused = verdict != [None, None]
+        refusals += refused
+        assert bool(errors) >= refused, (name, verdict)
+        if not refused:
+            assert not errors or any(not finding.rule.startswith("scale-") for finding in errors), name
+    assert 20 < refusals < 80

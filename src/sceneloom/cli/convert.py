@@ -10,13 +10,13 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices
 
 
 @click.command()
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=options.place)
 @click.argument("target", type=click.Path(path_type=Path))
 @options.writing_scenes
 @options.reading
 @options.printing
 def convert(
-    source: Path,
+    source: Path | str,
     target: Path,
     overwrite: bool,
     profile: str | None,

@@ -11,7 +11,7 @@ from sceneloom.cli.printing import print_json, progress_bar
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
+@click.argument("path", type=options.place)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="The .sfs file to write.")
 @click.option(
     "--trajectory",
@@ -38,7 +38,7 @@ from sceneloom.cli.printing import print_json, progress_bar
 @options.reading
 @options.printing
 def fuse(
-    path: Path,
+    path: Path | str,
     output: Path | None,
     trajectory: str | None,
     heading: str | None,

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import find_format, format_for_output, format_named
+from sceneloom.formats.table import format_and_place, format_for_output, format_named
 from sceneloom.scene import Notice
 
 
@@ -53,9 +53,10 @@ def convert(
         DataError: the source is wrong.
         OutputError: the target exists, or cannot be written.
     """
-    reader, place = find_format(Path(source)), Path(target)
+    reader, origin = format_and_place(source)
+    place = Path(target)
     writer = format_for_output(place) if to is None else format_named(to)
-    with reader.open(Path(source), **(reading or {})) as scene:
+    with reader.open(origin, **(reading or {})) as scene:
         losses = writer.write(scene, place, overwrite=overwrite, **writing)
         return ConversionReport(
             source=str(source),

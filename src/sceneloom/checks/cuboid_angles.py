@@ -239,7 +239,6 @@ def _against_points(subject: Subject) -> Iterator[Hit]:
     yield Hit(
         "annotations",
         f"read as {said} {tally.boxes} boxes hold {fewer} points, read as {best} {more}{moving}",
-        count=tally.boxes,
     )
 
 

@@ -20,7 +20,7 @@ _PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "alway
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _bounds(centers: Float64Array, rotations: Float64Array, halves: Float64Array) -> Float64Array:
-    """Lowest and highest x and y of each box over all knots, (B, 4); of boxes that turn, those of spheres around them."""
+    """Lowest and highest x and y of each box over all knots, (B, 4); of boxes that move, of spheres around them."""
     knots, boxes = centers.shape[0], centers.shape[1]
     bounds = np.empty((boxes, 4))
     for b in range(boxes):

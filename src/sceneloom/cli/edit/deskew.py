@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
+@click.argument("path", type=options.place)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="The .sfs file or folder to write."
 )
@@ -45,7 +45,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @options.reading
 @options.printing
 def deskew(
-    path: Path,
+    path: Path | str,
     output: Path,
     trajectory: str | None,
     heading: str | None,

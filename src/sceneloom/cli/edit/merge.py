@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.edit.running import OUTPUT, common, run_edit
 
 if TYPE_CHECKING:
@@ -14,14 +15,14 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("paths", nargs=-1, required=True, type=options.place)
 @OUTPUT
 @click.option("--rename", is_flag=True, help="Give new ids to sensors and annotations whose ids are taken.")
 @click.option(
     "--join", is_flag=True, help="Take sensors and annotations of equal ids for consecutive parts of one."
 )
 @common
-def merge(paths: tuple[Path, ...], output: Path, rename: bool, join: bool, **common: Any) -> None:
+def merge(paths: tuple[Path | str, ...], output: Path, rename: bool, join: bool, **common: Any) -> None:
     """Make one scene of several scenes of one drive on one clock."""
     from sceneloom.editing import merge_scenes
 

@@ -54,7 +54,7 @@ def chosen_way(scene: "Scene", trajectory: str | None, heading: str | None) -> "
 
 def editing(command: Callable[..., None]) -> Callable[..., None]:
     """The argument and options of every verb that changes one drive; what `run_edit` takes."""
-    argument = click.argument("path", type=click.Path(path_type=Path))
+    argument = click.argument("path", type=options.place)
     return argument(OUTPUT(common(command)))
 
 
@@ -65,7 +65,7 @@ def common(command: Callable[..., None]) -> Callable[..., None]:
 
 def run_edit(
     edit: str,
-    paths: Sequence[Path],
+    paths: Sequence[Path | str],
     output: Path,
     change: "Joining",
     *,

@@ -159,9 +159,13 @@ def test_sweeps_come_back_point_by_point(stamps, mount, data):
                     np.testing.assert_array_equal(getattr(after.points, name), getattr(before.points, name))
 
 
+HELD = ("brown_conrady", "fisheye", "kannala_brandt18", "omnidir", "pinhole")
+"""The models that the format has; others come back as the nearest of these."""
+
+
 @st.composite
 def lenses(draw: st.DrawFn) -> Camera:
-    model = draw(st.sampled_from(sorted(MODELS)))
+    model = draw(st.sampled_from(HELD))
     names = MODELS[model].coefficient_names
     count = draw(st.sampled_from(sorted({0, min(5, len(names)), len(names)})))
     # the format has no decentring

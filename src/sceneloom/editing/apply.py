@@ -140,8 +140,6 @@ def _adjusted(
     scene: Scene, adjustment: LocalizationAdjustment, annotations_in: Coordinates | str | None
 ) -> Scene:
     poses = adjustment.poses
-    if len(poses.timestamps_ns) == 1:
-        poses = replace(poses, endless=True)
     left = _without(scene, adjustment)
     if _frame(scene) is Coordinates.EGO:
         return _led_to_world(left, poses, annotations_in)

@@ -73,14 +73,14 @@ def _rows(a: Any, b: Any, rows: Int64Array) -> Any:
 def joined_attributes(
     first: tuple[AttributePath, ...], second: tuple[AttributePath, ...]
 ) -> tuple[AttributePath, ...]:
-    """Join attributes of one name, sensor and point; one without times is that of the first."""
+    """Join attributes of one name, sensor and point; one whose values have no times each is that of the first."""
     joined = {_said_of(attribute): attribute for attribute in first}
     alone = []
     for attribute in second:
         known = joined.get(_said_of(attribute))
         if known is None:
             alone.append(attribute)
-        elif known.timestamps_ns is not None and attribute.timestamps_ns is not None and not known.static:
+        elif known.is_timed and attribute.is_timed:
             joined[_said_of(attribute)] = joined_rows(known, attribute)
     return (*joined.values(), *alone)
 

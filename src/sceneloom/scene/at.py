@@ -200,7 +200,7 @@ def shape_at(annotation: ShapeAnnotation, times_ns: ArrayLike) -> list[Float64Ar
 def attribute_at(attribute: AttributePath, times_ns: ArrayLike) -> list[Any]:
     """Give the value of an attribute at times (M,) [ns]: each holds until the next; None before the first.
 
-    One that is static, or has no stamps, holds its only value at all times.
+    One that is static, or has no stamps, holds its only value at all times; a stamp without a value says None.
     """
     times = np.asarray(times_ns, np.int64).reshape(-1)
     stamps = attribute.timestamps_ns
@@ -209,7 +209,8 @@ def attribute_at(attribute: AttributePath, times_ns: ArrayLike) -> list[Any]:
     if attribute.static or stamps is None:
         return [attribute.values[0]] * len(times)
     rows = np.searchsorted(stamps, times, side="right") - 1
-    return [attribute.values[row] if row >= 0 else None for row in rows.tolist()]
+    count = len(attribute.values)
+    return [attribute.values[row] if 0 <= row < count else None for row in rows.tolist()]
 
 
 def _straight(

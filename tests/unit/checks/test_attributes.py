@@ -61,5 +61,9 @@ def test_static_values_that_differ_are_found_and_equal_ones_told_once(sound, fou
 
 
 def test_values_that_change_need_times(sound, found):
-    scene = sound.scene(annotations=(holder(AttributePath("state", ("parked", "moving"))),))
-    assert [path for path, _ in found(scene, "attribute-times")] == ["annotations[0].attributes[0]"]
+    unequal = AttributePath("state", ("parked",), TIMES)
+    scene = sound.scene(annotations=(holder(AttributePath("state", ("parked", "moving")), unequal),))
+    assert found(scene, "attribute-times") == [
+        ("annotations[0].attributes[0]", "'state' has 2 values and no timestamps"),
+        ("annotations[0].attributes[1]", "'state' has 2 timestamps and 1 values"),
+    ]

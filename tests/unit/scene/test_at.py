@@ -184,3 +184,8 @@ def test_a_static_attribute_holds_at_all_times():
     assert attribute_at(AttributePath("colour", ("red",), np.array([10]), static=True), [0]) == ["red"]
     assert attribute_at(AttributePath("colour", ("red",)), [0, 5]) == ["red", "red"]
     assert attribute_at(AttributePath("colour", ()), [0]) == [None]
+
+
+def test_a_stamp_without_a_value_says_nothing():
+    attribute = AttributePath("colour", ("red",), np.array([10, 20]))
+    assert attribute_at(attribute, [10, 19, 20, 30]) == ["red", "red", None, None]

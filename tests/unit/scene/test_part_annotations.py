@@ -198,6 +198,7 @@ def test_corrections_keep_the_poses_around_the_part():
     standing = LocalizationAdjustment("a", PosePath.identity())
     assert only(standing).poses.endless
     assert cut(LocalizationAdjustment("a", turned(0, 1))).annotations == ()
+    assert only(LocalizationAdjustment("a", turned(0))).poses.endless
 
 
 @pytest.mark.parametrize(
@@ -219,8 +220,9 @@ def test_an_attribute_begins_the_part_with_the_value_that_holds_then(times, valu
             assert (tuple(seconds(found[0])), "".join(found[0].values)) == expected
 
 
-def test_attributes_without_times_and_static_ones_stay():
-    attributes = (AttributePath("a", (1,)), AttributePath("b", (1, 2), at(0), static=True))
+def test_attributes_without_a_time_for_each_value_and_static_ones_stay():
+    unequal = AttributePath("c", (1,), at(0, 7))
+    attributes = (AttributePath("a", (1,)), AttributePath("b", (1, 2), at(0), static=True), unequal)
     assert cut(attributes=attributes).attributes == attributes
 
 

@@ -44,15 +44,12 @@ def read_attributes(records: Any, faults: Faults) -> tuple[AttributePath, ...]:
 
 def _attribute(record: Record) -> AttributePath:
     times, values = record.get("timestamps"), attribute_values(record.get("values"))
-    static = record.get("static")
-    if times is not None and not static:
-        check_counts(times, values)
     return AttributePath(
         record["name"],
         values,
         timestamps_ns=None if times is None else read_only(times_of(times)),
         sensor_id=record.get("sensor_id"),
-        static=static,
+        static=record.get("static"),
         point_index=record.get("point_index"),
         extras=further(record, *_ATTRIBUTE),
     )
@@ -165,19 +162,15 @@ def confirmations(record: Record, faults: Faults, place: Place) -> tuple[bool | 
 
 
 def read_poses(values: Record, faults: Faults) -> PosePath | None:
-    """Make the poses of a correction; a single one holds at all times."""
+    """Make the poses of a correction."""
     record = values.get("poses")
     if record is None:
         return None
     before = len(faults)
     path = mended_path_of(record, faults)
-    if path is None:
-        if len(faults) == before:
-            faults.add(("poses",), "empty; expected at least one pose")
-        return None
-    if len(path.timestamps_ns) > 1:
-        return path
-    return PosePath(path.timestamps_ns, path.positions, path.quaternions_xyzw, endless=True)
+    if path is None and len(faults) == before:
+        faults.add(("poses",), "empty; expected at least one pose")
+    return path
 
 
 def vertices_of(

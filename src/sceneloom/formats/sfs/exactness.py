@@ -56,8 +56,7 @@ def _restored_attributes(
             continue
         values = attribute_values(record["values"])
         times_ns = read_only(times_of(record["timestamps"]))
-        written_still = _identical(attribute_values(record["written"]), restored[index].values)
-        if written_still and (len(values) == len(times_ns) or restored[index].static):
+        if _identical(attribute_values(record["written"]), restored[index].values):
             restored[index] = replace(restored[index], timestamps_ns=times_ns, values=values)
     return tuple(restored)
 

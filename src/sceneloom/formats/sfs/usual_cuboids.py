@@ -71,7 +71,7 @@ def read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, Cu
         try:
             cuboid = msgspec.convert(annotation, _Cuboid)
             packed = _packed_stamps(cuboid.path.timestamps), _packed_rows(cuboid.path)
-            said_at = [_packed_stamps(_sound(attribute)) for attribute in cuboid.attributes or ()]
+            said_at = [_packed_stamps(attribute.timestamps) for attribute in cuboid.attributes or ()]
         except _UNUSUAL:
             continue
         found[index] = cuboid
@@ -90,12 +90,6 @@ def read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, Cu
         index: _cuboid(cuboid, path, saying)
         for (index, cuboid), path in zip(found.items(), paths, strict=True)
     }
-
-
-def _sound(attribute: _Attribute) -> list[int]:
-    if len(attribute.timestamps) != len(attribute.values) and not attribute.static:
-        raise _UnusualError
-    return attribute.timestamps
 
 
 def _packed_stamps(stamps: list[int]) -> bytes:

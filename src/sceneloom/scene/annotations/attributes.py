@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Int64Array, check_array
-from sceneloom.errors import ArrayError
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
 
@@ -18,7 +17,8 @@ class AttributePath:
     Attributes:
         name: what is said.
         values: one per time stamp: text, a number, or a tuple of texts; whatever else a file has is kept as it is.
-        timestamps_ns: (N,) int64 [ns], or None where the file gives none.
+        timestamps_ns: (N,) int64 [ns], or None where the file gives none. Files may have more or fewer of them than
+            values; both are kept, and `validate` tells it.
         sensor_id: of the only sensor that it holds for, or None.
         static: whether it holds at all times; None where not said.
         point_index: of the only point of a points annotation that it holds for, or None.
@@ -36,8 +36,10 @@ class AttributePath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("attribute.timestamps_ns", self.timestamps_ns, (None,), np.int64, optional=True)
-        if self.timestamps_ns is not None and not self.static and count != len(self.values):
-            raise ArrayError(
-                f"attribute {self.name!r}: {count} timestamps and {len(self.values)} values; expected as many of both"
-            )
+        check_array("attribute.timestamps_ns", self.timestamps_ns, (None,), np.int64, optional=True)
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether each value has its own time."""
+        stamps = self.timestamps_ns
+        return stamps is not None and not self.static and len(stamps) == len(self.values)

@@ -1,7 +1,7 @@
 """What is to be applied to a scene: corrections of its places, and of its cameras."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sceneloom.cameras.camera import Camera
@@ -15,7 +15,7 @@ class LocalizationAdjustment:
 
     Attributes:
         id: unique among the scene's annotations.
-        poses: `corrected_from_given` over time.
+        poses: `corrected_from_given` over time; a single pose holds at all times.
         parent_id: id of the parent annotation, or None.
         extras: every other field of the file, by name.
 
@@ -26,6 +26,9 @@ class LocalizationAdjustment:
     poses: PosePath
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "poses", _held(self.poses))
 
     @property
     def type(self) -> str:
@@ -40,7 +43,7 @@ class CameraCalibration:
     Attributes:
         id: unique among the scene's annotations.
         sensor_id: the camera.
-        poses: D(t), `camera_from_calibrated_camera`, or None.
+        poses: D(t), `camera_from_calibrated_camera`, or None; a single pose holds at all times.
         intrinsics: the calibrated lens, or None.
         time_offset_ns: to be added to the camera's times [ns], or None.
         parent_id: id of the parent annotation, or None.
@@ -57,7 +60,16 @@ class CameraCalibration:
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
+    def __post_init__(self) -> None:
+        if self.poses is not None:
+            object.__setattr__(self, "poses", _held(self.poses))
+
     @property
     def type(self) -> str:
         """`camera_calibration`."""
         return "camera_calibration"
+
+
+def _held(poses: PosePath) -> PosePath:
+    """A file cannot say of a single pose that it holds at one time only, and nothing could be corrected by it then."""
+    return replace(poses, endless=True) if len(poses.timestamps_ns) == 1 else poses

@@ -245,6 +245,18 @@ def test_attributes_hold_text_numbers_and_lists_of_text(open_header, make):
     assert (attribute.sensor_id, attribute.static, attribute.extras) == (7, False, {"by": "hand"})
 
 
+@pytest.mark.parametrize("unknown", [{}, {"unit": "m/s"}])
+@pytest.mark.parametrize("values", [[], [1.5], [1.5, "fast", "faster"]])
+def test_an_attribute_with_more_or_fewer_values_than_stamps_is_kept_as_found(read, target, values, unknown):
+    record = {**CUBOID, "id": 1, "attributes": [{**ATTRIBUTE, **unknown, "values": values}]}
+    scene = read(record)
+    write_scene(scene, target)
+    for (cuboid,) in (scene.annotations, FORMAT.open(target).annotations):
+        (attribute,) = cuboid.attributes
+        assert attribute.timestamps_ns.tolist() == [2000, 3000]
+        assert attribute.values == tuple(values)
+
+
 def test_a_static_attribute_may_have_one_stamp_for_all(open_header, make):
     raw = {"name": "n", "static": True, "timestamps": [0], "values": ["a", "b"]}
     (attribute,) = open_header(make.scene(attributes=[raw])).attributes
@@ -333,11 +345,6 @@ SEEN = {"sensor_id": "c", "timestamps": [1, 2]}
             {**CUBOID, "activations": [{**SEEN, "durations": [1]}]},
             "activations[0].durations",
             "2 timestamps and 1 durations",
-        ),
-        (
-            {**CUBOID, "attributes": [ATTRIBUTE, {**ATTRIBUTE, "values": []}]},
-            "attributes[1]",
-            "2 timestamps and 0 values",
         ),
         (
             {**CUBOID, "attributes": [{**ATTRIBUTE, "point_index": "1"}]},

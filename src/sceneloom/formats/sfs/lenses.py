@@ -8,7 +8,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.cameras.table import MODELS
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
-from sceneloom.formats.sfs.drafts import with_further
+from sceneloom.formats.sfs.drafts import Losses, with_further
+from sceneloom.scene import CameraCalibration
 
 _STAND_INS = ("brown_conrady", "fisheye", "fisheye_rad_tan_prism", "omnidirectional")
 """Models of the format that lenses of other models are fitted to: those whose formulas have a source."""
@@ -36,6 +37,24 @@ def written_lens(camera: Camera, *, any_model: bool) -> tuple[Camera, str | None
     found = nearest(camera, _candidates())
     count = COEFFICIENT_COUNTS[found.camera.model]
     return replace(found.camera, coefficients=found.camera.coefficients[:count]), found.message(camera)
+
+
+def with_written_lens(
+    calibration: CameraCalibration, losses: Losses, *, any_model: bool
+) -> CameraCalibration:
+    """Give a calibration the lens that its record can hold, with all numbers of its model.
+
+    Args:
+        calibration: with the exact lens, or without one.
+        losses: collects how far the lens is off.
+        any_model: as in `written_lens`.
+    """
+    if calibration.intrinsics is None:
+        return calibration
+    written, how_far = written_lens(calibration.intrinsics, any_model=any_model)
+    if how_far is not None:
+        losses.add(f"annotations[{calibration.id}].intrinsics.distortion", how_far)
+    return replace(calibration, intrinsics=written)
 
 
 def _candidates() -> dict[str, tuple[str, ...]]:

@@ -14,6 +14,7 @@ from sceneloom.formats.sfs.assembly import Contents, assemble, with_euler
 from sceneloom.formats.sfs.clock_keeper import ClockKeeper
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, check_new
 from sceneloom.formats.sfs.garbage import collector_paused
+from sceneloom.formats.sfs.lenses import with_written_lens
 from sceneloom.formats.sfs.picture_notes import PictureNotesWriter
 from sceneloom.formats.sfs.profiles import profile_named
 from sceneloom.formats.sfs.root import OURS
@@ -26,6 +27,7 @@ from sceneloom.formats.sfs.write_pictures import CameraDraft, PictureWriter, not
 from sceneloom.formats.sfs.write_records import notice_record, trajectory_record
 from sceneloom.scene import (
     Annotation,
+    CameraCalibration,
     CameraSensor,
     Identifier,
     LidarFrame,
@@ -254,6 +256,9 @@ class SceneWriter:
         Raises:
             OptionError: a number of it is not finite.
         """
+        if isinstance(annotation, CameraCalibration):
+            any_model = self._profile.any_distortion
+            annotation = with_written_lens(annotation, self._losses, any_model=any_model)
         self._contents.annotations.append(annotation_record(annotation))
 
     def set_metadata(self, fields: Mapping[str, Any]) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
 from sceneloom.scene import (
@@ -210,6 +211,24 @@ def test_calibrations(read_one):
     }
     bare = read_one("camera_calibration", sensor_id="front")
     assert (bare.poses, bare.intrinsics, bare.time_offset_ns) == (None, None, None)
+
+
+def test_the_lens_of_a_calibration_is_written_with_all_numbers_of_its_model(target):
+    lens = Camera("brown_conrady", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4, 0.5))
+    losses = write_scene(Scene((), (CameraCalibration("c", "front", intrinsics=lens),)), target)
+    scene = FORMAT.open(target)
+    assert scene.annotations[0].intrinsics.coefficients == (0.1, 0.2, 0.3, 0.4, 0.5, 0, 0, 0, 0, 0)
+    assert (losses.losses, scene.notices) == ((), ())
+
+
+def test_a_lens_of_a_calibration_that_the_format_cannot_say_is_told_as_the_nearest_one(target):
+    prism = (0.01, 0.002, 0, 0, 0, 0, 0, 0, 0, 0, 0.001, 0, 0, 0)
+    lens = Camera("brown_conrady", 640, 480, 400.0, 400.0, 319.5, 239.5, prism)
+    report = write_scene(Scene((), (CameraCalibration("c", "front", intrinsics=lens),)), target)
+    assert [loss.field for loss in report.losses] == ["annotations[c].intrinsics.distortion"]
+    assert "px" in report.losses[0].what
+    nearest = FORMAT.open(target).annotations[0].intrinsics
+    assert (nearest.width, nearest.height) == (640, 480)
 
 
 def test_objects_groups_and_links(read):

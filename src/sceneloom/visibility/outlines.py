@@ -8,7 +8,7 @@ that passes close by, equal lengths would be unequal steps in the picture.
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded, unproject
 from sceneloom.geometry.boxes import EDGES
@@ -16,7 +16,7 @@ from sceneloom.geometry.boxes import EDGES
 CENTRE_TO_CORNER = 0.5
 """Source: "pixels", READING in docs/CONVENTIONS.md: corner = centre + 0.5."""
 
-_STEPS = ((0.2, 12), (np.inf, 64))
+_STEPS = ((0.05, 4), (0.2, 12), (np.inf, 64))
 """So many steps along each edge of boxes whose longest edge covers up to so many radians."""
 _ROUNDS = 24
 """How often the step in which an edge leaves the lens is halved."""
@@ -100,18 +100,29 @@ class _Arcs:
         """Both ends (B, 12 S, 2) of all steps; of one that leaves the lens, its part within."""
         begin, end = pixels[:, :, :-1].copy(), pixels[:, :, 1:].copy()
         begins, ends = np.isfinite(begin[..., 0]), np.isfinite(end[..., 0])
-        if (begins != ends).any():
-            known = np.where(begins, shares[:-1], shares[1:])
-            unknown = np.where(begins, shares[1:], shares[:-1])
-            for _ in range(_ROUNDS):
-                middle = (known + unknown) / 2.0
-                reached = np.isfinite(self.pixels(middle)[..., 0])
-                known, unknown = np.where(reached, middle, known), np.where(reached, unknown, middle)
-            limits = self.pixels(known)
-            leaving, entering = begins & ~ends, ends & ~begins
-            end[leaving], begin[entering] = limits[leaving], limits[entering]
+        box, edge, step = np.nonzero(begins != ends)
+        if len(box):
+            leaves = begins[box, edge, step]
+            known, unknown = (
+                shares[np.where(leaves, step, step + 1)],
+                shares[np.where(leaves, step + 1, step)],
+            )
+            limits = self._limits(box, edge, known, unknown)
+            end[box[leaves], edge[leaves], step[leaves]] = limits[leaves]
+            begin[box[~leaves], edge[~leaves], step[~leaves]] = limits[~leaves]
         count = len(pixels)
         return begin.reshape(count, -1, 2), end.reshape(count, -1, 2)
+
+    def _limits(
+        self, box: Int64Array, edge: Int64Array, known: Float64Array, unknown: Float64Array
+    ) -> Float64Array:
+        """Pixels (L, 2) where edges leave the lens, between shares (L,) that it knows and others that it does not."""
+        arcs = _Arcs(self.camera, self.start[box, edge], self.stop[box, edge], self.angles[box, edge, 0])
+        for _ in range(_ROUNDS):
+            middle = (known + unknown) / 2.0
+            reached = np.isfinite(arcs.pixels(middle[:, None, None])[:, 0, 0, 0])
+            known, unknown = np.where(reached, middle, known), np.where(reached, unknown, middle)
+        return arcs.pixels(known[:, None, None])[:, 0, 0]
 
 
 def _clipped(
@@ -127,10 +138,12 @@ def _clipped(
     # a segment along a border is between that pair of borders for ever, or never
     within = (begin >= 0.0) & (begin <= size)
     still = way == 0.0
-    enter = np.where(still, np.where(within, -np.inf, np.inf), np.minimum(low, high)).max(axis=-1)
-    leave = np.where(still, np.where(within, np.inf, -np.inf), np.maximum(low, high)).min(axis=-1)
-    enter, leave = np.maximum(enter, 0.0), np.minimum(leave, 1.0)
-    there = (enter <= leave) & np.isfinite(way).all(axis=-1)
+    enters = np.where(still, np.where(within, -np.inf, np.inf), np.minimum(low, high))
+    leaves = np.where(still, np.where(within, np.inf, -np.inf), np.maximum(low, high))
+    # pairs of columns: reducing an axis of two is many times as slow
+    enter = np.maximum(np.maximum(enters[..., 0], enters[..., 1]), 0.0)
+    leave = np.minimum(np.minimum(leaves[..., 0], leaves[..., 1]), 1.0)
+    there = (enter <= leave) & np.isfinite(way[..., 0]) & np.isfinite(way[..., 1])
     enter, leave = np.where(there, enter, 0.0)[..., None], np.where(there, leave, 0.0)[..., None]
     return begin + enter * way, begin + leave * way, there
 

@@ -11,7 +11,7 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices
 
 @click.command()
 @click.argument("source", type=options.place)
-@click.argument("target", type=click.Path(path_type=Path))
+@click.argument("target", type=options.target)
 @options.writing_scenes
 @options.reading
 @options.printing

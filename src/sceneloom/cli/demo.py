@@ -13,7 +13,7 @@ from sceneloom.cli.printing import print_json, print_losses, progress_bar
 @click.command()
 @click.option(
     "--keep",
-    type=click.Path(path_type=Path),
+    type=options.target,
     default=Path("sceneloom-demo"),
     show_default=True,
     metavar="DIR",

@@ -17,8 +17,8 @@ MOST = 10 * SHOWN
 
 
 @click.command()
-@click.argument("first", type=click.Path(path_type=Path))
-@click.argument("second", type=click.Path(path_type=Path))
+@click.argument("first", type=options.place)
+@click.argument("second", type=options.place)
 @click.option("--tolerance-m", type=float, default=0.0, metavar="M", help="Distances up to this are none.")
 @click.option("--tolerance-deg", type=float, default=0.0, metavar="DEG", help="Turns up to this are none.")
 @click.option(
@@ -34,8 +34,8 @@ MOST = 10 * SHOWN
 @options.reading
 @options.printing
 def diff(
-    first: Path,
-    second: Path,
+    first: Path | str,
+    second: Path | str,
     as_json: bool,
     quiet: bool,
     verbose: bool,

@@ -12,7 +12,7 @@ from sceneloom.cli.printing import print_json, progress_bar
 
 @click.command()
 @click.argument("path", type=options.place)
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="The .sfs file to write.")
+@click.option("-o", "--output", type=options.target, help="The .sfs file to write.")
 @click.option(
     "--trajectory",
     metavar="NAME",
@@ -20,13 +20,13 @@ from sceneloom.cli.printing import print_json, progress_bar
     "[default: the drive's first, else `lidar`]",
 )
 @options.heading
-@click.option("--depth", type=click.Path(path_type=Path), help="Folder for depth images.")
+@click.option("--depth", type=options.target, help="Folder for depth images.")
 @click.option(
     "--depth-form",
     type=click.Choice(["png", "npz"]),
     help="16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]",
 )
-@click.option("--pictures", type=click.Path(path_type=Path), help="Folder for pictures to look at.")
+@click.option("--pictures", type=options.target, help="Folder for pictures to look at.")
 @click.option(
     "--pictures-every",
     type=click.IntRange(min=1),

@@ -21,6 +21,15 @@ def place(text: str) -> "Path | str":
     return path_or_url(text)
 
 
+def target(text: str) -> Path:
+    """Take an argument as the path of what is to be written."""
+    from sceneloom.formats.urls import is_url
+
+    if is_url(text):
+        raise click.BadParameter(f"{text} is a URL; scenes are read from URLs, and written to files only")
+    return Path(text)
+
+
 reading = _stacked(
     click.option("--lenient", is_flag=True, help="Skip what is broken, count it, and go on."),
     click.option(

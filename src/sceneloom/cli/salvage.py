@@ -9,13 +9,13 @@ from sceneloom.cli.printing import amount, print_json, print_lines, print_table,
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The .sfs file to write."
-)
+@click.argument("path", type=options.place)
+@click.option("-o", "--output", type=options.target, required=True, help="The .sfs file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @options.printing
-def salvage(path: Path, output: Path, overwrite: bool, as_json: bool, quiet: bool, verbose: bool) -> None:
+def salvage(
+    path: Path | str, output: Path, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
+) -> None:
     """Take out of a scene file that was cut off or damaged what is whole, and say what is not."""
     from sceneloom.formats.sfs import salvage as salvage_file
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @click.option("--quick", is_flag=True, help="Read no frames and pictures.")
 @click.option(
     "--fix",
-    type=click.Path(path_type=Path),
+    type=options.target,
     metavar="OUT",
     help="Write the scene to OUT with all safe fixes applied.",
 )

@@ -184,3 +184,35 @@ def test_a_scene_file_cut_in_half_is_one_clear_error(call: Call, recording: Path
     assert outcome.code == 1
     assert "half.sfs" in outcome.err
     assert not (tmp_path / "b.sfs").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("convert", "a.sfs"),
+        ("fuse", "a.sfs", "-o"),
+        ("edit", "crop", "a.sfs", "-o"),
+        ("salvage", "a.sfs", "-o"),
+        ("validate", "a.sfs", "--fix"),
+        ("demo", "--keep"),
+    ],
+)
+def test_nothing_is_written_to_a_url(call: Call, arguments: tuple[str, ...]) -> None:
+    outcome = call(*arguments, "https://127.0.0.1:9/b.sfs")
+    assert outcome.code == 2
+    assert "https://127.0.0.1:9/b.sfs is a URL" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("diff", "http://127.0.0.1:9/b.sfs", "a.sfs"), "cannot be found"),
+        (("salvage", "http://127.0.0.1:9/b.sfs", "-o", "c.sfs"), "is behind a URL"),
+    ],
+)
+def test_a_url_that_cannot_be_read_is_named_as_it_was_said(
+    call: Call, arguments: tuple[str, ...], problem: str
+) -> None:
+    outcome = call(*arguments)
+    assert outcome.code == 1
+    assert f"http://127.0.0.1:9/b.sfs: {problem}" in outcome.err

@@ -22,9 +22,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 
 @click.command()
 @click.argument("path", type=options.place)
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The .sfs file or folder to write."
-)
+@click.option("-o", "--output", type=options.target, required=True, help="The .sfs file or folder to write.")
 @click.option(
     "--trajectory",
     metavar="NAME",

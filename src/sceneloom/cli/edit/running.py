@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 OUTPUT = click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=options.target,
     required=True,
     help="The file or folder to write; its suffix chooses the format.",
 )

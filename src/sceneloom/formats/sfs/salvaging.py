@@ -20,6 +20,7 @@ from sceneloom.formats.sfs.removal import Keys, keep_in_step, parse_path, take_o
 from sceneloom.formats.sfs.source import ReadingOptions
 from sceneloom.formats.sfs.video_rescue import rescue_video
 from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.urls import is_url
 from sceneloom.scene import (
     CameraSensor,
     LazyFrames,
@@ -106,6 +107,8 @@ def salvage(path: str | Path, output: str | Path, *, overwrite: bool = False) ->
         DataError: nothing of the file can be read.
         OutputError: the output exists, or cannot be written.
     """
+    if is_url(path):
+        raise DataError(path, "", "is behind a URL; download it first: salvaging looks at all of a file")
     source, target = Path(path), Path(output)
     check_output(target, overwrite=overwrite)
     if target.exists() and source.exists() and target.samefile(source):

@@ -40,6 +40,7 @@ def _examined(examination: Examination, path: str | Path) -> Subject:
         examination.sensor_paths,
         examination.annotation_paths,
         examination.notices,
+        fetch=examination.fetch,
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sceneloom.arrays import AnyArray
 from sceneloom.checks.rule import SCALE_ONLY, Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.sfs.container import format_keys
@@ -178,11 +179,14 @@ def _point_faults(subject: Subject) -> Iterator[Hit]:
     for place, sensor in _sound(subject, "sensors"):
         for number, frame in enumerate(sensor.get("frames", ())):
             inside = (*place, "frames", number, "points")
-            for name, problem in _faults_of_points(frame["points"], frame["timestamp"]):
+            for name, problem in _faults_of_points(frame["points"]):
                 yield _hit((*inside, name), problem)
+            early = _earlier_than(frame["timestamp"], subject, frame["points"].get("timestamps"))
+            if early is not None:
+                yield _hit((*inside, "timestamps"), early)
 
 
-def _faults_of_points(points: Mapping[str, Any], timestamp: int) -> Iterator[tuple[str, str]]:
+def _faults_of_points(points: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     count = points["positions"].size // 3
     for name, dtype in _DTYPES.items():
         array = points.get(name)
@@ -193,9 +197,15 @@ def _faults_of_points(points: Mapping[str, Any], timestamp: int) -> Iterator[tup
             yield name, f"{array.dtype.name}; expected {dtype.name}"
         elif array.size != count * columns or (columns == 1 and array.ndim != 1):
             yield name, f"shape {array.shape}; expected {count} rows of {columns}"
-        elif name == "timestamps" and timestamp > (int(array.min()) if array.size else 0):
-            earliest = f"the earliest is {array.min()}" if array.size else "no times count as 0"
-            yield name, f"{earliest}; expected none before the frame's {timestamp}"
+
+
+def _earlier_than(timestamp: int, subject: Subject, stamps: AnyArray | None) -> str | None:
+    """What is wrong with the times of points, if any is before their frame's."""
+    if stamps is None or stamps.dtype != _DTYPES["timestamps"]:
+        return None
+    first = int(subject.fetched(stamps).min()) if stamps.size else 0
+    earliest = f"the earliest is {first}" if stamps.size else "no times count as 0"
+    return None if timestamp <= first else f"{earliest}; expected none before the frame's {timestamp}"
 
 
 def _radar_lengths(subject: Subject) -> Iterator[Hit]:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
+from sceneloom.arrays import AnyArray
 from sceneloom.formats.sfs.faults import PlacedFault
 from sceneloom.scene import (
     Annotation,
@@ -56,6 +57,7 @@ class Subject:
         sensor_paths: where each sensor of the scene stands in its file; empty: counted in the scene.
         annotation_paths: where each annotation stands; empty: counted in the scene.
         notices: what the reader assumed, repaired or left out this time; None: all that the scene tells of.
+        fetch: gives arrays of the header with their values, which those of a file behind a URL may lack.
         cache: what `table` keeps.
     """
 
@@ -65,6 +67,7 @@ class Subject:
     sensor_paths: Sequence[str] = ()
     annotation_paths: Sequence[str] = ()
     notices: Sequence[Notice] | None = None
+    fetch: Callable[[Any], Any] | None = None
     cache: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -77,6 +80,10 @@ class Subject:
     def remarks(self) -> Sequence[Notice]:
         """What the reader remarked; of a scene file not what was remarked when it was made."""
         return self.scene.notices if self.notices is None else self.notices
+
+    def fetched(self, array: AnyArray) -> AnyArray:
+        """An array of the header with its values."""
+        return array if self.fetch is None else cast("AnyArray", self.fetch(array))
 
     def table(self, name: str, make: Callable[["Subject"], Table]) -> Table:
         """Give a table that several rules need; the first that asks has it made."""

@@ -1,6 +1,6 @@
 """The faults of a whole file, each with its place, and the error that tells of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,6 +50,7 @@ class Examination:
         sensor_places: where each sensor of the scene stands in the file.
         annotation_places: where each annotation of the scene stands in the file.
         notices: what was assumed, repaired or left out this time; the scene has those that the file had kept, too.
+        fetch: gives arrays of the header with their values, which those of a file behind a URL may lack.
     """
 
     scene: Scene | None
@@ -58,6 +59,7 @@ class Examination:
     sensor_places: tuple[Place, ...] = ()
     annotation_places: tuple[Place, ...] = ()
     notices: tuple[Notice, ...] = ()
+    fetch: Callable[[Any], Any] | None = None
 
     @property
     def sensor_paths(self) -> tuple[str, ...]:

@@ -175,7 +175,9 @@ def _examination(container: Container, items: list[ItemFault], options: ReadingO
     )
     scene = with_lens_readings(scene, source)
     noticed = tuple(source.noticed_now)
-    return Examination(scene, source.found_faults(), header, sensor_places, annotation_places, noticed)
+    return Examination(
+        scene, source.found_faults(), header, sensor_places, annotation_places, noticed, container.fetch
+    )
 
 
 def _unique(

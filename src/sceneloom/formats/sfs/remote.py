@@ -274,6 +274,11 @@ def _faults(url: str, place: str) -> Iterator[None]:
         # back ends say so, too, where no server answers
         cause = f": {error.__cause__}" if error.__cause__ else ""
         raise DataError(url, place, f"cannot be found{cause}") from error
+    except ValueError as error:
+        # fsspec says so where a server gives all of a file for a part of it
+        if "range requests" not in str(error):
+            raise DataError(url, place, f"cannot be read: {error}") from error
+        raise DataError(url, "", "its server answers no ranges (`Range`); download the file first") from error
     except Exception as error:  # back ends raise what the libraries of their protocols raise
         problem = f"cannot be read: {str(error) or type(error).__name__}"
         raise DataError(url, place, problem) from error

@@ -247,7 +247,7 @@ def test_a_closed_scene_fetches_nothing(served, encode_sfs):
 def test_a_server_without_ranges_is_an_error_before_the_file_is_loaded(served, encode_sfs):
     served.files["drive.sfs"] = big_scene(encode_sfs)
     served.ranges = False
-    with pytest.raises(DataError, match=r"cannot be read|the server gave"):
+    with pytest.raises(DataError, match=r"answers no ranges \(`Range`\); download the file first"):
         sceneloom.open(served.url("drive.sfs"))
 
 
@@ -391,3 +391,13 @@ def test_urls_are_told_from_paths(text, expected):
 
 def test_file_urls_are_paths(tmp_path):
     assert path_or_url((tmp_path / "ä b.sfs").as_uri()) == tmp_path / "ä b.sfs"
+
+
+def test_the_profile_of_scales_library_is_checked_behind_a_url(served, encode_sfs):
+    served.files["drive.sfs"] = big_scene(encode_sfs, frames=2)
+    done = CliRunner().invoke(
+        program,
+        ["validate", served.url("drive.sfs"), "--profile", "scale", "--rule", "scale-points", "--quick"],
+    )
+    assert done.exit_code == 0, done.output
+    assert "nothing found" in done.output

@@ -17,6 +17,7 @@ from sceneloom.scene import (
     ShapeAnnotation,
 )
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.keypoints import places_of
 from sceneloom.scene.at import cuboid_at, point_at, shape_at
 
 
@@ -108,7 +109,7 @@ def _cropped_points(crop: SpaceCrop, annotation: PointsAnnotation) -> PointsAnno
     placed = [p for p in annotation.paths if len(p.timestamps_ns) and p.values.shape[1] % 3 == 0]
     for path in placed:
         times = crop.looks(path.timestamps_ns, stationary=stationary)
-        places = point_at(path, times, stationary=stationary)[0].reshape(len(times), -1, 3)
+        places = places_of(point_at(path, times, stationary=stationary)[0])
         if crop.inside(times, places).any():
             return annotation
     return None if placed else annotation

@@ -22,6 +22,7 @@ from sceneloom.scene import (
     VertexPath,
 )
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.keypoints import places_of
 from sceneloom.scene.at import cuboid_at, point_at, shape_at
 
 
@@ -165,8 +166,7 @@ def _moved_point(
     old = replace(path, timestamps_ns=path.timestamps_ns[own], values=path.values[own])
 
     def places(times_ns: Int64Array) -> Float64Array:
-        values = point_at(old, times_ns, stationary=stationary)[0]
-        return values.reshape(len(times_ns), -1, 3)
+        return places_of(point_at(old, times_ns, stationary=stationary)[0])
 
     times_ns = mover.keyframer.times(
         key, old.timestamps_ns, stationary=stationary, sample=lambda times: (places(times), None)

@@ -32,6 +32,7 @@ from sceneloom.scene import (
     Trajectory,
 )
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.keypoints import places_of
 
 ROUNDING = 1e-9
 """Tolerances are kept this share smaller, so that another order of the same sums does not break the promise."""
@@ -179,7 +180,7 @@ class _Thinner:
     def _point(self, path: PointPath) -> PointPath:
         if path.values.shape[1] % 3:
             return path
-        rows = self.rows("keypoints", path.timestamps_ns, path.values.reshape(len(path.values), -1, 3))
+        rows = self.rows("keypoints", path.timestamps_ns, places_of(path.values))
         if len(rows) == len(path.timestamps_ns):
             return path
         return replace(path, timestamps_ns=path.timestamps_ns[rows], values=path.values[rows])

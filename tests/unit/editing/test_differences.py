@@ -20,6 +20,8 @@ from sceneloom.scene import (
     CuboidAnnotation,
     CuboidPath,
     EventAnnotation,
+    LabeledPoints,
+    LabeledPointsAnnotation,
     LazyFrames,
     LidarFrame,
     LidarPoints,
@@ -28,6 +30,8 @@ from sceneloom.scene import (
     NoticeKind,
     OdometrySensor,
     Picture,
+    PointPath,
+    PointsAnnotation,
     PosePath,
     Projection,
     Scene,
@@ -298,6 +302,25 @@ def test_nan_is_equal_to_nan_and_far_from_numbers():
     assert diff_scenes(Scene((), (first,)), Scene((), (copied,))).equal
     found = only(Scene((), (first,)), Scene((), (second,)), tolerance_px=1e9)
     assert (found.path, found.amount) == ("annotations['car'].projections['camera'].boxes", np.inf)
+
+
+def test_paths_and_points_without_stamps_are_compared():
+    nothing = np.zeros(0, np.int64)
+    empty = PointsAnnotation("p", (PointPath(nothing, np.zeros((0, 3))),))
+    labelled = LabeledPointsAnnotation("l", (LabeledPoints("top", np.zeros(0, np.uint32)),))
+    first, second = Scene((), (empty, labelled)), Scene((), (replace(empty), replace(labelled)))
+    copied = replace(empty, paths=(PointPath(nothing.copy(), np.zeros((0, 3))),))
+    assert diff_scenes(first, second).equal
+    assert diff_scenes(first, Scene((), (copied, labelled))).equal
+    assert diff_scenes(first, Scene((), (copied, labelled)), other_stamps=True, tolerance_m=1.0).equal
+    told = replace(empty, paths=(PointPath(STAMPS, np.zeros((3, 3))),))
+    assert not diff_scenes(first, Scene((), (told, labelled)), other_stamps=True).equal
+
+
+def test_a_unit_of_times_that_is_not_said_is_the_usual_one():
+    said = Scene((), extras={"time_unit": "microseconds"})
+    assert diff_scenes(Scene(()), said).equal
+    assert not diff_scenes(Scene(()), replace(said, extras={"time_unit": "nanoseconds"})).equal
 
 
 def test_attributes_are_the_same_by_name_and_sensor():

@@ -144,3 +144,8 @@ def test_long_straight_curves_are_not_looked_at_point_by_point():
 
     assert thin_greedily(100_000, misfits).tolist() == [0, 99_999]
     assert len(calls) < 20
+
+
+def test_points_without_stamps_stay_as_they_are():
+    empty = PointsAnnotation("p", (PointPath(np.zeros(0, np.int64), np.zeros((0, 3))),))
+    assert simplify_scene(Scene((), (empty,)), tolerance_m=1.0).annotations[0].paths == empty.paths

@@ -1,5 +1,7 @@
 """How far two arrays are apart."""
 
+from math import prod
+
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
@@ -28,11 +30,12 @@ def apart(a: AnyArray, b: AnyArray, unit: str) -> Float64Array | None:
     if unit == DEGREES:
         return _turned(a, b)
     difference = _difference(a, b)
+    columns = prod(difference.shape[1:])
     if unit == METRES and difference.ndim > 1 and difference.shape[-1] % 3 == 0:
-        places = difference.reshape(len(difference), -1, 3)
+        places = difference.reshape(len(difference), columns // 3, 3)
         distances: Float64Array = np.linalg.norm(places, axis=2).max(axis=1, initial=0.0)
         return distances
-    largest: Float64Array = np.abs(difference).reshape(len(difference), -1).max(axis=1, initial=0.0)
+    largest: Float64Array = np.abs(difference).reshape(len(difference), columns).max(axis=1, initial=0.0)
     return largest
 
 

@@ -58,8 +58,9 @@ def diff_scenes(
         (CuboidAngles.of(first), CuboidAngles.of(second)),
     )
     steps = _Steps(max(_frames(first), _frames(second)), progress)
-    for name in ("time_offset_ns", "metadata", "attributes", "extras"):
+    for name in ("time_offset_ns", "metadata", "attributes"):
         comparison.values(name, getattr(first, name), getattr(second, name), owner="Scene", name=name)
+    comparison.values("extras", _extras(first), _extras(second), owner="Scene", name="extras")
     comparison.values("trajectories", first.trajectories, second.trajectories)
 
     def compare_sensors(path: str, a: Sensor, b: Sensor) -> None:
@@ -68,6 +69,11 @@ def diff_scenes(
     _compare_members(comparison, "sensors", first.sensors, second.sensors, compare_sensors)
     _compare_members(comparison, "annotations", first.annotations, second.annotations, comparison.records)
     return findings.told()
+
+
+def _extras(scene: Scene) -> Mapping[str, Any]:
+    """The further fields of a scene, with the unit of times that holds where it is not said."""
+    return {"time_unit": "microseconds", **scene.extras}
 
 
 @dataclass(slots=True)

@@ -10,6 +10,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene import CuboidAnnotation, CuboidPath, PointPath, PosePath, Trajectory
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.keypoints import places_of
 from sceneloom.scene.at import cuboid_poses, point_at
 
 
@@ -39,7 +40,7 @@ def _trajectory(way: Trajectory, times_ns: Int64Array, angles: CuboidAngles) -> 
 
 def _point(path: PointPath, times_ns: Int64Array, _: CuboidAngles) -> Places:
     places, _there = point_at(path, times_ns)
-    return Places(places.reshape(len(places), -1, 3), None)
+    return Places(places_of(places), None)
 
 
 WAYS: Mapping[str, tuple[Callable[[Any, Int64Array, CuboidAngles], Places], tuple[str, ...]]] = (

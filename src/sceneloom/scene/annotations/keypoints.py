@@ -34,6 +34,11 @@ class PointPath:
         check_array("values", self.values, (count, None), np.float64)
 
 
+def places_of(values: Float64Array) -> Float64Array:
+    """Cut the rows of a point path, (M, 3 V), into the places of its V points, (M, V, 3)."""
+    return values.reshape(len(values), values.shape[1] // 3, 3)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PointProjection:
     """Where one camera sees one point.

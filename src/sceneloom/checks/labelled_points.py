@@ -103,7 +103,9 @@ def _repeated(subject: Subject) -> Iterator[Hit]:
         for entry in entries:
             repeated = len(entry.points.point_ids) - len(np.unique(entry.points.point_ids))
             if repeated:
-                yield Hit(f"{entry.path}.point_ids", f"{repeated} points are named twice", count=repeated)
+                yield Hit(
+                    f"{entry.path}.point_ids", f"{_points(repeated)} named twice in one list", count=repeated
+                )
 
 
 def _each_once(scene: Scene) -> Scene:
@@ -131,6 +133,7 @@ def _once(points: LabeledPoints) -> LabeledPoints:
 
 def _of_two(subject: Subject) -> Iterator[Hit]:
     """Find points that belong to two instances: of one frame's instances, sorted by point, two neighbours."""
+    shared: dict[tuple[int, int], list[tuple[Entry, Entry, int]]] = defaultdict(list)
     for entries in _entries(subject).values():
         instances = [entry for entry in entries if entry.annotation.is_instance]
         if len({id(entry.annotation) for entry in instances}) < 2:
@@ -143,8 +146,17 @@ def _of_two(subject: Subject) -> Iterator[Hit]:
         for (one, other), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
             first, second = instances[one], instances[other]
             if first.annotation is not second.annotation:
-                message = f"{count} points belong to the instance {first.annotation.id!r}, too"
-                yield Hit(f"{second.path}.point_ids", message, count=int(count))
+                shared[id(second.annotation), id(first.annotation)].append((second, first, int(count)))
+    for places in shared.values():
+        second, first, _ = places[0]
+        total = sum(count for *_, count in places)
+        where = f" in {len(places)} frames, first here" if len(places) > 1 else ""
+        message = f"{second.annotation.id!r} shares {_points(total)} with {first.annotation.id!r}{where}"
+        yield Hit(f"{second.path}.point_ids", message)
+
+
+def _points(count: int) -> str:
+    return "1 point" if count == 1 else f"{count} points"
 
 
 RULES: tuple[Rule, ...] = (

@@ -25,7 +25,8 @@ def salvage(
         return
     click.echo(f"{report.source}, {amount(report.size_bytes)} → {report.output}")
     print_table(
-        (str(sensor.id), sensor.type, f"{sensor.kept} of {sensor.count}") for sensor in report.sensors
+        (str(sensor.id), sensor.type, f"{sensor.kept} of {sensor.count}" if sensor.count else "")
+        for sensor in report.sensors
     )
     click.echo(several(report.annotations, "annotation"))
     if not report.lost:

@@ -60,7 +60,7 @@ def test_frames_are_read_only_where_the_caller_wants(sound, found):
 def test_points_named_twice_are_found_and_named_once_again(sound, found, fixed):
     scene = sound.scene(annotations=(marked([7, 3, 7, 3, 1]),))
     assert found(scene, "labelled-point-twice") == [
-        ("annotations[0].labeled_points[0].point_ids", "2 points are named twice")
+        ("annotations[0].labeled_points[0].point_ids", "2 points named twice in one list")
     ]
     [mended] = fixed(scene, "labelled-point-twice").annotations
     assert mended.labeled_points[0].point_ids.tolist() == [7, 3, 1]
@@ -69,7 +69,21 @@ def test_points_named_twice_are_found_and_named_once_again(sound, found, fixed):
 def test_points_of_two_instances_are_counted_at_the_second_one(sound, found):
     annotations = (marked([1, 2, 3]), marked([9, 3, 2], name="b"), marked([3], name="c", instance=False))
     assert found(sound.scene(annotations=annotations), "point-in-two-instances") == [
-        ("annotations[1].labeled_points[0].point_ids", "2 points belong to the instance 'a', too")
+        ("annotations[1].labeled_points[0].point_ids", "'b' shares 2 points with 'a'")
+    ]
+
+
+def test_two_instances_that_share_points_of_many_frames_are_told_once(sound, found):
+    def in_frames(name, *ids):
+        points = [LabeledPoints("top", np.array([i], np.uint32), k) for k, i in enumerate(ids)]
+        return LabeledPointsAnnotation(name, tuple(points), is_instance=True)
+
+    annotations = (in_frames("a", 1, 2, 3), in_frames("b", 1, 9, 3))
+    assert found(sound.scene(annotations=annotations), "point-in-two-instances") == [
+        (
+            "annotations[1].labeled_points[0].point_ids",
+            "'b' shares 2 points with 'a' in 2 frames, first here",
+        )
     ]
 
 

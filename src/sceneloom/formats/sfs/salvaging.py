@@ -92,11 +92,12 @@ class SalvageReport(msgspec.Struct, frozen=True):
 
 
 def salvage(path: str | Path, output: str | Path, *, overwrite: bool = False) -> SalvageReport:
-    """Write a valid scene of what is whole in a file that was cut off or damaged.
+    """Write a scene of what is whole in a file that was cut off or damaged.
 
     Frames whose points are lost are left out; of others, only the arrays that are lost. A video that was cut keeps the
     pictures that are whole if its tables stand before them. A header that was cut keeps the sensors and annotations
     that are complete. Nothing is guessed: an array is taken only where the header says that it is.
+    What names a lost sensor or annotation keeps the name, for a rule to tell.
 
     Args:
         path: the damaged file.

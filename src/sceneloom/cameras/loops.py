@@ -13,6 +13,9 @@ from sceneloom.cameras.compiled import BLOCK, PART, camera_coordinates, in_pictu
 from sceneloom.cameras.formulas import plane_of_pixel, project_point, ray_of_chart, ray_of_pixel
 from sceneloom.cameras.solving import angle_at, approach_angle, approach_place, place_at
 
+_NEAREST = 1e-250
+"""Points whose squared distance [m²] is smaller have no pixel, nor those whose is no number: roots of it mean nothing."""
+
 
 @njit(**PART)
 def _project_block(flat_points, pose, lens, columns, rows, depths):  # type: ignore[no-untyped-def]
@@ -62,8 +65,8 @@ def _place(flat_points, lens, flat_pixels):  # type: ignore[no-untyped-def]
     for i in range(len(flat_points) // 3):
         x, y, z = flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2]
         u, v = project_point(x, y, z, lens)
-        finite = (x - x) + (y - y) + (z - z) == 0.0
-        u = u if finite else math.nan
+        square = x * x + y * y + z * z
+        u = u if (square > _NEAREST) & (square < math.inf) else math.nan
         flat_pixels[2 * i], flat_pixels[2 * i + 1] = u, (math.nan if math.isnan(u) else v)
 
 

@@ -169,7 +169,7 @@ def place_at(x, y, lens):  # type: ignore[no-untyped-def]
     A search that may leave the domain slides along its rim, and tells soon where nothing is to be found; one that stays
     inside is for poles on the rim, beyond which a continuation means nothing.
     """
-    if not lens.limit > 0.0 or not abs(x) + abs(y) < math.inf:
+    if not lens.limit > 0.0 or not x * x + y * y < math.inf:
         return math.nan, math.nan
     a, b, solved = _search(x, y, lens, _ANYWHERE)
     if not solved:

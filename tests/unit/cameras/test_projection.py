@@ -118,6 +118,14 @@ def test_points_that_are_not_finite_are_never_seen(camera):
 
 
 @EACH_CAMERA
+def test_points_and_pixels_whose_distance_is_no_number_have_nothing_in_place_of_the_middle(camera):
+    # squares of them overflow, or vanish, and would leave the axis
+    points = np.array([[1e308, 1e308, 1e308], [1e200, 0.0, 1e200], [1e-300, 0.0, 1e-300]])
+    assert np.isnan(project_unbounded(camera, points)).all()
+    assert np.isnan(unproject(camera, [[1e308, 0.0], [-1e200, 1e200], [0.0, -1e160]])).all()
+
+
+@EACH_CAMERA
 def test_the_camera_does_not_see_its_own_centre_nor_the_point_right_behind_it(camera):
     pixels, visible = project(camera, [[0.0, 0, 0], [0.0, 0, -1], [0.0, -0.0, -1e-300]])
     assert not visible.any()

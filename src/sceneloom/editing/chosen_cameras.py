@@ -27,7 +27,7 @@ def chosen_cameras(
     """
     wanted = None if cameras is None else {key_of(scene.sensor(identifier).id) for identifier in cameras}
     if not scene.cameras:
-        raise OptionError(f"{scene.source}: has no camera")
+        raise OptionError(f"{scene.source}: has no camera, and so no lens to change")
     for index, sensor in enumerate(scene.sensors):
         if wanted is None:
             if isinstance(sensor, CameraSensor) and sensor.camera.model != unless:

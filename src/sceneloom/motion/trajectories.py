@@ -37,8 +37,8 @@ def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | N
         )
     if name is None and not scene.trajectories:
         raise PoseError(
-            f"{scene.source}: no trajectory in it, so the motion between lidar and pictures is unknown; "
-            "say `--trajectory identity` to fuse as if the ego stood still"
+            f"{scene.source}: no trajectory in it, so where the ego was at each time is unknown; "
+            "say `--trajectory identity` for an ego that stood still"
         )
     chosen = next(iter(scene.trajectories)) if name is None else name
     if chosen not in scene.trajectories:

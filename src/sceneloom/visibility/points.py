@@ -102,7 +102,7 @@ def count_points(
         progress: told after each frame how many are done, and of how many.
 
     Raises:
-        OptionError: there is no such lidar, trajectory or moment, or the margin is negative.
+        OptionError: there is no such lidar, trajectory or moment, no lidar at all, or the margin is negative.
         PoseError: it is not known where a lidar's points are in the world.
         DataError: a frame cannot be read.
     """
@@ -111,6 +111,8 @@ def count_points(
     if not 0.0 <= margin < _FARTHEST:
         raise OptionError(f"margin {margin} m; expected a number from 0 on")
     chosen = chosen_sensors(scene, "lidar", scene.lidars, lidars)
+    if not scene.lidars:
+        raise OptionError(f"{scene.source}: has no lidar whose points could be counted")
     table, ego = BoxTable(scene), choose_ego(scene, trajectory)
     found: list[FrameCounts] = []
     total, done, unplaced = sum(len(lidar.frames) for lidar in chosen), 0, 0

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.errors import PoseError
+from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     Activation,
@@ -95,12 +95,14 @@ def project_cuboids(
         progress: told after each picture how many are done, and of how many.
 
     Raises:
-        OptionError: there is no such camera, lidar or trajectory.
+        OptionError: there is no such camera, lidar or trajectory, or no camera at all.
         CalibrationError: nothing confirms the formula of a lens, and computing with it was not asked for.
         PoseError: it is not known where a chosen camera was, or any.
         DataError: a picture cannot be read.
     """
     chosen = chosen_sensors(scene, "camera", scene.cameras, cameras)
+    if not scene.cameras:
+        raise OptionError(f"{scene.source}: has no camera that could see the cuboids")
     check_lenses(scene, chosen)
     ego = choose_ego(scene, trajectory)
     places = places_of(scene, chosen, ego)

@@ -44,6 +44,14 @@ def test_thin_tells_how_many_points_are_left(call: Call, recording: Path, tmp_pa
     assert len(np.unique(np.floor(kept.astype(float) / 2.0), axis=0)) == len(kept)
 
 
+def test_thin_says_that_points_are_those_of_frames_that_stay(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    outcome = call("edit", "thin", recording, "-o", tmp_path / "thin", "--voxel", "2", "--every", "2")
+    assert outcome.code == 0, outcome.err
+    assert " points of the frames that stay -> " in outcome.out
+
+
 def test_crop_is_told_to_machines(call: Call, scene_file: Path, tmp_path: Path) -> None:
     outcome = call(
         *("edit", "crop", scene_file, "-o", tmp_path / "crop.sfs", "--range", "15"),

@@ -82,3 +82,21 @@ def test_wrong_values_are_wrong_usage(call: Call, street: Path, tmp_path: Path) 
     ):
         outcome = call("edit", words[0], street, "-o", tmp_path / "out.sfs", *words[1:])
         assert (outcome.code, (tmp_path / "out.sfs").exists()) == (2, False), outcome.err
+
+
+def test_edit_simplify_tells_how_many_stamps_it_left_out(call: Call, street: Path, tmp_path: Path) -> None:
+    outcome = call("edit", "simplify", street, "-o", tmp_path / "out.sfs", "--tolerance-m", "0.05", "--json")
+    assert outcome.code == 0, outcome.err
+    with sceneloom.open(street) as before, sceneloom.open(tmp_path / "out.sfs") as after:
+        left = [
+            sum(len(a.path.timestamps_ns) for a in scene.annotations if isinstance(a, CuboidAnnotation))
+            + sum(len(s.poses.timestamps_ns) for s in scene.sensors if getattr(s, "poses", None) is not None)
+            + sum(len(way.timestamps_ns) for way in scene.trajectories.values())
+            for scene in (before, after)
+        ]
+    assert json.loads(outcome.out)["stamps_left_out"] == left[0] - left[1] > 0
+
+
+def test_the_help_of_an_edit_begins_with_its_own_options(call: Call) -> None:
+    text = call("edit", "simplify", "--help").out
+    assert text.index("--tolerance-m") < text.index("--overwrite") < text.index("--json")

@@ -137,6 +137,8 @@ def test_cameras_that_are_nowhere_are_passed_over_or_refused_when_asked_for():
         project_cuboids(replace(scene, sensors=(lost,)))
     with pytest.raises(OptionError, match="no camera 'none'"):
         project_cuboids(scene, cameras="none")
+    with pytest.raises(OptionError, match="has no camera that could see"):
+        project_cuboids(replace(scene, sensors=()))
 
 
 def test_pictures_beyond_the_way_of_the_camera_see_nothing():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import annotations_in, editing, run_edit
+from sceneloom.cli.edit.running import annotations_in, common, editing, run_edit
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     help="The only annotations to apply. [default: all adjustments and calibrations]",
 )
 @annotations_in
+@common
 def apply(path: Path, output: Path, only: tuple[str, ...], annotations_in: str | None, **common: Any) -> None:
     """Apply localization adjustments and camera calibrations; the scene then bears them no more."""
     from sceneloom.editing import apply_corrections

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from sceneloom.cli.edit.running import chosen_way, editing, run_edit, way
+from sceneloom.cli.edit.running import chosen_way, common, editing, run_edit, way
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 @click.option("--margin", type=float, default=0.0, metavar="M", help="Count points so far outside, too.")
 @click.option("--activations", is_flag=True, help="Also tell when each lidar has points of each cuboid.")
 @click.option("--labeled-points", is_flag=True, help="Add an annotation of labelled points for each cuboid.")
+@common
 def count(
     path: Path,
     output: Path,

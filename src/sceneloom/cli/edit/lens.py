@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import editing, run_edit
+from sceneloom.cli.edit.running import common, editing, run_edit
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     metavar="S",
     help="Refuse a lens that holds less than this share of the picture, 0 to 1.",
 )
+@common
 def lens(
     path: Path, output: Path, model: str, cameras: tuple[str, ...], limit: float, share: float, **common: Any
 ) -> None:

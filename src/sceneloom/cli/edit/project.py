@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import chosen_way, editing, run_edit, way
+from sceneloom.cli.edit.running import chosen_way, common, editing, run_edit, way
 from sceneloom.cli.identifiers import known_id, known_ids
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 )
 @click.option("--lidar", metavar="ID", help="Ask the points of this lidar, too, what hides a cuboid.")
 @click.option("--activations", is_flag=True, help="Also tell when each camera sees each cuboid.")
+@common
 def project(
     path: Path,
     output: Path,

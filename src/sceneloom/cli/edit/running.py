@@ -53,13 +53,13 @@ def chosen_way(scene: "Scene", trajectory: str | None, heading: str | None) -> "
 
 
 def editing(command: Callable[..., None]) -> Callable[..., None]:
-    """The argument and options of every verb that changes one drive; what `run_edit` takes."""
+    """The argument and the output of every verb that changes one drive; above its own options."""
     argument = click.argument("path", type=options.place)
-    return argument(OUTPUT(common(command)))
+    return argument(OUTPUT(command))
 
 
 def common(command: Callable[..., None]) -> Callable[..., None]:
-    """The options of reading, writing and printing."""
+    """The options of reading, writing and printing, below those of the verb; with `editing` what `run_edit` takes."""
     return options.writing_scenes(options.reading(options.printing(command)))
 
 
@@ -110,7 +110,8 @@ def print_edit(report: "EditReport", *, quiet: bool, verbose: bool) -> None:
     click.echo(f"{report.edit}: done in {report.seconds:.1f} s")
     for noun in ("sensor", "frame", "point", "annotation"):
         was, is_now = getattr(before, f"{noun}s"), getattr(after, f"{noun}s")
-        click.echo(several(was, noun) if was == is_now else f"{several(was, noun)} -> {is_now}")
+        those = " of the frames that stay" if noun == "point" and before.frames != after.frames else ""
+        click.echo(several(was, noun) if was == is_now else f"{several(was, noun)}{those} -> {is_now}")
     click.echo(f"written: {report.output}")
     if not quiet:
         print_notices(report.notices, verbose=verbose)

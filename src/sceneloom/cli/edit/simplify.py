@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import editing, run_edit
+from sceneloom.cli.edit.running import common, editing, run_edit
 
 if TYPE_CHECKING:
     from sceneloom.scene import Scene
@@ -35,6 +35,7 @@ PATHS = ("cuboids", "keypoints", "poses")
 @click.option(
     "--only", multiple=True, type=click.Choice(PATHS), help="The only paths to simplify. [default: all]"
 )
+@common
 def simplify(
     path: Path,
     output: Path,
@@ -47,8 +48,12 @@ def simplify(
     from sceneloom.editing import simplify_scene
 
     chosen = {name: name in (only or PATHS) for name in PATHS}
+    details: dict[str, Any] = {}
 
     def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
-        return simplify_scene(scenes[0], tolerance_m=tolerance_m, tolerance_deg=tolerance_deg, **chosen)
+        known = scenes[0].notices
+        found = simplify_scene(scenes[0], tolerance_m=tolerance_m, tolerance_deg=tolerance_deg, **chosen)
+        details["stamps_left_out"] = sum(notice.count for notice in found.notices[len(known) :])
+        return found
 
-    run_edit("simplify", [path], output, change, **common)
+    run_edit("simplify", [path], output, change, details=details, **common)

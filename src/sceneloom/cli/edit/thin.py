@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import editing, run_edit
+from sceneloom.cli.edit.running import common, editing, run_edit
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 @click.option(
     "--sensor", "sensors", multiple=True, metavar="ID", help="The only sensors to thin. [default: all]"
 )
+@common
 def thin(
     path: Path,
     output: Path,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import editing, run_edit, way
+from sceneloom.cli.edit.running import common, editing, run_edit, way
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 @click.command("to-sensor")
 @editing
 @way
+@common
 def to_sensor(path: Path, output: Path, trajectory: str | None, heading: str | None, **common: Any) -> None:
     """Bring the points of lidars and radars into the frames of their sensors."""
     from sceneloom.editing import to_sensor as change_frame

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import annotations_in, editing, run_edit, way
+from sceneloom.cli.edit.running import annotations_in, common, editing, run_edit, way
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 @editing
 @way
 @annotations_in
+@common
 def to_world(
     path: Path,
     output: Path,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import editing, run_edit
+from sceneloom.cli.edit.running import common, editing, run_edit
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def _size(_context: click.Context, _option: click.Parameter, said: str | None) -
     help="Show only what fills the picture, or all that the old one shows, with black where it shows nothing.",
 )
 @click.option("--size", callback=_size, metavar="WxH", help="Size of the new pictures. [default: as before]")
+@common
 def undistort(
     path: Path,
     output: Path,

@@ -2,9 +2,8 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from sceneloom.scene import Identifier, OdometrySensor, PosePath, Scene
+from sceneloom.scene.poses import same_way
 
 EGO_ID = "ego"
 """Id of an odometry sensor that is made, if it is free."""
@@ -13,12 +12,7 @@ EGO_ID = "ego"
 def odometry_telling(scene: Scene, path: PosePath) -> OdometrySensor | None:
     """The odometry sensor that tells this very path; None where there is none."""
     for sensor in scene.sensors:
-        if (
-            isinstance(sensor, OdometrySensor)
-            and np.array_equal(sensor.poses.timestamps_ns, path.timestamps_ns)
-            and np.array_equal(sensor.poses.positions, path.positions)
-            and np.array_equal(sensor.poses.quaternions_xyzw, path.quaternions_xyzw)
-        ):
+        if isinstance(sensor, OdometrySensor) and same_way(sensor.poses, path):
             return sensor
     return None
 

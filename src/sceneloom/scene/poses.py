@@ -170,3 +170,14 @@ class Trajectory:
                 "derive the heading from the motion with `--heading motion`, or choose another with `--trajectory NAME`"
             )
         return PosePath(self.timestamps_ns, self.positions, self.quaternions_xyzw)
+
+
+def same_way(a: PosePath | Trajectory, b: PosePath | Trajectory) -> bool:
+    """Whether both tell the same poses at the same times, number for number."""
+    return (
+        a.quaternions_xyzw is not None
+        and b.quaternions_xyzw is not None
+        and np.array_equal(a.timestamps_ns, b.timestamps_ns)
+        and np.array_equal(a.positions, b.positions)
+        and np.array_equal(a.quaternions_xyzw, b.quaternions_xyzw)
+    )

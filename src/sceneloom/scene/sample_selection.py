@@ -11,7 +11,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.span import NOMINAL_PERIOD_NS, sweep_period_ns
+from sceneloom.scene.span import sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Identifier
 
 ALL = "all"
@@ -129,4 +129,4 @@ def _period_ns(reference: LidarSensor | CameraSensor, lidars: tuple[LidarSensor,
     if lidars:
         return sweep_period_ns(lidars[0])
     times = reference.pictures.timestamps_ns if isinstance(reference, CameraSensor) else np.zeros(0, np.int64)
-    return int(np.median(np.diff(times))) if len(times) > 1 else NOMINAL_PERIOD_NS
+    return usual_period_ns(times)

@@ -12,11 +12,19 @@ NOMINAL_PERIOD_NS = 100_000_000
 """The sweep period of a lidar with a single frame, or all of one time: 10 Hz, the commonest."""
 
 
+def usual_period_ns(timestamps_ns: Int64Array) -> int:
+    """The median time from one stamp to the next later one [ns]; the nominal period where there is none.
+
+    Args:
+        timestamps_ns: (N,) int64 [ns], in any order.
+    """
+    steps = np.diff(np.unique(timestamps_ns))
+    return int(np.median(steps)) if len(steps) else NOMINAL_PERIOD_NS
+
+
 def sweep_period_ns(lidar: LidarSensor) -> int:
     """The median time from sweep to sweep [ns]; the nominal one where the stamps tell none."""
-    times = lidar.frames.timestamps_ns
-    median_ns = int(np.median(np.diff(times))) if len(times) > 1 else 0
-    return median_ns if median_ns > 0 else NOMINAL_PERIOD_NS
+    return usual_period_ns(lidar.frames.timestamps_ns)
 
 
 def scene_period_ns(scene: Scene) -> int:

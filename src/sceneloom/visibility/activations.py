@@ -4,7 +4,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.scene import Activation, Identifier
-from sceneloom.scene.span import NOMINAL_PERIOD_NS
+from sceneloom.scene.span import usual_period_ns
 
 
 def activation_of(
@@ -28,8 +28,7 @@ def activation_of(
     first, beyond = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
     if len(first) == 0:
         return None
-    usual_ns = int(np.median(np.diff(timestamps_ns))) if len(timestamps_ns) > 1 else NOMINAL_PERIOD_NS
-    stops = np.append(timestamps_ns, timestamps_ns[-1] + usual_ns)[beyond]
+    stops = np.append(timestamps_ns, timestamps_ns[-1] + usual_period_ns(timestamps_ns))[beyond]
     return Activation(
         sensor_id,
         timestamps_ns[first],

@@ -5,6 +5,7 @@ import pytest
 
 from sceneloom.errors import ArrayError, PoseError
 from sceneloom.scene import PosePath, Trajectory
+from sceneloom.scene.poses import same_way
 
 UPRIGHT = np.array([[0.0, 0.0, 0.0, 1.0]])
 
@@ -66,3 +67,14 @@ def test_the_arrays_of_a_path_cannot_be_written() -> None:
 def test_a_trajectory_of_positions_has_no_poses_and_says_what_to_do() -> None:
     with pytest.raises(PoseError, match="--heading motion"):
         _ = Trajectory("gnssEnu", np.zeros(1, np.int64), np.zeros((1, 3))).poses
+
+
+def test_ways_are_the_same_only_number_for_number():
+    stamps, turns = np.array([0, 10]), np.array([[0.0, 0, 0, 1]] * 2)
+    far_away = np.array([[500_000.0, 4_500_000.0, 0.0]] * 2)
+    way = Trajectory("way", stamps, far_away, turns)
+    assert same_way(PosePath(stamps, far_away, turns), way)
+    assert not same_way(PosePath(stamps, far_away + 0.001, turns), way)
+    assert not same_way(PosePath(stamps + 1, far_away, turns), way)
+    assert not same_way(PosePath(stamps, far_away, -turns), way)
+    assert not same_way(PosePath(stamps, far_away, turns), Trajectory("places", stamps, far_away))

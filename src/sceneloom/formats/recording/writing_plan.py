@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 import msgspec
-import numpy as np
 
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
@@ -13,6 +12,7 @@ from sceneloom.formats.recording.unwritten import unwritten
 from sceneloom.formats.recording.written_calibration import mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
+from sceneloom.scene.poses import same_way
 
 
 class RecordingNotes(msgspec.Struct):
@@ -82,24 +82,12 @@ def _trajectories(scene: Scene, notes: RecordingNotes) -> list[tuple[Trajectory,
     """The scene's trajectories, and paths of odometry sensors that are none of them."""
     found = list(scene.trajectories.values())
     for sensor in scene.sensors:
-        if (
-            isinstance(sensor, OdometrySensor)
-            and not sensor.poses.endless
-            and not _is_among(sensor.poses, found)
-        ):
-            path = sensor.poses
+        path = sensor.poses if isinstance(sensor, OdometrySensor) else None
+        if path is not None and not path.endless and not any(same_way(path, known) for known in found):
             found.append(
                 Trajectory(str(sensor.id), path.timestamps_ns, path.positions, path.quaternions_xyzw)
             )
     return [(trajectory, notes.trajectory_origins.get(trajectory.name)) for trajectory in found]
-
-
-def _is_among(path: PosePath, trajectories: Sequence[Trajectory]) -> bool:
-    return any(
-        np.array_equal(path.timestamps_ns, known.timestamps_ns)
-        and np.allclose(path.positions, known.positions)
-        for known in trajectories
-    )
 
 
 def _ego_path(scene: Scene) -> PosePath | None:

@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
 from sceneloom.formats.sfs.drafts import with_further
 from sceneloom.scene import (
     GnssSensor,
@@ -14,6 +12,7 @@ from sceneloom.scene import (
     PointsSensor,
     Trajectory,
 )
+from sceneloom.scene.poses import same_way
 
 _GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
 _TRAJECTORY_ARRAYS = ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds")
@@ -56,14 +55,7 @@ def trajectory_record(name: str, way: Trajectory, odometry: Iterable[OdometrySen
 
 def _tells(sensor: OdometrySensor, way: Trajectory) -> bool:
     """Whether an odometry sensor holds a trajectory whole."""
-    poses = sensor.poses
-    return (
-        way.file_seconds is None
-        and way.quaternions_xyzw is not None
-        and np.array_equal(poses.timestamps_ns, way.timestamps_ns)
-        and np.array_equal(poses.positions, way.positions)
-        and np.array_equal(poses.quaternions_xyzw, way.quaternions_xyzw)
-    )
+    return way.file_seconds is None and same_way(sensor.poses, way)
 
 
 def notice_record(notice: Notice) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.point_time_notices import PointTimesTally
 from sceneloom.scene import LidarFrame, LidarSensor, Notice, NoticeKind, PointsFrame, Scene
 from sceneloom.scene.point_times import RawTimes, timed_frame
-from sceneloom.scene.span import NOMINAL_PERIOD_NS
+from sceneloom.scene.span import sweep_period_ns
 
 _SAME_PERIOD = 0.75
 """Sweeps that begin within this part of a period of one another belong together."""
@@ -221,16 +221,11 @@ def _usable_sources(scene: Scene, notices: list[Notice]) -> list[_Source]:
             why = "its points are in the world already" if lidar not in raw else "its mounting is not known"
             message = f"lidar {lidar.id!r} was left out of the odometry: {why}"
             notices.append(_skipped("lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message))
-    return [_Source(lidar, mount, _period_ns(lidar)) for lidar, mount in mounted]
+    return [_Source(lidar, mount, sweep_period_ns(lidar)) for lidar, mount in mounted]
 
 
 def _ego_from_points(lidar: LidarSensor) -> RigidTransform | None:
     return RigidTransform.identity() if lidar.points_frame is PointsFrame.EGO else lidar.mount
-
-
-def _period_ns(lidar: LidarSensor) -> int:
-    steps = np.diff(np.unique(lidar.frames.timestamps_ns))
-    return int(np.median(steps)) if len(steps) else NOMINAL_PERIOD_NS
 
 
 def _grouped(sources: list[_Source], notices: list[Notice]) -> list[list[tuple[int, int]]]:

@@ -21,6 +21,7 @@ from sceneloom.scene import (
     CuboidAnnotation,
     EventAnnotation,
     PointsAnnotation,
+    PosePath,
     Scene,
     Severity,
 )
@@ -174,7 +175,9 @@ def _beyond(subject: Subject) -> Iterator[Hit]:
     told = {
         part
         for part in np.unique(parts).tolist()
-        if not _holds_always(subject, table, part) and not _part_is_outside(table, part, bounds)
+        if not _holds_always(subject, table, part)
+        and not _part_is_outside(table, part, bounds)
+        and not isinstance(table.parts[part], PosePath)  # corrections have poses around what they correct
     }
     rows = rows[np.isin(parts, list(told))]
     if len(rows):

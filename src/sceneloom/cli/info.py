@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec import structs
 
 from sceneloom.cli import options
 from sceneloom.cli.mountings import mounting_text
@@ -45,21 +46,23 @@ def info(
     with open_scene(path, **options.said(**reading)) as scene:
         summary = summarise(scene, size_bytes=size_on_disk(path))
         mountings = [mounting_text(sensor) for sensor in scene.sensors]
-        drawn = 0 if pictures is None else _draw(scene, pictures, at, overwrite=overwrite)
+        drawn = [] if pictures is None else _draw(scene, pictures, at, overwrite=overwrite)
     if as_json:
-        print_json(summary)
+        print_json(
+            summary if pictures is None else {**structs.asdict(summary), "pictures": list(map(str, drawn))}
+        )
         return
     _print_summary(summary, mountings)
     if drawn:
-        click.echo(f"{several(drawn, 'picture')}: {pictures}")
+        click.echo(f"{several(len(drawn), 'picture')}: {pictures}")
     if not quiet:
         print_notices(summary.notices, verbose=verbose)
 
 
-def _draw(scene: "Scene", folder: Path, at: float | None, *, overwrite: bool) -> int:
+def _draw(scene: "Scene", folder: Path, at: float | None, *, overwrite: bool) -> list[Path]:
     from sceneloom.pictures.annotations import save_annotation_pictures
 
-    return len(save_annotation_pictures(scene, folder, at=at, overwrite=overwrite))
+    return save_annotation_pictures(scene, folder, at=at, overwrite=overwrite)
 
 
 def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> None:

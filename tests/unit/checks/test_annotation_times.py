@@ -11,7 +11,9 @@ from sceneloom.scene import (
     CuboidAnnotation,
     CuboidPath,
     EventAnnotation,
+    LocalizationAdjustment,
     PointsAnnotation,
+    PosePath,
     Projection,
     ShapeAnnotation,
     ShapeType,
@@ -111,6 +113,12 @@ def test_annotations_may_reach_one_sweep_beyond_the_sensors(sound, found):
     assert path == "annotations[0].path.timestamps[1]"
     assert "after the scene ends" in message
     assert found(scene, "annotation-outside-scene") == []
+
+
+def test_the_poses_of_corrections_may_lie_around_the_scene(sound, found):
+    poses = PosePath(np.array([-(10**9), 10**9]), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    scene = sound.scene(annotations=(LocalizationAdjustment("drift", poses),))
+    assert found(scene, "annotation-beyond-scene") == []
 
 
 def test_what_lies_outside_as_a_whole_by_more_than_a_second_is_found(sound, found):

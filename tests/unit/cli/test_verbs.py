@@ -11,7 +11,9 @@ from typing import Any
 
 import pytest
 
+import sceneloom
 from sceneloom.cli.printing import seconds
+from sceneloom.simulate import LidarSpec, simulate_street
 
 Call = Callable[..., Any]
 
@@ -29,6 +31,15 @@ def test_info_as_json_counts_what_is_there(call: Call, recording: Path) -> None:
     assert (counts["lidar"], counts["camera0"]) == (3, 3)
     assert summary["format"] == "recording"
     assert summary["size_bytes"] == sum(p.stat().st_size for p in recording.rglob("*") if p.is_file())
+
+
+def test_info_as_json_names_the_pictures_that_it_drew(call: Call, tmp_path: Path) -> None:
+    drive = simulate_street(3, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=())
+    sceneloom.write(drive.scene, tmp_path / "street.sfs")
+    words = ("--pictures", tmp_path / "look", "--json")
+    drawn = json.loads(call("info", tmp_path / "street.sfs", *words).out)["pictures"]
+    assert sorted(map(Path, drawn)) == sorted((tmp_path / "look").iterdir())
+    assert call("info", tmp_path / "street.sfs", *words).code == 1  # they are there already
 
 
 def test_fuse_writes_and_reports(call: Call, recording: Path, tmp_path: Path) -> None:

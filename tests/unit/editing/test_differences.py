@@ -32,6 +32,7 @@ from sceneloom.scene import (
     Picture,
     PointPath,
     PointsAnnotation,
+    PointsFrame,
     PosePath,
     Projection,
     Scene,
@@ -390,3 +391,15 @@ def test_a_written_scene_is_equal_to_what_was_written(tmp_path):
         sceneloom.write(first, tmp_path / "b.sfs", time_unit="nanoseconds")
         with sceneloom.open(tmp_path / "b.sfs") as second:
             assert diff_scenes(first, second).differences == ()
+
+
+def test_values_of_closed_sets_are_told_by_their_words():
+    scene = Scene((LidarSensor("top", sweeps()),))
+    other = Scene((replace(scene.lidars[0], points_frame=PointsFrame.WORLD),))
+    messages = [d.message for d in diff_scenes(scene, other).differences]
+    assert messages == ["'sensor'; then 'world'"]
+
+
+def test_what_is_no_scene_is_refused_with_what_to_do():
+    with pytest.raises(OptionError, match=r"'a\.sfs'; expected a scene: `sceneloom\.open`"):
+        diff_scenes("a.sfs", Scene(()))

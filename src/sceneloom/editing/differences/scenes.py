@@ -10,6 +10,7 @@ from sceneloom.editing.differences.frames import Progress, compare_frames, compa
 from sceneloom.editing.differences.report import Change, Findings, SceneDifferences
 from sceneloom.editing.differences.tolerances import Tolerances
 from sceneloom.editing.differences.values import Comparison, shown
+from sceneloom.errors import OptionError
 from sceneloom.scene import CameraSensor, LidarFrame, LidarSensor, RadarFrame, RadarSensor, Scene, Sensor
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.span import frame_times
@@ -48,9 +49,12 @@ def diff_scenes(
         progress: told after each frame how many are done, and of how many.
 
     Raises:
-        OptionError: a tolerance is negative or not a number.
+        OptionError: one is no scene, or a tolerance is negative or not a number.
         DataError: a frame cannot be read.
     """
+    for scene in (first, second):
+        if not isinstance(scene, Scene):
+            raise OptionError(f"{scene!r}; expected a scene: `sceneloom.open` gives that of a file")
     findings = Findings()
     comparison = Comparison(
         findings,

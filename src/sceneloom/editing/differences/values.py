@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
 from types import MappingProxyType
 from typing import Any
 
@@ -250,5 +251,5 @@ def shown(value: Any) -> str:
         return type(value).__name__
     if isinstance(value, Mapping):
         return f"a mapping of {len(value)}"
-    text = repr(value)
+    text = repr(value.value if isinstance(value, Enum) else value)
     return text if len(text) <= SHOWN else text[: SHOWN - 1] + "…"

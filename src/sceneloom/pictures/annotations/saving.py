@@ -40,8 +40,8 @@ def save_annotation_pictures(
         OutputError: the folder has something in it and `overwrite` is not said, or it cannot be written.
         DataError: a sweep or picture cannot be read.
     """
-    drawings = list(_drawings(scene, at))
     with filling(folder, overwrite=overwrite) as drafts:
+        drawings = list(_drawings(scene, at))
         for name, draw in drawings:
             save_picture(draw(), drafts / f"{name}.png")
     return [folder / f"{name}.png" for name, _ in drawings]

@@ -102,7 +102,8 @@ class _Axis:
 def _rows(annotation: Annotation, first_ns: int, last_ns: int) -> Iterator[_Row]:
     colour = colour_of(annotation)
     label = getattr(annotation, "label", None)
-    name = f"{annotation.type} {annotation.id}" + (f" · {label}" if label else "")
+    # the label comes first: a long id is cut off
+    name = f"{annotation.type} {label} · {annotation.id}" if label else f"{annotation.type} {annotation.id}"
     if isinstance(annotation, EventAnnotation):
         stop_ns = annotation.start_ns + round(annotation.duration_ns or 0)
         yield _Row(name, colour, [(annotation.start_ns, stop_ns, "")], [annotation.start_ns])

@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Protocol
+
+from sceneloom.formats.byte_stream import Bytes
 
 _CODECS: Mapping[bytes, str] = MappingProxyType(
     {
@@ -21,14 +22,6 @@ _CODECS: Mapping[bytes, str] = MappingProxyType(
     }
 )
 """Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
-
-
-class Bytes(Protocol):
-    """Bytes in memory, or fetched as they are looked at."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, part: slice, /) -> bytes | memoryview: ...
 
 
 UNKNOWN_CODEC = "unknown"

@@ -2,7 +2,6 @@
 
 import io
 import mmap
-import os
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.formats.byte_stream import ByteStream
 from sceneloom.formats.sfs.items import RawBytes
 from sceneloom.formats.sfs.unfetched import Unfetched, arrays_in, replaced, unfetched
 
@@ -213,7 +213,7 @@ class RemoteContent:
 
     def __call__(self) -> BinaryIO:
         """Open them as a file."""
-        return cast("BinaryIO", io.BufferedReader(_RemoteBytes(self), _PIECE))
+        return cast("BinaryIO", io.BufferedReader(ByteStream(self), _PIECE))
 
     def _pieces(self, start: int, stop: int) -> Iterator[bytes]:
         """Fetch whole pieces of one length, so that readings side by side find them remembered."""
@@ -221,30 +221,6 @@ class RemoteContent:
             first = number * _PIECE
             piece = self._remote.read(self._start + first, min(self._start + first + _PIECE, self._stop))
             yield piece[max(0, start - first) : stop - first]
-
-
-class _RemoteBytes(io.RawIOBase):
-    """A file of bytes that are fetched as they are read."""
-
-    def __init__(self, content: RemoteContent) -> None:
-        self._content, self._place = content, 0
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        piece = self._content[self._place : self._place + len(buffer)]
-        buffer[: len(piece)] = piece
-        self._place += len(piece)
-        return len(piece)
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: len(self._content)}[whence]
-        self._place = max(0, base + offset)
-        return self._place
 
 
 _EXTRA = "reading files behind URLs needs `pip install 'sceneloom[cloud]'`"

@@ -1,7 +1,6 @@
 """Where the bytes of a video come from, and how a decoder's complaints become ours."""
 
 import io
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,6 +11,7 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from sceneloom.errors import DataError
+from sceneloom.formats.byte_stream import ByteStream
 
 VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryIO]
 """A file, its bytes, or a function that opens them anew each time."""
@@ -21,39 +21,6 @@ _DEMUXERS = (
     "yuv4mpegpipe"
 )
 """Containers of one video each. Playlists are not among them: they could name any file or address."""
-
-
-class BytesView(io.RawIOBase):
-    """Bytes that are already in memory as a seekable file, without copying them."""
-
-    def __init__(self, content: bytes | bytearray | memoryview) -> None:
-        self._content = memoryview(content).cast("B")
-        self._place = 0
-
-    def readable(self) -> bool:
-        """Say yes."""
-        return True
-
-    def seekable(self) -> bool:
-        """Say yes."""
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        """Copy the next bytes into the buffer."""
-        piece = self._content[self._place : self._place + len(buffer)]
-        buffer[: len(piece)] = piece
-        self._place += len(piece)
-        return len(piece)
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Move to a byte."""
-        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: len(self._content)}[whence]
-        self._place = max(0, base + offset)
-        return self._place
-
-    def tell(self) -> int:
-        """The byte that is read next."""
-        return self._place
 
 
 def source_name(source: VideoSource, name: str | None) -> str:
@@ -69,7 +36,7 @@ def open_bytes(source: VideoSource) -> BinaryIO:
         return Path(source).open("rb")
     if callable(source):
         return source()
-    return cast("BinaryIO", io.BufferedReader(BytesView(source)))
+    return cast("BinaryIO", io.BufferedReader(ByteStream(memoryview(source).cast("B"))))
 
 
 @contextmanager

@@ -1,10 +1,10 @@
 """Which pictures an mp4 video holds, by its tables alone: the pictures themselves are not read."""
 
 import io
-import os
 from collections.abc import Iterator
-from typing import Any, BinaryIO, Protocol, cast
+from typing import Any, BinaryIO, cast
 
+from sceneloom.formats.byte_stream import Bytes, ByteStream
 from sceneloom.formats.video.index import VideoIndex, read_index
 
 BY_TABLES = {"fflags": "noparse+nofillin"}
@@ -13,14 +13,6 @@ BY_TABLES = {"fflags": "noparse+nofillin"}
 _LONG_SIZE, _TO_THE_END = 1, 0
 _LOOKED_AT = 64 << 10
 _MOST_BOXES = 10_000
-
-
-class Bytes(Protocol):
-    """Bytes that are fetched as they are looked at."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, part: slice, /) -> bytes | memoryview: ...
 
 
 def read_table_index(content: Bytes, name: str) -> VideoIndex:
@@ -38,37 +30,24 @@ def open_hollow(content: Bytes) -> BinaryIO:
     return cast("BinaryIO", io.BufferedReader(_Hollow(content, payloads), _LOOKED_AT))
 
 
-class _Hollow(io.RawIOBase):
+class _Hollow(ByteStream):
     """A file whose payloads read as NULs."""
 
     def __init__(self, content: Bytes, payloads: list[tuple[int, int]]) -> None:
-        self._content, self._payloads, self._place = content, payloads, 0
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
+        super().__init__(content)
+        self._payloads = payloads
 
     def readinto(self, buffer: Any) -> int:
-        start, length = self._place, len(buffer)
+        start, length = self.place, len(buffer)
         for first, stop in self._payloads:
             if first <= start < stop:
                 length = min(length, stop - start)
                 buffer[:length] = bytes(length)
-                self._place += length
+                self.place += length
                 return length
             if start < first:
                 length = min(length, first - start)
-        piece = self._content[start : start + length]
-        buffer[: len(piece)] = piece
-        self._place += len(piece)
-        return len(piece)
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: len(self._content)}[whence]
-        self._place = max(0, base + offset)
-        return self._place
+        return super().readinto(memoryview(buffer)[:length])
 
 
 def _media(content: Bytes) -> Iterator[tuple[int, int]]:

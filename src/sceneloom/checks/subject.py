@@ -103,10 +103,6 @@ class Subject:
         """`sensors[3]`."""
         return self.table("paths of sensors", _paths_of_sensors)[id(sensor)]
 
-    def annotation_path(self, annotation: Annotation) -> str:
-        """`annotations[3]`."""
-        return self.table("paths of annotations", _paths_of_annotations)[id(annotation)]
-
     def has_sensor(self, sensor_id: Identifier) -> bool:
         """Whether the scene has a sensor of that id, of that very type."""
         return self.sensor(sensor_id) is not None
@@ -118,10 +114,6 @@ class Subject:
 
 def _paths_of_sensors(subject: Subject) -> dict[int, str]:
     return {id(sensor): path for path, sensor in subject.sensors()}
-
-
-def _paths_of_annotations(subject: Subject) -> dict[int, str]:
-    return {id(annotation): path for path, annotation in subject.annotations()}
 
 
 def _sensors_by_id(subject: Subject) -> dict[tuple[type, Identifier], Sensor]:

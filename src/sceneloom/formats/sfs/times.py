@@ -93,10 +93,6 @@ class FileClock:
             checked_ns(timestamp_ns - self.offset_ns)
         return self.stamp(first_ns), self.stamp(last_ns)
 
-    def stamp_before(self, timestamp_ns: int) -> int:
-        """Give the last stamp that is not later than an absolute time."""
-        return (timestamp_ns - self.offset_ns) // self.tick_ns
-
     def stamp_array(
         self,
         timestamps_ns: Int64Array,

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.editing.joined_sensors import is_same, joined_path, new_rows
+from sceneloom.editing.joined_sensors import joined_path, new_rows
+from sceneloom.editing.sameness import is_same, said_of
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
     Annotation,
@@ -74,20 +75,15 @@ def joined_attributes(
     first: tuple[AttributePath, ...], second: tuple[AttributePath, ...]
 ) -> tuple[AttributePath, ...]:
     """Join attributes of one name, sensor and point; one whose values have no times each is that of the first."""
-    joined = {_said_of(attribute): attribute for attribute in first}
+    joined = {said_of(attribute): attribute for attribute in first}
     alone = []
     for attribute in second:
-        known = joined.get(_said_of(attribute))
+        known = joined.get(said_of(attribute))
         if known is None:
             alone.append(attribute)
         elif known.is_timed and attribute.is_timed:
-            joined[_said_of(attribute)] = joined_rows(known, attribute)
+            joined[said_of(attribute)] = joined_rows(known, attribute)
     return (*joined.values(), *alone)
-
-
-def _said_of(attribute: AttributePath) -> tuple[Any, ...]:
-    sensor = None if attribute.sensor_id is None else key_of(attribute.sensor_id)
-    return attribute.name, sensor, attribute.static, attribute.point_index
 
 
 def _entries(first: tuple[Any, ...], second: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -1,6 +1,6 @@
 """Consecutive parts of one sensor joined into one sensor."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.editing.sameness import is_same
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
     CameraSensor,
@@ -275,28 +276,3 @@ _JOINS: Mapping[type, Callable[[Any, Any, str], Joined]] = MappingProxyType(
     }
 )
 """How the parts of each kind of sensor are joined."""
-
-SAME_TOLERANCE = 1e-6
-"""Numbers of two scenes that differ by no more are the same, brought into one world by computing [m], …"""
-
-
-def is_same(a: Any, b: Any) -> bool:
-    """Whether two values, records or arrays say the same, numbers within `SAME_TOLERANCE`."""
-    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-        return _same_arrays(np.asarray(a), np.asarray(b))
-    if hasattr(a, "__dataclass_fields__"):
-        names = a.__dataclass_fields__
-        return type(a) is type(b) and all(is_same(getattr(a, name), getattr(b, name)) for name in names)
-    if isinstance(a, Mapping) and isinstance(b, Mapping):
-        return a.keys() == b.keys() and all(is_same(a[name], b[name]) for name in a)
-    if isinstance(a, Sequence) and isinstance(b, Sequence) and not isinstance(a, str):
-        return len(a) == len(b) and all(is_same(x, y) for x, y in zip(a, b, strict=True))
-    return bool(a == b)
-
-
-def _same_arrays(a: Any, b: Any) -> bool:
-    if a.shape != b.shape or a.dtype.kind != b.dtype.kind:
-        return False
-    if a.dtype.kind != "f":
-        return bool(np.array_equal(a, b))
-    return bool(np.allclose(a, b, rtol=0.0, atol=SAME_TOLERANCE, equal_nan=True))

@@ -1,6 +1,6 @@
 """Several scenes of one drive made one."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
@@ -9,7 +9,7 @@ from typing import Any
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.camera_index import recounted
 from sceneloom.editing.joined_annotations import joined_annotation, joined_attributes
-from sceneloom.editing.joined_sensors import Joint, is_same, joined_sensor, joined_trajectory
+from sceneloom.editing.joined_sensors import Joint, joined_sensor, joined_trajectory
 from sceneloom.editing.record import OURS, assumed, ours_of, skipped, with_notices
 from sceneloom.editing.references import (
     NewIds,
@@ -20,6 +20,7 @@ from sceneloom.editing.references import (
     with_sensor_parent,
 )
 from sceneloom.editing.same_world import in_words_of, in_world_of, merged_metadata
+from sceneloom.editing.sameness import contradicting, differing_fields, is_same
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
     Annotation,
@@ -100,7 +101,10 @@ class _Merger:
         moved = [self._follows(annotation, ids) for annotation in scene.annotations]
         first = self._first_annotations()
         annotations = self._annotations(scene, first, [found for found in moved if found is not None])
-        attributes = joined_attributes(self.first.attributes, attributes_of(scene.attributes, ids))
+        said = attributes_of(scene.attributes, ids)
+        attributes = joined_attributes(self.first.attributes, said)
+        extras, differing = merged_metadata(self.first.extras, scene.extras)
+        self._tell_differing("", (*contradicting(self.first.attributes, said), *differing))
         metadata = self._metadata(scene, ids)
         merged = replace(
             self.first,
@@ -109,7 +113,7 @@ class _Merger:
             trajectories=self._trajectories(scene),
             attributes=attributes,
             metadata=metadata,
-            extras=MappingProxyType(merged_metadata(self.first.extras, scene.extras)[0]),
+            extras=MappingProxyType(extras),
         )
         new = [notice for notice in scene.notices if notice not in self.first.notices]
         return with_notices(merged, (*new, *self.notices))
@@ -156,6 +160,7 @@ class _Merger:
     def _joined(self, scene: Scene, first: Sensor, second: Sensor) -> Sensor:
         place = self._place(scene, "sensors", second.id)
         joined, joint = joined_sensor(first, second, place)
+        self._tell_differing(f"sensors[{second.id}].", differing_fields(first, second))
         if joint is not None:
             self.joints[key_of(second.id)] = joint
             what = "frames that are in both scenes; taken once"
@@ -168,6 +173,10 @@ class _Merger:
             what = "the videos of parts cannot be joined; its pictures are taken one by one"
             self.notices.append(assumed("video-in-pictures", f"sensors[{second.id}].video", what))
         return joined
+
+    def _tell_differing(self, where: str, names: Iterable[str], *, code: str = "fields-differ") -> None:
+        what = "differs between the scenes; that of the first is kept"
+        self.notices.extend(skipped(code, f"{where}{name}", what) for name in names)
 
     def _first_annotations(self) -> list[Annotation]:
         numbers = {key: joint.first for key, joint in self.joints.items()}
@@ -192,7 +201,9 @@ class _Merger:
             place = self._place(scene, "annotations", annotation.id)
             if self.join and first[known[key]].type == annotation.type:
                 joined.add(key)
-                first[known[key]] = joined_annotation(first[known[key]], annotation, place)
+                part = first[known[key]]
+                first[known[key]] = joined_annotation(part, annotation, place)
+                self._tell_differing(f"annotations[{annotation.id}].", differing_fields(part, annotation))
             elif self.rename:
                 self.annotation_ids[key] = _free(annotation.id, used)
             else:
@@ -235,9 +246,7 @@ class _Merger:
             *differing,
             *(f"{OURS}.{name}" for name in ours_differing if name not in (*_LISTED, "fusion")),
         ]
-        for name in told:
-            what = "differs between the scenes; that of the first is kept"
-            self.notices.append(skipped("metadata-differ", f"metadata.{name}", what))
+        self._tell_differing("metadata.", told, code="metadata-differ")
         return MappingProxyType({**merged, **({OURS: ours} if ours else {})})
 
 

@@ -10,6 +10,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.editing.frame_change import FrameChange
 from sceneloom.editing.moved_world import moved_world
 from sceneloom.editing.record import assumed, ours_of, with_notices, with_ours
+from sceneloom.editing.sameness import is_same
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Annotation, CuboidAnnotation, CuboidPath, Scene
@@ -111,11 +112,5 @@ def _rows(rows: Float64Array, mine: CuboidAngles, theirs: CuboidAngles) -> Float
 
 def merged_metadata(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """The fields of both; of those that differ the first's. Gives the names of these, too."""
-    differing = [name for name in first.keys() & second.keys() if not _equal(first[name], second[name])]
+    differing = [name for name in first.keys() & second.keys() if not is_same(first[name], second[name])]
     return {**second, **first}, sorted(differing)
-
-
-def _equal(a: Any, b: Any) -> bool:
-    from sceneloom.editing.joined_sensors import is_same
-
-    return is_same(a, b)

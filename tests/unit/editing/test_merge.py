@@ -273,6 +273,31 @@ def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
         merge_scenes([parts[0], other], join=True)
 
 
+def test_what_the_second_part_says_otherwise_is_told(drive, box):
+    weather = [AttributePath("weather", (said,), static=True) for said in ("rain", "sun")]
+    scenes = [
+        replace(
+            drive.scene(annotations=(box("b", drive.stamps_ns, np.ones(3), label=label, stationary=still),)),
+            attributes=(attribute,),
+            extras={"owner": label},
+        )
+        for label, still, attribute in (("car", False, weather[0]), ("truck", True, weather[1]))
+    ]
+    joined = merge_scenes(scenes, join=True)
+    assert (joined.annotations[0].label, joined.attributes, joined.extras["owner"]) == (
+        "car",
+        (weather[0],),
+        "car",
+    )
+    told = [notice.place for notice in joined.notices if notice.code == "fields-differ"]
+    assert sorted(told) == [
+        "annotations[b].label",
+        "annotations[b].stationary",
+        "attributes[weather]",
+        "owner",
+    ]
+
+
 @pytest.mark.parametrize(
     ("change", "problem"),
     [

@@ -94,10 +94,12 @@ def added_before(scene: Scene) -> Mapping[PathKey, AddedKeyframes]:
     entries = ours_of(scene).get(TO_EGO)
     found: dict[PathKey, AddedKeyframes] = {}
     for entry in entries if isinstance(entries, list) else []:
-        if not isinstance(entry, Mapping) or not {"annotation_id", "path", "added_ns"} <= entry.keys():
+        if not isinstance(entry, Mapping):
             continue
-        identifier, times = entry["annotation_id"], np.asarray(entry["added_ns"])
-        if (isinstance(identifier, str | int) and times.dtype.kind in "iu") or len(times) == 0:
-            added = AddedKeyframes(tuple(times.tolist()), bool(entry.get("stationary")))
-            found[type(identifier), identifier, entry["path"]] = added
+        identifier, path, times = (entry.get(name) for name in ("annotation_id", "path", "added_ns"))
+        if not (isinstance(identifier, str | int) and isinstance(path, int) and isinstance(times, list)):
+            continue
+        if all(isinstance(time_ns, int) for time_ns in times):
+            added = AddedKeyframes(tuple(times), bool(entry.get("stationary")))
+            found[type(identifier), identifier, path] = added
     return MappingProxyType(found)

@@ -245,3 +245,20 @@ def test_boxes_on_the_ego_are_not_taken_for_boxes_in_the_world(drive, box):
     assert annotations_to_world(on_ego).annotations[0].path.values[0, 3:6].tolist() == pytest.approx(
         [1, 1, 1]
     )
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        3,
+        {"annotation_id": ["b"], "path": 0, "added_ns": []},
+        {"annotation_id": "b", "path": [0], "added_ns": []},
+        {"annotation_id": "b", "path": 0, "added_ns": 5},
+        {"annotation_id": "b", "path": 0, "added_ns": [[1], [2, 3]]},
+    ],
+)
+def test_what_metadata_say_in_a_form_unknown_takes_nothing_away(drive, box, entry):
+    scene = drive.scene(annotations=(box("b", drive.stamps_ns, np.ones(3)),))
+    said = {"sceneloom": {"annotations_frame": "ego", "to_ego": [entry]}}
+    moved = to_world(replace(scene, metadata=said)).annotations[0]
+    assert set(drive.stamps_ns.tolist()) <= set(moved.path.timestamps_ns.tolist())

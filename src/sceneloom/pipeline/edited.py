@@ -170,8 +170,10 @@ class _Tally:
             self.progress(len(self.after), self.total)
 
     def points_before(self, scenes: Sequence[Scene]) -> int:
-        """What the edit told of; an edit that tells nothing leaves all points where they are."""
-        return _map_points(scenes) + sum((self.before or self.after).values())
+        """What the edit told of; sensors of which it tells nothing keep all their points."""
+        told = {key[:2] for key in self.before}
+        kept = sum(count for key, count in self.after.items() if key[:2] not in told)
+        return _map_points(scenes) + sum(self.before.values()) + kept
 
     def points_after(self, scenes: Sequence[Scene]) -> int:
         return _map_points(scenes) + sum(self.after.values())

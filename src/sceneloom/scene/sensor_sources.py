@@ -17,6 +17,15 @@ from sceneloom.scene.types import Coordinates, PointsFrame
 Posed = LidarSensor | RadarSensor | CameraSensor
 """Sensors that are somewhere."""
 
+_NOT_PLACED = (
+    "it has neither poses nor a mounting on the ego; give it one (in calibration.json `imuToCamera` or `imuToLidar`) "
+    "or leave the sensor out"
+)
+_NO_WAY = (
+    "it is mounted on the ego, whose way is not known; find it from the sweeps with `--trajectory lidar` or leave the "
+    "sensor out"
+)
+
 
 def needs_ego(scene: Scene) -> bool:
     """Whether the ego's way has to tell where something was: a sensor without poses, or points that ride on the ego."""
@@ -46,10 +55,8 @@ def sensor_source(scene: Scene, sensor: Posed, ego: EgoMotion | None, *, reach_n
     if ego is not None and sensor.mount is not None:
         return PoseSource(ego.path, sensor.mount, reach_ns)
     if sensor.poses is None:
-        raise PoseError(
-            f"{scene.source}: it is not known where sensor {sensor.id!r} is: it has neither poses nor a mounting on "
-            "the ego; give it one (in calibration.json `imuToCamera` or `imuToLidar`) or leave the sensor out"
-        )
+        lacks = _NOT_PLACED if sensor.mount is None else _NO_WAY
+        raise PoseError(f"{scene.source}: it is not known where sensor {sensor.id!r} is: {lacks}")
     if sensor.coordinates is Coordinates.WORLD:
         return PoseSource(sensor.poses, RigidTransform.identity(), reach_ns, own=True)
     return _source_on_ego(scene, sensor, ego, reach_ns)

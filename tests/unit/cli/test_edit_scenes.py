@@ -44,6 +44,22 @@ def test_thin_tells_how_many_points_are_left(call: Call, recording: Path, tmp_pa
     assert len(np.unique(np.floor(kept.astype(float) / 2.0), axis=0)) == len(kept)
 
 
+def test_thin_counts_the_points_of_sensors_that_stay_as_they_are(
+    call: Call, scene_file: Path, tmp_path: Path
+) -> None:
+    two = tmp_path / "two.sfs"
+    assert call("edit", "merge", scene_file, scene_file, "-o", two, "--rename").code == 0
+    with sceneloom.open(two) as scene:
+        points = sum(len(frame.points) for lidar in scene.lidars for frame in lidar.frames)
+        chosen = str(scene.lidars[0].id)
+        assert len(scene.lidars) == 2
+    thin = ("edit", "thin", two, "-o", tmp_path / "thin.sfs", "--points", "1", "--sensor", chosen)
+    told = json.loads(call(*thin, "--json").out)
+    frames = told["before"]["frames"]
+    assert told["before"]["points"] == points
+    assert points / 2 < told["after"]["points"] <= points / 2 + frames
+
+
 def test_thin_says_that_points_are_those_of_frames_that_stay(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:

@@ -14,7 +14,7 @@ from sceneloom.cameras.formulas import plane_of_pixel, project_point, ray_of_cha
 from sceneloom.cameras.solving import angle_at, approach_angle, approach_place, place_at
 
 _NEAREST = 1e-250
-"""Points whose squared distance [m²] is smaller have no pixel, nor those whose is no number: roots of it mean nothing."""
+"""Points whose squared distance [m²] is less, or no number, have no pixel: its root would mean nothing."""
 
 
 @njit(**PART)

@@ -17,6 +17,7 @@ RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.cameras",
     "sceneloom.checks.points",
     "sceneloom.checks.point_frames",
+    "sceneloom.checks.surroundings",
     "sceneloom.checks.pictures",
     "sceneloom.checks.references",
     "sceneloom.checks.annotation_times",

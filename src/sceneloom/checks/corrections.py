@@ -2,10 +2,19 @@
 
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import CameraCalibration, CameraSensor, Identifier, LocalizationAdjustment, Severity
+from sceneloom.scene import (
+    CameraCalibration,
+    CameraSensor,
+    Identifier,
+    LidarSensor,
+    LocalizationAdjustment,
+    RadarSensor,
+    Severity,
+)
 from sceneloom.scene.span import scene_period_ns, time_span
 
 
@@ -26,7 +35,11 @@ def _several_adjustments(subject: Subject) -> Iterator[Hit]:
 
 
 def _adjustment_short(subject: Subject) -> Iterator[Hit]:
-    span = time_span(subject.scene)
+    # inertial sensors and satellite receivers begin and end as they like; what is corrected are frames
+    framed = tuple(
+        s for s in subject.scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)
+    )
+    span = time_span(replace(subject.scene, sensors=framed))
     if span is None:
         return
     period_ns = scene_period_ns(subject.scene)
@@ -36,7 +49,7 @@ def _adjustment_short(subject: Subject) -> Iterator[Hit]:
             continue
         missing_ns = max(poses.start_ns - span[0], span[1] - poses.stop_ns)
         if missing_ns > period_ns:
-            told = f"{poses.start_ns} to {poses.stop_ns} ns; the sensors' times are {span[0]} to {span[1]} ns"
+            told = f"{poses.start_ns} to {poses.stop_ns} ns; the frames' times are {span[0]} to {span[1]} ns"
             yield Hit(f"{path}.poses", told)
 
 

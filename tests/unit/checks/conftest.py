@@ -68,9 +68,9 @@ class Sound:
         noise = rng.integers(0, 255, (len(times), lens.height, lens.width, 3), np.uint8)
         shots = [Picture.of(int(t), lens, rgb) for t, rgb in zip(times, noise, strict=True)]
         pictures = LazyFrames.of(shots, times)
-        return CameraSensor(
-            **{"id": "front", "camera": lens, "pictures": pictures, "poses": self.path(), **fields}
-        )
+        # z forward, y down
+        poses = self.path(quaternions_xyzw=np.tile([-0.5, 0.5, -0.5, 0.5], (len(self.times()), 1)))
+        return CameraSensor(**{"id": "front", "camera": lens, "pictures": pictures, "poses": poses, **fields})
 
     def odometry(self, **fields: Any) -> OdometrySensor:
         """The way of the ego."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.scene import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene import CameraCalibration, ImuSensor, LocalizationAdjustment, VectorSamples
 
 PERIOD = 100_000_000
 RULES = (
@@ -36,6 +36,14 @@ def test_an_adjustment_that_ends_more_than_a_sweep_too_soon_is_found(sound, foun
     for last, hits in ((4 * PERIOD, 0), (4 * PERIOD - 1, 1)):
         adjustment = LocalizationAdjustment("a", sound.path(np.array([0, last])))
         assert len(found(sound.scene(annotations=(adjustment,)), "localization-adjustment-short")) == hits
+
+
+def test_an_adjustment_need_not_cover_what_inertial_sensors_measured_before_and_after(sound, found):
+    stamps = np.arange(-20, 40) * PERIOD
+    imu = ImuSensor("imu", {"gyroscope": VectorSamples(stamps, np.zeros((60, 3)))})
+    adjustment = LocalizationAdjustment("a", sound.path(np.array([0, 5 * PERIOD])))
+    scene = sound.scene(sound.lidar(), imu, annotations=(adjustment,))
+    assert found(scene, "localization-adjustment-short") == []
 
 
 def test_an_adjustment_of_one_pose_may_hold_throughout(sound, found):

@@ -324,6 +324,31 @@ def test_every_annotation_that_scales_library_loads_has_its_values_there(scale, 
     }
 
 
+def test_durations_and_nulls_that_scales_library_refuses_stand_aside(scale, tmp_path):
+    path = tmp_path / "drive.sfs"
+    stamps, rows = np.array([START, START + MS]), np.array([ROW, ROW])
+    seen = Projection("front", stamps, np.ones((2, 4)), None, np.array([ROW, [np.nan] * 9]))
+    annotations = (
+        EventAnnotation("whole", START, 3 * MS),
+        EventAnnotation("part", START, 3 * MS + 1),
+        EventAnnotation("less", START, 0.5),
+        EventAnnotation("endless", START),
+        CuboidAnnotation("null", CuboidPath(stamps, rows), projections=(seen,)),
+    )
+    write_scene(Scene((), annotations), path, profile="scale")
+    there = scale(READ, path)
+    assert there["valid"]
+    assert set(there["annotations"]) == {"whole", "endless"}
+    back = {annotation.id: annotation for annotation in FORMAT.open(path).annotations}
+    assert [back[name].duration_ns for name in ("whole", "part", "less", "endless")] == [
+        3 * MS,
+        3 * MS + 1,
+        0.5,
+        None,
+    ]
+    np.testing.assert_array_equal(back["null"].projections[0].cuboids, seen.cuboids)
+
+
 def test_what_scales_library_refuses_stands_aside_and_comes_back(tmp_path):
     path = tmp_path / "drive.sfs"
     annotations = every_annotation()

@@ -131,11 +131,29 @@ def _scale_annotation(record: Record) -> str | None:
             missing += [f"{part}[].{name}" for name in names if item.get(name) is None]
     if missing:
         return f"Scale's loader needs {missing[0]}"
+    if not _whole_duration(record):
+        return "Scale's loader takes durations of whole microseconds only"
+    if _has_null_cuboids(record):
+        return "Scale's loader takes no null among the cuboids of a sensor"
     return (
         None
         if attributes_fit(record.get("attributes") or [])
         else "Scale's loader takes text and integers only"
     )
+
+
+def _whole_duration(record: Record) -> bool:
+    """Whether the duration of an event [ns] is a whole number in a file for Scale's library."""
+    duration_ns = record.get("duration") if record["type"] == "event" else None
+    return duration_ns is None or (
+        isinstance(duration_ns, int) and duration_ns % TICKS_NS["microseconds"] == 0
+    )
+
+
+def _has_null_cuboids(record: Record) -> bool:
+    """Whether an activation or a projection has no cuboid at one of its times."""
+    parts = [part for name in ("activations", "projections") for part in record.get(name) or []]
+    return any(isinstance(part.get("cuboids"), list) and None in part["cuboids"] for part in parts)
 
 
 def attributes_fit(attributes: Any) -> bool:

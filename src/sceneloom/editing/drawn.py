@@ -31,7 +31,8 @@ class LensChange:
     """From one lens to another.
 
     Attributes:
-        lost: how many drawn things were left out, since the new lens does not see all of them.
+        lost: how many drawn things were left out, since the new lens does not see all of them, or the new picture
+            nothing.
     """
 
     def __init__(self, before: Camera, after: Camera) -> None:
@@ -41,11 +42,20 @@ class LensChange:
 
     def pixels(self, places: Float64Array) -> Float64Array:
         """Move (N, 2) places in the corner convention; NaN where the new lens has none."""
-        rays = unproject(self._before, places - CORNER)
+        rays: Float64Array = unproject(self._before, places - CORNER)
         return project_unbounded(self._after, rays) + CORNER
 
+    def shows(self, low: Float64Array, high: Float64Array) -> BoolArray:
+        """Whether the new picture shows anything from the least (N, 2) to the greatest (N, 2) places."""
+        size = (self._after.width, self._after.height)
+        inside: BoolArray = np.all((high > 0.0) & (low < size), axis=1)
+        return inside
+
     def boxes(self, boxes: Float64Array) -> Float64Array:
-        """Move (N, 4) boxes `left top width height`: what bounds the moved outline; NaN where a part has no place."""
+        """Move (N, 4) boxes `left top width height`: what bounds the moved outline.
+
+        NaN where a part has no place, or the new picture shows nothing of it.
+        """
         along = np.linspace(0.0, 1.0, _SIDE)
         outline = np.concatenate(
             [np.stack(pair, axis=1) for pair in _sides(along, np.zeros(_SIDE), np.ones(_SIDE))]
@@ -53,6 +63,7 @@ class LensChange:
         places = boxes[:, None, :2] + outline[None] * boxes[:, None, 2:]
         moved = self.pixels(places.reshape(-1, 2)).reshape(places.shape)
         low, high = moved.min(axis=1), moved.max(axis=1)
+        low[~self.shows(low, high)] = np.nan
         self.lost += int((np.isnan(low).any(axis=1) & np.isfinite(boxes).all(axis=1)).sum())
         return np.concatenate([low, high - low], axis=1)
 
@@ -66,8 +77,8 @@ def _sides(
 def redrawn(annotations: tuple[Annotation, ...], changes: Mapping[Key, LensChange]) -> tuple[Annotation, ...]:
     """Move everything that is drawn into pictures of the cameras whose lens changes.
 
-    Rows of paths that the new lens does not see whole are left out, and an annotation of which nothing stays goes;
-    places of projections become null.
+    Rows of paths that the new lens does not see whole, or the new picture not at all, are left out, and an annotation
+    of which nothing stays goes; places of projections become null.
     """
     moved = (_moved(annotation, changes) for annotation in annotations)
     return tuple(annotation for annotation in moved if annotation is not None)
@@ -103,12 +114,19 @@ def _moved_box(annotation: Box2DAnnotation, change: LensChange) -> Box2DAnnotati
 def _moved_shape(annotation: ShapeAnnotation, change: LensChange) -> ShapeAnnotation | None:
     path = annotation.path
     moved = [change.pixels(vertices) for vertices in path.vertices]
-    kept = [bool(np.isfinite(vertices).all()) for vertices in moved]
+    kept = [_is_shown(vertices, change) for vertices in moved]
     change.lost += len(kept) - sum(kept)
     if not any(kept):
         return None
     vertices = tuple(one for one, keep in zip(moved, kept, strict=True) if keep)
     return replace(annotation, path=VertexPath(path.timestamps_ns[np.array(kept)], vertices, path.extras))
+
+
+def _is_shown(vertices: Float64Array, change: LensChange) -> bool:
+    """Whether all vertices have a place, and the new picture may show some of what they bound."""
+    if not (len(vertices) and np.isfinite(vertices).all()):
+        return not len(vertices)
+    return bool(change.shows(vertices.min(axis=0)[None], vertices.max(axis=0)[None])[0])
 
 
 def _moved_projection(projection: Projection, changes: Mapping[Key, LensChange]) -> Projection:
@@ -123,5 +141,6 @@ def _moved_point(projection: PointProjection, changes: Mapping[Key, LensChange])
     if change is None or projection.points is None:
         return projection
     moved = change.pixels(projection.points)
+    moved[~change.shows(moved, moved)] = np.nan
     change.lost += int((np.isnan(moved).any(axis=1) & np.isfinite(projection.points).all(axis=1)).sum())
     return replace(projection, points=moved)

@@ -51,21 +51,58 @@ def renumbered(
         DataError: a frame with labelled points cannot be read.
     """
     tally = _Tally()
+    known = tuple(annotations)
+    moved = _moved_entries(known, renumberings, tally)
     found = [
-        _renumbered(annotation, renumberings, tally)
+        _with_entries(annotation, [moved[row, k] for k in range(len(annotation.labeled_points))], tally)
         if isinstance(annotation, LabeledPointsAnnotation)
         else annotation
-        for annotation in annotations
+        for row, annotation in enumerate(known)
     ]
     return tuple(annotation for annotation in found if annotation is not None), _told(tally)
 
 
-def _renumbered(
-    annotation: LabeledPointsAnnotation, renumberings: Mapping[Key, Renumbering], tally: _Tally
-) -> LabeledPointsAnnotation | None:
+def _moved_entries(
+    annotations: tuple[Annotation, ...], renumberings: Mapping[Key, Renumbering], tally: _Tally
+) -> dict[tuple[int, int], LabeledPoints | None]:
+    """What becomes of each entry, by its annotation's number and its own; frame by frame, so that each is read once."""
     entries = [
-        _entry(entry, renumberings.get(key_of(entry.sensor_id)), tally) for entry in annotation.labeled_points
+        (row, k, entry)
+        for row, annotation in enumerate(annotations)
+        if isinstance(annotation, LabeledPointsAnnotation)
+        for k, entry in enumerate(annotation.labeled_points)
     ]
+    by_frame = sorted(entries, key=lambda found: _frame_of(found[2]))
+    latest = _Latest()
+    return {
+        (row, k): _entry(entry, renumberings.get(key_of(entry.sensor_id)), latest, tally)
+        for row, k, entry in by_frame
+    }
+
+
+def _frame_of(entry: LabeledPoints) -> tuple[str, str, int]:
+    number = -1 if entry.sensor_frame is None else entry.sensor_frame
+    return type(entry.sensor_id).__name__, str(entry.sensor_id), number
+
+
+@dataclass(slots=True)
+class _Latest:
+    """The rows that were asked for last: many annotations have points in one frame."""
+
+    asked: tuple[Renumbering, int | None] | None = None
+    found: Int64Array | None = None
+
+    def rows(self, change: Renumbering, number: int | None) -> Int64Array | None:
+        if change.rows is None:
+            return None
+        if self.asked != (change, number):
+            self.asked, self.found = (change, number), change.rows(number)
+        return self.found
+
+
+def _with_entries(
+    annotation: LabeledPointsAnnotation, entries: Iterable[LabeledPoints | None], tally: _Tally
+) -> LabeledPointsAnnotation | None:
     kept = tuple(entry for entry in entries if entry is not None)
     if annotation.labeled_points and not kept:
         tally.annotations += 1
@@ -73,7 +110,9 @@ def _renumbered(
     return replace(annotation, labeled_points=kept)
 
 
-def _entry(entry: LabeledPoints, change: Renumbering | None, tally: _Tally) -> LabeledPoints | None:
+def _entry(
+    entry: LabeledPoints, change: Renumbering | None, latest: _Latest, tally: _Tally
+) -> LabeledPoints | None:
     if change is None:
         return entry
     number = entry.sensor_frame
@@ -87,7 +126,7 @@ def _entry(entry: LabeledPoints, change: Renumbering | None, tally: _Tally) -> L
             tally.frames += 1
             return None
         entry = replace(entry, sensor_frame=int(found[0]))
-    rows = None if change.rows is None else change.rows(number)
+    rows = latest.rows(change, number)
     if rows is None:
         return entry
     ids = new_ids(entry.point_ids, rows)

@@ -136,6 +136,28 @@ def test_boxes_become_what_bounds_their_bent_outline():
     assert untouched is other
 
 
+def test_what_the_new_picture_does_not_show_is_left_out_and_counted():
+    corner = np.array(
+        [[1.0, 1.0, 3.0, 3.0]]
+    )  # of a barrel's picture, cut off from a picture without black border
+    box = Box2DAnnotation("b", "front", BoxPath(TIME, corner))
+    line = ShapeAnnotation(
+        "s",
+        ShapeType.POLYGON_2D,
+        VertexPath(TIME, (np.array([[1.0, 1], [4, 1], [1, 4]]),)),
+        sensor_id="front",
+    )
+    cuboid = CuboidAnnotation(
+        "c", CuboidPath(TIME, np.ones((1, 9))), projections=(Projection("front", TIME, boxes=corner),)
+    )
+    scene = undistort_scene(scene_of(BARREL, box, line, cuboid))
+    assert [annotation.id for annotation in scene.annotations] == ["c"]
+    assert np.isnan(scene.annotations[0].projections[0].boxes).all()
+    assert [notice.count for notice in scene.notices if notice.code == "drawn-beyond-picture"] == [3]
+    whole = undistort_scene(scene_of(BARREL, box, line, cuboid), keep=1.0)
+    assert [annotation.id for annotation in whole.annotations] == ["b", "s", "c"]
+
+
 def test_shapes_points_and_projections_follow():
     vertices = np.array([[40.5, 30.0], [100.0, 150.0], [200.0, 60.0]])
     shape = ShapeAnnotation("s", ShapeType.POLYGON_2D, VertexPath(TIME, (vertices,)), sensor_id="front")

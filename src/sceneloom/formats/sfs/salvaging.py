@@ -18,7 +18,7 @@ from sceneloom.formats.sfs.items import step
 from sceneloom.formats.sfs.reading import read_container
 from sceneloom.formats.sfs.removal import Keys, keep_in_step, parse_path, take_out, what_goes
 from sceneloom.formats.sfs.source import ReadingOptions
-from sceneloom.formats.sfs.video_rescue import rescue_video
+from sceneloom.formats.sfs.video_rescue import rescue_video, video_problem
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.formats.urls import is_url
 from sceneloom.scene import (
@@ -262,6 +262,8 @@ class _Rescue:
         return replace(scene, sensors=tuple(self._readable(sensor) for sensor in scene.sensors))
 
     def _readable(self, sensor: Sensor) -> Sensor:
+        if isinstance(sensor, CameraSensor):
+            return self._with_readable_video(sensor)
         if not isinstance(sensor, LidarSensor | RadarSensor):
             return sensor
         kept = []
@@ -278,6 +280,14 @@ class _Rescue:
         times_ns = frames.timestamps_ns[np.array(kept, np.int64)]
         readable: Any = LazyFrames(times_ns, lambda k: frames[kept[k]])
         return replace(sensor, frames=readable)
+
+    def _with_readable_video(self, camera: CameraSensor) -> CameraSensor:
+        """Leave out a video that is none, or that has not as many pictures as time stamps; the camera stays."""
+        problem = video_problem(camera)
+        if problem is None:
+            return camera
+        self.lost.append(LostPart(f"sensors[{camera.id}].video", problem, 0))
+        return replace(camera, pictures=LazyFrames.of([], []), video=None, fps=None)
 
 
 def _as_keys(header: dict[str, Any], keys: list[Any]) -> Keys:

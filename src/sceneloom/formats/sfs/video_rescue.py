@@ -1,9 +1,11 @@
-"""The beginning of an mp4 video whose end is lost: the pictures whose packets are whole."""
+"""What is left of videos in damaged files: the pictures whose packets are whole, and why others cannot be written."""
 
 import io
 from typing import TYPE_CHECKING, Any
 
 from sceneloom.errors import DataError
+from sceneloom.formats.sfs.mp4 import UNKNOWN_CODEC
+from sceneloom.scene import CameraSensor
 
 if TYPE_CHECKING:
     from av.video.stream import VideoStream
@@ -96,3 +98,20 @@ def _copied(there: memoryview, count: int) -> bytes:
     finally:
         opened.close()
     return target.getvalue()
+
+
+def video_problem(camera: CameraSensor) -> str | None:
+    """Why a camera's video cannot be written; None where it can."""
+    from sceneloom.formats.video.index import read_index
+
+    if camera.video is None or not len(camera.pictures):
+        return None
+    try:
+        camera.pictures[0]  # opens the video
+        if camera.video.codec != UNKNOWN_CODEC:
+            return None
+        count = len(read_index(camera.video.open, "video"))
+    except DataError as error:
+        return error.problem
+    stamps = len(camera.pictures)
+    return None if count == stamps else f"{count} pictures; expected {stamps} as its time stamps"

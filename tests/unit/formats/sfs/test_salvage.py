@@ -231,6 +231,23 @@ def test_a_video_that_was_cut_keeps_its_whole_pictures_with_their_times(salvaged
     assert f"{len(pictures)} of its 30 pictures" in report.lost[0].problem
 
 
+def test_a_video_of_our_own_that_was_cut_keeps_its_whole_pictures(salvaged, encode_sfs, tmp_path):
+    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", pictures=30, flags=""), 30)
+    (tmp_path / "original.sfs").write_bytes(content)
+    with sceneloom.open(tmp_path / "original.sfs") as scene:
+        # a part of a video is encoded anew
+        sceneloom.write(sceneloom.crop_scene(scene, start=0.001), tmp_path / "ours.sfs")
+    content = (tmp_path / "ours.sfs").read_bytes()
+    report, scene = salvaged(content[: content.index(b"mdat") + (len(content) - content.index(b"mdat")) // 2])
+    ours = sceneloom.open(tmp_path / "ours.sfs").cameras[0].pictures
+    pictures = scene.cameras[0].pictures
+    assert 5 < len(pictures) < len(ours) == 29
+    times = ours.timestamps_ns.tolist()
+    for picture in pictures:
+        np.testing.assert_array_equal(picture.rgb, ours[times.index(picture.timestamp_ns)].rgb)
+    assert f"{len(pictures)} of its 29 pictures" in report.lost[0].problem
+
+
 @pytest.mark.parametrize("flags", ["", "frag_keyframe+empty_moov"])
 def test_a_video_whose_tables_are_lost_is_left_out_and_its_camera_stays(
     salvaged, encode_sfs, tmp_path, flags
@@ -240,6 +257,15 @@ def test_a_video_whose_tables_are_lost_is_left_out_and_its_camera_stays(
     assert len(scene.cameras[0].pictures) == 0
     assert scene.cameras[0].poses is not None
     assert [part.place for part in report.lost] == ["sensors[0].video"]
+
+
+def test_a_video_that_is_none_is_left_out_and_its_camera_stays(salvaged, encode_sfs):
+    report, scene = salvaged(video_scene(encode_sfs, np.arange(99, dtype=np.uint8), 3))
+    assert len(scene.cameras[0].pictures) == 0
+    assert scene.cameras[0].poses is not None
+    ((place, problem),) = [(part.place, part.problem) for part in report.lost]
+    assert place.endswith(".video")
+    assert "cannot be read as video" in problem
 
 
 def test_a_scene_cut_anywhere_is_salvaged_or_refused(encode_sfs, tmp_path):

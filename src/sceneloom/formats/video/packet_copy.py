@@ -83,7 +83,8 @@ def copy_packets(
     called = target_name(target)
     opened = OpenVideo(source, name)
     try:
-        output = open_container(target, container)
+        header = len(opened.stream.codec_context.extradata or b"")
+        output = open_container(target, container, pictures=len(times.pts), header_bytes=header)
         try:
             with writing_faults(called):
                 stream = _same_stream(output, opened.stream, times.tick)

@@ -69,7 +69,12 @@ def remux_to_mp4(
             stamps = _stamps_of(reader, chosen) if timestamps_seconds is None else timestamps_seconds
             pictures = (reader.rgb(index) for index in chosen)
             result = encode_to_mp4(
-                pictures, target, fps=reader.fps, timestamps_seconds=stamps, crop_to_even=crop_to_even
+                pictures,
+                target,
+                fps=reader.fps,
+                timestamps_seconds=stamps,
+                count=len(chosen),
+                crop_to_even=crop_to_even,
             )
             return RemuxResult(result.pictures, result.codec, copied=False, reason=reason)
         codec, index = reader.codec, reader.index
@@ -112,6 +117,7 @@ def encode_to_mp4(
     *,
     fps: float | None = None,
     timestamps_seconds: Sequence[float] | Float64Array | None = None,
+    count: int | None = None,
     crop_to_even: bool = False,
 ) -> RemuxResult:
     """Encode pictures as H.264 in mp4, one at a time; the first is shown at 0.
@@ -121,6 +127,7 @@ def encode_to_mp4(
         target: a path or a seekable binary file.
         fps: nominal pictures a second; None for what the times say.
         timestamps_seconds: when each picture is shown, strictly increasing; None for even steps at `fps`.
+        count: how many pictures there are; needed only where there are no times, for the tables to stand first.
         crop_to_even: cut off the last line of an odd side; else odd sizes are refused.
 
     Raises:
@@ -136,7 +143,9 @@ def encode_to_mp4(
     height, width = first.shape[:2]
     if crop_to_even:
         height, width = height - height % 2, width - width % 2
-    with VideoWriter(target, width, height, fps or _mean_rate(stamps), container="mp4") as writer:
+    most = count if stamps is None else len(stamps)
+    rate = fps or _mean_rate(stamps)
+    with VideoWriter(target, width, height, rate, container="mp4", pictures=most) as writer:
         for rgb, seconds in _with_times(chain([first], remaining), stamps):
             writer.add(rgb[:height, :width], seconds)
     return RemuxResult(writer.count, "h264", copied=False)

@@ -30,6 +30,13 @@ _TO_YUV = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INP | Interpolation.
 _BT601_MATRIX = 6
 """AVCOL_SPC_SMPTE170M. Readers that ignore what a stream says of its colours, OpenCV among them, take BT.601."""
 
+_TABLE_START, _TABLE_ROW = 4096, 48
+"""Bytes that are kept free for the tables of an mp4 file, at least what they need: the boxes themselves take less than
+1 kB, and each picture 8 in stts, 8 in ctts, 4 in stss, 4 in stsz, 12 in stsc and 8 in co64.
+
+Source: ISO/IEC 14496-12, 8.6 and 8.7.
+"""
+
 _KEY_FRAME_DISTANCE = 30
 """Pictures from key frame to key frame at most: what a jump to any picture has to decode."""
 
@@ -86,15 +93,26 @@ def target_name(target: VideoTarget) -> str:
     return str(target) if isinstance(target, Path) else str(getattr(target, "name", "video"))
 
 
-def open_container(target: VideoTarget, container: str) -> OutputContainer:
+def open_container(
+    target: VideoTarget, container: str, *, pictures: int | None = None, header_bytes: int = 0
+) -> OutputContainer:
     """Start a file; the same content gives the same bytes.
+
+    Args:
+        target: the file.
+        container: its kind.
+        pictures: how many there will be at most. Then the tables of an mp4 file stand before its pictures: a file
+            that is cut off keeps them, and one at the other end of a line is read with one request less.
+        header_bytes: how long the codec's own header is, as far as it is known.
 
     Raises:
         OutputError: it cannot be made.
     """
     file: Any = f"file:{target}" if isinstance(target, Path) else target
+    options = {"fflags": "+bitexact"}
+    if container == "mp4" and pictures is not None:
+        options["moov_size"] = str(_TABLE_START + header_bytes + _TABLE_ROW * pictures)
     with writing_faults(target_name(target)):
-        options = {"fflags": "+bitexact"}
         return av.open(file, "w", format=container, container_options=options)
 
 
@@ -133,6 +151,7 @@ class VideoWriter:
         codec: str = "h264",
         crf: int = 18,
         container: str | None = None,
+        pictures: int | None = None,
     ) -> None:
         """Start the file.
 
@@ -143,6 +162,7 @@ class VideoWriter:
             codec: "h264", or "ffv1", which loses nothing.
             crf: quality of h264: 0 loses nothing, 18 nothing that the eye sees, 51 is the worst.
             container: "matroska" or "mp4"; None for what the path's suffix says.
+            pictures: how many will be added at most, if that is known; see `open_container`.
         """
         self._name = target_name(target)
         self._encoder = _encoder_for(codec, width, height)
@@ -151,7 +171,8 @@ class VideoWriter:
         self.width, self.height, self.fps, self.count = width, height, fps, 0
         kind = container_of(target, container)
         self._tick = _TICKS[kind]
-        self._output: OutputContainer | None = open_container(target, kind)
+        self._most = pictures
+        self._output: OutputContainer | None = open_container(target, kind, pictures=pictures)
         with writing_faults(self._name):
             self._stream = self._add_stream(self._output, crf)
         self._reformatter = VideoReformatter()
@@ -167,12 +188,15 @@ class VideoWriter:
             timestamp_seconds: when it is shown; the first picture's time becomes 0. None for the next at `fps`.
 
         Raises:
-            ArrayError: the picture has another shape or type, or its time is not after the one before.
+            ArrayError: the picture has another shape or type, its time is not after the one before, or it is one more
+                than was said before.
             OutputError: the target cannot be written, or the writer is closed.
         """
         check_array(f"picture {self.count}", rgb, (self.height, self.width, 3), np.uint8)
         if self._output is None:
             raise OutputError(f"{self._name}: cannot be written: the video is closed")
+        if self._most is not None and self.count >= self._most:
+            raise ArrayError(f"picture {self.count}: expected no more than {self._most}, as was said before")
         ticks = self._ticks_at(timestamp_seconds)
         with writing_faults(self._name):
             frame = self._to_encoder(rgb)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, DataError, OptionError, OutputError
-from sceneloom.formats.video import copy_to_matroska, encode_to_mp4, remux_to_mp4
+from sceneloom.formats.video import VideoWriter, copy_to_matroska, encode_to_mp4, remux_to_mp4
 
 X265 = {"x265-params": "log-level=none:keyint=12:pools=1", "preset": "ultrafast"}
 X264 = {"g": "12", "bf": "3", "preset": "veryfast"}
@@ -254,3 +254,61 @@ def test_nothing_is_written_where_packets_cannot_be_copied(videos, mkv_bytes, tm
     assert copy_to_matroska(untimed, tmp_path / "data.mkv") is None
     assert copy_to_matroska(mkv_bytes, tmp_path / "data.mkv", pictures=39) is None
     assert not (tmp_path / "data.mkv").exists()
+
+
+def boxes_of(content):
+    """The names of the outermost boxes of an mp4 file, in their order."""
+    place, names = 0, []
+    while place < len(content):
+        names.append(content[place + 4 : place + 8])
+        place += int.from_bytes(content[place : place + 4], "big")
+    return names
+
+
+def encoded_anew(videos, kind):
+    """An mp4 file of forty pictures, and the same once more."""
+    targets = io.BytesIO(), io.BytesIO()
+    rng = np.random.default_rng(3)
+    pictures = rng.integers(0, 255, (40, 48, 64, 3), np.uint8)
+    uneven = np.cumsum(rng.uniform(0.02, 0.3, 40))
+    content = videos.make(videos.Recipe(**(ENCODED["ffv1"][0] if kind == "remuxed" else {})))
+    for target in targets:
+        if kind in {"copied", "remuxed"}:
+            remux_to_mp4(content, target, timestamps_seconds=uneven)
+        elif kind == "at times":
+            encode_to_mp4(pictures, target, timestamps_seconds=uneven)
+        else:
+            encode_to_mp4(iter(pictures), target, fps=10.0, count=40)
+    return [target.getvalue() for target in targets]
+
+
+@pytest.mark.parametrize("kind", ["copied", "remuxed", "at times", "counted"])
+def test_the_tables_stand_before_the_pictures_and_the_bytes_are_always_the_same(videos, kind):
+    first, second = encoded_anew(videos, kind)
+    names = boxes_of(first)
+    assert names.index(b"moov") < names.index(b"mdat")
+    assert first == second
+    assert len(videos.decode(first)) == 40
+
+
+def test_pictures_of_which_no_one_says_how_many_are_still_encoded(videos):
+    target = io.BytesIO()
+    encode_to_mp4((np.full((48, 64, 3), k, np.uint8) for k in range(5)), target, fps=10.0)
+    assert boxes_of(target.getvalue())[-1] == b"moov"
+    assert len(videos.decode(target.getvalue())) == 5
+
+
+def test_one_picture_more_than_was_said_is_refused():
+    pictures = np.zeros((3, 48, 64, 3), np.uint8)
+    with pytest.raises(ArrayError, match="picture 2: expected no more than 2"):
+        encode_to_mp4(pictures, io.BytesIO(), fps=10.0, count=2)
+
+
+def test_tables_of_very_many_uneven_key_frames_find_room():
+    stamps = np.cumsum(np.random.default_rng(1).uniform(1e-3, 1.0, 3000))
+    target = io.BytesIO()
+    with VideoWriter(target, 16, 16, 10.0, container="mp4", pictures=3000) as writer:
+        for seconds in stamps:
+            writer.add(np.full((16, 16, 3), int(seconds * 255) % 255, np.uint8), seconds)
+    names = boxes_of(target.getvalue())
+    assert names.index(b"moov") < names.index(b"mdat")

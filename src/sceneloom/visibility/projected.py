@@ -196,7 +196,11 @@ class _Writer:
         seeing = [view for view in self.views if row in view.sightings]
         ids = [view.camera_id for view in self.views]
         keys = {key_of(camera_id) for camera_id in ids}
-        projections = [self._projection(annotation, row, view) for view in seeing]
+        rows = [cuboid_at(annotation, view.timestamps_ns, angles=self.table.angles) for view in seeing]
+        projections = [
+            self._projection(annotation, row, view, *placed)
+            for view, placed in zip(seeing, rows, strict=True)
+        ]
         others = [each for each in annotation.projections if key_of(each.sensor_id) not in keys]
         attributes = [path for view in seeing for path in _shares(view, view.sightings[row])]
         written = with_attributes(annotation, attributes, names=SHARES, sensor_ids=ids)
@@ -204,11 +208,17 @@ class _Writer:
         if not self.activations:
             return written
         active = [each for each in annotation.activations if key_of(each.sensor_id) not in keys]
-        made = [self._activation(annotation, row, view) for view in seeing]
+        made = [self._activation(row, view, cuboids) for view, (cuboids, _) in zip(seeing, rows, strict=True)]
         return replace(written, activations=(*active, *(each for each in made if each is not None)))
 
-    def _projection(self, annotation: CuboidAnnotation, row: int, view: _View) -> Projection:
-        cuboids, there = cuboid_at(annotation, view.timestamps_ns, angles=self.table.angles)
+    def _projection(
+        self,
+        annotation: CuboidAnnotation,
+        row: int,
+        view: _View,
+        cuboids: Float64Array,
+        there: BoolArray,
+    ) -> Projection:
         boxes = np.full((len(there), 4), np.nan)
         for found in view.sightings[row]:
             left, top, right, bottom = found.box_xyxy
@@ -219,10 +229,9 @@ class _Writer:
         told = tuple(confirmed[kept].tolist()) if confirmed.any() else None
         return Projection(view.camera_id, view.timestamps_ns[kept], boxes[kept], told, cuboids[kept])
 
-    def _activation(self, annotation: CuboidAnnotation, row: int, view: _View) -> Activation | None:
+    def _activation(self, row: int, view: _View, cuboids: Float64Array) -> Activation | None:
         seen = np.zeros(len(view.timestamps_ns), np.bool_)
         seen[[found.picture for found in view.sightings[row]]] = True
-        cuboids, _ = cuboid_at(annotation, view.timestamps_ns, angles=self.table.angles)
         return activation_of(view.camera_id, view.timestamps_ns, seen, cuboids)
 
 

@@ -223,14 +223,20 @@ def _evidences(camera: Camera, points_camera: Float64Array, near: _Near, extents
 def _rivals(near: _Near, extents: Float64Array, solid: BoolArray) -> tuple[Int64Array, Int64Array]:
     """Of each box the solid others that overlap it in the picture and begin before it ends, one box after another."""
     distances, reaches = np.linalg.norm(near.centers, axis=1), np.linalg.norm(near.sizes, axis=1) / 2.0
+    # only solid boxes, as columns, from the one that begins nearest: each box then asks no more than those before it
+    solids = np.flatnonzero(solid)
+    solids = solids[np.argsort((distances - reaches)[solids], kind="stable")]
+    begins = (distances - reaches)[solids]
+    lefts, tops, rights, bottoms = np.ascontiguousarray(extents[solids].T)
+    counts = np.searchsorted(begins, distances + reaches, side="left")
     found = []
-    for b in range(len(extents)):
-        overlap = (extents[:, :2] < extents[b, 2:]).all(axis=1) & (extents[:, 2:] > extents[b, :2]).all(
-            axis=1
-        )
-        before = solid & (distances - reaches < distances[b] + reaches[b])
-        before[b] = False
-        found.append(np.flatnonzero(overlap & before))
+    for b, (count, (left, top, right, bottom)) in enumerate(
+        zip(counts.tolist(), extents.tolist(), strict=True)
+    ):
+        overlap = (lefts[:count] < right) & (rights[:count] > left)
+        overlap &= (tops[:count] < bottom) & (bottoms[:count] > top)
+        rivals = solids[:count][overlap]
+        found.append(rivals[rivals != b])
     starts = np.concatenate([[0], np.cumsum([len(rows) for rows in found])]).astype(np.int64)
     return np.concatenate(found), starts
 

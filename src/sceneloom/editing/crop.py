@@ -44,6 +44,8 @@ from sceneloom.scene.sensor_sources import sensor_source
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Key, key_of
 
+_CHOICES = ("a time (start, stop)", "a space (box, range)", "sensors", "sensors to do without", "labels")
+
 
 def crop_scene(
     scene: Scene,
@@ -81,16 +83,19 @@ def crop_scene(
         on_points: told of each frame that is read.
 
     Raises:
-        OptionError: a value cannot be followed, or nothing is left.
+        OptionError: a value cannot be followed, there is nothing to do, or nothing is left.
         PoseError: the poses that this needs are not known.
         DataError: a frame that this needs cannot be read.
     """
     if frame not in tuple(PointsFrame):
         raise OptionError(f"frame {frame!r}; expected one of {', '.join(PointsFrame)}")
+    gone = tuple(without)
+    if not gone and all(said is None for said in (start, stop, box, reach, sensors, labels)):
+        raise OptionError(f"nothing to crop by; expected one of {', '.join(_CHOICES)}")
     regions = _regions(PointsFrame(frame), box, reach)
     cut = scene
-    if sensors is not None or tuple(without):
-        cut = with_sensors_chosen(cut, sensors=sensors, without=without)
+    if sensors is not None or gone:
+        cut = with_sensors_chosen(cut, sensors=sensors, without=gone)
     cut = cut_scene(cut, start=start, stop=stop)
     if labels is not None:
         cut = with_labels_chosen(cut, labels)

@@ -225,3 +225,8 @@ def test_what_cannot_be_followed_is_refused(drive, said, problem):
 def test_the_ego_cannot_go_from_under_what_rides_on_it(drive):
     with pytest.raises(OptionError, match="to-world"):
         crop_scene(to_ego(drive.scene()), without=["ego"])
+
+
+def test_a_crop_by_nothing_is_refused(drive):
+    with pytest.raises(OptionError, match="nothing to crop by; expected one of a time"):
+        crop_scene(drive.scene(PointsFrame.WORLD))

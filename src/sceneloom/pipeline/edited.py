@@ -29,11 +29,8 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.span import frame_times
 
-Change = Callable[[Scene, OnPoints], Scene]
-"""Makes a scene out of a scene; may tell of the points of each frame that is read, before and after."""
-
 Joining = Callable[[Sequence[Scene], OnPoints], Scene]
-"""Makes a scene out of several."""
+"""Makes a scene out of one or several; may tell of the points of each frame that is read, before and after."""
 
 Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
 
@@ -75,30 +72,6 @@ class EditReport(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float
     notices: tuple[Notice, ...]
     losses: LossReport
-
-
-def edit_file(
-    edit: str,
-    source: str | Path,
-    output: str | Path,
-    change: Change,
-    *,
-    reading: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
-    overwrite: bool = False,
-    **writing: Any,
-) -> EditReport:
-    """Read a drive, change it, and write it; arguments and errors as in `edit_files`."""
-    return edit_files(
-        edit,
-        [source],
-        output,
-        lambda scenes, on_points: change(scenes[0], on_points),
-        reading=reading,
-        progress=progress,
-        overwrite=overwrite,
-        **writing,
-    )
 
 
 def edit_files(

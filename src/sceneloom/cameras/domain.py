@@ -14,7 +14,8 @@ _STEPS = 200
 _ROUNDS = 3
 _VANISHED = 1e-30
 _JUST_INSIDE = 1.0 - 1e-9
-_WIDEST = math.radians(89.9)
+_WIDEST = math.radians(89.9999)
+"""How far out of a chart without a rim a bent lens is looked at, and trusted: the arctangent of a radius."""
 
 
 def first_positive_root(polynomial: ArrayLike) -> float:
@@ -49,7 +50,10 @@ def _turns_nothing_back(radius, lens):  # type: ignore[no-untyped-def]
 
 @njit(**PART)
 def radius_without_fold(lens):  # type: ignore[no-untyped-def]
-    """Give the radius of the disk of the chart, `lens.limit` at most, on which no two places are taken to one."""
+    """Give the radius of the disk of the chart, `lens.limit` at most, on which no two places are taken to one.
+
+    Decentring and prism terms, however small, fold a chart without a rim somewhere, so that such a disk always ends.
+    """
     low, high = 0.0, min(_JUST_INSIDE * math.atan(lens.limit), _WIDEST)
     for attempt in range(_ROUNDS):
         step, folded = (high - low) / (_STEPS - 1), -1
@@ -58,6 +62,6 @@ def radius_without_fold(lens):  # type: ignore[no-untyped-def]
                 folded = k
                 break
         if folded < 0:
-            return lens.limit if attempt == 0 else math.tan(low)
+            return min(lens.limit, math.tan(_WIDEST)) if attempt == 0 else math.tan(low)
         low, high = low + max(folded - 1, 0) * step, low + folded * step
     return math.tan(low)

@@ -86,8 +86,10 @@ def _distort(a: Any, b: Any, lens: Any) -> Any:
 
 def domain_limit(coefficients: tuple[float, ...]) -> float:
     """The distance from the axis on the plane of the sphere up to which no two rays share a pixel."""
-    k1, k2, _, xi, _, _ = coefficients
+    k1, k2, _, xi, p1, p2 = coefficients
     limit = min(math.sqrt(first_positive_root([5 * k2, 3 * k1, 1.0])), sphere_rim(xi))
+    if not any((p1, p2)):
+        return limit
     return float(fold_radius(np.array((1.0, 1.0, 0.0, 0.0, *coefficients, limit))))
 
 

@@ -89,9 +89,11 @@ def _distort(a: Any, b: Any, lens: Any) -> Any:
 
 def domain_limit(coefficients: tuple[float, ...]) -> float:
     """The distance from the axis on the plane of the sphere up to which no two rays share a pixel."""
-    k1, k2, k3, k4, _, _, xi, _, _ = coefficients
+    k1, k2, k3, k4, p1, p2, xi, lx, ly = coefficients
     fold = math.sqrt(first_positive_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]))
     limit = min(fold, sphere_rim(xi))
+    if not any((p1, p2, lx, ly)):
+        return limit
     return float(fold_radius(np.array((1.0, 1.0, 0.0, 0.0, *coefficients, limit))))
 
 

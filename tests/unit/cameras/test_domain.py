@@ -54,6 +54,16 @@ def test_a_tangential_fisheye_ends_where_it_folds_first_in_any_direction():
     assert np.isnan(project_unbounded(camera, [[0.0, -math.sin(beyond), math.cos(beyond)]])).all()
 
 
+@pytest.mark.parametrize("size", [1e-3, 2e-4, 1e-5, 1e-6])
+def test_the_slightest_decentring_ends_a_perspective_lens_where_it_folds(size):
+    # x' = x + 3 p2 x² along y = 0: it turns at x = -1/(6 p2), and is back in the middle at twice that
+    camera = Camera("brown_conrady", *SIZE, (0.0, 0.0, 0.0, size))
+    # the limit is sought in steps of angles, whose tangents are 2 % apart here, and kept inside
+    assert 0.97 / (6 * size) < math.tan(domain_angle(camera)) < 1 / (6 * size)
+    seen = project_unbounded(camera, [[-0.9 / (6 * size), 0.0, 1.0], [-2 / (6 * size), 0.0, 1.0]])
+    assert np.isnan(seen).all(axis=1).tolist() == [False, True]
+
+
 def test_asymmetric_terms_end_a_lens_where_they_turn_it_inward():
     # r = θ + θ (0.2 θ²)·(-1) along x only: l2 = 0.2, i3 = cos 2φ gives -1 along y and +1 along x.
     camera = Camera("kannala_brandt18", *SIZE, (0.0,) * 4 + (0.0, 0.2, 0.0, 0.0, 0.0, 1.0))

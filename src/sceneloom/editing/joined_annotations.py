@@ -95,11 +95,19 @@ def _entries(first: tuple[Any, ...], second: tuple[Any, ...]) -> tuple[Any, ...]
     return tuple(joined.values())
 
 
+def _joined_paths(first: Any, second: Any) -> Any:
+    """The path of both; of what stands still at one place in both parts that of the first."""
+    still = all(getattr(part, "stationary", None) for part in (first, second))
+    a, b = first.path, second.path
+    there = all(is_same(getattr(a, name), getattr(b, name)) for name in _ROWS if hasattr(a, name))
+    return a if still and there else joined_rows(a, b)
+
+
 def _cuboid(first: CuboidAnnotation, second: CuboidAnnotation, name: str) -> CuboidAnnotation:
     del name
     return replace(
         first,
-        path=joined_rows(first.path, second.path),
+        path=_joined_paths(first, second),
         activations=_entries(first.activations, second.activations),
         projections=_entries(first.projections, second.projections),
     )
@@ -110,7 +118,7 @@ def _path(first: Any, second: Any, name: str) -> Any:
         raise OptionError(
             f"{name}: of sensor {first.sensor_id!r} and of {second.sensor_id!r}; expected one sensor"
         )
-    return replace(first, path=joined_rows(first.path, second.path))
+    return replace(first, path=_joined_paths(first, second))
 
 
 def _points(first: PointsAnnotation, second: PointsAnnotation, name: str) -> PointsAnnotation:

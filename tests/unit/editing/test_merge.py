@@ -273,6 +273,16 @@ def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
         merge_scenes([parts[0], other], join=True)
 
 
+def test_what_stands_still_in_both_parts_of_a_scene_keeps_its_one_keyframe(drive, box):
+    standing = box("b", drive.stamps_ns[:1], np.ones(3), stationary=True)
+    lane = ShapeAnnotation(
+        "lane", ShapeType.POLYLINE, VertexPath(drive.stamps_ns[:1], (np.eye(3),)), stationary=True
+    )
+    scene = drive.scene(annotations=(standing, lane))
+    joined = merge_scenes([crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)], join=True)
+    assert [a.path.timestamps_ns.tolist() for a in joined.annotations] == [[0], [0]]
+
+
 def test_what_the_second_part_says_otherwise_is_told(drive, box):
     weather = [AttributePath("weather", (said,), static=True) for said in ("rain", "sun")]
     scenes = [

@@ -114,7 +114,7 @@ def points_all_around() -> np.ndarray:
 @pytest.mark.parametrize("coefficients", OMNIDIR.values(), ids=OMNIDIR)
 def test_omnidir_projects_as_opencv_does_behind_the_camera_too(points_all_around, coefficients):
     k1, k2, skew, xi, p1, p2 = coefficients
-    matrix = MATRIX + [[0, skew, 0], [0, 0, 0], [0, 0, 0]]
+    matrix = np.add(MATRIX, [[0, skew, 0], [0, 0, 0], [0, 0, 0]])
     expected, _ = cv2.omnidir.projectPoints(
         points_all_around[None], np.zeros(3), np.zeros(3), matrix, xi, np.array([[k1, k2, p1, p2]])
     )

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.geometry.interpolation import thin_poses
 from sceneloom.geometry.rotations import multiply_quaternions
@@ -18,6 +18,9 @@ PLACE_TOLERANCE, TURN_TOLERANCE = 1e-3, radians(0.01)
 
 PathKey = tuple[type, Identifier, int]
 """A path of an annotation: type of its id, its id, number of the path among those of its points."""
+
+ROUNDED_NS = 500
+"""How far rounding to microseconds, the coarsest unit of files, moves a stamp [ns]."""
 
 Sampler = Callable[[Int64Array], tuple[Float64Array, Float64Array | None]]
 """Gives, at times (M,), places (M, V, 3) [m] in the old frame that shall be true, and a rotation (M, 4) or None."""
@@ -74,7 +77,7 @@ class Keyframer:
         before = self.added_before.get(path)
         if before is None:
             return np.arange(len(stamps_ns))
-        own = np.flatnonzero(~np.isin(stamps_ns, before.timestamps_ns))
+        own = np.flatnonzero(~_near(stamps_ns, np.array(before.timestamps_ns, np.int64)))
         return own if len(own) else np.arange(min(1, len(stamps_ns)))
 
     def stationary(self, path: PathKey, *, was: bool | None) -> bool | None:
@@ -144,3 +147,14 @@ class Keyframer:
             for vertex in range(new.shape[1])
         ]
         return known[np.unique(np.concatenate(rows))] if rows else known[:0]
+
+
+def _near(stamps_ns: Int64Array, others_ns: Int64Array) -> BoolArray:
+    """Say which stamps are one of the others, as a file of microseconds may have rounded it."""
+    others = np.sort(others_ns)
+    near = np.zeros(len(stamps_ns), np.bool_)
+    after = np.searchsorted(others, stamps_ns)
+    for places in (after - 1, after):
+        there = np.flatnonzero((places >= 0) & (places < len(others)))
+        near[there] |= np.abs(stamps_ns[there] - others[places[there]]) <= ROUNDED_NS
+    return near

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array
-from sceneloom.pipeline.moved_annotations import annotation_can_move, moved_annotation
+from sceneloom.pipeline.shifted_annotations import annotation_can_move, moved_annotation
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,

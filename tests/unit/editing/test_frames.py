@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import sceneloom
 from sceneloom.editing import annotations_to_world, to_ego, to_sensor, to_world
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.scene import (
@@ -262,3 +263,26 @@ def test_what_metadata_say_in_a_form_unknown_takes_nothing_away(drive, box, entr
     said = {"sceneloom": {"annotations_frame": "ego", "to_ego": [entry]}}
     moved = to_world(replace(scene, metadata=said)).annotations[0]
     assert set(drive.stamps_ns.tolist()) <= set(moved.path.timestamps_ns.tolist())
+
+
+def test_keyframes_that_a_file_rounded_to_microseconds_are_taken_away_again(drive, box, tmp_path):
+    def later(stamps_ns):
+        return stamps_ns + 123_456_789
+
+    odd = [
+        box("moves", later(drive.stamps_ns[::4]), np.ones(3)),
+        box("stands", later(drive.stamps_ns[:1]), 2.0),
+    ]
+    scene = drive.scene(annotations=(odd[0], replace(odd[1], stationary=True)))
+    ways = {
+        name: replace(way, timestamps_ns=later(way.timestamps_ns)) for name, way in scene.trajectories.items()
+    }
+    lidar = scene.sensor("lidar")
+    frames = [replace(frame, timestamp_ns=int(later(frame.timestamp_ns))) for frame in lidar.frames]
+    lidar = replace(lidar, frames=LazyFrames.of(frames, later(drive.stamps_ns).tolist()))
+    sceneloom.write(to_ego(replace(scene, sensors=(lidar,), trajectories=ways)), tmp_path / "ego.sfs")
+    with sceneloom.open(tmp_path / "ego.sfs") as written:
+        assert [len(a.path.timestamps_ns) > 2 for a in written.annotations] == [True, True]
+        back = to_world(written).annotations
+    assert [len(a.path.timestamps_ns) for a in back] == [2, 1]
+    assert back[1].stationary

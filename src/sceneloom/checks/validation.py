@@ -15,11 +15,12 @@ from sceneloom.checks.reading import FAULT_RULES
 from sceneloom.checks.report import PLACES, ValidationReport, counts_of, findings_of, is_passed
 from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.checks.walk import Hits, Progress, find_all
+from sceneloom.checks.walk import Hits, find_all
 from sceneloom.formats.output import check_output
 from sceneloom.formats.sfs.faults import PlacedFault
 from sceneloom.formats.table import format_for_output, write_scene
 from sceneloom.scene import Finding, Notice, NoticeKind, Scene
+from sceneloom.scene.types import Progress
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Runs rules over a scene: first those that look at the whole, then one frame after the other before all that look."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.sfs.garbage import collector_paused
 from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Sensor
+from sceneloom.scene.types import Progress
 
-Progress = Callable[[int, int], None]
 Hits = dict[str, list[Hit]]
 """What was found, by the id of the rule, in the order of the rules."""
 

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, print_losses, print_notices
+from sceneloom.cli.printing import print_json, print_losses, print_notices, progress_bar
 
 
 @click.command()
@@ -29,13 +29,15 @@ def convert(
     """Write a recording or a scene in another format; what the target cannot hold is reported."""
     from sceneloom.pipeline.convert import convert as convert_scene
 
-    report = convert_scene(
-        source,
-        target,
-        overwrite=overwrite,
-        **options.said(profile=profile, time_unit=time_unit),
-        reading=options.said(**reading),
-    )
+    with progress_bar("converting", quiet=quiet) as progress:
+        report = convert_scene(
+            source,
+            target,
+            overwrite=overwrite,
+            **options.said(profile=profile, time_unit=time_unit),
+            reading=options.said(**reading),
+            progress=progress,
+        )
     if as_json:
         print_json(report)
         return

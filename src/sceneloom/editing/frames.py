@@ -13,7 +13,7 @@ from sceneloom.editing.record import assumed, ours_of, with_notices, with_ours
 from sceneloom.editing.sensor_frames import points_change, poses_in_world, poses_on_ego
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed, with_way_found
+from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
@@ -33,7 +33,7 @@ from sceneloom.scene.labelled import renumbered
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import needs_ego
 from sceneloom.scene.span import scene_period_ns
-from sceneloom.scene.types import key_of
+from sceneloom.scene.types import Progress, key_of
 
 
 def to_world(

@@ -1,6 +1,5 @@
 """The way of the ego that a scene is placed by: recorded, or found from what the lidar saw."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from sceneloom.errors import PoseError
@@ -8,9 +7,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.trajectories import IMU, LIDAR, choose_trajectory
 from sceneloom.scene import LidarSensor, Notice, NoticeKind, PointsFrame, Scene, Trajectory
 from sceneloom.scene.ego import EgoMotion
-
-Progress = Callable[[int, int], None]
-"""Told after each sweep: how many are done, how many there are."""
+from sceneloom.scene.types import Progress
 
 
 def find_ego_motion(

@@ -8,7 +8,10 @@ import msgspec
 
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.table import format_and_place, format_for_output, format_named
-from sceneloom.scene import Notice
+from sceneloom.scene import CameraSensor, Identifier, LidarSensor, Notice, RadarSensor, Scene
+from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Progress
+from sceneloom.scene.watched import AnyFrame, watched
 
 
 class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -36,6 +39,7 @@ def convert(
     to: str | None = None,
     overwrite: bool = False,
     reading: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
     **writing: Any,
 ) -> ConversionReport:
     """Read a recording or a scene and write it in another format, without fusing anything.
@@ -46,6 +50,7 @@ def convert(
         to: name of the target's format.
         overwrite: whether a target that exists may be replaced.
         reading: reading options of the source's format.
+        progress: told after each sweep, radar cycle and single picture that is written, how many are done of how many.
         writing: writing options of the target's format.
 
     Raises:
@@ -57,7 +62,7 @@ def convert(
     place = Path(target)
     writer = format_for_output(place) if to is None else format_named(to)
     with reader.open(origin, **(reading or {})) as scene:
-        losses = writer.write(scene, place, overwrite=overwrite, **writing)
+        losses = writer.write(_telling(scene, progress), place, overwrite=overwrite, **writing)
         return ConversionReport(
             source=str(source),
             source_format=reader.name,
@@ -66,3 +71,23 @@ def convert(
             notices=scene.notices,
             losses=losses,
         )
+
+
+def _telling(scene: Scene, progress: Progress | None) -> Scene:
+    """The scene that tells how many of its frames have been read; pictures of a video are written all at once."""
+    if progress is None:
+        return scene
+    total = sum(
+        len(frame_times(sensor))
+        for sensor in scene.sensors
+        if isinstance(sensor, LidarSensor | RadarSensor)
+        or (isinstance(sensor, CameraSensor) and sensor.video is None)
+    )
+    read: set[tuple[type, Identifier, int]] = set()
+
+    def told(sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
+        del frame
+        read.add((type(sensor_id), sensor_id, k))
+        progress(min(len(read), total), total)
+
+    return watched(scene, told)

@@ -7,12 +7,12 @@ from typing import Any
 
 from sceneloom.formats.output import check_output
 from sceneloom.formats.table import format_for_output, write_scene
-from sceneloom.motion.ego_motion import Progress
 from sceneloom.pipeline.deskew_plan import plan_deskew
 from sceneloom.pipeline.deskew_report import DeskewReport, DeskewTally
 from sceneloom.pipeline.play import Skips
 from sceneloom.pipeline.report import told_once
 from sceneloom.scene import Identifier, Scene
+from sceneloom.scene.types import Progress
 
 
 def deskew(

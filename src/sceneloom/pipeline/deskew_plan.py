@@ -11,7 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, PoseError
-from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed, with_way_found
+from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
 from sceneloom.motion.inertial import imu_motion
 from sceneloom.motion.one_moment import MOMENTS, DeskewedFrame, DeskewedFrames, Deskewer, typical_offset_ns
 from sceneloom.motion.sensor_paths import sensor_path
@@ -30,6 +30,7 @@ from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.part import cut_scene
 from sceneloom.scene.sensor_sources import points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
+from sceneloom.scene.types import Progress
 
 OURS, ENTRY = "sceneloom", "deskew"
 """Where a scene's metadata say how it was deskewed."""

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 
 from sceneloom.formats.loss import LossReport
-from sceneloom.motion.ego_motion import Progress
 from sceneloom.motion.one_moment import DeskewedFrame
 from sceneloom.motion.point_time_notices import PointTimesTally
 from sceneloom.scene import Identifier, Notice
+from sceneloom.scene.types import Progress
 
 
 class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):

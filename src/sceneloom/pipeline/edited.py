@@ -3,9 +3,9 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import msgspec
 
@@ -13,26 +13,22 @@ from sceneloom.editing.chosen_points import OnPoints
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.table import format_for_output, open_scene, write_scene
-from sceneloom.motion.ego_motion import Progress
 from sceneloom.scene import (
     CameraSensor,
     Identifier,
-    LazyFrames,
-    LidarFrame,
     LidarSensor,
     Notice,
+    Picture,
     PointsSensor,
-    RadarFrame,
     RadarSensor,
     Scene,
-    Sensor,
 )
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Progress
+from sceneloom.scene.watched import AnyFrame, watched
 
 Joining = Callable[[Sequence[Scene], OnPoints], Scene]
 """Makes a scene out of one or several; may tell of the points of each frame that is read, before and after."""
-
-Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
 
 
 class SceneCounts(msgspec.Struct, frozen=True, kw_only=True):
@@ -108,7 +104,8 @@ def edit_files(
     with ExitStack() as stack:
         scenes = [stack.enter_context(open_scene(source, **(reading or {}))) for source in sources]
         changed = change(scenes, tally.add_before)
-        losses = write_scene(_watched(changed, tally), output, overwrite=overwrite, **writing)
+        tally.total = sum(len(s.frames) for s in changed.sensors if isinstance(s, LidarSensor | RadarSensor))
+        losses = write_scene(watched(changed, tally.add_after), output, overwrite=overwrite, **writing)
     return EditReport(
         edit=edit,
         sources=tuple(map(str, sources)),
@@ -137,8 +134,10 @@ class _Tally:
         del left
         self.before[type(sensor_id), sensor_id, k] = points
 
-    def add_after(self, sensor_id: Identifier, k: int, points: int) -> None:
-        self.after[type(sensor_id), sensor_id, k] = points
+    def add_after(self, sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
+        if isinstance(frame, Picture):
+            return
+        self.after[type(sensor_id), sensor_id, k] = len(frame.points)
         if self.progress is not None:
             self.progress(len(self.after), self.total)
 
@@ -150,37 +149,6 @@ class _Tally:
 
     def points_after(self, scenes: Sequence[Scene]) -> int:
         return _map_points(scenes) + sum(self.after.values())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Watched(Generic[Cloud]):
-    """Reads frames and counts their points."""
-
-    frames: LazyFrames[Cloud]
-    sensor_id: Identifier
-    tally: _Tally
-
-    def __call__(self, k: int) -> Cloud:
-        frame = self.frames[k]
-        self.tally.add_after(self.sensor_id, k, len(frame.points))
-        return frame
-
-
-def _watched(scene: Scene, tally: _Tally) -> Scene:
-    """The scene that tells the tally of each frame that is read."""
-    clouds = [sensor for sensor in scene.sensors if isinstance(sensor, LidarSensor | RadarSensor)]
-    tally.total = sum(len(sensor.frames) for sensor in clouds)
-    return replace(scene, sensors=tuple(_watched_sensor(sensor, tally) for sensor in scene.sensors))
-
-
-def _watched_sensor(sensor: Sensor, tally: _Tally) -> Sensor:
-    if isinstance(sensor, LidarSensor):
-        stamps = sensor.frames.timestamps_ns
-        return replace(sensor, frames=LazyFrames(stamps, _Watched(sensor.frames, sensor.id, tally)))
-    if isinstance(sensor, RadarSensor):
-        stamps = sensor.frames.timestamps_ns
-        return replace(sensor, frames=LazyFrames(stamps, _Watched(sensor.frames, sensor.id, tally)))
-    return sensor
 
 
 def _map_points(scenes: Sequence[Scene]) -> int:

@@ -9,12 +9,13 @@ from pathlib import Path
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, PoseError
 from sceneloom.fusion import FusionConfiguration
-from sceneloom.motion.ego_motion import Progress, placeable_lidars
+from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pipeline.outputs import FusionOutputs, checked_outputs, open_sinks
 from sceneloom.pipeline.play import Skips, build_system, play
 from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally, told_once
 from sceneloom.pipeline.woven import Woven, weave
 from sceneloom.scene import Scene
+from sceneloom.scene.types import Progress
 
 
 def iter_fused(

@@ -9,7 +9,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.editing import annotations_to_world
 from sceneloom.editing.odometry import with_odometry
 from sceneloom.errors import DataError, OptionError
-from sceneloom.motion.ego_motion import Progress, find_ego_motion, is_computed, with_way_found
+from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
 from sceneloom.motion.sensor_paths import camera_path
 from sceneloom.pipeline.origin import can_move, moved_scene
 from sceneloom.scene import (
@@ -30,6 +30,7 @@ from sceneloom.scene.part import chosen_interval, cut_scene
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import must_be_placed, needs_ego, sensor_source
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)

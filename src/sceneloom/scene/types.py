@@ -1,7 +1,7 @@
 """The closed sets of words and the common aliases of the scene model."""
 
 import copyreg
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Any
@@ -17,6 +17,9 @@ def key_of(identifier: Identifier) -> Key:
     """The id with its type."""
     return type(identifier), identifier
 
+
+Progress = Callable[[int, int], None]
+"""Is told how much of some work is done, and how much there is in all."""
 
 NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 """The extra fields of an object that has none."""

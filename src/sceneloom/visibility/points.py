@@ -1,6 +1,6 @@
 """How many points of each lidar frame lie in each cuboid, and which."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -19,8 +19,7 @@ from sceneloom.scene.sample_boxes import Boxes, BoxTable
 from sceneloom.scene.sample_places import WORLD, choose_ego, place_of_points
 from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
 from sceneloom.scene.span import sweep_period_ns
-
-Progress = Callable[[int, int], None]
+from sceneloom.scene.types import Progress
 
 _KNOT_NS = 10_000_000
 """Boxes that are met point by point are placed so often during a sweep [ns]; between, they go straight."""

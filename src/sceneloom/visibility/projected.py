@@ -1,6 +1,6 @@
 """A scene whose cuboids tell where its cameras see them."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,7 @@ from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample_boxes import BoxTable
 from sceneloom.scene.sample_places import choose_ego, places_of
 from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
-from sceneloom.scene.types import key_of
+from sceneloom.scene.types import Progress, key_of
 from sceneloom.visibility.activations import activation_of
 from sceneloom.visibility.counted import with_attributes
 from sceneloom.visibility.evidence import SweptPoints
@@ -42,8 +42,6 @@ LEAST_POINTS = 5
 
 _DECIMALS = 3
 """Of shares and pixels that are written: far below what they are good for."""
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,6 @@ from sceneloom.editing.differences.report import Change
 from sceneloom.editing.differences.values import Comparison
 from sceneloom.scene import CameraSensor, LazyFrames, Picture, VideoContent
 
-Progress = Callable[[int, int], None]
-
 _PIECE = 1 << 20
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.editing.differences.frames import Progress, compare_frames, compare_pictures
+from sceneloom.editing.differences.frames import compare_frames, compare_pictures
 from sceneloom.editing.differences.report import Change, Findings, SceneDifferences
 from sceneloom.editing.differences.tolerances import Tolerances
 from sceneloom.editing.differences.values import Comparison, shown
@@ -14,7 +14,7 @@ from sceneloom.errors import OptionError
 from sceneloom.scene import CameraSensor, LidarFrame, LidarSensor, RadarFrame, RadarSensor, Scene, Sensor
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.span import frame_times
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.types import Key, Progress, key_of
 
 _FRAMED = (LidarSensor, RadarSensor, CameraSensor)
 

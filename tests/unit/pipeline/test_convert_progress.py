@@ -1,0 +1,20 @@
+"""A conversion tells how far it is."""
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.pipeline import convert
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+
+def test_every_sweep_and_every_single_picture_is_told_once(tmp_path):
+    lens = Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5)
+    drive = simulate_street(frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(lens),))
+    write_scene(drive.scene, tmp_path / "drive.sfs")
+    told = []
+    convert(
+        tmp_path / "drive.sfs", tmp_path / "copy.sfs", progress=lambda done, total: told.append((done, total))
+    )
+    assert told[-1] == (6, 6)
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    with open_scene(tmp_path / "copy.sfs") as copy:
+        assert [len(copy.lidars[0].frames), len(copy.cameras[0].pictures)] == [3, 3]

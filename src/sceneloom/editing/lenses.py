@@ -6,6 +6,7 @@ from typing import Any
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import Fit, fit
+from sceneloom.cameras.table import MODELS
 from sceneloom.editing.chosen_cameras import chosen_cameras, lens_record
 from sceneloom.editing.record import assumed, ours_of, skipped, with_notices, with_ours
 from sceneloom.errors import CalibrationError, OptionError
@@ -36,9 +37,11 @@ def convert_lenses(
         share: which part of what a picture shows the new lens must hold at least.
 
     Raises:
-        OptionError: a camera is not there, or a limit is none.
-        CalibrationError: the model is unknown, or comes no nearer than the limits say.
+        OptionError: the model is unknown, a camera is not there, or a limit is none.
+        CalibrationError: the model comes no nearer than the limits say.
     """
+    if model not in MODELS:
+        raise OptionError(f"camera model {model!r}; expected one of {', '.join(MODELS)}")
     if not limit_px >= 0 or not 0 <= share <= 1:
         raise OptionError(f"limit {limit_px} px, share {share}; expected 0 px or more and a share of 0 to 1")
     sensors: list[Any] = list(scene.sensors)

@@ -76,7 +76,7 @@ def test_limits_that_are_none_are_refused(limits):
 
 
 def test_unknown_models_and_cameras_are_refused():
-    with pytest.raises(CalibrationError, match="camera model 'periscope'"):
+    with pytest.raises(OptionError, match="camera model 'periscope'"):
         convert_lenses(scene_of(FISHEYE), "periscope")
     with pytest.raises(OptionError, match="no sensor 'rear'"):
         convert_lenses(scene_of(FISHEYE), "pinhole", cameras=["rear"])

@@ -1,5 +1,7 @@
 """When a scene begins and ends, and how long its sweeps take."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from sceneloom.arrays import Int64Array
@@ -47,8 +49,16 @@ def frame_times(sensor: Sensor) -> Int64Array:
 
 
 def time_span(scene: Scene) -> tuple[int, int] | None:
-    """First and last time stamp of all sensors [ns]; None for a scene without time."""
-    stamps = [times for times in map(frame_times, scene.sensors) if len(times)]
+    """First and last time stamp of what is measured [ns]; None for a scene without time.
+
+    Poses of odometry count only where there is nothing else: they reach beyond what a part of a drive was cut to.
+    """
+    measuring = [sensor for sensor in scene.sensors if not isinstance(sensor, OdometrySensor)]
+    return _span(measuring) or _span(scene.sensors)
+
+
+def _span(sensors: Iterable[Sensor]) -> tuple[int, int] | None:
+    stamps = [times for times in map(frame_times, sensors) if len(times)]
     if not stamps:
         return None
     return min(int(times.min()) for times in stamps), max(int(times.max()) for times in stamps)

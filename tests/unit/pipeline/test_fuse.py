@@ -121,7 +121,7 @@ def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(
         "wheels", PosePath(times, np.zeros((count, 3)), np.tile([0.0, 0, 0, 1], (count, 1)))
     )
     outputs = FusionOutputs(scene=tmp_path / "part.sfs", profile="scale")
-    fuse(replace(drive, sensors=(*drive.sensors, wheels)), start=199.9, outputs=outputs)
+    fuse(replace(drive, sensors=(*drive.sensors, wheels)), start=0.1, outputs=outputs)
     header = decode_sfs((tmp_path / "part.sfs").read_bytes())
     # this profile has no place for frames that begin more than 100 s after the clock's zero
     assert [sensor["id"] for sensor in header["sensors"]] == ["lidar", "camera0", "camera1"]

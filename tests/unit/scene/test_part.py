@@ -25,6 +25,7 @@ from sceneloom.scene import (
     VectorSamples,
 )
 from sceneloom.scene.part import cut_scene
+from sceneloom.scene.span import time_span
 
 SECOND = 1_000_000_000
 TIMES = np.arange(0, 200 * SECOND, SECOND // 2, dtype=np.int64)
@@ -142,3 +143,19 @@ def test_a_start_beyond_all_time_is_refused(start: float) -> None:
 def test_a_path_that_holds_always_is_not_cut() -> None:
     scene = Scene((lidar(), OdometrySensor("ego", PosePath.identity())))
     assert cut_scene(scene, start=100.0).sensor("ego").poses.endless
+
+
+def test_a_part_is_counted_from_the_first_frame_and_not_from_poses_before_it():
+    times = np.arange(-3_000_000_000, 3_000_000_001, 500_000_000)
+    poses = PosePath(times, np.zeros((len(times), 3)), np.tile([0.0, 0, 0, 1], (len(times), 1)))
+    stamps = [0, 100_000_000, 200_000_000]
+    sweeps = [LidarFrame(stamp, LidarPoints(np.zeros((1, 3), np.float32))) for stamp in stamps]
+    scene = Scene((OdometrySensor("ego", poses), LidarSensor("top", LazyFrames.of(sweeps, stamps))))
+    cut = cut_scene(scene, start=0.1)
+    assert cut.lidars[0].frames.timestamps_ns.tolist() == stamps[1:]
+    assert cut_scene(cut, start=0.1).lidars[0].frames.timestamps_ns.tolist() == stamps[2:]
+
+
+def test_a_scene_of_poses_alone_is_counted_from_its_first_pose():
+    poses = PosePath(np.array([5, 9]), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    assert time_span(Scene((OdometrySensor("ego", poses),))) == (5, 9)

@@ -18,7 +18,10 @@ STRANGER = {
     "video": {"timestamps": "yz"},
 }
 
+MAP = {"id": "m", "type": "points", "points": 1, "poses": {"timestamps": [{}], "values": [[]]}, "frames": [{}]}
+
 FOUND = {
+    "a map at fault with poses, which a map does not have": {"version": "1.0", "sensors": [MAP]},
     "an unknown sensor whose images have text for times": {"version": "1.0", "sensors": [STRANGER]},
     "an unknown annotation with lists of numbers in the place of projections": {
         "version": "1.0",

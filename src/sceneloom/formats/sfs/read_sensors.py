@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.formats.sfs.fields import SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
+from sceneloom.formats.sfs.fields import RECORDS, SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
 from sceneloom.formats.sfs.read_cameras import read_camera
 from sceneloom.formats.sfs.read_clouds import note_further_faults, read_lidar, read_points, read_radar
 from sceneloom.formats.sfs.read_motion import read_gnss, read_imu, read_odometry, read_plain_sensor
@@ -58,6 +58,7 @@ def _sensor(source: Source, raw: Any, place: Place, faults: Faults) -> Sensor | 
         faults.add(("id",), f"{values.get('id')!r}; expected text or an integer")
     if faults:
         if is_known:
-            note_further_faults(values, faults)
+            fields = RECORDS[sensor_record(type_name)]
+            note_further_faults({name: v for name, v in values.items() if name in fields}, faults)
         return None
     return _SENSOR_READERS.get(known, read_plain_sensor)(source, values, place, faults)

@@ -18,7 +18,13 @@ STRANGER = {
     "video": {"timestamps": "yz"},
 }
 
-MAP = {"id": "m", "type": "points", "points": 1, "poses": {"timestamps": [{}], "values": [[]]}, "frames": [{}]}
+MAP = {
+    "id": "m",
+    "type": "points",
+    "points": 1,
+    "poses": {"timestamps": [{}], "values": [[]]},
+    "frames": [{}],
+}
 
 FOUND = {
     "a map at fault with poses, which a map does not have": {"version": "1.0", "sensors": [MAP]},

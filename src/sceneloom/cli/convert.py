@@ -27,7 +27,7 @@ def convert(
     **reading: Any,
 ) -> None:
     """Write a recording or a scene in another format; what the target cannot hold is reported."""
-    from sceneloom.pipeline.convert import convert as convert_scene
+    from sceneloom.pipeline.conversion import convert as convert_scene
 
     with progress_bar("converting", quiet=quiet) as progress:
         report = convert_scene(

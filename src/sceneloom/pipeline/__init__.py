@@ -1,11 +1,19 @@
-"""The main job: read, weave into one world, fuse, write."""
+"""The main job: read, weave into one world, fuse, write.
 
-from sceneloom.pipeline.convert import ConversionReport, convert
-from sceneloom.pipeline.deskew import deskew, deskewed_scene
-from sceneloom.pipeline.deskew_report import DeskewReport
-from sceneloom.pipeline.fuse import fuse, iter_fused
-from sceneloom.pipeline.outputs import FusionOutputs
-from sceneloom.pipeline.report import CameraReport, FusionReport
+Every name is imported when it is first used: a conversion or an edit needs nothing of what fuses, which takes long to
+import.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sceneloom.pipeline.conversion import ConversionReport, convert
+    from sceneloom.pipeline.deskew_report import DeskewReport
+    from sceneloom.pipeline.deskewing import deskew, deskewed_scene
+    from sceneloom.pipeline.fusing import fuse, iter_fused
+    from sceneloom.pipeline.outputs import FusionOutputs
+    from sceneloom.pipeline.report import CameraReport, FusionReport
 
 __all__ = [
     "CameraReport",
@@ -19,3 +27,25 @@ __all__ = [
     "fuse",
     "iter_fused",
 ]
+
+_ON_FIRST_USE = {
+    "CameraReport": "report",
+    "ConversionReport": "conversion",
+    "DeskewReport": "deskew_report",
+    "FusionOutputs": "outputs",
+    "FusionReport": "report",
+    "convert": "conversion",
+    "deskew": "deskewing",
+    "deskewed_scene": "deskewing",
+    "fuse": "fusing",
+    "iter_fused": "fusing",
+}
+"""The module of everything that is imported when it is first asked for."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _ON_FIRST_USE:
+        raise AttributeError(f"module 'sceneloom.pipeline' has no attribute {name!r}")
+    value = getattr(import_module(f"sceneloom.pipeline.{_ON_FIRST_USE[name]}"), name)
+    globals()[name] = value
+    return value

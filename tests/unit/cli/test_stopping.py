@@ -13,8 +13,8 @@ import pytest
 
 Call = Callable[..., Any]
 
-FUSE: Any = import_module("sceneloom.pipeline.fuse")
-"""The module; the package has a function of that name."""
+FUSE: Any = import_module("sceneloom.pipeline.fusing")
+"""The module that plays drives to the fusion."""
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such signals")

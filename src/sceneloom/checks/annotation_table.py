@@ -21,6 +21,7 @@ from sceneloom.scene import (
     PointsAnnotation,
     ShapeAnnotation,
 )
+from sceneloom.scene.types import key_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +176,7 @@ def _add(entries: Entries, number: int, name: str, parts: Sequence[Any]) -> None
 
 def camera_rows(subject: Subject, table: PartTable) -> Iterator[tuple[CameraSensor, Int64Array]]:
     """Give each camera with the rows of a table that are about it, (K,) int64; cameras without rows are left out."""
-    numbers = {(type(camera.id), camera.id): n for n, camera in enumerate(subject.scene.cameras)}
+    numbers = {key_of(camera.id): n for n, camera in enumerate(subject.scene.cameras)}
     annotations = subject.scene.annotations
     owners = [
         part if hasattr(part, "sensor_id") else annotations[number]

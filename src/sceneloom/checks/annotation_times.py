@@ -14,6 +14,7 @@ from sceneloom.checks.annotation_table import (
     projections,
     timed_parts,
 )
+from sceneloom.checks.mending import mended_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import (
@@ -51,10 +52,7 @@ def _not_increasing(subject: Subject) -> Iterator[Hit]:
 
 def _sorted_times(scene: Scene) -> Scene:
     """Sort paths by time and drop repeated rows; a path with two different rows at one time stays as it is."""
-    annotations = tuple(_with_sorted_parts(annotation) for annotation in scene.annotations)
-    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
-        return scene
-    return replace(scene, annotations=annotations)
+    return mended_annotations(scene, _with_sorted_parts)
 
 
 _PARTS = ("path", "paths", "activations", "projections", "attributes")

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from sceneloom.arrays import read_only
+from sceneloom.checks.mending import mended_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import AttributePath, Scene, Severity
@@ -102,10 +103,7 @@ def _static_repeats(subject: Subject) -> Iterator[Hit]:
 
 def _static_once(scene: Scene) -> Scene:
     """Keep the first of the equal values of static attributes of annotations."""
-    annotations = tuple(map(_with_static_once, scene.annotations))
-    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
-        return scene
-    return replace(scene, annotations=annotations)
+    return mended_annotations(scene, _with_static_once)
 
 
 def _with_static_once(annotation: Any) -> Any:

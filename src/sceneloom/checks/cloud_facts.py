@@ -8,6 +8,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene import Identifier, LidarFrame, LidarPoints, RadarFrame, RadarPoints
+from sceneloom.scene.types import key_of
 
 FAR_M = 10_000.0
 """Beyond it float32 is coarser than a millimetre."""
@@ -96,7 +97,7 @@ def cloud_facts(subject: Subject, frame: FrameInHand) -> CloudFacts | None:
     if frame.path not in latest:
         latest.clear()
         latest[frame.path] = facts = facts_of(frame.frame.points)
-        known, key = sensor_facts(subject), (type(frame.sensor.id), frame.sensor.id)
+        known, key = sensor_facts(subject), key_of(frame.sensor.id)
         known.setdefault(key, SensorFacts(frame.sensor_path)).add(frame.number, facts)
     return latest[frame.path]
 

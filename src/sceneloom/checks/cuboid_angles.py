@@ -4,7 +4,7 @@ Each reading is tried: two units, six orders of the product. Objects on wheels m
 backwards, and a box that is turned wrongly loses points of its object.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
 from sceneloom.scene import LidarFrame, LidarSensor, NoticeKind, Scene, Severity
+from sceneloom.scene.angles import CuboidAngles
 
 _LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
 """Steps that are shorter or slower show no direction [m], [m/s]."""
@@ -56,9 +57,8 @@ class Reading(NamedTuple):
 
 def said_reading(scene: Scene) -> Reading:
     """The reading that the scene says, or is taken to say."""
-    ours = scene.metadata.get("sceneloom")
-    ours = ours if isinstance(ours, Mapping) else {}
-    return Reading(ours.get("euler_unit") or AngleUnit.DEGREES.value, ours.get("euler_order") or "xyz")
+    angles = CuboidAngles.of(scene)
+    return Reading(angles.unit, angles.order)
 
 
 def _readings(said: Reading) -> list[Reading]:

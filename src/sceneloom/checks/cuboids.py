@@ -8,10 +8,11 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.checks.annotation_table import PartTable, cuboid_paths, cuboid_rows
 from sceneloom.checks.cuboid_angles import cuboid_headings, said_reading
+from sceneloom.checks.mending import mended_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.euler import AngleUnit
-from sceneloom.scene import CuboidAnnotation, Scene, Severity
+from sceneloom.scene import Annotation, CuboidAnnotation, Scene, Severity
 
 _LARGEST_M = 100.0
 """Beyond it even trams and ferries end; a building that long deserves a look."""
@@ -65,15 +66,12 @@ def _negative_size(subject: Subject) -> Iterator[Hit]:
 
 def _positive_sizes(scene: Scene) -> Scene:
     """Turn negative lengths positive: a box is the same seen from its other side."""
-    annotations = tuple(
-        _with_positive_size(a) if isinstance(a, CuboidAnnotation) else a for a in scene.annotations
-    )
-    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
-        return scene
-    return replace(scene, annotations=annotations)
+    return mended_annotations(scene, _with_positive_size)
 
 
-def _with_positive_size(cuboid: CuboidAnnotation) -> CuboidAnnotation:
+def _with_positive_size(cuboid: Annotation) -> Annotation:
+    if not isinstance(cuboid, CuboidAnnotation):
+        return cuboid
     values = cuboid.path.values
     if not (values[:, :3] < 0).any():
         return cuboid

@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sceneloom.arrays import read_only
+from sceneloom.checks.mending import mended_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene import (
+    Annotation,
     Identifier,
     LabeledPoints,
     LabeledPointsAnnotation,
@@ -22,6 +24,7 @@ from sceneloom.scene import (
     Scene,
     Severity,
 )
+from sceneloom.scene.types import key_of
 
 
 class Entry(NamedTuple):
@@ -69,7 +72,7 @@ def _beyond_frame(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     entries = _entries(subject)
     if not entries or not isinstance(frame.frame, LidarFrame | RadarFrame):
         return
-    key, count = (type(frame.sensor.id), frame.sensor.id), len(frame.frame.points)
+    key, count = key_of(frame.sensor.id), len(frame.frame.points)
     totals = subject.table("points per sensor", lambda _: defaultdict[tuple[type, Identifier], int](int))
     totals[key] += count
     yield from _beyond(entries.get((*key, frame.number), []), count, f"frame {frame.number}")
@@ -110,15 +113,12 @@ def _repeated(subject: Subject) -> Iterator[Hit]:
 
 def _each_once(scene: Scene) -> Scene:
     """Name each point once, at its first place."""
-    annotations = tuple(
-        _with_each_once(a) if isinstance(a, LabeledPointsAnnotation) else a for a in scene.annotations
-    )
-    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
-        return scene
-    return replace(scene, annotations=annotations)
+    return mended_annotations(scene, _with_each_once)
 
 
-def _with_each_once(annotation: LabeledPointsAnnotation) -> LabeledPointsAnnotation:
+def _with_each_once(annotation: Annotation) -> Annotation:
+    if not isinstance(annotation, LabeledPointsAnnotation):
+        return annotation
     points = tuple(map(_once, annotation.labeled_points))
     same = all(new is old for new, old in zip(points, annotation.labeled_points, strict=True))
     return annotation if same else replace(annotation, labeled_points=points)

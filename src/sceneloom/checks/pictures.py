@@ -10,6 +10,7 @@ from sceneloom.arrays import UInt8Array
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene import CameraSensor, Identifier, Picture, Severity
+from sceneloom.scene.types import key_of
 
 _STEP_PX = 8
 """Every eighth row and column tells whether a picture is of one colour."""
@@ -50,7 +51,7 @@ def _look(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     if latest["path"] == frame.path or not isinstance(frame.sensor, CameraSensor):
         return
     latest["path"] = frame.path
-    key = (type(frame.sensor.id), frame.sensor.id)
+    key = key_of(frame.sensor.id)
     facts = _facts(subject).setdefault(key, CameraFacts(frame.sensor_path))
     if isinstance(frame.frame, Picture):
         _take(facts, frame.sensor, frame.number, frame.frame)

@@ -25,6 +25,7 @@ from sceneloom.scene import (
     RadarSensor,
     Severity,
 )
+from sceneloom.scene.types import key_of
 
 _LOOKED_AT = 4
 """So many frames of a sensor are looked at, spread over the drive, and one more for each to compare it with."""
@@ -78,7 +79,7 @@ def _keep(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     sensor = frame.sensor
     if not isinstance(sensor, LidarSensor | RadarSensor):
         return
-    known, key = _all_sweeps(subject), (type(sensor.id), sensor.id)
+    known, key = _all_sweeps(subject), key_of(sensor.id)
     if key not in known:
         known[key] = _planned(subject, frame.sensor_path, sensor)
     if frame.number in known[key].wanted and isinstance(frame.frame, LidarFrame | RadarFrame):

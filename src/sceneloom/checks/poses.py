@@ -20,6 +20,7 @@ from sceneloom.scene import (
     Sensor,
     Severity,
 )
+from sceneloom.scene.types import key_of
 
 FASTEST = 150.0
 """Nothing that carries sensors on the ground is faster [m/s]."""
@@ -154,7 +155,7 @@ def _times_of_ways(subject: Subject) -> Iterator[Hit]:
 
 
 def _odometry_ids(subject: Subject) -> set[tuple[type, str | int]]:
-    return {(type(s.id), s.id) for s in subject.scene.sensors if isinstance(s, OdometrySensor)}
+    return {key_of(s.id) for s in subject.scene.sensors if isinstance(s, OdometrySensor)}
 
 
 def _in_ego_frame(sensor: Sensor) -> bool:

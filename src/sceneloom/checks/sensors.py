@@ -20,6 +20,7 @@ from sceneloom.scene import (
     Sensor,
     Severity,
 )
+from sceneloom.scene.types import key_of
 
 Key = tuple[type, Identifier]
 
@@ -46,7 +47,7 @@ def _empty(subject: Subject) -> Iterator[Hit]:
     """Sensors without content; those that annotations name belong to a scene whose data are elsewhere."""
     named = {(type(mention.sensor_id), mention.sensor_id) for mention in sensor_mentions(subject)}
     for path, sensor in subject.sensors():
-        if _count(sensor) == 0 and (type(sensor.id), sensor.id) not in named:
+        if _count(sensor) == 0 and key_of(sensor.id) not in named:
             what = "pictures" if isinstance(sensor, CameraSensor) else "measurements"
             yield Hit(path, f"{sensor.type} {sensor.id!r} has no {what}")
 
@@ -74,12 +75,12 @@ def _dangling_parents(subject: Subject) -> Iterator[Hit]:
 
 def _parent_cycles(subject: Subject) -> Iterator[Hit]:
     parents: dict[Key, Key] = {
-        (type(s.id), s.id): (type(s.parent_id), s.parent_id)
+        key_of(s.id): (type(s.parent_id), s.parent_id)
         for s in subject.scene.sensors
         if s.parent_id is not None
     }
     for path, sensor in subject.sensors():
-        start: Key = (type(sensor.id), sensor.id)
+        start: Key = key_of(sensor.id)
         way, at = [start], parents.get(start)
         while at is not None and at not in way:
             way.append(at)

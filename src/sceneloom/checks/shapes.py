@@ -9,6 +9,7 @@ from sceneloom.checks.annotation_table import point_paths
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import PointsAnnotation, Severity, ShapeAnnotation, ShapeType
+from sceneloom.scene.types import key_of
 
 _AREAS = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
 _LINES = (ShapeType.POLYLINE, ShapeType.POLYLINE_2D)
@@ -186,7 +187,7 @@ def _ids_of_points(subject: Subject) -> Iterator[Hit]:
         for k, point in enumerate(points.paths):
             if point.id is None:
                 continue
-            first = seen.setdefault((type(point.id), point.id), k)
+            first = seen.setdefault(key_of(point.id), k)
             if first != k:
                 yield Hit(f"{path}.paths[{k}].id", f"{point.id!r} is the id of paths[{first}], too")
 

@@ -17,6 +17,7 @@ from sceneloom.scene import (
     Scene,
     Sensor,
 )
+from sceneloom.scene.types import key_of
 
 Table = TypeVar("Table")
 
@@ -117,4 +118,4 @@ def _paths_of_sensors(subject: Subject) -> dict[int, str]:
 
 
 def _sensors_by_id(subject: Subject) -> dict[tuple[type, Identifier], Sensor]:
-    return {(type(sensor.id), sensor.id): sensor for sensor in subject.scene.sensors}
+    return {key_of(sensor.id): sensor for sensor in subject.scene.sensors}

@@ -21,7 +21,6 @@ from sceneloom.scene import (
     Picture,
     PointsAnnotation,
     PosePath,
-    PoseSamples,
     ShapeAnnotation,
 )
 from sceneloom.scene.types import Key, key_of
@@ -125,20 +124,13 @@ def _behind(path: PosePath, correction: PosePath) -> PosePath:
     constant = len(correction.timestamps_ns) == 1
     times_ns = correction.timestamps_ns if path.endless and not constant else path.timestamps_ns
     body = path.interpolate(times_ns)
-    diff = _held(correction, times_ns)
+    diff = correction.held(times_ns)
     return PosePath(
         times_ns,
         rotate_vectors(body.quaternions_xyzw, diff.positions) + body.positions,
         multiply_quaternions(body.quaternions_xyzw, diff.quaternions_xyzw),
         endless=path.endless and constant,
     )
-
-
-def _held(path: PosePath, times_ns: Int64Array) -> PoseSamples:
-    """The poses at times; beyond the ends the end poses hold."""
-    if path.endless:
-        return path.interpolate(times_ns)
-    return path.interpolate(np.clip(times_ns, path.start_ns, path.stop_ns))
 
 
 def _reaching(path: PosePath, stamps_ns: Int64Array, reach_ns: int) -> PosePath:

@@ -7,6 +7,7 @@ import numpy as np
 from sceneloom.arrays import UInt8Array
 from sceneloom.errors import OptionError
 from sceneloom.scene import LazyFrames, LidarFrame, LidarSensor, Scene
+from sceneloom.scene.types import key_of
 
 UNSEEN = 255
 """The `camera_index` of a point that no camera coloured."""
@@ -54,8 +55,8 @@ def recounted(lidar: LidarSensor, numbers: dict[int, int]) -> LidarSensor:
 
 def without_cameras(scene: Scene, kept: Scene) -> Scene:
     """The scene `kept`, made of `scene` by leaving out sensors: its points name the cameras by their new places."""
-    places = {(type(camera.id), camera.id): k for k, camera in enumerate(kept.cameras)}
-    old = [(type(camera.id), camera.id) for camera in scene.cameras]
+    places = {key_of(camera.id): k for k, camera in enumerate(kept.cameras)}
+    old = [key_of(camera.id) for camera in scene.cameras]
     numbers = {k: places[key] for k, key in enumerate(old) if key in places}
     if len(numbers) == len(old):
         return kept

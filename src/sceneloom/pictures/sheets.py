@@ -118,10 +118,7 @@ def _ego_at(ego_poses: PosePath | None, timestamp_ns: int) -> RigidTransform | N
     """Give `world_from_ego` at a time; beyond the path's ends the pose of the nearer end."""
     if ego_poses is None:
         return None
-    nearest = (
-        timestamp_ns if ego_poses.endless else min(max(timestamp_ns, ego_poses.start_ns), ego_poses.stop_ns)
-    )
-    pose = ego_poses.interpolate(np.array([nearest], np.int64))
+    pose = ego_poses.held(np.array([timestamp_ns], np.int64))
     return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
 
 

@@ -1,5 +1,7 @@
 """Pictures of what one camera sees of a lidar frame: its points over the photograph, and their depths alone."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sceneloom.arrays import Float32Array, UInt8Array
@@ -44,7 +46,7 @@ def draw_overlay(view: FusedView, *, scale: DepthScale | None = None, show_hidde
     counts = f"{count_text(len(depths), 'point')}, {hidden:,} more hidden" + (
         " (crosses)" if show_hidden else ""
     )
-    return _framed(drawn, used, [_title(view), counts])
+    return framed(picture_canvas(drawn), [_title(view), counts], scale=used)
 
 
 def draw_depth_image(view: FusedView, *, scale: DepthScale | None = None) -> PilImage:
@@ -63,9 +65,8 @@ def draw_depth_image(view: FusedView, *, scale: DepthScale | None = None) -> Pil
     pixels = np.column_stack([columns, rows]).astype(np.float32)
     drawn = stamp_discs(empty, pixels, depths, used.colours(depths), max(1.0, disc_radius(view)))
     share = 100.0 * len(depths) / view.depth_image.size
-    return _framed(
-        drawn, used, [_title(view), f"{count_text(len(depths), 'pixel')} with depth, {share:.2g} %"]
-    )
+    counts = f"{count_text(len(depths), 'pixel')} with depth, {share:.2g} %"
+    return framed(picture_canvas(drawn), [_title(view), counts], scale=used)
 
 
 def view_scale(view: FusedView) -> DepthScale:
@@ -91,12 +92,20 @@ def subdued(rgb: UInt8Array) -> UInt8Array:
     return np.asarray(_BRIGHTNESS * (_GREYNESS * grey + (1.0 - _GREYNESS) * rgb.astype(np.float32)), np.uint8)
 
 
-def _framed(drawn: UInt8Array, scale: DepthScale, lines: list[str]) -> PilImage:
-    """Add the strip with caption and scale bar below a drawn picture."""
-    height, width = drawn.shape[:2]
-    text_px = text_height(max(width, LEAST_WIDTH_PX), height)
-    canvas = Canvas.blank(max(width, LEAST_WIDTH_PX), height + strip_height(text_px), text_px=text_px)
-    canvas.paste(drawn, 0, 0)
+def framed(plot: Canvas, lines: Sequence[str], *, scale: DepthScale | None = None) -> PilImage:
+    """Add a strip below a picture, with the caption, and with the bar of its depths where it shows any."""
+    width, height = plot.image.size
+    canvas = Canvas.blank(
+        max(width, LEAST_WIDTH_PX), height + strip_height(plot.text_px), text_px=plot.text_px
+    )
+    canvas.paste(plot, 0, 0)
     draw_strip(canvas, height)
-    draw_caption(canvas, height, draw_depth_bar(canvas, height, scale), lines)
+    room = canvas.image.width if scale is None else draw_depth_bar(canvas, height, scale)
+    draw_caption(canvas, height, room, lines)
     return canvas.image
+
+
+def picture_canvas(pixels: UInt8Array) -> Canvas:
+    """Begin to draw on (H, W, 3) uint8 pixels, with letters that fit the picture and the strip below it."""
+    height, width = pixels.shape[:2]
+    return Canvas.of(pixels, text_px=text_height(max(width, LEAST_WIDTH_PX), height))

@@ -30,7 +30,7 @@ from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.part import cut_scene
 from sceneloom.scene.sensor_sources import points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Progress, key_of
 
 OURS, ENTRY = "sceneloom", "deskew"
 """Where a scene's metadata say how it was deskewed."""
@@ -63,10 +63,10 @@ class DeskewPlan:
 
     def deskewed(self, on_frame: Callable[[Identifier, int, DeskewedFrame], None] | None = None) -> Scene:
         """Give the scene whose sweeps are deskewed when they are read; `on_frame` is told of each."""
-        chosen = {(type(sensor.id), sensor.id) for sensor in self.lidars}
+        chosen = {key_of(sensor.id) for sensor in self.lidars}
         sensors = tuple(
             self._deskewed_lidar(sensor, on_frame)
-            if isinstance(sensor, LidarSensor) and (type(sensor.id), sensor.id) in chosen
+            if isinstance(sensor, LidarSensor) and key_of(sensor.id) in chosen
             else sensor
             for sensor in self.scene.sensors
         )

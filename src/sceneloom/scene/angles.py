@@ -33,7 +33,7 @@ class CuboidAngles:
         """The reading that a scene's metadata name, or the default one."""
         named: Any = scene.metadata.get("sceneloom")
         ours = named if isinstance(named, Mapping) else {}
-        return cls(ours.get("euler_unit", AngleUnit.DEGREES), ours.get("euler_order", "xyz"))
+        return cls(ours.get("euler_unit") or AngleUnit.DEGREES, ours.get("euler_order") or "xyz")
 
     def quaternions(self, angles_rpy: Float64Array) -> Float64Array:
         """Give `world_from_box` (..., 4), scalar last, of roll, pitch and yaw (..., 3).

@@ -114,6 +114,12 @@ class PosePath:
             )
         )
 
+    def held(self, timestamps_ns: Int64Array) -> PoseSamples:
+        """Give the pose at each time, (M,) int64 [ns]; beyond the path's ends the end poses hold."""
+        if self.endless:
+            return self.interpolate(timestamps_ns)
+        return self.interpolate(np.clip(timestamps_ns, self.start_ns, self.stop_ns))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:

@@ -12,7 +12,7 @@ from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import sweep_period_ns, usual_period_ns
-from sceneloom.scene.types import Identifier
+from sceneloom.scene.types import Identifier, key_of
 
 ALL = "all"
 
@@ -117,7 +117,7 @@ def chosen_sensors(scene: Scene, kind: str, there: tuple[Kind, ...], wanted: Cho
 
 
 def _is(sensor: LidarSensor | CameraSensor | RadarSensor, wanted: Identifier) -> bool:
-    return sensor.id == wanted and type(sensor.id) is type(wanted)
+    return key_of(sensor.id) == key_of(wanted)
 
 
 def _listed(sensors: Iterable[LidarSensor | CameraSensor | RadarSensor]) -> str:

@@ -13,7 +13,7 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.notices import Notice
 from sceneloom.scene.plain import PlainSensor
 from sceneloom.scene.poses import Trajectory
-from sceneloom.scene.types import NO_FIELDS, Identifier
+from sceneloom.scene.types import NO_FIELDS, Identifier, key_of
 
 if TYPE_CHECKING:
     from sceneloom.scene.ego import EgoMotion
@@ -97,7 +97,7 @@ class Scene:
             OptionError: the scene has no such sensor.
         """
         for sensor in self.sensors:
-            if sensor.id == sensor_id and type(sensor.id) is type(sensor_id):
+            if key_of(sensor.id) == key_of(sensor_id):
                 return sensor
         known = ", ".join(repr(sensor.id) for sensor in self.sensors)
         raise OptionError(f"{self.source}: no sensor {sensor_id!r}; it has {known}")

@@ -10,6 +10,7 @@ from sceneloom.arrays import read_only
 from sceneloom.formats.sfs.annotation_parts import attribute_values
 from sceneloom.formats.sfs.poses import times_of
 from sceneloom.scene import Annotation, AttributePath, Identifier
+from sceneloom.scene.types import key_of
 
 Record = Mapping[str, Any]
 
@@ -32,8 +33,7 @@ def restore_exact_attributes(
             by_annotation.setdefault((type(identifier), identifier), []).append(record)
     if by_annotation:
         annotations = tuple(
-            _restored(annotation, by_annotation.get((type(annotation.id), annotation.id), []))
-            for annotation in annotations
+            _restored(annotation, by_annotation.get(key_of(annotation.id), [])) for annotation in annotations
         )
     return annotations, _restored_attributes(attributes, of_scene)
 

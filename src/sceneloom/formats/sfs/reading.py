@@ -28,6 +28,7 @@ from sceneloom.formats.sfs.root import (
 from sceneloom.formats.sfs.source import ReadingOptions, Source
 from sceneloom.formats.sfs.times import FileClock
 from sceneloom.scene import Annotation, AttributePath, CuboidAnnotation, Identifier, NoticeKind, Scene, Sensor
+from sceneloom.scene.types import key_of
 
 DEFAULT_EULER = {"euler_unit": "degrees", "euler_order": "xyz"}
 """How the angles of cuboids are read where nothing says it. Source: `CuboidPath.from_matrix` of Scale's library."""
@@ -191,7 +192,7 @@ def _unique(
     first: dict[tuple[type, Identifier], Place] = {}
     kept: list[Thing] = []
     for thing, place in zip(things, places, strict=True):
-        before = first.setdefault((type(thing.id), thing.id), place)
+        before = first.setdefault(key_of(thing.id), place)
         if before is place:
             kept.append(thing)
             continue

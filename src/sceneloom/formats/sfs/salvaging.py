@@ -31,6 +31,7 @@ from sceneloom.scene import (
     Scene,
     Sensor,
 )
+from sceneloom.scene.types import key_of
 
 _COUNTED = ("frames", "images")
 _ROUNDS = 4
@@ -168,7 +169,7 @@ class _Rescue:
         found = []
         for sensor in scene.sensors:
             kept = len(_frames_of(sensor))
-            count = self._counts.get((type(sensor.id), sensor.id), kept)
+            count = self._counts.get(key_of(sensor.id), kept)
             found.append(KeptSensor(sensor.id, str(sensor.type), kept, max(kept, count)))
         return tuple(found)
 

@@ -40,6 +40,7 @@ from sceneloom.scene import (
     Scene,
     Sensor,
 )
+from sceneloom.scene.types import key_of
 
 Frame = LidarFrame | RadarFrame | Picture
 
@@ -193,7 +194,7 @@ class SceneWriter:
             OptionError: its id stands in the file already, or something in it cannot be held by the format.
             DataError: a frame or picture of it cannot be read.
         """
-        opened, key = self._opened(), (type(sensor.id), sensor.id)
+        opened, key = self._opened(), key_of(sensor.id)
         check_new(self._contents.drafts, sensor.id)
         any_distortion = self._profile.any_distortion and self._verbatim
         draft = draft_of(sensor, self._losses, any_distortion=any_distortion)

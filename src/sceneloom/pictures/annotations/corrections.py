@@ -7,12 +7,11 @@ from sceneloom.cameras import project_unbounded, unproject
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.pictures.annotations.marking import draw_marks
-from sceneloom.pictures.canvas import BACKGROUND, FAINT_INK, Canvas, PilImage, text_height
+from sceneloom.pictures.annotations.marking import draw_marks, photograph
+from sceneloom.pictures.canvas import FAINT_INK, Canvas, PilImage
 from sceneloom.pictures.cloud_above import SIZE_PX, MapLayout, draw_cloud_above
 from sceneloom.pictures.ego import EgoPlace
-from sceneloom.pictures.scale_bar import draw_caption, draw_strip, strip_height
-from sceneloom.pictures.views import LEAST_WIDTH_PX, subdued
+from sceneloom.pictures.views import framed
 from sceneloom.scene import (
     CameraCalibration,
     CameraSensor,
@@ -38,10 +37,7 @@ def draw_calibration(sample: Sample, calibration: CameraCalibration) -> PilImage
         CalibrationError: a lens has no projection.
     """
     camera = sample.cameras[calibration.sensor_id]
-    picture = sample.pictures[calibration.sensor_id]
-    blank = np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8)
-    text_px = text_height(max(camera.width, LEAST_WIDTH_PX), camera.height)
-    plot = Canvas.of(blank if picture is None else subdued(picture.rgb), text_px=text_px)
+    plot = photograph(sample, calibration.sensor_id)
     columns, rows = (
         (np.arange(n) + 0.5) * size / n for n, size in zip(_GRID, (camera.width, camera.height), strict=True)
     )
@@ -58,7 +54,7 @@ def draw_calibration(sample: Sample, calibration: CameraCalibration) -> PilImage
     said = f"things {_DISTANCE:g} m away move by {largest:.1f} px at most"
     if calibration.time_offset_ns is not None:
         said += f"; times by {calibration.time_offset_ns / 1e6:g} ms"
-    return _framed(plot, [f"{calibration.type} {calibration.id} of {calibration.sensor_id}", said])
+    return framed(plot, [f"{calibration.type} {calibration.id} of {calibration.sensor_id}", said])
 
 
 def draw_adjustment(
@@ -98,9 +94,7 @@ def _grid(camera: Camera) -> Float64Array:
 def _correction(calibration: CameraCalibration, timestamp_ns: int) -> RigidTransform:
     if calibration.poses is None:
         return RigidTransform.identity()
-    path = calibration.poses
-    at_ns = timestamp_ns if path.endless else int(np.clip(timestamp_ns, path.start_ns, path.stop_ns))
-    pose = path.interpolate(np.array([at_ns], np.int64))
+    pose = calibration.poses.held(np.array([timestamp_ns], np.int64))
     return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
 
 
@@ -120,19 +114,5 @@ def _way(scene: Scene) -> PosePath | None:
 
 def _adjusted(way: PosePath, adjustment: PosePath) -> Float64Array:
     """P' = A(t) p; beyond its ends the adjustment holds."""
-    times = way.timestamps_ns
-    if not adjustment.endless:
-        times = np.clip(times, adjustment.start_ns, adjustment.stop_ns)
-    at = adjustment.interpolate(times)
+    at = adjustment.held(way.timestamps_ns)
     return rotate_vectors(at.quaternions_xyzw, way.positions) + at.positions
-
-
-def _framed(plot: Canvas, lines: list[str]) -> PilImage:
-    width, height = plot.image.size
-    canvas = Canvas.blank(
-        max(width, LEAST_WIDTH_PX), height + strip_height(plot.text_px), text_px=plot.text_px
-    )
-    canvas.paste(plot, 0, 0)
-    draw_strip(canvas, height)
-    draw_caption(canvas, height, canvas.image.width, lines)
-    return canvas.image

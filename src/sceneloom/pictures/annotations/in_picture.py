@@ -9,12 +9,11 @@ from sceneloom.cameras import project_unbounded
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pictures.annotations.figures import Figure, figures_in_picture, figures_in_world
-from sceneloom.pictures.annotations.marking import Name, draw_figure, draw_marks, write_names
+from sceneloom.pictures.annotations.marking import Name, draw_figure, draw_marks, photograph, write_names
 from sceneloom.pictures.annotations.placed import active_events, labelled_places
-from sceneloom.pictures.canvas import BACKGROUND, Canvas, PilImage, count_text, seconds_text, text_height
+from sceneloom.pictures.canvas import PilImage, count_text, seconds_text
 from sceneloom.pictures.clouds import sample_polyline
-from sceneloom.pictures.scale_bar import draw_caption, draw_strip, strip_height
-from sceneloom.pictures.views import LEAST_WIDTH_PX, subdued
+from sceneloom.pictures.views import framed
 from sceneloom.scene import Identifier, Scene
 from sceneloom.scene.sample import Sample
 
@@ -42,12 +41,8 @@ def draw_annotations_in_picture(
         DataError: the picture cannot be decoded.
         CalibrationError: the lens has no projection.
     """
-    picture, camera = sample.pictures[camera_id], sample.cameras[camera_id]
-    size = (camera.height, camera.width)
-    pixels = np.full((*size, 3), BACKGROUND, np.uint8) if picture is None else subdued(picture.rgb)
+    camera, canvas = sample.cameras[camera_id], photograph(sample, camera_id)
     timestamp_ns = sample.times_ns.get(camera_id, sample.timestamp_ns)
-    text_px = text_height(max(camera.width, LEAST_WIDTH_PX), camera.height)
-    canvas = Canvas.of(pixels, text_px=text_px)
     names: list[Name] = []
     labelled = 0
     world_from_camera = sample.world_from_camera[camera_id]
@@ -61,7 +56,7 @@ def draw_annotations_in_picture(
         names += draw_figure(canvas, figure, thickness=1)
     write_names(canvas, names)
     about = " · ".join(filter(None, [title, str(camera_id), seconds_text(timestamp_ns)]))
-    return _framed(canvas, [about, _caption(scene, len(names) + labelled, timestamp_ns)])
+    return framed(canvas, [about, _caption(scene, len(names) + labelled, timestamp_ns)])
 
 
 def _caption(scene: Scene, shown: int, timestamp_ns: int) -> str:
@@ -100,14 +95,3 @@ def _projected_line(
     for part in np.split(pixels, broken):
         if len(part) > 1 and np.isfinite(part).all():
             yield part
-
-
-def _framed(drawn: Canvas, lines: list[str]) -> PilImage:
-    width, height = drawn.image.size
-    canvas = Canvas.blank(
-        max(width, LEAST_WIDTH_PX), height + strip_height(drawn.text_px), text_px=drawn.text_px
-    )
-    canvas.paste(drawn, 0, 0)
-    draw_strip(canvas, height)
-    draw_caption(canvas, height, canvas.image.width, lines)
-    return canvas.image

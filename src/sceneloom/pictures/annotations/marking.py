@@ -1,16 +1,31 @@
-"""Drawing figures of pixels: lines, tinted areas, marks, and names that do not cover each other."""
+"""Drawing figures onto photographs and maps: lines, tinted areas, marks, and names that do not cover each other."""
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.pictures.annotations.figures import Figure
-from sceneloom.pictures.canvas import Canvas, Colour
+from sceneloom.pictures.canvas import BACKGROUND, Canvas, Colour
+from sceneloom.pictures.views import picture_canvas, subdued
+from sceneloom.scene import Identifier
+from sceneloom.scene.sample import Sample
 
 _TINT = 0.28
 _SMALL = 0.8
 
 Name = tuple[Figure, Float64Array]
 """A figure, and the pixel at which its name goes."""
+
+
+def photograph(sample: Sample, camera_id: Identifier) -> Canvas:
+    """Begin with a subdued picture of a sample; with an empty one of its size where there is none.
+
+    Raises:
+        DataError: the picture cannot be decoded.
+    """
+    picture, camera = sample.pictures[camera_id], sample.cameras[camera_id]
+    if picture is None:
+        return picture_canvas(np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8))
+    return picture_canvas(subdued(picture.rgb))
 
 
 def draw_figure(canvas: Canvas, seen: Figure, *, thickness: int) -> list[Name]:

@@ -19,6 +19,7 @@ from sceneloom.scene import (
     Scene,
 )
 from sceneloom.scene.sample import Sample
+from sceneloom.scene.types import key_of
 
 _MARGIN = 0.6
 """How far a frame around the members of a group keeps from them [m]."""
@@ -49,7 +50,7 @@ def active_events(scene: Scene, timestamp_ns: int) -> list[str]:
 def relations_in_world(scene: Scene, timestamp_ns: int) -> Iterator[Figure]:
     """Give links as lines between what they join, groups and objects as frames around what belongs to them."""
     places = {
-        (type(a.id), a.id): figure.anchor
+        key_of(a.id): figure.anchor
         for a, figure in figures_in_world(scene, timestamp_ns)
         if figure.anchor is not None
     }
@@ -66,7 +67,7 @@ def relations_in_world(scene: Scene, timestamp_ns: int) -> Iterator[Figure]:
                     anchor=line.mean(axis=0),
                 )
         elif isinstance(annotation, GroupAnnotation | ObjectAnnotation):
-            inside = [places.get((type(a.id), a.id)) for a in members_of(scene, annotation.id)]
+            inside = [places.get(key_of(a.id)) for a in members_of(scene, annotation.id)]
             known = [place for place in inside if place is not None]
             if known:
                 frame = _frame_around(np.array(known))
@@ -95,7 +96,7 @@ def _frame_around(places: Float64Array) -> Float64Array:
 
 def _positions(scene: Scene, sample: Sample, sensor_id: Identifier, frame: int | None) -> Float64Array | None:
     """The points that a part of labelled points means, in the world, if they belong to the sample."""
-    sensor = next((s for s in scene.sensors if s.id == sensor_id and type(s.id) is type(sensor_id)), None)
+    sensor = next((s for s in scene.sensors if key_of(s.id) == key_of(sensor_id)), None)
     if isinstance(sensor, PointsSensor):
         return sensor.positions.astype(np.float64)
     sweep = sample.sweep if sensor_id == sample.lidar_id else None

@@ -1,0 +1,14 @@
+"""What fixes of annotations share: a scene in which nothing had to be mended stays the very same object."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from sceneloom.scene import Annotation, Scene
+
+
+def mended_annotations(scene: Scene, mend: Callable[[Annotation], Annotation]) -> Scene:
+    """Mend each annotation; `mend` gives back those that need nothing as they are."""
+    annotations = tuple(map(mend, scene.annotations))
+    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
+        return scene
+    return replace(scene, annotations=annotations)

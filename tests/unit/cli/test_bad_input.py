@@ -176,6 +176,21 @@ def test_a_trajectory_that_is_not_there_is_answered_with_those_that_are(call: Ca
     assert "groundTruth, lidar, identity" in outcome.err
 
 
+@pytest.mark.parametrize("before_output", [("convert",), ("edit", "simplify")])
+def test_a_number_that_is_none_is_a_fault_of_the_file(
+    call: Call, tmp_path: Path, encode_sfs: Callable[..., bytes], before_output: tuple[str, ...]
+) -> None:
+    path = {"timestamps": [0], "values": np.array([[1.0, 1, 1, np.nan, 0, 0, 0, 0, 0]])}
+    cuboid = {"id": "nowhere", "type": "cuboid", "path": path}
+    source, target = tmp_path / "nan.sfs", tmp_path / "out.sfs"
+    source.write_bytes(encode_sfs({"version": "1.0", "sensors": [], "annotations": [cuboid]}))
+    output = (target,) if before_output == ("convert",) else ("-o", target)
+    outcome = call(*before_output, source, *output)
+    assert outcome.code == 1
+    assert f"{source}: annotations[nowhere].path.values[0]: [1.0" in outcome.err
+    assert not target.exists()
+
+
 def test_a_scene_file_cut_in_half_is_one_clear_error(call: Call, recording: Path, tmp_path: Path) -> None:
     call("convert", recording, tmp_path / "a.sfs")
     whole = (tmp_path / "a.sfs").read_bytes()

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.output import check_output
 from sceneloom.formats.sfs.container import Container, ItemFault, format_keys
 from sceneloom.formats.sfs.faults import Examination
@@ -19,6 +19,7 @@ from sceneloom.formats.sfs.reading import read_container
 from sceneloom.formats.sfs.removal import Keys, keep_in_step, parse_path, take_out, what_goes
 from sceneloom.formats.sfs.source import ReadingOptions
 from sceneloom.formats.sfs.video_rescue import rescue_video, video_problem
+from sceneloom.formats.sfs.write_annotations import annotation_record
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.formats.urls import is_url
 from sceneloom.scene import (
@@ -155,7 +156,7 @@ class _Rescue:
         examined = read_container(self.container, [], replace(options, lenient=True))
         if examined.scene is None:
             raise DataError(self.container.file, "", "nothing of it can be read")
-        scene = self._without_unreadable(examined.scene)
+        scene = self._without_unwritable(self._without_unreadable(examined.scene))
         if self.lost:
             message = f"taken out of {self.container.file}, which was damaged"
             notice = Notice(
@@ -261,6 +262,19 @@ class _Rescue:
     def _without_unreadable(self, scene: Scene) -> Scene:
         """Leave out frames that the header lists soundly and that cannot be made all the same."""
         return replace(scene, sensors=tuple(self._readable(sensor) for sensor in scene.sensors))
+
+    def _without_unwritable(self, scene: Scene) -> Scene:
+        """Leave out annotations with numbers that are none, which a reader passes on and a writer refuses."""
+        kept = []
+        for annotation in scene.annotations:
+            try:
+                annotation_record(annotation)
+            except OptionError as error:
+                place, _, problem = str(error).partition(": ")
+                self.lost.append(LostPart(place, problem, 0))
+                continue
+            kept.append(annotation)
+        return replace(scene, annotations=tuple(kept))
 
     def _readable(self, sensor: Sensor) -> Sensor:
         if isinstance(sensor, CameraSensor):

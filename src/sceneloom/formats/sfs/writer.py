@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from sceneloom.errors import OptionError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.sfs.assembly import Contents, assemble, with_euler
@@ -25,6 +25,7 @@ from sceneloom.formats.sfs.write_annotations import annotation_record, attribute
 from sceneloom.formats.sfs.write_clouds import CloudWriter
 from sceneloom.formats.sfs.write_pictures import CameraDraft, PictureWriter, note_losses
 from sceneloom.formats.sfs.write_records import notice_record, trajectory_record
+from sceneloom.formats.table import FORMATS
 from sceneloom.scene import (
     Annotation,
     CameraCalibration,
@@ -289,10 +290,19 @@ class SceneWriter:
         if scene.notices:
             self._contents.ours["notices"] = [notice_record(notice) for notice in scene.notices]
         for annotation in scene.annotations:
-            self.add_annotation(annotation)
+            self._add_read(annotation, scene)
         self._add_trajectories(scene)
         for sensor in scene.sensors:
             self.add_sensor(sensor)
+
+    def _add_read(self, annotation: Annotation, scene: Scene) -> None:
+        """Add an annotation; what cannot be held of one that was read from a file is a fault of that file."""
+        try:
+            self.add_annotation(annotation)
+        except OptionError as error:
+            if scene.format not in FORMATS:
+                raise
+            raise DataError(scene.source, "", str(error)) from None
 
     def _add_trajectories(self, scene: Scene) -> None:
         odometry = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]

@@ -152,6 +152,16 @@ def test_a_label_whose_array_is_lost_leaves_the_others(salvaged, encode_sfs):
     ]
 
 
+def test_an_annotation_with_a_number_that_is_none_is_left_out_and_told(salvaged, encode_sfs):
+    content = drive()
+    bad = {"timestamps": [0], "values": np.array([[1.0, 1, 1, np.nan, 0, 0, 0, 0, 0]])}
+    content["annotations"].insert(0, {"id": "nowhere", "type": "cuboid", "path": bad})
+    report, scene = salvaged(encode_sfs(content))
+    assert [part.place for part in report.lost] == ["annotations[nowhere].path.values[0]"]
+    assert "expected finite numbers" in report.lost[0].problem
+    assert [annotation.id for annotation in scene.annotations] == ["box", "labels"]
+
+
 def test_a_header_that_was_cut_keeps_what_is_complete(salvaged, encode_sfs):
     text = json.dumps({**drive(), "$items": []}, default=lambda _: "").encode()
     cut = text[: text.index(b'"frames"') + 100]

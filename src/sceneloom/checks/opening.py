@@ -1,12 +1,16 @@
 """Opens what is to be checked so far as it is sound, with all that is wrong in it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from sceneloom.checks.subject import Subject
 from sceneloom.errors import DataError
+from sceneloom.formats.faults import PlacedFault
+from sceneloom.formats.recording.examination import RecordingExamination
+from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.sfs import SfsFormat
-from sceneloom.formats.sfs.faults import Examination, PlacedFault
+from sceneloom.formats.sfs.faults import Examination
 from sceneloom.formats.table import Format, format_and_place
 from sceneloom.scene import Scene
 
@@ -27,6 +31,8 @@ def open_subject(path: str | Path, *, format: str | None = None, **reading: Any)
     options = {name: value for name, value in reading.items() if value is not None and name != "lenient"}
     if isinstance(form, SfsFormat):
         return _examined(form.examine(where, **options), where)
+    if isinstance(form, RecordingFormat):
+        return _examined_recording(form.examine(where, **options), where)
     return _opened(form, where, options)
 
 
@@ -42,6 +48,12 @@ def _examined(examination: Examination, path: str | Path) -> Subject:
         examination.notices,
         fetch=examination.fetch,
     )
+
+
+def _examined_recording(examination: RecordingExamination, path: Path) -> Subject:
+    scene = examination.scene or _nothing(path, RecordingFormat.name)
+    faults = tuple(replace(fault, code="unreadable") for fault in examination.faults)
+    return Subject(scene, faults=faults, recording=examination.contents)
 
 
 def _opened(form: Format, path: Path, options: dict[str, Any]) -> Subject:

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
 from sceneloom.arrays import AnyArray
-from sceneloom.formats.sfs.faults import PlacedFault
+from sceneloom.formats.faults import PlacedFault
+from sceneloom.formats.recording.further_contents import RecordingContents
 from sceneloom.scene import (
     Annotation,
     CameraSensor,
@@ -59,6 +60,7 @@ class Subject:
         annotation_paths: where each annotation stands; empty: counted in the scene.
         notices: what the reader assumed, repaired or left out this time; None: all that the scene tells of.
         fetch: gives arrays of the header with their values, which those of a file behind a URL may lack.
+        recording: what the files of a recording say, lines in the order of the file; None for other formats.
         cache: what `table` keeps.
     """
 
@@ -69,6 +71,7 @@ class Subject:
     annotation_paths: Sequence[str] = ()
     notices: Sequence[Notice] | None = None
     fetch: Callable[[Any], Any] | None = None
+    recording: RecordingContents | None = None
     cache: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -16,8 +16,8 @@ from sceneloom.checks.report import PLACES, ValidationReport, counts_of, finding
 from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.checks.walk import Hits, find_all
+from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.output import check_output
-from sceneloom.formats.sfs.faults import PlacedFault
 from sceneloom.formats.table import format_for_output, write_scene
 from sceneloom.scene import Finding, Notice, NoticeKind, Scene
 from sceneloom.scene.types import Progress

@@ -35,6 +35,7 @@ from sceneloom.scene.clouds import (
     RadarPoints,
     RadarSensor,
 )
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.findings import Finding, Severity
 from sceneloom.scene.frames import LazyFrames
@@ -62,6 +63,8 @@ __all__ = [
     "Coordinates",
     "CuboidAnnotation",
     "CuboidPath",
+    "DepthCameraSensor",
+    "DepthFrame",
     "EventAnnotation",
     "Finding",
     "GnssSensor",

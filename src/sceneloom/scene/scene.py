@@ -9,6 +9,7 @@ from sceneloom.errors import OptionError
 from sceneloom.scene.annotations import Annotation, AttributePath
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.notices import Notice
 from sceneloom.scene.plain import PlainSensor
@@ -24,6 +25,7 @@ Sensor = (
     | RadarSensor
     | PointsSensor
     | CameraSensor
+    | DepthCameraSensor
     | OdometrySensor
     | ImuSensor
     | GnssSensor

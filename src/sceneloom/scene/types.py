@@ -38,7 +38,7 @@ copyreg.pickle(MappingProxyType, _pickled)
 
 
 class SensorType(StrEnum):
-    """What a sensor measures: the words of SFS, and `imu` and `gnss`."""
+    """What a sensor measures: the words of SFS, and `imu`, `gnss` and `depth_camera`."""
 
     POINTS = "points"
     LIDAR = "lidar"
@@ -47,6 +47,7 @@ class SensorType(StrEnum):
     ODOMETRY = "odometry"
     IMU = "imu"
     GNSS = "gnss"
+    DEPTH_CAMERA = "depth_camera"
 
 
 class Coordinates(StrEnum):

@@ -6,6 +6,7 @@ from typing import Any
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import LossReport
+from sceneloom.formats.recording.examination import RecordingExamination, examine_recording
 from sceneloom.formats.recording.scene_from_recording import DATA_FILE, open_recording
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.scene import Scene
@@ -35,6 +36,15 @@ class RecordingFormat:
         """
         _check_options("opening", options, _READING_OPTIONS)
         return open_recording(path, **options)
+
+    def examine(self, path: Path, **options: Any) -> RecordingExamination:
+        """Give all faults of a recording; `examine_recording` describes the options.
+
+        Raises:
+            OptionError: an option is unknown.
+        """
+        _check_options("examining", options, ("altitude",))
+        return examine_recording(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write a scene as a recording; `write_recording` describes the options.

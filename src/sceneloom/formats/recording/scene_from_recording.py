@@ -47,16 +47,21 @@ def open_recording(path: Path, *, lenient: bool = False, altitude: str = "wgs84"
         CalibrationError: a lens or a mounting is unusable.
         OptionError: the altitude is unknown.
     """
+    return read_recording(path, altitude, Ledger(lenient=lenient))[0]
+
+
+def read_recording(path: Path, altitude: str, ledger: Ledger) -> tuple[Scene, RecordingContents]:
+    """Read a recording with a ledger that decides what becomes of its faults; as `open_recording` else."""
     if altitude not in ALTITUDES:
         raise OptionError(f"altitude {altitude!r}; expected one of: {', '.join(ALTITUDES)}")
     folder = recording_folder(path)
     try:
-        return _open(folder, altitude, Ledger(lenient=lenient))
+        return _read(folder, altitude, ledger)
     except OSError as error:
         raise DataError(folder, "", f"cannot be read: {error}") from error
 
 
-def _open(folder: Path, altitude: str, ledger: Ledger) -> Scene:
+def _read(folder: Path, altitude: str, ledger: Ledger) -> tuple[Scene, RecordingContents]:
     data_path = folder / DATA_FILE
     if not folder.is_dir():
         raise DataError(folder, "", "no such folder; expected a recording's folder")
@@ -90,7 +95,7 @@ def _open(folder: Path, altitude: str, ledger: Ledger) -> Scene:
             on_close=opened.close,
         )
         stack.pop_all()
-        return scene
+        return scene, contents
 
 
 def _imu(columns: RecordingColumns) -> list[Sensor]:

@@ -4,7 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.faults import Examination, PlacedFault
+from sceneloom.formats.faults import PlacedFault
+from sceneloom.formats.sfs.faults import Examination
 from sceneloom.formats.sfs.reading import read_all
 from sceneloom.formats.sfs.source import ReadingOptions
 

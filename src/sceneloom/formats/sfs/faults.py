@@ -5,38 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from sceneloom.errors import DataError
+from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.sfs.container import format_keys
-from sceneloom.formats.sfs.records import MALFORMED, Place
+from sceneloom.formats.sfs.records import Place
 from sceneloom.scene import Notice, Scene
 
 _TOLD = 4
 """So many places of further faults stand in an error."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlacedFault:
-    """One thing that is wrong in a file.
-
-    Attributes:
-        path: where in the header (`sensors[3].frames[12].points.colors`).
-        problem: what, with the value and what was expected.
-        code: the kind of fault, kebab case.
-        mended: whether it was brought into order on reading.
-        vital: whether no scene can do without the part that is at fault.
-        item: number of the item that fills the place, where it is an array.
-    """
-
-    path: str
-    problem: str
-    code: str = MALFORMED
-    mended: bool = False
-    vital: bool = False
-    item: int | None = None
-
-    @property
-    def where(self) -> str:
-        """The path, with the item's number where there is one."""
-        return self.path if self.item is None else f"{self.path} ($items[{self.item}])"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

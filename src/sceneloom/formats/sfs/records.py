@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import AnyArray, read_only
+from sceneloom.formats.faults import MALFORMED
 from sceneloom.formats.sfs.container import RawBytes
 from sceneloom.formats.sfs.fields import RECORDS, Field, Kind
 from sceneloom.formats.sfs.times import INT64_MAX, INT64_MIN, FileClock, TimeRangeError, checked_ns, scaled
@@ -14,9 +15,6 @@ from sceneloom.formats.sfs.unfetched import Unfetched
 
 Place = tuple[str | int, ...]
 """Where something stands inside the header, as keys."""
-
-MALFORMED = "malformed"
-"""The code of a fault that has no code of its own."""
 
 
 class FieldError(ValueError):

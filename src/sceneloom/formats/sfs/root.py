@@ -4,8 +4,9 @@ from typing import Any
 
 import msgspec
 
+from sceneloom.formats.faults import MALFORMED
 from sceneloom.formats.sfs.lens_readings import note_tangential
-from sceneloom.formats.sfs.records import MALFORMED, Faults, Place, RecordReader
+from sceneloom.formats.sfs.records import Faults, Place, RecordReader
 from sceneloom.formats.sfs.source import Source
 from sceneloom.formats.sfs.times import INT64_MAX, READABLE_TICKS_NS, FileClock, TimeRangeError, scaled
 from sceneloom.scene import Notice

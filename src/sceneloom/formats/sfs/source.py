@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sceneloom.errors import OptionError
+from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
-from sceneloom.formats.sfs.faults import PlacedFault
 from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.records import Fault, Faults, Place, RecordReader
 from sceneloom.formats.sfs.times import FileClock

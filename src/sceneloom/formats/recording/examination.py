@@ -1,0 +1,46 @@
+"""All faults of a recording at once, with the scene of all that is sound, and what its files say."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.formats.faults import FaultLedger, PlacedFault, placed
+from sceneloom.formats.recording.further_contents import RecordingContents
+from sceneloom.formats.recording.scene_from_recording import read_recording, recording_folder
+from sceneloom.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordingExamination:
+    """A recording with all that is wrong in it.
+
+    Attributes:
+        scene: what is sound, and what could be brought into order; None where nothing can be read.
+        faults: in the order in which they came up.
+        contents: what the files say, lines in the order of the file; None where nothing can be read.
+    """
+
+    scene: Scene | None
+    faults: tuple[PlacedFault, ...]
+    contents: RecordingContents | None = None
+
+
+def examine_recording(path: Path, *, altitude: str = "wgs84") -> RecordingExamination:
+    """Read a recording as far as it is sound, and give every fault of it with its place; nothing is raised for them.
+
+    Args:
+        path: the folder, or the `data.jsonl` in it.
+        altitude: what the altitudes of `gps` lines are above: "wgs84" or "msl".
+
+    Raises:
+        OptionError: the altitude is unknown.
+    """
+    folder = recording_folder(path)
+    ledger = FaultLedger(folder)
+    try:
+        scene, contents = read_recording(path, altitude, ledger)
+    except OptionError:
+        raise
+    except SceneloomError as error:
+        return RecordingExamination(None, (*ledger.faults, placed(error, "unreadable", str(folder))))
+    return RecordingExamination(scene, tuple(ledger.faults), contents)

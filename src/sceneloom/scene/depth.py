@@ -1,0 +1,74 @@
+"""Cameras that measure depth, and their images."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sceneloom.arrays import Float32Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.cameras import VideoContent
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthFrame:
+    """One depth image.
+
+    Attributes:
+        timestamp_ns: mid-exposure of the middle row [ns].
+        camera: the lens at that time; a depth stands in the camera's own, distorted grid.
+        decode: makes the image, (height, width) float32, z [m] along the optical axis, 0 for none; called anew each
+            time.
+        scale: metres per step where the source has whole steps, so that writing loses nothing; None where it has not.
+        mount: `ego_from_camera` where this image has a mounting of its own, else None.
+        extras: further fields of the file, by name.
+    """
+
+    timestamp_ns: int
+    camera: Camera
+    decode: Callable[[], Float32Array]
+    scale: float | None = None
+    mount: RigidTransform | None = None
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    @property
+    def depth(self) -> Float32Array:
+        """The image, (height, width) float32 [m], decoded now; keep it if you need it twice."""
+        return self.decode()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthCameraSensor:
+    """A camera that measures depth.
+
+    Attributes:
+        id: unique among the scene's sensors.
+        camera: the lens (an image can have one of its own).
+        frames: the depth images in time order, decoded when asked for.
+        poses: camera (x right, y down, z forward) to `coordinates` frame, or None.
+        mount: `ego_from_camera`, where the source knows a rigid mounting.
+        coordinates: the frame that `poses` lead into.
+        video: the encoded video, where the images come from one.
+        fps: nominal images a second, or None.
+        parent_id: id of the parent sensor, or None.
+        extras: further fields of the file, by name.
+    """
+
+    id: Identifier
+    camera: Camera
+    frames: LazyFrames[DepthFrame]
+    poses: PosePath | None = None
+    mount: RigidTransform | None = None
+    coordinates: Coordinates = Coordinates.WORLD
+    video: VideoContent | None = None
+    fps: float | None = None
+    parent_id: Identifier | None = None
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    @property
+    def type(self) -> SensorType:
+        """`depth_camera`."""
+        return SensorType.DEPTH_CAMERA

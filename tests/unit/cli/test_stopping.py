@@ -16,6 +16,8 @@ Call = Callable[..., Any]
 FUSE: Any = import_module("sceneloom.pipeline.fusing")
 """The module that plays drives to the fusion."""
 
+_USUAL = {signal.SIGINT: signal.default_int_handler}
+
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such signals")
 @pytest.mark.parametrize(
@@ -33,8 +35,8 @@ def test_a_signal_in_the_middle_of_a_fusion_leaves_nothing_behind(
 
     monkeypatch.setattr(FUSE, "play", signalled)
     found = signal.getsignal(number)
-    if found is signal.SIG_IGN:  # so `nohup` starts the tests
-        signal.signal(number, signal.SIG_DFL)
+    if found is signal.SIG_IGN:  # so `nohup` starts the tests, and a shell what it puts in the background
+        signal.signal(number, _USUAL.get(number, signal.SIG_DFL))
     before = signal.getsignal(number)
     try:
         outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth")

@@ -63,6 +63,12 @@ reading = _stacked(
         type=click.Choice(["wgs84", "msl"]),
         help="What a recording's altitudes are above: the ellipsoid or mean sea level. [default: wgs84]",
     ),
+    click.option(
+        "--camera-shift",
+        type=click.Choice(["ignore", "apply", "subtract"]),
+        help="What becomes of a recording's `imuToCameraShiftSeconds`: `apply` adds it to the times of the camera's "
+        "pictures, `subtract` takes it off. [default: ignore]",
+    ),
 )
 """On every verb that reads a drive."""
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, check_array
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import NO_FIELDS, Identifier, SensorType
 
@@ -83,6 +84,8 @@ class GnssSensor:
         accuracies: (N,) float64 [m], NaN where not given.
         vertical_accuracies: (N,) float64 [m], NaN where not given.
         file_seconds: (N,) float64 [s], the file's own time stamps, or None.
+        mount: `ego_from_gnss`, where the antenna sits on the ego; its translation is the lever arm [m]. None where the
+            source does not know it.
         parent_id: id of the parent sensor, or None.
         extras: further fields of the file, by name.
     """
@@ -93,6 +96,7 @@ class GnssSensor:
     accuracies: Float64Array
     vertical_accuracies: Float64Array
     file_seconds: Float64Array | None = None
+    mount: RigidTransform | None = None
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 

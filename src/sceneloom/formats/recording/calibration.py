@@ -3,9 +3,10 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.ledger import Ledger
@@ -13,10 +14,16 @@ from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault, 
 from sceneloom.formats.recording.lenses import CameraParameters
 from sceneloom.formats.recording.line_shapes import SensorIndex
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
+from sceneloom.formats.recording.rig_calibration import RigCalibration, read_rig
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import NoticeKind
 
 CALIBRATION_FILE = "calibration.json"
+
+
+Duration = Annotated[float, Meta(ge=0, le=10)]
+"""How long a picture takes [s]."""
+
+Shift = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
 class CameraEntry(CameraParameters, frozen=True):
@@ -24,7 +31,10 @@ class CameraEntry(CameraParameters, frozen=True):
 
     imuToCamera: MatrixNumbers | None = None  # noqa: N815 - the format's own word
     imuToCameraMatrix: MatrixNumbers | None = None  # noqa: N815 - the format's own word
-    imuToCameraShiftSeconds: float | None = None  # noqa: N815 - the format's own word
+    imuToCameraShiftSeconds: Shift | None = None  # noqa: N815 - the format's own word
+    shutterRollTimeSeconds: Duration | None = None  # noqa: N815 - the format's own word
+    rollingShutterLeftToRight: bool | None = None  # noqa: N815 - the format's own word
+    exposureTimeSeconds: Duration | None = None  # noqa: N815 - the format's own word
 
 
 class LidarEntry(msgspec.Struct, frozen=True):
@@ -46,12 +56,14 @@ class CameraCalibration:
         place: file and path of the entry, for messages.
         parameters: the lens.
         camera_from_imu: the mounting, or None where the entry has none.
+        shift: `imuToCameraShiftSeconds` [s], 0 where the entry has none.
         entry: all of the entry, as the file has it.
     """
 
     place: str
     parameters: CameraParameters
     camera_from_imu: RigidTransform | None = None
+    shift: float = 0.0
     entry: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -72,12 +84,14 @@ class Calibration:
         path: where the file is, or would be.
         cameras: by `cameraInd`, which is the place in the list.
         lidars: by `lidarInd`.
+        rig: what it says of the device as a whole.
         content: all of the file.
     """
 
     path: Path
     cameras: Mapping[int, CameraCalibration] = field(default_factory=dict)
     lidars: Mapping[int, LidarCalibration] = field(default_factory=dict)
+    rig: RigCalibration = field(default_factory=RigCalibration)
     content: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -91,17 +105,22 @@ def read_calibration(folder: Path, ledger: Ledger) -> Calibration:
     path = folder / CALIBRATION_FILE
     if not path.exists():
         return Calibration(path)
-    content = _read_object(path)
-    cameras = dict(_cameras(path, content, ledger))
+    try:
+        content = _read_object(path)
+        listed = {name: _entries(path, content, name) for name in ("cameras", "lidars")}
+    except DataError as error:
+        ledger.refuse("unreadable-calibration", error)
+        return Calibration(path)
+    cameras = dict(_cameras(path, listed["cameras"], ledger))
     lidars: dict[int, LidarCalibration] = {}
-    for index, lidar in _lidars(path, content, ledger):
+    for index, lidar in _lidars(path, listed["lidars"], ledger):
         if index in lidars:
             place = lidar.place.removeprefix(f"{path}: ")
             problem = f"lidarInd {index} is used twice; expected each once (absent means 0)"
             ledger.fault("repeated-lidars", DataError(path, place, problem))
             continue
         lidars[index] = lidar
-    return Calibration(path, cameras, lidars, content)
+    return Calibration(path, cameras, lidars, read_rig(path, content, ledger), content)
 
 
 def _read_object(path: Path) -> Mapping[str, Any]:
@@ -117,10 +136,8 @@ def _read_object(path: Path) -> Mapping[str, Any]:
     return content
 
 
-def _cameras(
-    path: Path, content: Mapping[str, Any], ledger: Ledger
-) -> Iterator[tuple[int, CameraCalibration]]:
-    for index, item in enumerate(_entries(path, content, "cameras")):
+def _cameras(path: Path, items: list[Any], ledger: Ledger) -> Iterator[tuple[int, CameraCalibration]]:
+    for index, item in enumerate(items):
         name = f"cameras[{index}]"
         try:
             entry = _convert(path, name, item, CameraEntry)
@@ -132,13 +149,12 @@ def _cameras(
         except (DataError, CalibrationError) as error:
             ledger.fault("unusable-calibrations", error)
             continue
-        if entry.imuToCameraShiftSeconds:
-            _note_shift(place, entry.imuToCameraShiftSeconds, ledger)
-        yield index, CameraCalibration(place, entry, camera_from_imu, item)
+        shift = entry.imuToCameraShiftSeconds or 0.0
+        yield index, CameraCalibration(place, entry, camera_from_imu, shift, item)
 
 
-def _lidars(path: Path, content: Mapping[str, Any], ledger: Ledger) -> Iterator[tuple[int, LidarCalibration]]:
-    for index, item in enumerate(_entries(path, content, "lidars")):
+def _lidars(path: Path, items: list[Any], ledger: Ledger) -> Iterator[tuple[int, LidarCalibration]]:
+    for index, item in enumerate(items):
         name = f"lidars[{index}]"
         try:
             entry = _convert(path, name, item, LidarEntry)
@@ -165,8 +181,3 @@ def _convert(path: Path, place: str, item: object, shape: type[Entry]) -> Entry:
         return msgspec.convert(item, shape)
     except DECODER_FAULTS as error:
         raise DataError(path, *json_fault(error, msgspec.json.encode(item), prefix=place)) from error
-
-
-def _note_shift(place: str, shift: float, ledger: Ledger) -> None:
-    message = f"imuToCameraShiftSeconds {shift} is not applied: frame times are taken to be on the recording's clock"
-    ledger.note(NoticeKind.ASSUMED, "camera-shift-not-applied", place, message)

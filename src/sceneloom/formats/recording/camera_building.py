@@ -15,6 +15,7 @@ from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration, CameraCalibration
+from sceneloom.formats.recording.camera_shifts import entry_after, shift_of
 from sceneloom.formats.recording.columns import CameraColumns, FrameColumns
 from sceneloom.formats.recording.frame_parameters import read_mount, read_parameters, read_texts
 from sceneloom.formats.recording.lenses import lens
@@ -47,6 +48,7 @@ class CameraSources:
         ego_path: `world_from_ego` of the default trajectory, or None.
         ledger: takes notices and faults.
         open_files: takes the pictures of the cameras that are built.
+        camera_shift: what becomes of `imuToCameraShiftSeconds`, a key of `CAMERA_SHIFTS`.
     """
 
     folder: Path
@@ -57,6 +59,7 @@ class CameraSources:
     ego_path: PosePath | None
     ledger: Ledger
     open_files: OpenPictures
+    camera_shift: str = "ignore"
 
 
 def build_cameras(sources: CameraSources) -> list[CameraSensor]:
@@ -71,9 +74,16 @@ def build_cameras(sources: CameraSources) -> list[CameraSensor]:
         try:
             cameras.extend(_build(sources, index))
         except (DataError, CalibrationError) as error:
-            sources.ledger.fault("unusable-cameras", error)
+            sources.ledger.fault(_fault_code(sources, index), error)
     _note_unused(sources)
     return cameras
+
+
+def _fault_code(sources: CameraSources, index: int) -> str:
+    """What kind of fault it is that a camera cannot be built: one that no calibration tells of can do so any time."""
+    entries = sources.frames.cameras.get(index, CameraColumns()).parameters
+    untold = index not in sources.calibration.cameras and (not entries or entries[0] < 0)
+    return "cameras-without-calibration" if untold else "unusable-cameras"
 
 
 def _note_unused(sources: CameraSources) -> None:
@@ -99,7 +109,10 @@ def _build(sources: CameraSources, index: int) -> list[CameraSensor]:
     reading_mount = partial(read_mount, path=sources.data_path, ledger=sources.ledger)
     lenses = read_texts(sources.frames, columns.rows, columns.parameters, read_lens, sources.ledger)
     mounts = read_texts(sources.frames, columns.rows, columns.mounts, reading_mount, sources.ledger)
-    table = build_table(index, camera, sources.frames, indices, lenses, mounts, sources.data_file)
+    shift = shift_of(calibration, sources.camera_shift, sources.ledger)
+    table = build_table(
+        index, camera, sources.frames, indices, lenses, mounts, sources.data_file, shift=shift
+    )
     return [_sensor(sources, table, calibration, files)]
 
 
@@ -184,6 +197,7 @@ def _sensor(
     sources: CameraSources, table: PictureTable, calibration: CameraCalibration, files: PictureFiles | None
 ) -> CameraSensor:
     ego_from_camera = _own_mount(sources, table, calibration)
+    entry = entry_after(calibration, sources.camera_shift)
     mounts = table.mounts if ego_from_camera is None else {table.OWN: ego_from_camera, **table.mounts}
     if table.missing:
         message = f"frames of camera {table.camera_index} say `missingBitmap`; they have no picture"
@@ -197,7 +211,7 @@ def _sensor(
         mount=ego_from_camera,
         video=_video(files, table.indices),
         fps=None if files is None else files.fps,
-        extras=MappingProxyType({"calibration": calibration.entry} if calibration.entry else {}),
+        extras=MappingProxyType({"calibration": entry} if entry else {}),
     )
 
 

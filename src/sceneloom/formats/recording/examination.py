@@ -25,22 +25,25 @@ class RecordingExamination:
     contents: RecordingContents | None = None
 
 
-def examine_recording(path: Path, *, altitude: str = "wgs84") -> RecordingExamination:
+def examine_recording(
+    path: Path, *, altitude: str = "wgs84", camera_shift: str = "ignore"
+) -> RecordingExamination:
     """Read a recording as far as it is sound, and give every fault of it with its place; nothing is raised for them.
 
     Args:
         path: the folder, or the `data.jsonl` in it.
         altitude: what the altitudes of `gps` lines are above: "wgs84" or "msl".
+        camera_shift: what becomes of `imuToCameraShiftSeconds`, as for `open_recording`.
 
     Raises:
-        OptionError: the altitude is unknown.
+        OptionError: a value is unknown.
     """
     folder = recording_folder(path)
     ledger = FaultLedger(folder)
     try:
-        scene, contents = read_recording(path, altitude, ledger)
+        scene, contents = read_recording(path, altitude, ledger, camera_shift=camera_shift)
     except OptionError:
         raise
     except SceneloomError as error:
         return RecordingExamination(None, (*ledger.faults, placed(error, "unreadable", str(folder))))
-    return RecordingExamination(scene, tuple(ledger.faults), contents)
+    return RecordingExamination(scene, ledger.faults, contents)

@@ -11,7 +11,7 @@ from sceneloom.formats.recording.scene_from_recording import DATA_FILE, open_rec
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.scene import Scene
 
-_READING_OPTIONS = ("lenient", "altitude")
+_READING_OPTIONS = ("lenient", "altitude", "camera_shift")
 _WRITING_OPTIONS = ("pictures",)
 
 
@@ -43,7 +43,7 @@ class RecordingFormat:
         Raises:
             OptionError: an option is unknown.
         """
-        _check_options("examining", options, ("altitude",))
+        _check_options("examining", options, _READING_OPTIONS[1:])
         return examine_recording(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:

@@ -1,5 +1,7 @@
 """Extrinsic matrices of a recording as rigid transforms."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sceneloom.arrays import Float64Array
@@ -10,7 +12,13 @@ from sceneloom.geometry.rotations import GREATEST_ERROR, SILENT_ERROR, nearest_r
 from sceneloom.scene import NoticeKind
 
 MatrixNumbers = list[float | list[float]]
-"""A matrix as JSON has it: four rows of four, or sixteen numbers column by column."""
+"""A matrix as JSON has it: rows of four (or three) numbers, or sixteen (or nine) numbers column by column."""
+
+_SIZES: Mapping[int, int] = {16: 4, 9: 3}
+"""By how many numbers a flat matrix has, its rows. Nine are a rotation alone.
+
+Source: `imuToCameraMatrix` in `codegen/parameter_definitions.c` of HybVIO, which takes both column by column.
+"""
 
 _LAST_ROW_ERROR = 1e-6
 _LARGEST_ELEMENT = 2.0
@@ -18,7 +26,7 @@ _FARTHEST = 1e6
 
 
 def rigid_transform(numbers: MatrixNumbers, place: str, ledger: Ledger) -> RigidTransform:
-    """Read a 4x4 matrix, rows of four or sixteen numbers column by column.
+    """Read a 4x4 matrix, rows of four or sixteen numbers column by column, or a 3x3 one, which moves nothing.
 
     Args:
         place: file and path of the matrix, for messages.
@@ -57,15 +65,15 @@ def _check_sizes(matrix: Float64Array, place: str) -> None:
 
 def _square(numbers: MatrixNumbers, place: str) -> Float64Array:
     rows = [row for row in numbers if isinstance(row, list)]
-    if len(rows) == len(numbers) == 4 and all(len(row) == 4 for row in rows):
-        matrix = np.array(rows, np.float64)
-    elif len(numbers) == 16 and not rows:
-        matrix = np.array(numbers, np.float64).reshape(4, 4).T
-    else:
+    size = len(rows) or _SIZES.get(len(numbers), 0)
+    if size not in _SIZES.values() or (rows and [len(row) for row in rows] != [size] * len(numbers)):
         shape = f"{len(numbers)} rows" if rows else f"{len(numbers)} numbers"
         raise CalibrationError(
             f"{place}: {shape}; expected 4 rows of 4 numbers, or 16 numbers column by column"
         )
-    if not np.isfinite(matrix).all():
+    given = np.array(rows, np.float64) if rows else np.array(numbers, np.float64).reshape(size, size).T
+    if not np.isfinite(given).all():
         raise CalibrationError(f"{place}: a number is not finite; expected 4x4 finite numbers")
+    matrix = np.eye(4)
+    matrix[:size, :size] = given
     return matrix

@@ -113,6 +113,8 @@ def build_table(
     lenses: Mapping[int, Camera],
     mounts: Mapping[int, RigidTransform],
     data_file: FileIdentity,
+    *,
+    shift: float = 0.0,
 ) -> PictureTable:
     """Bring a camera's entries into the order of time; those without picture, lens or mounting are left out.
 
@@ -122,6 +124,7 @@ def build_table(
         indices: (N,) int64, the picture of each entry, -1 for none.
         lenses: by number of their text.
         mounts: by number of their text.
+        shift: what is added to the file's times [s].
     """
     columns = frames.cameras.get(camera_index, CameraColumns())
     lens_texts, mount_texts = np.asarray(columns.parameters, np.int64), np.asarray(columns.mounts, np.int64)
@@ -136,7 +139,7 @@ def build_table(
     return PictureTable(
         camera_index=camera_index,
         camera=camera,
-        timestamps_ns=nanoseconds(seconds[chosen]),
+        timestamps_ns=nanoseconds(seconds[chosen] + shift),
         seconds=seconds[chosen],
         line_seconds=view(frames.seconds)[lines],
         numbers=np.asarray(frames.numbers, np.int64)[lines],

@@ -9,8 +9,9 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.default_poses import default_poses
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.recording.calibration import read_calibration
+from sceneloom.formats.recording.calibration import Calibration, read_calibration
 from sceneloom.formats.recording.camera_building import CameraSources, build_cameras
+from sceneloom.formats.recording.camera_shifts import CAMERA_SHIFTS, applied_shifts
 from sceneloom.formats.recording.columns import Columns, RecordingColumns
 from sceneloom.formats.recording.further_contents import RecordingContents, further_contents
 from sceneloom.formats.recording.lidar_building import build_lidars
@@ -34,34 +35,44 @@ def recording_folder(path: Path) -> Path:
     return path.parent if path.name == DATA_FILE and not path.is_dir() else path
 
 
-def open_recording(path: Path, *, lenient: bool = False, altitude: str = "wgs84") -> Scene:
+def open_recording(
+    path: Path, *, lenient: bool = False, altitude: str = "wgs84", camera_shift: str = "ignore"
+) -> Scene:
     """Open a recording; pictures and points are read when asked for.
 
     Args:
         path: the folder, or the `data.jsonl` in it.
         lenient: leave out and count what is wrong instead of raising.
         altitude: what the altitudes of `gps` lines are above: "wgs84", the ellipsoid, or "msl", mean sea level.
+        camera_shift: what becomes of `imuToCameraShiftSeconds` of the calibration: "ignore"; "apply" adds it to the
+            times of the camera's pictures, which are then on the IMU's clock; "subtract" takes it off them.
 
     Raises:
         DataError: files are missing or wrong.
         CalibrationError: a lens or a mounting is unusable.
-        OptionError: the altitude is unknown.
+        OptionError: a value is unknown.
     """
-    return read_recording(path, altitude, Ledger(lenient=lenient))[0]
+    return read_recording(path, altitude, Ledger(lenient=lenient), camera_shift=camera_shift)[0]
 
 
-def read_recording(path: Path, altitude: str, ledger: Ledger) -> tuple[Scene, RecordingContents]:
+def read_recording(
+    path: Path, altitude: str, ledger: Ledger, *, camera_shift: str = "ignore"
+) -> tuple[Scene, RecordingContents]:
     """Read a recording with a ledger that decides what becomes of its faults; as `open_recording` else."""
-    if altitude not in ALTITUDES:
-        raise OptionError(f"altitude {altitude!r}; expected one of: {', '.join(ALTITUDES)}")
+    for name, value, known in (
+        ("altitude", altitude, ALTITUDES),
+        ("camera_shift", camera_shift, tuple(CAMERA_SHIFTS)),
+    ):
+        if value not in known:
+            raise OptionError(f"{name} {value!r}; expected one of: {', '.join(known)}")
     folder = recording_folder(path)
     try:
-        return _read(folder, altitude, ledger)
+        return _read(folder, altitude, camera_shift, ledger)
     except OSError as error:
         raise DataError(folder, "", f"cannot be read: {error}") from error
 
 
-def _read(folder: Path, altitude: str, ledger: Ledger) -> tuple[Scene, RecordingContents]:
+def _read(folder: Path, altitude: str, camera_shift: str, ledger: Ledger) -> tuple[Scene, RecordingContents]:
     data_path = folder / DATA_FILE
     if not folder.is_dir():
         raise DataError(folder, "", "no such folder; expected a recording's folder")
@@ -76,13 +87,17 @@ def _read(folder: Path, altitude: str, ledger: Ledger) -> tuple[Scene, Recording
     with ExitStack() as stack:
         stack.callback(opened.close)
         sources = CameraSources(
-            folder, data_path, data_file, calibration, columns.frames, ego_path, ledger, opened
+            folder, data_path, data_file, calibration, columns.frames, ego_path, ledger, opened, camera_shift
         )
         lidars = build_lidars(folder, data_path, columns.lidars, calibration, ego_path, ledger)
         cameras = build_cameras(sources)
-        ego_sensors = [*_imu(columns), *_gnss(columns)]
+        ego_sensors = [*_imu(columns), *_gnss(columns, calibration)]
         contents = RecordingContents(folder, columns, calibration, trajectories)
-        metadata = {"altitude": altitude, **further_contents(contents, ledger)}
+        metadata = {
+            "altitude": altitude,
+            **applied_shifts(calibration, camera_shift),
+            **further_contents(contents, ledger),
+        }
         scene = Scene(
             sensors=(*lidars, *cameras, *ego_sensors),
             trajectories=MappingProxyType(
@@ -109,10 +124,11 @@ def _samples(columns: Columns) -> VectorSamples:
     return VectorSamples(stream.timestamps_ns, stream.values, stream.seconds)
 
 
-def _gnss(columns: RecordingColumns) -> list[Sensor]:
+def _gnss(columns: RecordingColumns, calibration: Calibration) -> list[Sensor]:
     if not len(columns.gnss):
         return []
     fixes = columns.gnss.by_time()
+    gnss_from_imu = calibration.rig.gnss_from_imu
     return [
         GnssSensor(
             id="gnss",
@@ -121,5 +137,6 @@ def _gnss(columns: RecordingColumns) -> list[Sensor]:
             accuracies=read_only(fixes.values[:, 3]),
             vertical_accuracies=read_only(fixes.values[:, 4]),
             file_seconds=fixes.seconds,
+            mount=None if gnss_from_imu is None else gnss_from_imu.inverse(),
         )
     ]

@@ -121,6 +121,7 @@ SENSOR_RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             _array("accuracies", "float64", unit="m", required=True),
             _array("vertical_accuracies", "float64", unit="m", required=True),
             _array("file_seconds", "float64", unit="s"),
+            Field("mount", Kind.LIST, unit="rows of R, t [m]"),
         ),
     }
 )

@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import Any
 
 from sceneloom.errors import ArrayError
-from sceneloom.formats.sfs.poses import mended_path_of
+from sceneloom.formats.sfs.poses import mended_path_of, mount_of
 from sceneloom.formats.sfs.read_clouds import Record, rest_of
-from sceneloom.formats.sfs.records import Faults, Place
+from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import Source
 from sceneloom.scene import (
     GnssSensor,
@@ -60,8 +60,15 @@ def read_gnss(source: Source, values: Record, place: Place, faults: Faults) -> G
     """Make a satellite receiver of the record in our metadata."""
     del source, place
     arrays = {name: values.pop(name) for name in _GNSS_ARRAYS if values.get(name) is not None}
+    rows = values.pop("mount", None)
     try:
-        return GnssSensor(values["id"], **arrays, parent_id=values.get("parent_id"), extras=rest_of(values))
+        mount = None if rows is None else mount_of(rows)
+    except FieldError as error:
+        faults.add(("mount",), str(error))
+        return None
+    parent_id, extras = values.get("parent_id"), rest_of(values)
+    try:
+        return GnssSensor(values["id"], **arrays, mount=mount, parent_id=parent_id, extras=extras)
     except ArrayError as error:
         faults.add((), str(error))
         return None

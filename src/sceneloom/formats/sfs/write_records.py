@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from sceneloom.formats.sfs.drafts import with_further
+from sceneloom.formats.sfs.poses import mount_rows
 from sceneloom.scene import (
     GnssSensor,
     ImuSensor,
@@ -37,7 +38,8 @@ def imu_fields(sensor: ImuSensor) -> dict[str, Any]:
 
 def gnss_fields(sensor: GnssSensor) -> dict[str, Any]:
     """Make the fields of a satellite receiver; they stand under our metadata."""
-    return {name: getattr(sensor, name) for name in _GNSS_ARRAYS}
+    mount = {} if sensor.mount is None else {"mount": mount_rows(sensor.mount)}
+    return {**{name: getattr(sensor, name) for name in _GNSS_ARRAYS}, **mount}
 
 
 def trajectory_record(name: str, way: Trajectory, odometry: Iterable[OdometrySensor]) -> dict[str, Any]:

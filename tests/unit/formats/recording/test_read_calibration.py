@@ -1,6 +1,7 @@
 """Reading `calibration.json`: lenses against OpenCV, mountings against NumPy, and what is refused."""
 
 import json
+import re
 from typing import Any
 
 import cv2
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras import project
-from sceneloom.errors import CalibrationError, DataError
+from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.recording import FORMAT
 from sceneloom.scene import NoticeKind, Scene
 
@@ -264,3 +265,122 @@ def test_a_calibration_that_is_no_calibration_is_a_fault_of_its_file(recording, 
     (recording.path / "calibration.json").write_text(text)
     with pytest.raises(DataError, match=r"calibration\.json"):
         FORMAT.open(recording.path)
+
+
+FIX = '{"gps":{"latitude":60.1,"longitude":24.9,"altitude":14.0},"time":1.0}'
+LEVER = [[0.0, 1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.25], [0.0, 0.0, 1.0, -1.5], [0.0, 0.0, 0.0, 1.0]]
+
+
+def gnss_mount(recording, **further):
+    recording.lines([FIX]).calibration((), **further)
+    with FORMAT.open(recording.path) as scene:
+        return scene.sensor("gnss").mount, {notice.code for notice in scene.notices}
+
+
+def test_the_antenna_sits_where_imu_to_gnss_says(recording):
+    mount, notices = gnss_mount(recording, imuToGnss=LEVER)
+    # p_gnss = T p_imu, so the antenna, the origin of its own frame, is at the inverse's last column
+    np.testing.assert_allclose(mount.matrix, np.linalg.inv(LEVER), atol=1e-15)
+    assert not notices
+
+
+@pytest.mark.parametrize("place", [[0.5, -0.2, 1.25], {"x": 0.5, "y": -0.2, "z": 1.25}])
+def test_an_antenna_given_by_its_place_is_assumed_to_be_there(recording, place):
+    mount, notices = gnss_mount(recording, imuToGnss=place)
+    np.testing.assert_array_equal(mount.translation, [0.5, -0.2, 1.25])
+    assert notices == {"antenna-place"}
+
+
+def test_a_receiver_without_a_calibrated_antenna_has_no_mounting(recording):
+    assert gnss_mount(recording) == (None, set())
+
+
+@pytest.mark.parametrize(
+    ("further", "problem"),
+    [
+        (
+            {"imuToGnss": [[2.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+            "imuToGnss: rotation off by 3",
+        ),
+        ({"imuToGnss": [1.0, 2.0]}, "imuToGnss: 2 numbers"),
+        (
+            {"imuToGnss": {"x": 1.0, "y": 2.0}},
+            'imuToGnss: {"x":1.0,"y":2.0}: Object missing required field `z`',
+        ),
+        ({"imuToOutput": "identity"}, 'imuToOutput: "identity"'),
+        ({"imuToMagnetometer": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "imuToMagnetometer: rotation mirrored"),
+        ({"imuForward": [0, 0, 0]}, "imuForward: [0.0, 0.0, 0.0]; expected a direction"),
+        ({"imuForward": [1, 0]}, "imuForward: [1.0, 0.0]; expected three numbers"),
+        ({"imuForward": [1, 0, 1e300]}, "imuForward: [1.0, 0.0, 1e+300]; expected three numbers"),
+    ],
+)
+def test_unusable_fields_of_the_device_are_named_and_left_out_when_lenient(recording, further, problem):
+    with pytest.raises((CalibrationError, DataError), match=re.escape(problem)):
+        open_with(recording, **further)
+    scene = open_with(recording, lenient=True, **further)
+    assert "unusable-calibrations" in {notice.code for notice in scene.notices}
+    assert scene.metadata["recording"]["calibration"].keys() == {"cameras", *further}
+
+
+def test_rotations_without_translation_are_read_by_rows_or_nine_numbers_by_columns(recording):
+    rows = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    flat = np.array(rows).T.ravel().tolist()
+    mounts = [
+        open_with(recording, entry("pinhole", [], imuToCamera=numbers)).cameras[0].mount
+        for numbers in (rows, flat)
+    ]
+    for mount in mounts:
+        np.testing.assert_allclose(mount.matrix[:3, :3], np.array(rows).T, atol=1e-15)
+        np.testing.assert_array_equal(mount.translation, np.zeros(3))
+
+
+def test_another_frame_of_the_output_is_told_not_applied(recording):
+    scene = open_with(recording, imuToOutput=LEVER)
+    assert {notice.code for notice in scene.notices} == {"poses-of-imu"}
+    assert not open_with(recording, imuToOutput=np.eye(4).tolist()).notices
+
+
+@pytest.mark.parametrize(
+    "field",
+    [{"shutterRollTimeSeconds": -0.01}, {"exposureTimeSeconds": "long"}, {"rollingShutterLeftToRight": 1}],
+)
+def test_impossible_shutters_are_refused_with_their_path(recording, field):
+    name = next(iter(field))
+    with pytest.raises(DataError, match=rf"cameras\[0\]\.{name}"):
+        open_with(recording, entry("pinhole", [], **field))
+
+
+def test_shutters_are_kept_with_the_camera(recording):
+    shutter = {
+        "shutterRollTimeSeconds": 0.02,
+        "rollingShutterLeftToRight": True,
+        "exposureTimeSeconds": 0.008,
+    }
+    sensor = open_with(recording, entry("pinhole", [], **shutter)).cameras[0]
+    assert {name: sensor.extras["calibration"][name] for name in shutter} == shutter
+
+
+@pytest.mark.parametrize(
+    ("camera_shift", "expected_ns"),
+    [("ignore", 1_000_000_000), ("apply", 1_015_000_000), ("subtract", 985_000_000)],
+)
+def test_camera_shifts_move_the_pictures_only_where_asked_for(recording, pinhole, camera_shift, expected_ns):
+    recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 1.0}]).video("data.mkv", 1)
+    recording.calibration([{**pinhole, "imuToCameraShiftSeconds": 0.015}])
+    with FORMAT.open(recording.path, camera_shift=camera_shift) as scene:
+        camera, asked = scene.cameras[0], camera_shift != "ignore"
+        assert camera.pictures.timestamps_ns.tolist() == [expected_ns]
+        assert camera.pictures[0].extras["file_seconds"] == 1.0
+        assert [notice.code for notice in scene.notices] == [
+            "camera-shift-applied" if asked else "camera-shift-not-applied"
+        ]
+        # a shift that was applied must not be applied again by those who read what is written
+        assert ("imuToCameraShiftSeconds" in camera.extras["calibration"]) is not asked
+        shifts = {"camera0": (expected_ns - 1_000_000_000) / 1e9}
+        assert scene.metadata["recording"].get("camera_shifts") == (shifts if asked else None)
+
+
+def test_an_unknown_use_of_camera_shifts_names_the_known_ones(recording):
+    recording.lines([FIX])
+    with pytest.raises(OptionError, match="camera_shift 'both'; expected one of: ignore, apply, subtract"):
+        FORMAT.open(recording.path, camera_shift="both")

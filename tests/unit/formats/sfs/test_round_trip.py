@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.formats.sfs import FORMAT, write_scene
-from sceneloom.scene import OdometrySensor, Scene, Trajectory
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import GnssSensor, OdometrySensor, Scene, Trajectory
 
 TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
 POSES = {
@@ -279,3 +280,13 @@ def test_a_file_of_the_profile_of_scale_comes_back_whole(open_header, tmp_path, 
                 }
             assert read == original, original["type"]
     assert found["attributes"] == expected["attributes"]
+
+
+def test_the_place_of_an_antenna_comes_back(tmp_path):
+    mount = RigidTransform.from_quaternion(np.array([0.4, -0.1, 1.2]), np.array([0.0, 0.0, 0.6, 0.8]))
+    times, ones = np.arange(3, dtype=np.int64), np.ones(3)
+    sensor = GnssSensor("gnss", times, np.zeros((3, 3)), ones, ones, mount=mount)
+    write_scene(Scene((sensor,)), tmp_path / "drive.sfs")
+    with FORMAT.open(tmp_path / "drive.sfs") as scene:
+        np.testing.assert_array_equal(scene.sensor("gnss").mount.matrix, mount.matrix)
+        assert scene.sensor("gnss").extras == {}

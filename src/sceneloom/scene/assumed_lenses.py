@@ -8,6 +8,7 @@ from typing import Any
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.scene import Scene
 
@@ -15,7 +16,7 @@ OURS, ENTRY = "sceneloom", "assumed_models"
 """Where a scene's metadata say with which of these models it may be computed."""
 
 
-def check_lenses(scene: Scene, cameras: Iterable[CameraSensor] | None = None) -> None:
+def check_lenses(scene: Scene, cameras: Iterable[CameraSensor | DepthCameraSensor] | None = None) -> None:
     """Refuse to compute with lenses of models that no source confirms, unless that was asked for on opening.
 
     Args:

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.written_shots import ShootingSensor, shooting_sensors
 from sceneloom.scene import (
-    CameraSensor,
     GnssSensor,
     ImuSensor,
     OdometrySensor,
@@ -21,7 +21,7 @@ _RECORDING_EXTRAS = {"calibration", "lidarInd"}
 
 
 def unwritten(
-    scene: Scene, cameras: Sequence[CameraSensor], trajectories: Sequence[Trajectory]
+    scene: Scene, cameras: Sequence[ShootingSensor], trajectories: Sequence[Trajectory]
 ) -> list[Loss]:
     """Name everything of a scene that its recording will not hold.
 
@@ -63,8 +63,8 @@ def _of_sensor(sensor: Sensor) -> Iterator[Loss]:
         yield Loss(field=f"sensors[{sensor.id}]", what="left out: the format has no path without end")
 
 
-def _of_cameras(scene: Scene, cameras: Sequence[CameraSensor]) -> Iterator[Loss]:
-    for camera in scene.cameras:
+def _of_cameras(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
+    for camera in shooting_sensors(scene):
         if camera not in cameras:
             yield Loss(
                 field=f"sensors[{camera.id}]", what="left out: it has no pictures, while other cameras have"
@@ -77,7 +77,7 @@ def _of_repeated(scene: Scene) -> Iterator[Loss]:
             yield Loss(field=f"sensors[{sensor.id}]", what=f"left out: the format has one {sensor.type} only")
 
 
-def _of_ids(scene: Scene, cameras: Sequence[CameraSensor]) -> Iterator[Loss]:
+def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
     """The ids that reading gives differ from the scene's: the format knows sensors by number only."""
     lidars = scene.lidars
     names: dict[str, Sequence[Sensor]] = {

@@ -20,13 +20,13 @@ from sceneloom.formats.recording.writing_plan import WritingPlan
 from sceneloom.formats.recording.written_calibration import camera_entry, cropped, lidar_entry
 from sceneloom.formats.recording.written_frames import FrameLines, group_pictures, grouping_losses
 from sceneloom.formats.recording.written_lines import NumberLines, WrittenLine, other_lines
-from sceneloom.formats.recording.written_pictures import PictureSink, open_sink
+from sceneloom.formats.recording.written_pictures import PICTURES, PictureSink, open_sink
+from sceneloom.formats.recording.written_shots import shots_of
 from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.scene import GnssSensor, ImuSensor, Scene
 from sceneloom.scene.assumed_lenses import check_lenses
 
-PICTURES = ("copy", "h264", "png")
 _RECORDING_FILES = re.compile(
     r"data\d*\.(jsonl|mkv|mp4|mov|avi|ts)|calibration\.json|vio_config\.yaml|frames\d+|lidar\d*|README(\.\w+)?"
 )
@@ -43,7 +43,7 @@ def write_recording(
         path: the folder that is made.
         overwrite: replace the folder if it is a recording, or empty; nobody else's folder is ever replaced.
         pictures: "copy" copies a camera's own video packet by packet where that can be done and encodes H.264 else;
-            "h264" copies only what is H.264 already; "png" writes PNG pictures, which lose nothing.
+            "h264" copies only what is H.264 already; "ffv1" (video) and "png" (files) lose nothing.
 
     Returns:
         What the format could not hold.
@@ -172,7 +172,7 @@ class _RecordingWriter:
 def _picture_rows(plan: WritingPlan) -> Int64Array:
     if not plan.cameras:
         return np.zeros((0, 0), np.int64)
-    return group_pictures([camera.pictures.timestamps_ns for camera in plan.cameras])
+    return group_pictures([shots_of(camera).timestamps_ns for camera in plan.cameras])
 
 
 def _place(line: WrittenLine) -> tuple[int, float]:

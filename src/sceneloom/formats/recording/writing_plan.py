@@ -10,8 +10,9 @@ from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.unwritten import unwritten
 from sceneloom.formats.recording.written_calibration import mounting
+from sceneloom.formats.recording.written_shots import ShootingSensor, shooting_sensors, shots_of
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
+from sceneloom.scene import LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
 from sceneloom.scene.poses import same_way
 
 
@@ -47,7 +48,7 @@ class WritingPlan:
 
     scene: Scene
     notes: RecordingNotes
-    cameras: Sequence[CameraSensor]
+    cameras: Sequence[ShootingSensor]
     lidars: Sequence[LidarSensor]
     mounts: Sequence[RigidTransform]
     trajectories: Sequence[tuple[Trajectory, tuple[str, str] | None]]
@@ -62,11 +63,12 @@ class WritingPlan:
             CalibrationError: nothing says how a camera is mounted.
         """
         notes = _notes(scene)
-        cameras = [camera for camera in scene.cameras if len(camera.pictures)] or list(scene.cameras)
+        found = shooting_sensors(scene)
+        cameras = [camera for camera in found if len(shots_of(camera))] or found
         trajectories = _trajectories(scene, notes)
         ego_path = _ego_path(scene)
         losses = unwritten(scene, cameras, [trajectory for trajectory, _ in trajectories])
-        mounted: list[CameraSensor | LidarSensor] = [*cameras, *scene.lidars]
+        mounted: list[ShootingSensor | LidarSensor] = [*cameras, *scene.lidars]
         mounts = [_mount(sensor, ego_path, losses) for sensor in mounted]
         return cls(scene, notes, cameras, scene.lidars, mounts, trajectories, ego_path, losses)
 
@@ -97,13 +99,13 @@ def _ego_path(scene: Scene) -> PosePath | None:
 
 
 def _mount(
-    sensor: CameraSensor | LidarSensor, ego_path: PosePath | None, losses: list[Loss]
+    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None, losses: list[Loss]
 ) -> RigidTransform:
     mount, lost = mounting(sensor, ego_path)
     losses.extend(lost)
     if mount is not None:
         return mount
-    if isinstance(sensor, CameraSensor):
+    if not isinstance(sensor, LidarSensor):
         raise CalibrationError(
             f"camera {sensor.id!r}: nothing says how it is mounted on the vehicle (neither a mounting, nor poses of "
             "both it and the ego), and a recording cannot be without imuToCamera"

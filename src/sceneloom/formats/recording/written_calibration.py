@@ -12,8 +12,9 @@ from sceneloom.cameras.fitting import nearest
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.written_shots import ShootingSensor
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, Coordinates, LidarSensor, PosePath
+from sceneloom.scene import Coordinates, LidarSensor, PosePath
 
 RIGID_WITHIN = 0.01
 """Metres that a sensor may move on the vehicle before it is said that one mounting does not describe it."""
@@ -124,7 +125,7 @@ def matrix_entry(transform: RigidTransform) -> list[list[float]]:
 
 
 def camera_entry(
-    sensor: CameraSensor, camera: Camera, mount: RigidTransform
+    sensor: ShootingSensor, camera: Camera, mount: RigidTransform
 ) -> tuple[dict[str, Any], list[Loss]]:
     """Write a camera.
 
@@ -151,13 +152,13 @@ def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: s
     return {**further, "model": model, **number, "imuToLidar": matrix_entry(mount.inverse())}
 
 
-def _entry_before(sensor: CameraSensor | LidarSensor) -> dict[str, Any]:
+def _entry_before(sensor: ShootingSensor | LidarSensor) -> dict[str, Any]:
     entry = sensor.extras.get("calibration")
     return dict(entry) if isinstance(entry, Mapping) else {}
 
 
 def mounting(
-    sensor: CameraSensor | LidarSensor, ego_path: PosePath | None
+    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None
 ) -> tuple[RigidTransform | None, list[Loss]]:
     """Find `ego_from_sensor`: what the sensor says, else where its poses put it against the ego.
 
@@ -177,7 +178,7 @@ def mounting(
     return mount, [Loss(field=f"sensors[{sensor.id}].poses", what=what)]
 
 
-def _ego_from_sensor(sensor: CameraSensor | LidarSensor, ego_path: PosePath | None) -> PosePath | None:
+def _ego_from_sensor(sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None) -> PosePath | None:
     poses = sensor.poses
     if poses is None or sensor.coordinates is Coordinates.EGO:
         return poses

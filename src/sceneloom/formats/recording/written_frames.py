@@ -10,12 +10,15 @@ from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.written_calibration import lens_entry, lens_losses, matrix_entry
 from sceneloom.formats.recording.written_lines import WrittenLine, make_line
 from sceneloom.formats.recording.written_pictures import PictureSink
+from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of, shots_of
 from sceneloom.formats.recording.written_times import TimeWriter
-from sceneloom.scene import CameraSensor, Picture
+from sceneloom.scene import DepthFrame
 
 _DEFAULT_PERIOD_NS = 100_000_000
-_OWN_EXTRAS = {"file_seconds", "number", "line_seconds", "line"}
+_OWN_EXTRAS = frozenset({"file_seconds", "number", "line_seconds", "line"})
 """Extras of a picture that its line is made from anew."""
+_OWN_DEPTH_EXTRAS = frozenset({"colorFormat", "depthScale"})
+"""Those of a depth image that are told by how it is written."""
 _FORMATS_WORDS = {"exposureTimeSeconds"}
 """Extras that mean the same whatever a scene was read from: words of the recording format that the model took over."""
 
@@ -46,14 +49,14 @@ def group_pictures(stamps: Sequence[Int64Array]) -> Int64Array:
     return np.array(lines, np.int64).reshape(len(lines), len(stamps))
 
 
-def grouping_losses(sensors: Sequence[CameraSensor], rows: Int64Array) -> list[Loss]:
+def grouping_losses(sensors: Sequence[ShootingSensor], rows: Int64Array) -> list[Loss]:
     """Say where cameras are not in step, so that lines lack some of their pictures."""
     missing = (rows < 0).sum(axis=0).tolist()
     what = (
         "is not in step with the other cameras: its video repeats a picture where a line has none of its own"
     )
     return [
-        Loss(field=f"sensors[{sensor.id}].pictures", what=what, count=count)
+        Loss(field=field_of(sensor), what=what, count=count)
         for sensor, count in zip(sensors, missing, strict=True)
         if count
     ]
@@ -68,7 +71,7 @@ class FrameLines:
 
     def __init__(
         self,
-        sensors: Sequence[CameraSensor],
+        sensors: Sequence[ShootingSensor],
         sinks: Sequence[PictureSink],
         rows: Int64Array,
         times: TimeWriter,
@@ -91,48 +94,49 @@ class FrameLines:
     def lines(self) -> Iterator[WrittenLine]:
         """Give one line after the other, each after its pictures were handed on."""
         for number, row in enumerate(self._rows.tolist()):
-            pictures = [s.pictures[k] if k >= 0 else None for s, k in zip(self._sensors, row, strict=True)]
-            first = min((p for p in pictures if p is not None), key=_time)
-            entries = [self._entry(c, picture, first) for c, picture in enumerate(pictures)]
+            pairs = zip(self._sensors, row, strict=True)
+            shots: list[Shot | None] = [shots_of(sensor)[k] if k >= 0 else None for sensor, k in pairs]
+            first = min((shot for shot in shots if shot is not None), key=_time)
+            entries = [self._entry(c, shot, first) for c, shot in enumerate(shots)]
             beside = first.extras.get("line", {}) if self._keep_extras else {}
             fields = {**beside, "frames": entries, "number": number}
             yield make_line(fields, first.timestamp_ns, self._times, first.extras.get("file_seconds"))
 
-    def _entry(self, index: int, picture: Picture | None, first: Picture) -> dict[str, Any]:
-        shown = first if picture is None else picture
-        self._sinks[index].add(picture, shown.timestamp_ns)
+    def _entry(self, index: int, shot: Shot | None, first: Shot) -> dict[str, Any]:
+        shown, sink = first if shot is None else shot, self._sinks[index]
+        sink.add(shot, shown.timestamp_ns)
         entry = {
             "cameraInd": index,
             "time": self._times.raw(shown.timestamp_ns, shown.extras.get("file_seconds")),
         }
-        if picture is None:
+        if shot is None:
             return {**entry, "missingBitmap": True}
-        return {**self._extras(index, picture), **entry, **self._own_parameters(index, picture)}
+        own = {**sink.fields(shot), **self._own_parameters(index, shot)}
+        return {**self._extras(index, shot), **entry, **own}
 
-    def _own_parameters(self, index: int, picture: Picture) -> dict[str, Any]:
+    def _own_parameters(self, index: int, shot: Shot) -> dict[str, Any]:
         sensor, fields = self._sensors[index], dict[str, Any]()
-        if picture.camera != sensor.camera:
-            lens, how_far = lens_entry(picture.camera, model_key="distortionModel")
+        if shot.camera != sensor.camera:
+            lens, how_far = lens_entry(shot.camera, model_key="distortionModel")
             fields["cameraParameters"] = {k: v for k, v in lens.items() if not k.startswith("image")}
-            self.losses += lens_losses(f"sensors[{sensor.id}].pictures[].camera", how_far)
-        if picture.mount is not None and picture.mount is not sensor.mount:
-            fields["imuToCamera"] = matrix_entry(picture.mount.inverse())
+            self.losses += lens_losses(f"{field_of(sensor)}[].camera", how_far)
+        if shot.mount is not None and shot.mount is not sensor.mount:
+            fields["imuToCamera"] = matrix_entry(shot.mount.inverse())
         return fields
 
-    def _extras(self, index: int, picture: Picture) -> dict[str, Any]:
-        further = {key: value for key, value in picture.extras.items() if key not in _OWN_EXTRAS}
+    def _extras(self, index: int, shot: Shot) -> dict[str, Any]:
+        own = _OWN_EXTRAS | (_OWN_DEPTH_EXTRAS if isinstance(shot, DepthFrame) else frozenset())
+        further = {key: value for key, value in shot.extras.items() if key not in own}
         if self._keep_extras:
             return further
         for name in [name for name in further if name not in _FORMATS_WORDS]:
-            self._lose(
-                f"sensors[{self._sensors[index].id}].pictures[].{name}", "left out: the format has none", 1
-            )
+            self._lose(f"{field_of(self._sensors[index])}[].{name}", "left out: the format has none", 1)
         return {name: value for name, value in further.items() if name in _FORMATS_WORDS}
 
     def _lose(self, field: str, what: str, count: int) -> None:
         self.losses.append(Loss(field=field, what=what, count=count))
 
 
-def _time(picture: Picture) -> tuple[int, float]:
-    seconds = picture.extras.get("file_seconds")
-    return picture.timestamp_ns, picture.timestamp_ns / 1e9 if seconds is None else seconds
+def _time(shot: Shot) -> tuple[int, float]:
+    seconds = shot.extras.get("file_seconds")
+    return shot.timestamp_ns, shot.timestamp_ns / 1e9 if seconds is None else seconds

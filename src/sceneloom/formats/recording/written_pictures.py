@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from PIL import Image
@@ -10,13 +10,17 @@ from PIL import Image
 from sceneloom.arrays import Int64Array, UInt8Array, check_array
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.written_depth import DepthScales, DepthVideo
+from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, frame_rate, shots_of
 from sceneloom.formats.video import VideoWriter, copy_to_matroska
 from sceneloom.formats.video.png_folder import picture_name
-from sceneloom.scene import CameraSensor, Picture
+from sceneloom.scene import CameraSensor, DepthCameraSensor, Picture
+
+PICTURES = ("copy", "h264", "ffv1", "png")
+"""Ways to keep pictures."""
 
 _PNG_EFFORT = 1
 """Pictures of scenes shrink little more with more effort, at many times the time."""
-_DEFAULT_FPS = 10.0
 
 
 class PictureSink(Protocol):
@@ -26,7 +30,11 @@ class PictureSink(Protocol):
     height: int
     losses: list[Loss]
 
-    def add(self, picture: Picture | None, timestamp_ns: int) -> None:
+    def fields(self, shot: Shot) -> dict[str, Any]:
+        """Give what the entry of a picture has to say so that it can be read."""
+        ...
+
+    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
         """Take a picture; None for a line in which the camera has none."""
         ...
 
@@ -42,11 +50,16 @@ class PictureSink(Protocol):
 class CopiedVideo:
     """The camera's own video, copied packet by packet before the first line is written."""
 
-    def __init__(self, sensor: CameraSensor) -> None:
+    def __init__(self, sensor: ShootingSensor) -> None:
         self.width, self.height = sensor.camera.width, sensor.camera.height
         self.losses: list[Loss] = []
+        self._scales = DepthScales(sensor) if isinstance(sensor, DepthCameraSensor) else None
 
-    def add(self, picture: Picture | None, timestamp_ns: int) -> None:
+    def fields(self, shot: Shot) -> dict[str, Any]:
+        """Name the kind of a depth image, and the length of its steps."""
+        return {} if self._scales is None else self._scales.fields(shot)
+
+    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
         """Take nothing: the picture is there already."""
 
     def close(self) -> None:
@@ -57,29 +70,28 @@ class CopiedVideo:
 
 
 class EncodedVideo:
-    """Pictures encoded as H.264; a line without one gets the picture before, an odd size loses its last line."""
+    """Pictures encoded anew; a line without one gets the picture before."""
 
-    def __init__(self, sensor: CameraSensor, path: Path) -> None:
-        """Start the file."""
+    def __init__(self, sensor: CameraSensor, path: Path, codec: str) -> None:
+        """Start the file; pictures of an odd size lose their last line in H.264."""
         camera = sensor.camera
-        self.width, self.height = camera.width - camera.width % 2, camera.height - camera.height % 2
-        field = f"sensors[{sensor.id}].pictures"
-        encoded = Loss(
-            field=field, what="encoded as H.264, which changes colours a little", count=len(sensor.pictures)
-        )
-        self.losses = [encoded]
-        if (self.width, self.height) != (camera.width, camera.height):
-            what = f"cut from {camera.width}x{camera.height} to {self.width}x{self.height}: H.264 needs even sizes"
-            self.losses.append(Loss(field=field, what=what, count=len(sensor.pictures)))
+        lossy = codec == "h264"
+        cut = 2 if lossy else 1
+        self.width, self.height = camera.width - camera.width % cut, camera.height - camera.height % cut
+        self.losses = _encoding_losses(sensor, (self.width, self.height)) if lossy else []
         self._full = (camera.height, camera.width, 3)
-        self._writer = VideoWriter(path, self.width, self.height, _rate(sensor))
+        self._writer = VideoWriter(path, self.width, self.height, frame_rate(sensor), codec=codec)
         self._last: UInt8Array = np.zeros((self.height, self.width, 3), np.uint8)
         self._last_seconds = -np.inf
 
-    def add(self, picture: Picture | None, timestamp_ns: int) -> None:
+    def fields(self, shot: Shot) -> dict[str, Any]:  # noqa: ARG002 - a video says what it is
+        """Give nothing."""
+        return {}
+
+    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
         """Encode a picture."""
-        if picture is not None:
-            rgb = picture.rgb
+        if isinstance(shot, Picture):
+            rgb = shot.rgb
             check_array("picture", rgb, self._full, np.uint8)
             self._last = rgb[: self.height, : self.width]
         # pictures of one time keep their order
@@ -109,10 +121,14 @@ class PngPictures:
         self._count = 0
         self._last: UInt8Array = np.zeros((self.height, self.width, 3), np.uint8)
 
-    def add(self, picture: Picture | None, timestamp_ns: int) -> None:  # noqa: ARG002 - the files have no times
+    def fields(self, shot: Shot) -> dict[str, Any]:  # noqa: ARG002 - a picture says what it is
+        """Give nothing."""
+        return {}
+
+    def add(self, shot: Shot | None, timestamp_ns: int) -> None:  # noqa: ARG002 - the files have no times
         """Write a picture."""
-        if picture is not None:
-            rgb = picture.rgb
+        if isinstance(shot, Picture):
+            rgb = shot.rgb
             check_array("picture", rgb, (self.height, self.width, 3), np.uint8)
             self._last = rgb
         image = Image.fromarray(np.ascontiguousarray(self._last))
@@ -127,7 +143,7 @@ class PngPictures:
 
 
 def open_sink(
-    sensor: CameraSensor, folder: Path, index: int, rows: Int64Array, *, pictures: str
+    sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array, *, pictures: str
 ) -> PictureSink:
     """Choose how a camera's pictures are kept, and start.
 
@@ -136,20 +152,32 @@ def open_sink(
         folder: the recording that is being written.
         index: `cameraInd`.
         rows: (N,) int64, which of its pictures each line has, -1 for none.
-        pictures: "copy": the camera's own video where it can be copied, else H.264; "h264": the own video only if it
-            is H.264; "png": PNG pictures.
+        pictures: "copy": the camera's own video where it can be copied, else H.264; "h264" and "ffv1": the own video
+            only if it is that already; "png": PNG pictures. Depth is kept as its own video, or as FFV1, in any case.
     """
+    path = folder / f"data{index + 1 if index else ''}.mkv"
+    if isinstance(sensor, DepthCameraSensor):
+        copied = _copied(sensor, path, rows, codecs=("ffv1",)) and _all_stepped(sensor)
+        return CopiedVideo(sensor) if copied else DepthVideo(sensor, path)
     if pictures == "png":
         return PngPictures(sensor, folder / f"frames{index + 1}")
-    path = folder / f"data{index + 1 if index else ''}.mkv"
-    if _copied(sensor, path, rows, pictures=pictures):
+    if _copied(sensor, path, rows, codecs=None if pictures == "copy" else (pictures,)):
         return CopiedVideo(sensor)
-    return EncodedVideo(sensor, path)
+    return EncodedVideo(sensor, path, "h264" if pictures == "copy" else pictures)
 
 
-def _copied(sensor: CameraSensor, path: Path, rows: Int64Array, *, pictures: str) -> bool:
-    video, count = sensor.video, len(sensor.pictures)
-    if video is None or (pictures == "h264" and video.codec != "h264"):
+def _encoding_losses(sensor: CameraSensor, size: tuple[int, int]) -> list[Loss]:
+    field, count, camera = f"sensors[{sensor.id}].pictures", len(sensor.pictures), sensor.camera
+    losses = [Loss(field=field, what="encoded as H.264, which changes colours a little", count=count)]
+    if size != (camera.width, camera.height):
+        what = f"cut from {camera.width}x{camera.height} to {size[0]}x{size[1]}: H.264 needs even sizes"
+        losses.append(Loss(field=field, what=what, count=count))
+    return losses
+
+
+def _copied(sensor: ShootingSensor, path: Path, rows: Int64Array, *, codecs: tuple[str, ...] | None) -> bool:
+    video, count = sensor.video, len(shots_of(sensor))
+    if video is None or (codecs is not None and video.codec not in codecs):
         return False
     in_step = np.array_equal(rows, np.arange(count))
     if not in_step or (video.frame_indices is not None and video.frame_indices != tuple(range(count))):
@@ -157,9 +185,6 @@ def _copied(sensor: CameraSensor, path: Path, rows: Int64Array, *, pictures: str
     return copy_to_matroska(video.open, path, pictures=count, name=f"video of {sensor.id}") is not None
 
 
-def _rate(sensor: CameraSensor) -> float:
-    stamps = sensor.pictures.timestamps_ns
-    if sensor.fps:
-        return sensor.fps
-    span = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) > 1 else 0.0
-    return (len(stamps) - 1) / span if span > 0 else _DEFAULT_FPS
+def _all_stepped(sensor: DepthCameraSensor) -> bool:
+    """Whether the source says of each image how long its steps are."""
+    return all(frame.scale is not None for frame in sensor.frames)

@@ -15,7 +15,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import ColorRange, Colorspace, Interpolation, VideoReformatter
 from av.video.stream import VideoStream
 
-from sceneloom.arrays import UInt8Array, check_array
+from sceneloom.arrays import UInt8Array, UInt16Array, check_array
 from sceneloom.errors import ArrayError, OptionError, OutputError
 
 VideoTarget = Path | BinaryIO
@@ -50,17 +50,21 @@ class _Encoder:
         pixel_format: what it is fed with.
         options: its settings; `crf` and `threads` are added where it knows them.
         halves: whether chroma has half the resolution, so that sizes must be even.
+        sixteen_bits: whether pictures are one plane of 16-bit numbers, not colours.
     """
 
     library: str
     pixel_format: str
     options: Mapping[str, str]
-    halves: bool
+    halves: bool = False
+    sixteen_bits: bool = False
 
 
 _X264 = "chromaloc=1:mbtree=0"
 """Chroma is averaged over each square of four pixels; H.264 supposes it at the left edge where a stream is silent.
 Without macroblock trees, since with them the same pictures now and then gave other bytes."""
+
+_LOSSLESS = MappingProxyType({"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "threads": "2"})
 
 _ENCODERS = MappingProxyType(
     {
@@ -68,12 +72,8 @@ _ENCODERS = MappingProxyType(
         "h264": _Encoder(
             "libx264", "yuv420p", {"preset": "fast", "threads": "2", "x264-params": _X264}, halves=True
         ),
-        "ffv1": _Encoder(
-            "ffv1",
-            "bgr0",
-            {"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "threads": "2"},
-            halves=False,
-        ),
+        "ffv1": _Encoder("ffv1", "bgr0", _LOSSLESS),
+        "ffv1-gray16": _Encoder("ffv1", "gray16le", _LOSSLESS, sixteen_bits=True),
     }
 )
 
@@ -159,7 +159,7 @@ class VideoWriter:
             target: a path, or a seekable binary file.
             width, height: size of every picture [px].
             fps: nominal pictures a second; times of pictures that come without one.
-            codec: "h264", or "ffv1", which loses nothing.
+            codec: "h264", or "ffv1", which loses nothing, or "ffv1-gray16", the same for 16-bit numbers.
             crf: quality of h264: 0 loses nothing, 18 nothing that the eye sees, 51 is the worst.
             container: "matroska" or "mp4"; None for what the path's suffix says.
             pictures: how many will be added at most, if that is known; see `open_container`.
@@ -180,11 +180,11 @@ class VideoWriter:
         self._last_seconds = 0.0
         self._last_ticks = -1
 
-    def add(self, rgb: UInt8Array, timestamp_seconds: float | None = None) -> None:
+    def add(self, image: UInt8Array | UInt16Array, timestamp_seconds: float | None = None) -> None:
         """Encode the next picture.
 
         Args:
-            rgb: (height, width, 3) uint8, red green blue.
+            image: (height, width, 3) uint8, red green blue; of "ffv1-gray16" (height, width) uint16.
             timestamp_seconds: when it is shown; the first picture's time becomes 0. None for the next at `fps`.
 
         Raises:
@@ -192,14 +192,17 @@ class VideoWriter:
                 than was said before.
             OutputError: the target cannot be written, or the writer is closed.
         """
-        check_array(f"picture {self.count}", rgb, (self.height, self.width, 3), np.uint8)
+        if self._encoder.sixteen_bits:
+            check_array(f"picture {self.count}", image, (self.height, self.width), np.uint16)
+        else:
+            check_array(f"picture {self.count}", image, (self.height, self.width, 3), np.uint8)
         if self._output is None:
             raise OutputError(f"{self._name}: cannot be written: the video is closed")
         if self._most is not None and self.count >= self._most:
             raise ArrayError(f"picture {self.count}: expected no more than {self._most}, as was said before")
         ticks = self._ticks_at(timestamp_seconds)
         with writing_faults(self._name):
-            frame = self._to_encoder(rgb)
+            frame = self._to_encoder(image)
             frame.pts, frame.time_base = ticks, self._tick
             frame.duration = round(1 / self.fps / self._tick)
             self._output.mux(self._stream.encode(frame))
@@ -247,9 +250,11 @@ class VideoWriter:
             stream.codec_context.color_range = ColorRange.MPEG
         return stream
 
-    def _to_encoder(self, rgb: UInt8Array) -> VideoFrame:
+    def _to_encoder(self, image: UInt8Array | UInt16Array) -> VideoFrame:
+        if self._encoder.sixteen_bits:
+            return VideoFrame.from_ndarray(np.ascontiguousarray(image, np.uint16), format="gray16le")
         return self._reformatter.reformat(
-            VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24"),
+            VideoFrame.from_ndarray(np.ascontiguousarray(image, np.uint8), format="rgb24"),
             format=self._encoder.pixel_format,
             dst_colorspace=Colorspace.ITU601,
             dst_color_range=ColorRange.MPEG,

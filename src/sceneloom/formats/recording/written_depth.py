@@ -1,0 +1,147 @@
+"""The images of a depth camera: a lossless video of 16-bit steps, and the length of a step in every line."""
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, UInt16Array, check_array
+from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.written_shots import Shot, frame_rate
+from sceneloom.formats.video import VideoWriter
+from sceneloom.scene import DepthCameraSensor, DepthFrame
+
+DEPTH_STEPS = (0.001, 0.002, 0.005, 0.01)
+"""Lengths of a step that are tried, the smallest first, where the source has no steps [m]."""
+COLOR_FORMAT = "gray16"
+"""What the vendor's software calls images of 16-bit steps."""
+
+_LARGEST = 65535
+_OFF_STEP = 0.01
+"""Share of a step that a depth may be off and still be one: float32 holds 65535 steps to 0.004 of one."""
+
+
+class SteppedDepth(NamedTuple):
+    """A depth image in steps.
+
+    Attributes:
+        steps: (H, W) uint16, 0 for none.
+        rounded: how many depths lie between steps.
+        beyond: how many are more than 16 bits hold, or no number; they are 0.
+    """
+
+    steps: UInt16Array
+    rounded: int
+    beyond: int
+
+
+def to_steps(depth: Float32Array, scale: float) -> SteppedDepth:
+    """Round depths to steps; one too small for the first step becomes one step.
+
+    Args:
+        depth: (H, W) float32 [m], 0 for none.
+        scale: length of a step [m].
+    """
+    exact = depth.astype(np.float64) / scale
+    whole = np.rint(exact)
+    whole[(exact > 0) & (whole == 0)] = 1
+    holdable = (whole >= 0) & (whole <= _LARGEST)
+    rounded = holdable & (np.abs(exact - whole) > _OFF_STEP)
+    steps = np.where(holdable, whole, 0).astype(np.uint16)
+    return SteppedDepth(steps, int(rounded.sum()), int((~holdable).sum()))
+
+
+def common_scale(sensor: DepthCameraSensor) -> float:
+    """Find the length of a step for images that have none: the smallest one that holds the largest depth [m].
+
+    Each image is decoded and let go.
+    """
+    largest = 0.0
+    for frame in sensor.frames:
+        if frame.scale is None:
+            depth = frame.depth
+            largest = max(largest, float(depth[np.isfinite(depth)].max(initial=0.0)))
+    return next((scale for scale in DEPTH_STEPS if largest <= scale * _LARGEST), DEPTH_STEPS[-1])
+
+
+class DepthVideo:
+    """Depth images as FFV1 of 16 bits; a line without one gets the image before."""
+
+    def __init__(self, sensor: DepthCameraSensor, path: Path) -> None:
+        """Start the file.
+
+        Raises:
+            OptionError: a step of the source has no length.
+        """
+        self.width, self.height = sensor.camera.width, sensor.camera.height
+        self.losses: list[Loss] = []
+        self._scales = DepthScales(sensor)
+        self._field = f"sensors[{sensor.id}].frames[].depth"
+        self._writer = VideoWriter(path, self.width, self.height, frame_rate(sensor), codec="ffv1-gray16")
+        self._last: UInt16Array = np.zeros((self.height, self.width), np.uint16)
+        self._last_seconds = -np.inf
+
+    def fields(self, shot: Shot) -> dict[str, Any]:
+        """Name the kind of image, and the length of its steps."""
+        return self._scales.fields(shot)
+
+    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
+        """Encode an image."""
+        if isinstance(shot, DepthFrame):
+            self._last = self._steps(shot)
+        seconds = max(timestamp_ns / 1e9, np.nextafter(self._last_seconds, np.inf))
+        self._writer.add(self._last, seconds)
+        self._last_seconds = seconds
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """Close the file."""
+        with suppress(SceneloomError):
+            self._writer.close()
+
+    def _steps(self, frame: DepthFrame) -> UInt16Array:
+        depth, scale = frame.depth, self._scales.of(frame)
+        check_array("depth", depth, (self.height, self.width), np.float32)
+        found = to_steps(depth, scale)
+        self._lose(f"rounded to steps of {scale:g} m", found.rounded)
+        self._lose(f"left out: no number, negative, or beyond {_LARGEST * scale:g} m", found.beyond)
+        return found.steps
+
+    def _lose(self, what: str, count: int) -> None:
+        if count:
+            self.losses.append(Loss(field=self._field, what=what, count=count))
+
+
+class DepthScales:
+    """The length of a step of each image of a camera: its own, else one that suits them all."""
+
+    def __init__(self, sensor: DepthCameraSensor) -> None:
+        """Begin; images are looked through when the first asks that has no step of its own."""
+        self._sensor = sensor
+        self._common: float | None = None
+
+    def of(self, frame: DepthFrame) -> float:
+        """Give the length of an image's steps [m].
+
+        Raises:
+            OptionError: it is no length.
+        """
+        if frame.scale is None:
+            if self._common is None:
+                self._common = common_scale(self._sensor)
+            return self._common
+        if not 0 < frame.scale < np.inf:
+            place = f"depth camera {self._sensor.id!r}: image at {frame.timestamp_ns} ns"
+            raise OptionError(f"{place}: scale {frame.scale}; expected a length in metres")
+        return frame.scale
+
+    def fields(self, shot: Shot) -> dict[str, Any]:
+        """Name the kind of image, and the length of its steps."""
+        if not isinstance(shot, DepthFrame):
+            return {}
+        return {"colorFormat": shot.extras.get("colorFormat", COLOR_FORMAT), "depthScale": self.of(shot)}

@@ -1,0 +1,43 @@
+"""What a `frames` line tells of, whether a camera takes pictures or measures depth."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from sceneloom.scene import CameraSensor, DepthCameraSensor, DepthFrame, LazyFrames, Picture, Scene
+
+ShootingSensor = CameraSensor | DepthCameraSensor
+"""What has a `cameraInd`."""
+Shot = Picture | DepthFrame
+"""What has an entry in a `frames` line."""
+
+_DEFAULT_FPS = 10.0
+
+
+def shots_of(sensor: ShootingSensor) -> LazyFrames[Any]:
+    """The pictures of a camera, or the images of one that measures depth."""
+    return sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
+
+
+def field_of(sensor: ShootingSensor) -> str:
+    """The path of a camera's pictures or images, for loss reports."""
+    return f"sensors[{sensor.id}].{'pictures' if isinstance(sensor, CameraSensor) else 'frames'}"
+
+
+def shooting_sensors(scene: Scene) -> Sequence[ShootingSensor]:
+    """The cameras in the order of `cameraInd`: as they were read from a recording, else those of depth last.
+
+    The vendor's software takes the first two for a pair of stereo pictures, or for a picture and its depth.
+    """
+    found = [sensor for sensor in scene.sensors if isinstance(sensor, CameraSensor | DepthCameraSensor)]
+    if scene.format == "recording":
+        return found
+    return sorted(found, key=lambda sensor: isinstance(sensor, DepthCameraSensor))
+
+
+def frame_rate(sensor: ShootingSensor) -> float:
+    """Nominal pictures a second."""
+    stamps = shots_of(sensor).timestamps_ns
+    if sensor.fps:
+        return sensor.fps
+    span = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) > 1 else 0.0
+    return (len(stamps) - 1) / span if span > 0 else _DEFAULT_FPS

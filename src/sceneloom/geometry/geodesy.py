@@ -1,8 +1,8 @@
 """Places on the WGS84 ellipsoid: latitude, longitude and height, earth-centred, and east-north-up around an origin.
 
 `positions_lla` are latitude [deg], longitude [deg] and height above the ellipsoid [m]; `positions_ecef` are
-earth-centred, earth-fixed [m]; `positions_enu` are east, north and up of an origin [m]. All are (..., 3)
-float64.
+earth-centred, earth-fixed [m]; `positions_enu` are east, north and up of an origin [m], `positions_ned` north, east
+and down. All are (..., 3) float64.
 """
 
 import math
@@ -20,6 +20,7 @@ _SEMI_MINOR_AXIS = SEMI_MAJOR_AXIS * (1.0 - FLATTENING)
 _ECCENTRICITY_2 = FLATTENING * (2.0 - FLATTENING)
 _SECOND_ECCENTRICITY_2 = _ECCENTRICITY_2 / (1.0 - _ECCENTRICITY_2)
 _ITERATIONS = 4
+_EQUATOR_GRAVITY, _GRAVITY_FORMULA, _GRAVITY_RATIO = 9.7803253359, 0.00193185265241, 0.00344978650684
 
 
 def ecef_from_geodetic(positions_lla: ArrayLike) -> Float64Array:
@@ -56,17 +57,48 @@ def geodetic_from_ecef(positions_ecef: ArrayLike) -> Float64Array:
     return np.stack([np.degrees(latitude), np.degrees(longitude), height], axis=-1)
 
 
-def enu_from_geodetic(positions_lla: ArrayLike, origin_lla: ArrayLike) -> Float64Array:
-    """Give positions east, north and up of an origin, (3,) latitude, longitude and height."""
-    away = ecef_from_geodetic(positions_lla) - ecef_from_geodetic(origin_lla)
+def enu_from_ecef(positions_ecef: ArrayLike, origin_lla: ArrayLike) -> Float64Array:
+    """Give earth-centred positions east, north and up of an origin, (3,) latitude, longitude and height."""
+    away = np.asarray(positions_ecef, np.float64) - ecef_from_geodetic(origin_lla)
     enu: Float64Array = away @ _enu_from_ecef(origin_lla).T
     return enu
 
 
+def ecef_from_enu(positions_enu: ArrayLike, origin_lla: ArrayLike) -> Float64Array:
+    """Give earth-centred positions of what is east, north and up of an origin."""
+    away = np.asarray(positions_enu, np.float64) @ _enu_from_ecef(origin_lla)
+    ecef: Float64Array = away + ecef_from_geodetic(origin_lla)
+    return ecef
+
+
+def enu_from_geodetic(positions_lla: ArrayLike, origin_lla: ArrayLike) -> Float64Array:
+    """Give positions east, north and up of an origin, (3,) latitude, longitude and height."""
+    return enu_from_ecef(ecef_from_geodetic(positions_lla), origin_lla)
+
+
 def geodetic_from_enu(positions_enu: ArrayLike, origin_lla: ArrayLike) -> Float64Array:
     """Give latitude, longitude and height of positions east, north and up of an origin."""
-    away = np.asarray(positions_enu, np.float64) @ _enu_from_ecef(origin_lla)
-    return geodetic_from_ecef(away + ecef_from_geodetic(origin_lla))
+    return geodetic_from_ecef(ecef_from_enu(positions_enu, origin_lla))
+
+
+def ned_from_enu(positions_enu: ArrayLike) -> Float64Array:
+    """Give north, east and down of what is east, north and up; the same exchange leads back."""
+    east, north, up = np.moveaxis(np.asarray(positions_enu, np.float64), -1, 0)
+    return np.stack([north, east, -up], axis=-1)
+
+
+def normal_gravity(latitude_deg: float, height: float) -> float:
+    """Give the pull of the earth [m/s²], its turning included, at a height above the ellipsoid [m].
+
+    Source: NIMA TR8350.2, eq. 4-1 (Somigliana) and 4-3, with the constants of its tables 3.1 and 3.4.
+    """
+    sine2 = math.sin(math.radians(latitude_deg)) ** 2
+    on_ellipsoid = (
+        _EQUATOR_GRAVITY * (1.0 + _GRAVITY_FORMULA * sine2) / math.sqrt(1.0 - _ECCENTRICITY_2 * sine2)
+    )
+    flattened = 1.0 + FLATTENING + _GRAVITY_RATIO - 2.0 * FLATTENING * sine2
+    above = height / SEMI_MAJOR_AXIS
+    return on_ellipsoid * (1.0 - 2.0 * flattened * above + 3.0 * above * above)
 
 
 def _enu_from_ecef(origin_lla: ArrayLike) -> Float64Array:

@@ -10,6 +10,7 @@ from sceneloom.errors import OptionError
 
 RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.reading",
+    "sceneloom.checks.recordings.faults",
     "sceneloom.checks.times",
     "sceneloom.checks.point_times",
     "sceneloom.checks.poses",

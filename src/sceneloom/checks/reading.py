@@ -6,6 +6,14 @@ from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene import NoticeKind, Scene, Severity
 
+_TOLD_BY_RULES_OF_RECORDINGS = frozenset(
+    {
+        "lines-sorted",
+        "repeated-poses",
+    }
+)
+"""Notices of the recording's reader that rules over its lines tell better."""
+
 _TOLD_BY_RULES = frozenset(
     {
         "at-fault",
@@ -22,22 +30,32 @@ _TOLD_BY_RULES = frozenset(
 """Notices of readers that other rules tell better."""
 
 
-def _faults_of(*codes: str) -> Find:
-    """Tell the faults of some codes that the reader found."""
+def faults_of(code: str) -> Find:
+    """Tell the faults of a code that the reader found."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        return (Hit(fault.where, fault.problem) for fault in subject.faults if fault.code in codes)
+        return (Hit(f.where, f.problem, f.count) for f in subject.faults if f.code == code)
 
     return find
 
 
 def _notices_of(kind: NoticeKind) -> Find:
     def find(subject: Subject) -> Iterator[Hit]:
+        told = _TOLD_BY_RULES
+        if subject.recording is not None:
+            told = told | _TOLD_BY_RULES_OF_RECORDINGS
         for notice in subject.remarks:
-            if notice.kind == kind and notice.code not in _TOLD_BY_RULES:
-                yield Hit(notice.place, notice.message, notice.count)
+            if notice.kind == kind and notice.code not in told:
+                yield Hit(_within_recording(subject, notice.place), notice.message, notice.count)
 
     return find
+
+
+def _within_recording(subject: Subject, place: str) -> str:
+    """A place as faults of recordings tell it: from the folder on."""
+    if subject.recording is None:
+        return place
+    return place.removeprefix(str(subject.recording.folder)).lstrip("/")
 
 
 def _as_read(scene: Scene) -> Scene:
@@ -58,7 +76,7 @@ def _rule(
     remedy: str,
     fix: Callable[[Scene], Scene] | None = None,
 ) -> Rule:
-    return Rule(identifier, Severity.ERROR, summary, remedy, find=_faults_of(code), fix=fix)
+    return Rule(identifier, Severity.ERROR, summary, remedy, find=faults_of(code), fix=fix)
 
 
 FAULT_RULES: tuple[Rule, ...] = (

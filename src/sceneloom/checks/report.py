@@ -71,8 +71,9 @@ def _of_rule(rule: Rule, hits: Sequence[Hit], places: int | None) -> list[Findin
     findings = [_finding(rule, hit) for hit in shown]
     further = hits[len(shown) :]
     if further:
-        message = f"the same in {len(further)} more places, up to {further[-1].path}"
-        findings.append(_finding(rule, Hit(further[0].path, message, sum(hit.count for hit in further))))
+        count = sum(hit.count for hit in further)
+        message = f"and more of the same, up to {further[-1].path}"
+        findings.append(_finding(rule, Hit(further[0].path, message, count)))
     return findings
 
 

@@ -12,6 +12,7 @@ from sceneloom.checks.catalogue import chosen_rules
 from sceneloom.checks.fixing import mended
 from sceneloom.checks.opening import open_subject
 from sceneloom.checks.reading import FAULT_RULES
+from sceneloom.checks.recordings.faults import FAULT_RULES as FAULT_RULES_OF_RECORDINGS
 from sceneloom.checks.report import PLACES, ValidationReport, counts_of, findings_of, is_passed
 from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
@@ -37,7 +38,7 @@ class _Terms:
     def hits(self, subject: Subject) -> Hits:
         """Run the rules; of what could not be read at all, only those that say why."""
         if subject.faults and not (subject.scene.sensors or subject.scene.annotations):
-            told = {rule.id for rule in FAULT_RULES}
+            told = {rule.id for rule in (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)}
             return find_all(subject, [rule for rule in self.rules if rule.id in told], frames=False)
         return find_all(subject, self.rules, frames=self.frames, progress=self.progress)
 
@@ -133,7 +134,7 @@ def _remarks(faults: Sequence[PlacedFault]) -> tuple[Notice, ...]:
             code="mended" if is_mended else "at-fault",
             place=alike[0].where,
             message=f"{'mended' if is_mended else 'left out'} on validating: {alike[0].problem}",
-            count=len(alike),
+            count=sum(fault.count for fault in alike),
         )
         for (_, is_mended), alike in kinds.items()
     )
@@ -175,5 +176,6 @@ def _gone(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
 
 
 def _left_out(gone: Sequence[Finding], applied: frozenset[str]) -> tuple[Finding, ...]:
-    unmended = {rule.id for rule in FAULT_RULES if rule.fix is None} - applied
+    rules = (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)
+    unmended = {rule.id for rule in rules if rule.fix is None} - applied
     return tuple(finding for finding in gone if finding.rule in unmended)

@@ -1,12 +1,17 @@
 """What is wrong at a place of a file, and the ledger that keeps every such fault."""
 
-from dataclasses import dataclass
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
 
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.ledger import Ledger
 
 MALFORMED = "malformed"
 """The code of a fault that has no code of its own."""
+
+MOST_PLACES = 1000
+"""So many faults of one code a ledger keeps with their places; further ones are counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +25,7 @@ class PlacedFault:
         mended: whether it was brought into order on reading.
         vital: whether no scene can do without the part that is at fault.
         item: number of the item that fills the place, where it is an array of a scene file.
+        count: how many faults it stands for.
     """
 
     path: str
@@ -28,6 +34,7 @@ class PlacedFault:
     mended: bool = False
     vital: bool = False
     item: int | None = None
+    count: int = 1
 
     @property
     def where(self) -> str:
@@ -35,12 +42,16 @@ class PlacedFault:
         return self.path if self.item is None else f"{self.path} ($items[{self.item}])"
 
 
-class FaultLedger(Ledger):
-    """A ledger that passes over faults and keeps each of them, with its place.
+@dataclass(slots=True)
+class _Further:
+    """Faults of one code that are only counted, and the last of them."""
 
-    Attributes:
-        faults: in the order in which they came up.
-    """
+    count: int
+    last: SceneloomError
+
+
+class FaultLedger(Ledger):
+    """A ledger that passes over faults and keeps each with its place; of very many, it counts those beyond."""
 
     def __init__(self, folder: object) -> None:
         """Begin with none.
@@ -49,18 +60,50 @@ class FaultLedger(Ledger):
             folder: what is read; places are told from there on.
         """
         super().__init__(lenient=True)
-        self.faults: list[PlacedFault] = []
+        self._kept: list[PlacedFault] = []
+        self._counts: Counter[str] = Counter()
+        self._further: dict[str, _Further] = {}
         self._folder = str(folder)
 
     def fault(self, code: str, error: SceneloomError, *, count: int = 1) -> None:
         """Keep a fault."""
         del count
-        self.faults.append(placed(error, code, self._folder))
+        self._counts[code] += 1
+        if self._counts[code] <= MOST_PLACES:
+            self._kept.append(placed(error, code, self._folder))
+            return
+        further = self._further.setdefault(code, _Further(0, error))
+        further.count += 1
+        further.last = error
+
+    def refuse(self, code: str, error: SceneloomError) -> None:
+        """Keep a fault that decides what the rest means."""
+        self._kept.append(replace(placed(error, code, self._folder), vital=True))
+
+    @property
+    def faults(self) -> tuple[PlacedFault, ...]:
+        """In the order in which they came up; after them, those that were only counted, one for each code."""
+        return (*self._kept, *(self._counted(code, further) for code, further in self._further.items()))
+
+    def _counted(self, code: str, further: _Further) -> PlacedFault:
+        last = placed(further.last, code, self._folder)
+        problem = f"the last of {further.count} more: {last.problem}"
+        return replace(last, problem=problem, count=further.count)
 
 
 def placed(error: SceneloomError, code: str, folder: str) -> PlacedFault:
     """An error as a fault, its file told from the folder on."""
-    if not isinstance(error, DataError):
-        return PlacedFault("", str(error).removeprefix(f"{folder}/"), code)
-    file = error.file.removeprefix(folder).lstrip("/")
-    return PlacedFault(": ".join(filter(None, (file, error.place))), error.problem, code)
+    if isinstance(error, DataError):
+        file = error.file.removeprefix(folder).lstrip("/")
+        return PlacedFault(": ".join(filter(None, (file, error.place))), error.problem, code)
+    text = str(error)
+    if not text.startswith(f"{folder}/"):
+        return PlacedFault("", text, code)
+    place = _PLACE.match(text.removeprefix(f"{folder}/"))
+    if place is None:
+        return PlacedFault("", text.removeprefix(f"{folder}/"), code)
+    return PlacedFault(place[0].removesuffix(": "), text.removeprefix(f"{folder}/{place[0]}"), code)
+
+
+_PLACE = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")
+"""File, line and path with which a message begins."""

@@ -41,6 +41,16 @@ class Ledger:
         problem = error.problem if isinstance(error, DataError) else str(error)
         self._add(code, NoticeKind.SKIPPED, code, place, f"left out: {problem}", count)
 
+    def refuse(self, code: str, error: SceneloomError) -> None:
+        """Raise the error even in a lenient reading: what the rest means depends on the part that is at fault.
+
+        Args:
+            code: kind of fault, kebab case.
+            error: as for `fault`.
+        """
+        del code
+        raise error
+
     def note(self, kind: NoticeKind, code: str, place: str, message: str, *, count: int = 1) -> None:
         """Add a notice; of several with one message the first one's place is kept, and the counts are added."""
         self._add(f"{code}: {message}", kind, code, place, message, count)

@@ -128,7 +128,8 @@ def test_a_broken_recording_is_checked_without_what_is_broken(tmp_path, sound, f
     sceneloom.write(sound.scene(sound.lidar(), sound.odometry()), folder)
     lines = (folder / "data.jsonl").read_text("utf-8").splitlines()
     (folder / "data.jsonl").write_text("\n".join([lines[0], "{torn", *lines[1:]]), "utf-8")
-    [(place, message)] = found(folder, "file-readable")
-    assert "data.jsonl" in place
-    assert message
+    [(place, message)] = found(folder, "broken-lines")
+    assert place == "data.jsonl: line 2"
+    assert "{torn" in message
+    assert found(folder, "file-readable") == []
     assert found(folder, "sensor-empty") == []

@@ -1,0 +1,146 @@
+"""Every kind of fault that the reader of recordings tells apart has its rule."""
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+
+import sceneloom
+from sceneloom.checks import validate
+from sceneloom.checks.recordings.faults import FAULT_CODES, FAULT_RULES
+from sceneloom.formats.faults import MOST_PLACES
+
+READER = Path(sceneloom.__file__).parent / "formats" / "recording"
+ROWS = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+LENS = {
+    "model": "pinhole",
+    "focalLengthX": 9.0,
+    "focalLengthY": 9.0,
+    "principalPointX": 3.5,
+    "principalPointY": 3.5,
+    "imageWidth": 8,
+    "imageHeight": 8,
+    "imuToCamera": ROWS,
+}
+POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+SOUND = [
+    {"groundTruth": POSE, "time": 0.0},
+    {"lidar": {"model": "RoboSense M1 XYZIRT", "dataFile": "0.bin"}, "time": 0.5},
+    {"groundTruth": POSE, "time": 1.0},
+]
+FRAME = {"frames": [{"cameraInd": 0}], "number": 0, "time": 0.2}
+
+
+def codes_of_reader():
+    """The first argument of every call that keeps a fault."""
+    for path in READER.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") in {"fault", "refuse", "_fault"}:
+                first = node.args[0]
+                if isinstance(first, ast.Constant):
+                    yield first.value
+
+
+def test_every_code_of_the_reader_has_a_rule():
+    codes = set(codes_of_reader())
+    assert "broken-lines" in codes
+    assert codes - FAULT_CODES == set()
+
+
+@pytest.fixture
+def write(tmp_path):
+    """A folder of these lines with a lidar file, and with this calibration."""
+
+    def run(lines=SOUND, calibration=None, **files):
+        texts = [line if isinstance(line, str) else json.dumps(line) for line in lines]
+        (tmp_path / "data.jsonl").write_text("".join(text + "\n" for text in texts))
+        if calibration is not None:
+            text = calibration if isinstance(calibration, str) else json.dumps(calibration)
+            (tmp_path / "calibration.json").write_text(text)
+        (tmp_path / "0.bin").write_bytes(b"\0" * 46)
+        for name, content in files.items():
+            (tmp_path / name.replace("__", ".")).write_bytes(content)
+        return tmp_path
+
+    return run
+
+
+TILTED = [[1.0, 0.0, 0.5, 0.0], *ROWS[1:]]
+BAD_POSE = {**POSE, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 3.0}}
+FAULTY = {
+    "broken-lines": ({"lines": [*SOUND, "{torn"]}, "data.jsonl: line 4"),
+    "unfit-lines": ({"lines": [*SOUND, {"gps": {"latitude": 1.0}, "time": 1}]}, "data.jsonl: line 4"),
+    "unusable-orientations": (
+        {"lines": [*SOUND, {"groundTruth": BAD_POSE, "time": 2}]},
+        "data.jsonl: line 4",
+    ),
+    "unreadable-calibration": ({"calibration": "{"}, "calibration.json"),
+    "unusable-calibrations": (
+        {"calibration": {"cameras": [{**LENS, "imuToCamera": TILTED}]}},
+        "calibration.json: cameras[0].imuToCamera",
+    ),
+    "repeated-lidars": (
+        {"calibration": {"lidars": [{"imuToLidar": ROWS}, {"imuToLidar": ROWS}]}},
+        "calibration.json: lidars[1]",
+    ),
+    "unusable-cameras": (
+        {"calibration": {"cameras": [{**LENS, "model": "kaleidoscope"}]}},
+        "calibration.json: cameras[0]",
+    ),
+    "cameras-without-calibration": ({"lines": [*SOUND, FRAME]}, "calibration.json"),
+    "missing-videos": ({"lines": [*SOUND, FRAME], "calibration": {"cameras": [LENS]}}, ""),
+    "unreadable-videos": (
+        {"lines": [*SOUND, FRAME], "calibration": {"cameras": [LENS]}, "data__mkv": b"no video"},
+        "data.mkv",
+    ),
+    "unusable-lidar-files": (
+        {"lines": [*SOUND, {"lidar": {**SOUND[1]["lidar"], "dataFile": "1.bin"}, "time": 1}]},
+        "data.jsonl: line 4",
+    ),
+    "unreadable-vio-config": ({"vio_config__yaml": b"\xff\xfe\xff"}, "vio_config.yaml"),
+}
+
+
+def told(folder):
+    """Rule and place of each finding that is one of a fault."""
+    report = validate(folder)
+    return [(f.rule, f.path) for f in report.findings if f.rule in FAULT_CODES]
+
+
+@pytest.mark.parametrize("code", FAULTY)
+def test_a_fault_is_told_once_with_its_place(write, code):
+    content, place = FAULTY[code]
+    [(rule, path)] = told(write(**content))
+    assert rule == code
+    assert path.startswith(place)
+
+
+def test_a_sound_recording_has_none(write):
+    assert told(write()) == []
+
+
+def test_all_faults_are_told_at_once(write):
+    lines = ["{torn", *SOUND, "", {"groundTruth": BAD_POSE, "time": 2}]
+    calibration = {"cameras": [{**LENS, "focalLengthX": "wide"}]}
+    assert told(write([*lines, FRAME], calibration)) == [
+        ("broken-lines", "data.jsonl: line 1"),
+        ("unfit-lines", "data.jsonl: line 5"),
+        ("unusable-orientations", "data.jsonl: line 6"),
+        ("unusable-calibrations", "calibration.json: cameras[0].focalLengthX"),
+    ]
+
+
+def test_very_many_faults_are_counted(write):
+    report = validate(write([*SOUND, *["{torn"] * (2 * MOST_PLACES)]), rules=["broken-lines"], places=None)
+    assert sum(finding.count for finding in report.findings) == 2 * MOST_PLACES
+    assert len(report.findings) == MOST_PLACES + 1
+
+
+def test_nothing_is_mended_where_the_calibration_cannot_be_read(write, tmp_path):
+    report = validate(write(calibration="["), fix=tmp_path / "out.sfs")
+    assert report.output is None
+
+
+def test_ids_of_the_rules_are_the_codes():
+    assert len(FAULT_CODES) == len(FAULT_RULES)

@@ -1,0 +1,54 @@
+"""The ledger that keeps every fault with its place."""
+
+import pytest
+
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.faults import MOST_PLACES, FaultLedger
+from sceneloom.formats.ledger import Ledger
+
+
+def line(number):
+    return DataError("/drive/data.jsonl", f"line {number}", f"{number} is odd")
+
+
+def test_places_are_told_from_the_folder_on():
+    ledger = FaultLedger("/drive")
+    ledger.fault("broken", line(3))
+    [fault] = ledger.faults
+    assert (fault.path, fault.problem, fault.code, fault.vital) == (
+        "data.jsonl: line 3",
+        "3 is odd",
+        "broken",
+        False,
+    )
+
+
+def test_of_very_many_faults_those_beyond_are_counted_with_the_place_of_the_last():
+    ledger = FaultLedger("/drive")
+    for number in range(MOST_PLACES + 500):
+        ledger.fault("broken", line(number))
+    ledger.fault("other", line(7))
+    assert len(ledger.faults) == MOST_PLACES + 2
+    assert sum(fault.count for fault in ledger.faults if fault.code == "broken") == MOST_PLACES + 500
+    last = ledger.faults[-1]
+    assert (last.path, last.count) == (f"data.jsonl: line {MOST_PLACES + 499}", 500)
+
+
+def test_what_decides_the_meaning_of_the_rest_is_refused_even_by_a_lenient_reading():
+    with pytest.raises(DataError):
+        Ledger(lenient=True).refuse("unreadable", line(1))
+    ledger = FaultLedger("/drive")
+    ledger.refuse("unreadable", line(1))
+    assert [fault.vital for fault in ledger.faults] == [True]
+
+
+def test_a_message_that_begins_with_its_place_is_taken_apart():
+    ledger = FaultLedger("/drive")
+    ledger.fault("lens", CalibrationError("/drive/data.jsonl: line 3: frames[].imuToCamera: is skewed: 0.5"))
+    ledger.fault("lens", CalibrationError("no lens at all"))
+    ledger.fault("lens", CalibrationError("/drive/a file: is odd"))
+    assert [(fault.path, fault.problem) for fault in ledger.faults] == [
+        ("data.jsonl: line 3: frames[].imuToCamera", "is skewed: 0.5"),
+        ("", "no lens at all"),
+        ("", "a file: is odd"),
+    ]

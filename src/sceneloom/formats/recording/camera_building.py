@@ -1,11 +1,11 @@
 """The cameras of a recording: lens, mounting, pictures and poses brought together."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -17,6 +17,12 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration, CameraCalibration
 from sceneloom.formats.recording.camera_shifts import entry_after, shift_of
 from sceneloom.formats.recording.columns import CameraColumns, FrameColumns
+from sceneloom.formats.recording.depth_building import (
+    aligned_calibration,
+    check_kind,
+    depth_sensor,
+    holds_depth,
+)
 from sceneloom.formats.recording.frame_parameters import read_mount, read_parameters, read_texts
 from sceneloom.formats.recording.lenses import lens
 from sceneloom.formats.recording.picture_files import (
@@ -28,10 +34,10 @@ from sceneloom.formats.recording.picture_files import (
     open_pictures,
     unused_pictures,
 )
-from sceneloom.formats.recording.picture_table import PictureTable, build_table
+from sceneloom.formats.recording.picture_table import PictureTable, build_table, further_fields
 from sceneloom.formats.video import VideoReader
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, LazyFrames, NoticeKind, PosePath, VideoContent
+from sceneloom.scene import CameraSensor, DepthCameraSensor, LazyFrames, NoticeKind, PosePath, VideoContent
 from sceneloom.scene.pose_source import poses_along
 
 
@@ -62,14 +68,14 @@ class CameraSources:
     camera_shift: str = "ignore"
 
 
-def build_cameras(sources: CameraSources) -> list[CameraSensor]:
+def build_cameras(sources: CameraSources) -> list[CameraSensor | DepthCameraSensor]:
     """Build every camera that the calibration or a line names.
 
     Raises:
         DataError: pictures are missing, unreadable, or not as many as the lines say; or there is no calibration.
         CalibrationError: a lens or a mounting is unusable.
     """
-    cameras: list[CameraSensor] = []
+    cameras: list[CameraSensor | DepthCameraSensor] = []
     for index in sorted({*sources.calibration.cameras, *sources.frames.cameras}):
         try:
             cameras.extend(_build(sources, index))
@@ -95,11 +101,13 @@ def _note_unused(sources: CameraSources) -> None:
         ledger.note(NoticeKind.SKIPPED, "videos-not-used", place, message, count=len(unused))
 
 
-def _build(sources: CameraSources, index: int) -> list[CameraSensor]:
+def _build(sources: CameraSources, index: int) -> list[CameraSensor | DepthCameraSensor]:
     """Build one camera; none where neither calibration nor pictures tell the picture's size, and no line needs it."""
     columns = sources.frames.cameras.get(index, CameraColumns())
-    calibration = sources.calibration.cameras.get(index) or _calibration_of_lines(sources, index, columns)
     files, indices = _match_pictures(sources, index, columns)
+    calibration = sources.calibration.cameras.get(index) or _calibration_of_lines(
+        sources, index, columns, files
+    )
     if files is None and not columns.rows and not calibration.parameters.has_size:
         message = "has no picture size, and there are no pictures of it; the camera was left out"
         sources.ledger.note(NoticeKind.SKIPPED, "cameras-without-size", calibration.place, message)
@@ -113,13 +121,21 @@ def _build(sources: CameraSources, index: int) -> list[CameraSensor]:
     table = build_table(
         index, camera, sources.frames, indices, lenses, mounts, sources.data_file, shift=shift
     )
-    return [_sensor(sources, table, calibration, files)]
+    sensor = _sensor(sources, table, calibration, files)
+    return [depth_sensor(sensor, table, files, sources.ledger) if holds_depth(files) else sensor]
 
 
-def _calibration_of_lines(sources: CameraSources, index: int, columns: CameraColumns) -> CameraCalibration:
+def _calibration_of_lines(
+    sources: CameraSources, index: int, columns: CameraColumns, files: PictureFiles | None
+) -> CameraCalibration:
     """Take the lens of a camera's first line for a camera that the calibration does not have."""
     line = sources.frames.lines[columns.rows[0]]
     if columns.parameters[0] < 0:
+        aligned = (
+            aligned_calibration(sources.calibration, index, sources.ledger) if holds_depth(files) else None
+        )
+        if aligned is not None:
+            return aligned
         path = sources.calibration.path
         place = f"cameras[{index}]" if path.exists() else ""
         problem = (
@@ -149,6 +165,7 @@ def _match_pictures(
     try:
         files = open_pictures(path)
         sources.open_files.add(files)
+        check_kind(files, _first_fields(sources, index, columns))
         choice = choose_pictures(np.asarray(sources.frames.numbers, np.int64), files.count)
     except DataError as error:
         ledger.fault("unreadable-videos", error)
@@ -160,6 +177,12 @@ def _match_pictures(
         message = "frame numbers have gaps, while pictures and lines are equally many; they were counted line by line"
         ledger.note(NoticeKind.REPAIRED, "frame-numbers-not-used", str(path), message)
     return files, choice.indices[rows]
+
+
+def _first_fields(sources: CameraSources, index: int, columns: CameraColumns) -> Mapping[str, Any]:
+    """What a camera's first line says of it beside its columns."""
+    offset = sources.frames.offsets[columns.rows[0]] if columns.rows else -1
+    return further_fields(sources.data_file, offset, index)
 
 
 def _size(files: PictureFiles | None) -> tuple[int, int] | None:

@@ -80,25 +80,44 @@ class PictureTable:
         extras: dict[str, Any] = {"file_seconds": float(self.seconds[k]), "number": int(self.numbers[k])}
         if self.line_seconds[k] != self.seconds[k]:
             extras["line_seconds"] = float(self.line_seconds[k])
-        if self.offsets[k] >= 0:
-            extras.update(self._further_fields(int(self.offsets[k])))
-        return extras
+        return {**extras, **further_fields(self.data_file, int(self.offsets[k]), self.camera_index)}
 
-    def _further_fields(self, offset: int) -> dict[str, Any]:
-        """Read again what a line says beyond the columns: lists of features can be long, so they are not kept."""
-        self.data_file.check()
-        try:
-            with self.data_file.path.open("rb") as file:
-                file.seek(offset)
-                line = msgspec.json.decode(file.readline())
-            entry = next(entry for entry in line["frames"] if entry["cameraInd"] == self.camera_index)
-        except (OSError, *DECODER_FAULTS, KeyError, TypeError, StopIteration) as error:
-            raise DataError(
-                self.data_file.name, f"byte {offset}", "was changed after it was opened"
-            ) from error
-        further = {key: value for key, value in entry.items() if key not in _HELD_KEYS}
-        beside = {key: value for key, value in line.items() if key not in {"frames", "number", "time"}}
-        return {**further, "line": beside} if beside else further
+    def first_fields(self) -> dict[str, Any]:
+        """Give what the first picture's line says beyond the columns."""
+        return (
+            further_fields(self.data_file, int(self.offsets[0]), self.camera_index)
+            if len(self.offsets)
+            else {}
+        )
+
+
+def further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> dict[str, Any]:
+    """Read again what a line says beyond the columns: lists of features can be long, so they are not kept.
+
+    Args:
+        data_file: `data.jsonl`, as it was when its lines were read.
+        offset: byte at which the line begins, -1 for one that says nothing more.
+        camera_index: `cameraInd` of the entry.
+
+    Returns:
+        Further fields of the entry, and under "line" those beside `frames`.
+
+    Raises:
+        DataError: the file was changed since it was opened.
+    """
+    if offset < 0:
+        return {}
+    data_file.check()
+    try:
+        with data_file.path.open("rb") as file:
+            file.seek(offset)
+            line = msgspec.json.decode(file.readline())
+        entry = next(entry for entry in line["frames"] if entry["cameraInd"] == camera_index)
+    except (OSError, *DECODER_FAULTS, KeyError, TypeError, StopIteration) as error:
+        raise DataError(data_file.name, f"byte {offset}", "was changed after it was opened") from error
+    further = {key: value for key, value in entry.items() if key not in _HELD_KEYS}
+    beside = {key: value for key, value in line.items() if key not in {"frames", "number", "time"}}
+    return {**further, "line": beside} if beside else further
 
 
 def _no_pixels(index: int) -> UInt8Array:

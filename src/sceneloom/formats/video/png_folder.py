@@ -1,18 +1,22 @@
 """A folder of numbered PNG pictures with the interface of a video."""
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from sceneloom.arrays import UInt8Array
+from sceneloom.arrays import AnyArray, UInt8Array, UInt16Array
 from sceneloom.errors import DataError
 
 _NUMBERED = re.compile(r"(\d{8})\.png")
 _EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX"}
 """Pillow's modes whose values are, or stand for, 8-bit colours; a 16-bit RGB file comes as `RGB` too."""
+
+_STEPS = frozenset({"I", "I;16", "I;16B", "I;16L"})
+"""Its modes for 16-bit grey; PNG has no wider grey."""
 
 
 def picture_name(index: int) -> str:
@@ -29,6 +33,7 @@ class PngFolder:
         count: number of pictures.
         width, height: size of the first picture, and so of all [px].
         fps: None: the files have no times.
+        has_steps: whether the first picture, and so all, are 16-bit grey, as depths are kept.
 
     Raises:
         DataError: the folder is missing or empty, a number is missing, or the first picture cannot be read.
@@ -44,6 +49,7 @@ class PngFolder:
         self.count = _count(folder)
         with self._open(0) as first:
             self.width, self.height = first.size
+            self.has_steps = first.mode in _STEPS
 
     def rgb(self, index: int) -> UInt8Array:
         """Decode one picture.
@@ -54,26 +60,43 @@ class PngFolder:
         Raises:
             DataError: there is no such picture, or it is damaged, of another size, or of 16-bit grey.
         """
-        if not 0 <= index < self.count:
-            raise DataError(self.name, f"picture {index}", f"does not exist: the folder holds {self.count}")
-        place = picture_name(index)
-        with self._open(index) as image:
-            if image.size != (self.width, self.height):
-                size = "x".join(map(str, image.size))
-                raise DataError(
-                    self.name, place, f"is {size}; expected {self.width}x{self.height} as the first one"
-                )
-            if image.mode not in _EIGHT_BIT_MODES:
-                raise DataError(
-                    self.name, place, f"has pixels of type {image.mode!r}; expected 8-bit grey or colour"
-                )
-            try:
-                return np.array(image.convert("RGB"), np.uint8)
-            except (OSError, ValueError, SyntaxError) as error:
-                raise DataError(self.name, place, f"cannot be decoded: {error}") from error
+        with self._checked(index, _EIGHT_BIT_MODES, "8-bit grey or colour") as image:
+            return self._decoded(image, "RGB", np.uint8, index)
+
+    def steps(self, index: int) -> UInt16Array:
+        """Decode one picture of 16-bit grey.
+
+        Returns:
+            (height, width) uint16, as they are stored.
+
+        Raises:
+            DataError: there is no such picture, or it is damaged, of another size, or not of 16-bit grey.
+        """
+        with self._checked(index, _STEPS, "16-bit grey") as image:
+            return self._decoded(image, "I", np.uint16, index)
 
     def close(self) -> None:
         """Do nothing: no file stays open."""
+
+    def _checked(self, index: int, modes: Collection[str], expected: str) -> Image.Image:
+        if not 0 <= index < self.count:
+            raise DataError(self.name, f"picture {index}", f"does not exist: the folder holds {self.count}")
+        place, image = picture_name(index), self._open(index)
+        if image.size != (self.width, self.height):
+            size = "x".join(map(str, image.size))
+            problem = f"is {size}; expected {self.width}x{self.height} as the first one"
+        elif image.mode not in modes:
+            problem = f"has pixels of type {image.mode!r}; expected {expected}"
+        else:
+            return image
+        image.close()
+        raise DataError(self.name, place, problem)
+
+    def _decoded(self, image: Image.Image, mode: str, dtype: type[np.generic], index: int) -> AnyArray:
+        try:
+            return np.array(image.convert(mode)).astype(dtype)
+        except (OSError, ValueError, SyntaxError) as error:
+            raise DataError(self.name, picture_name(index), f"cannot be decoded: {error}") from error
 
     def _open(self, index: int) -> Image.Image:
         place = picture_name(index)

@@ -9,7 +9,7 @@ import numpy as np
 from av.video.frame import VideoFrame
 from av.video.reformatter import Interpolation, VideoReformatter
 
-from sceneloom.arrays import Float64Array, UInt8Array
+from sceneloom.arrays import Float64Array, UInt8Array, UInt16Array
 from sceneloom.errors import DataError
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.video.cursor import Cursor
@@ -19,6 +19,9 @@ from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_fault
 
 _TO_RGB = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
 """Chroma interpolated, results rounded: half a level off the formulas, where the fast way is 1 to 3 dark."""
+
+_STEPS = ("gray16le", "gray16be")
+"""FFmpeg's names of pixels that are one 16-bit number each."""
 
 
 class VideoReader:
@@ -35,6 +38,7 @@ class VideoReader:
         name: what messages call the video.
         codec: "h264", "hevc", "ffv1", … as FFmpeg calls it.
         width, height: picture size [px].
+        has_steps: whether its pictures are one plane of 16-bit numbers, as depths are kept.
     """
 
     def __init__(
@@ -57,6 +61,7 @@ class VideoReader:
         decoder = self._opened.stream.codec_context
         self.codec: str = decoder.codec.canonical_name
         self.width, self.height = decoder.width, decoder.height
+        self.has_steps = decoder.pix_fmt in _STEPS
         rate = self._opened.stream.average_rate
         self._rate = float(rate) if rate else None
         self._index = index
@@ -72,7 +77,7 @@ class VideoReader:
 
     def __getstate__(self) -> dict[str, Any]:
         source = self._source
-        kept = ("name", "codec", "width", "height", "_rate", "_index", "_identity", "_closed")
+        kept = ("name", "codec", "width", "height", "has_steps", "_rate", "_index", "_identity", "_closed")
         return {
             **{name: getattr(self, name) for name in kept},
             "_source": bytes(source) if isinstance(source, memoryview) else source,
@@ -136,10 +141,24 @@ class VideoReader:
             DataError: there is no such picture, or it cannot be decoded.
         """
         with self._lock:
-            count = len(self._known_index())
-            if not 0 <= index < count:
-                raise DataError(self.name, f"picture {index}", f"does not exist: the video holds {count}")
-            return self._convert(self._frame(index), index)
+            return self._convert(self._checked_frame(index), index)
+
+    def steps(self, index: int) -> UInt16Array:
+        """Decode one picture of 16-bit numbers.
+
+        Returns:
+            (height, width) uint16, as they are stored.
+
+        Raises:
+            DataError: there is no such picture, it cannot be decoded, or is of another kind.
+        """
+        with self._lock:
+            frame = self._checked_frame(index)
+            if frame.format.name not in _STEPS:
+                problem = f"has pixels of type {frame.format.name}; expected one of {', '.join(_STEPS)}"
+                raise DataError(self.name, f"picture {index}", problem)
+            with decoder_faults(self.name, f"picture {index}"):
+                return np.ascontiguousarray(frame.to_ndarray(), np.uint16)
 
     def close(self) -> None:
         """Release the file; the reader gives no pictures afterwards."""
@@ -203,12 +222,19 @@ class VideoReader:
         if self._identity is not None:
             self._identity.check()
 
-    def _convert(self, frame: VideoFrame, index: int) -> UInt8Array:
-        place = f"picture {index}"
+    def _checked_frame(self, index: int) -> VideoFrame:
+        count = len(self._known_index())
+        if not 0 <= index < count:
+            raise DataError(self.name, f"picture {index}", f"does not exist: the video holds {count}")
+        frame = self._frame(index)
         if (frame.width, frame.height) != (self.width, self.height):
             found, expected = f"{frame.width}x{frame.height}", f"{self.width}x{self.height}"
-            raise DataError(self.name, place, f"is {found}; expected {expected} as the video's head says")
-        with decoder_faults(self.name, place):
+            problem = f"is {found}; expected {expected} as the video's head says"
+            raise DataError(self.name, f"picture {index}", problem)
+        return frame
+
+    def _convert(self, frame: VideoFrame, index: int) -> UInt8Array:
+        with decoder_faults(self.name, f"picture {index}"):
             image = self._reformatter.reformat(frame, format="rgb24", interpolation=_TO_RGB, threads=1)
             return np.ascontiguousarray(image.to_ndarray())
 

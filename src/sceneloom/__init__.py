@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from sceneloom.formats.sfs import SceneWriter, salvage
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
+    from sceneloom.formats.trajectories import read_trajectory, write_trajectory
     from sceneloom.motion.ego_motion import find_ego_motion
     from sceneloom.pipeline import convert, deskew, fuse, iter_fused
     from sceneloom.scene import PosePath, Scene
@@ -54,6 +55,7 @@ __all__ = [
     "merge_scenes",
     "open",
     "project_cuboids",
+    "read_trajectory",
     "salvage",
     "simulate_street",
     "thin_scene",
@@ -62,6 +64,7 @@ __all__ = [
     "to_world",
     "validate",
     "write",
+    "write_trajectory",
 ]
 
 _ON_FIRST_USE = {
@@ -80,6 +83,7 @@ _ON_FIRST_USE = {
     "merge_scenes": ("sceneloom.editing", "merge_scenes"),
     "open": ("sceneloom.formats.table", "open_scene"),
     "project_cuboids": ("sceneloom.visibility", "project_cuboids"),
+    "read_trajectory": ("sceneloom.formats.trajectories", "read_trajectory"),
     "salvage": ("sceneloom.formats.sfs", "salvage"),
     "simulate_street": ("sceneloom.simulate", "simulate_street"),
     "thin_scene": ("sceneloom.editing", "thin_scene"),
@@ -88,6 +92,7 @@ _ON_FIRST_USE = {
     "to_world": ("sceneloom.editing", "to_world"),
     "validate": ("sceneloom.checks", "validate"),
     "write": ("sceneloom.formats.table", "write_scene"),
+    "write_trajectory": ("sceneloom.formats.trajectories", "write_trajectory"),
 }
 """Module and name there of everything that is imported when it is first asked for."""
 

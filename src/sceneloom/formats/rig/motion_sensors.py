@@ -23,7 +23,7 @@ _IMU_COLUMNS: Mapping[str, Sequence[str]] = {
     "gy": ("gy", "wy", "gyro_y", "gyr_y", "w_y", "angular_velocity_y", "omega_y"),
     "gz": ("gz", "wz", "gyro_z", "gyr_z", "w_z", "angular_velocity_z", "omega_z"),
 }
-_GNSS_COLUMNS: Mapping[str, Sequence[str]] = {
+GNSS_COLUMNS: Mapping[str, Sequence[str]] = {
     "time": TIME_COLUMNS,
     "latitude": ("latitude", "lat", "latitude_deg"),
     "longitude": ("longitude", "lon", "lng", "long", "longitude_deg"),
@@ -74,7 +74,7 @@ def build_gnss(drive: Drive, record: Record, place: str) -> GnssSensor:
     Raises:
         DataError: the file is missing or wrong.
     """
-    table, columns = _open(drive, record, place, _GNSS_COLUMNS)
+    table, columns = _open(drive, record, place, GNSS_COLUMNS)
     missing = [role for role in ("latitude", "longitude", "altitude") if role not in columns]
     if missing:
         problem = (

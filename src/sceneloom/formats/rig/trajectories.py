@@ -29,7 +29,7 @@ from sceneloom.geometry.rotations import (
 from sceneloom.scene import NoticeKind, Trajectory
 
 _NORM_ERROR = 0.01
-_COLUMNS: Mapping[str, Sequence[str]] = {
+POSE_COLUMNS: Mapping[str, Sequence[str]] = {
     "time": TIME_COLUMNS,
     "x": ("x", "tx", "px", "pos_x", "position_x", "p_x", "x_m"),
     "y": ("y", "ty", "py", "pos_y", "position_y", "p_y", "y_m"),
@@ -133,7 +133,7 @@ def _read_kitti(manifest: Manifest, record: Record, place: str, root: Root, path
 def _read_csv(manifest: Manifest, record: Record, place: str, root: Root, path: Path) -> Poses:
     del root
     table = read_table(path)
-    columns = pick_columns(table, _COLUMNS, record.get("columns", {}), f"{place}.columns", manifest.path)
+    columns = pick_columns(table, POSE_COLUMNS, record.get("columns", {}), f"{place}.columns", manifest.path)
     missing = [role for role in ("time", "x", "y", "z") if role not in columns]
     turning = [role for role in ("qx", "qy", "qz", "qw") if role in columns]
     if missing or len(turning) not in {0, 4}:

@@ -1,0 +1,165 @@
+"""JSONL: the pose lines of a recording, `{"groundTruth": {"position": …, "orientation": …}, "time": …}`.
+
+A pose stands under any key, which is the trajectory's name, or right at the root, as programs for visual odometry
+write it. Times are read from their decimals, not through floating point.
+"""
+
+from array import array
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from math import nan
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
+from sceneloom.formats.recording.line_shapes import ROOT_KEYS, NamedPose
+from sceneloom.formats.recording.trajectories import RANKS
+from sceneloom.formats.recording.written_lines import NumberLines
+from sceneloom.formats.recording.written_times import TimeWriter
+from sceneloom.formats.rig.stamps import StampError, parse_stamp
+from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
+from sceneloom.formats.trajectories.rows import PoseRows, further_losses, ordered
+from sceneloom.scene import NoticeKind
+
+ROOT_NAME = "output"
+"""How poses right at the root are called."""
+
+_Line = dict[str, msgspec.Raw]
+_decode_line = msgspec.json.Decoder(_Line).decode
+_decode_pose = msgspec.json.Decoder(NamedPose).decode
+
+
+_OTHER_KEYS = ROOT_KEYS - {"groundTruth", "pose"}
+"""Keys of a recording's lines under which no pose stands."""
+
+
+class _UnfitLineError(Exception):
+    """A line is valid JSON, but does not say what a pose needs."""
+
+
+@dataclass(slots=True)
+class _Poses:
+    """The lines of one trajectory; the values are x y z [m] and the quaternion x y z w, NaN where there is none."""
+
+    stamps_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    values: "array[float]" = field(default_factory=lambda: array("d"))
+    lines: "array[int]" = field(default_factory=lambda: array("q"))
+    unturned: int = 0
+
+
+def _recognises(text: str) -> bool:
+    line = next((line for line in text.splitlines() if line.strip()), "")
+    try:
+        return bool(_decode_line(line.encode())) and ('"time"' in text or '"position"' in text)
+    except DECODER_FAULTS:
+        return False
+
+
+def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    found: dict[str, _Poses] = {}
+    with file_faults(path), path.open("rb") as file:
+        for number, text in enumerate(file, 1):
+            if not text.strip():
+                continue
+            try:
+                _take_line(found, text, number, reading.unit)
+            except _UnfitLineError as error:
+                ledger.fault("bad-lines", DataError(path, f"line {number}", str(error)))
+            except DECODER_FAULTS as error:
+                ledger.fault("bad-lines", DataError(path, f"line {number}", json_problem(error, text)))
+    name = _chosen(path, found, reading.name, ledger)
+    poses = found[name]
+    values = np.frombuffer(poses.values, np.float64).reshape(-1, 7)
+    turned = poses.unturned < len(poses.lines)
+    rows = PoseRows(
+        np.frombuffer(poses.stamps_ns, np.int64),
+        values[:, :3],
+        values[:, 3:] if turned else None,
+        poses.lines,
+    )
+    return TrajectoryFile(ordered(path, name, rows, ledger)[0], FORM.name)
+
+
+def _take_line(found: dict[str, _Poses], text: bytes, number: int, unit: str | None) -> None:
+    """Add the poses of a line to those of their trajectories."""
+    line = _decode_line(text)
+    for key, raw in _poses_of(line, text):
+        pose = _decode_pose(raw)
+        stamp_ns = _stamp(line, unit)
+        poses = found.setdefault(pose.name or key if key == "pose" else key, _Poses())
+        place, turn = pose.position, pose.orientation
+        poses.stamps_ns.append(stamp_ns)
+        poses.values.extend((place.x, place.y, place.z))
+        poses.values.extend((nan,) * 4 if turn is None else (turn.x, turn.y, turn.z, turn.w))
+        poses.unturned += turn is None
+        poses.lines.append(number)
+
+
+def _poses_of(line: _Line, text: bytes) -> Iterator[tuple[str, bytes | msgspec.Raw]]:
+    """The keys under which a position stands, each with the text of the pose."""
+    if "position" in line:
+        yield ROOT_NAME, text
+    for key, raw in line.items():
+        if key not in _OTHER_KEYS and b'"position"' in bytes(raw) and "position" in _fields(raw):
+            yield key, raw
+
+
+def _fields(raw: msgspec.Raw) -> _Line:
+    try:
+        return _decode_line(raw)
+    except msgspec.ValidationError:
+        return {}
+
+
+def _stamp(line: _Line, unit: str | None) -> int:
+    if "time" not in line:
+        raise _UnfitLineError("time: missing; expected seconds")
+    text = bytes(line["time"])
+    if text[:1] not in b"-0123456789":
+        raise _UnfitLineError(f"time: {quote(text)}; expected a number")
+    try:
+        return parse_stamp(text.decode(), unit)
+    except StampError as error:
+        raise _UnfitLineError(f"time: {error}") from None
+
+
+def _chosen(path: Path, found: Mapping[str, _Poses], name: str | None, ledger: Ledger) -> str:
+    """The name that was asked for, or the one that would be a recording's default trajectory."""
+    if not found:
+        raise DataError(path, "", 'holds no poses; expected lines such as {"groundTruth": {"position": …}}')
+    if name is not None:
+        if name not in found:
+            raise OptionError(f"{path}: no trajectory {name!r}; there are: {', '.join(found)}")
+        return name
+    chosen = min(found, key=lambda known: RANKS.get(known, 2))
+    others = ", ".join(other for other in found if other != chosen)
+    if others:
+        message = f"took the trajectory {chosen!r}; there are also: {others}"
+        ledger.note(NoticeKind.ASSUMED, "chosen-trajectory", str(path), message)
+    return chosen
+
+
+def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
+    del target
+    # the number that a time was read from may mean another nanosecond when its decimals are read exactly
+    way = replace(content.trajectory, file_seconds=None)
+    with path.open("wb") as file:
+        for line in NumberLines(TimeWriter(), {}).trajectory(way, None):
+            file.write(line.text + b"\n")
+    return further_losses(content)
+
+
+FORM = TrajectoryForm(
+    "jsonl",
+    (".jsonl",),
+    'lines of JSON such as {"groundTruth": {"position": …, "orientation": …}, "time": …}',
+    _recognises,
+    _read,
+    _write,
+)

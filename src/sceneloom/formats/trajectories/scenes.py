@@ -1,0 +1,79 @@
+"""A trajectory inside a scene: recorded in it, computed from it, or told by its satellite receiver."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.formats.table import Format
+from sceneloom.formats.trajectories.content import Reading, TrajectoryFile
+from sceneloom.formats.trajectories.gnss import of_fixes
+from sceneloom.motion.trajectories import RESERVED
+from sceneloom.scene import GnssSensor, Scene, Trajectory
+
+FIXES = "fixes"
+"""Name of the positions that the first satellite receiver of a scene told; of others, `fixes:ID`."""
+
+
+def read_scene_trajectory(
+    form: Format, place: Any, reading: Reading, options: Mapping[str, Any]
+) -> TrajectoryFile:
+    """Open a scene and take a trajectory out of it.
+
+    Args:
+        form: the format of the scene.
+        place: what the format opens.
+        reading: its `name`: a name out of `scene.trajectories`, "lidar" or "gnss" to find the way from the sweeps or
+            from GNSS and IMU, "fixes" or "fixes:ID" for what a satellite receiver told; None: the default one.
+        options: reading options of the format.
+
+    Raises:
+        OptionError: there is none of that name.
+        PoseError: there is none at all, or it cannot be found.
+    """
+    with form.open(place, **options) as scene:
+        found = _named(scene, reading)
+    return TrajectoryFile(
+        found.trajectory,
+        form.name,
+        found.fixes,
+        found.origin_lla,
+        found.columns,
+        (*scene.notices, *found.notices),
+    )
+
+
+def _named(scene: Scene, reading: Reading) -> TrajectoryFile:
+    name = reading.name
+    if name is None and scene.trajectories:
+        return TrajectoryFile(next(iter(scene.trajectories.values())))
+    if name in scene.trajectories:
+        return TrajectoryFile(scene.trajectories[str(name)])
+    receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    if receivers and (name == FIXES or (name is None and not scene.lidars)):
+        return of_fixes(receivers[0], origin_lla=reading.origin_lla)
+    for sensor in receivers:
+        if name == f"{FIXES}:{sensor.id}":
+            return of_fixes(sensor, origin_lla=reading.origin_lla)
+    if name is None or name in RESERVED:
+        return _computed(scene, name)
+    raise OptionError(f"{scene.source}: no trajectory {name!r}; there are: {_choices(scene, receivers)}")
+
+
+def _computed(scene: Scene, name: str | None) -> TrajectoryFile:
+    from sceneloom.motion.ego_motion import find_ego_motion
+
+    ego = find_ego_motion(scene, name=name)
+    path = ego.path
+    if path.endless:
+        raise PoseError(f"{scene.source}: the way {ego.name!r} has no times; nothing can be compared with it")
+    way = Trajectory(
+        ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
+    )
+    return TrajectoryFile(way, notices=ego.notices)
+
+
+def _choices(scene: Scene, receivers: list[GnssSensor]) -> str:
+    found = [*scene.trajectories]
+    found += ["lidar"] if scene.lidars and "lidar" not in found else []
+    found += [FIXES] if receivers else []
+    return ", ".join([*found, *(f"{FIXES}:{sensor.id}" for sensor in receivers[1:])]) or "none"

@@ -1,0 +1,302 @@
+"""Files of trajectories as other programs write them, and what is wrong with bad ones."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sceneloom import read_trajectory, write_trajectory
+from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError
+from sceneloom.formats.trajectories import TrajectoryFile, find_form, read_trajectory_file
+from sceneloom.scene import Trajectory
+
+TUM = """# ground truth trajectory
+# timestamp tx ty tz qx qy qz qw
+1305031098.6659 1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986
+1305031098.675900123 1.3543 0.6306 1.6360 0.6129 0.5966 -0.3316 -0.3980
+"""
+EUROC = """#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], \
+v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1], \
+b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]
+1403636580838555648,4.688319,-1.786938,0.783338,0.534108,-0.153029,-0.827383,-0.082152,-0.027876,0.033207,0.800006,\
+-0.003172,0.021267,0.078502,-0.025266,0.136696,0.075593
+1403636580843555328,4.688177,-1.786770,0.787350,0.534640,-0.152990,-0.826976,-0.082863,-0.029272,0.033992,0.804771,\
+-0.003172,0.021267,0.078502,-0.025266,0.136696,0.075593
+"""
+KITTI = "1 0 0 0.5 0 1 0 -0.25 0 0 1 2\n0 0 1 3 1 0 0 4 0 1 0 5\n"
+FIXES = """Time,Lat,Lon,Alt,hAcc
+12.5,49.0,8.0,110.0,0.5
+12.6,49.0,8.001,111.0,
+"""
+
+
+def put(folder: Path, name: str, text: str) -> Path:
+    """Write a file."""
+    path = folder / name
+    path.write_text(text, "utf-8")
+    return path
+
+
+def test_a_tum_file_is_read_with_exact_times(tmp_path: Path) -> None:
+    way = read_trajectory(put(tmp_path, "gt.txt", TUM))
+    assert way.name == "gt"
+    assert way.timestamps_ns.tolist() == [1305031098665900000, 1305031098675900123]
+    assert way.positions[1].tolist() == [1.3543, 0.6306, 1.6360]
+    assert way.quaternions_xyzw is not None
+    assert way.quaternions_xyzw[0].tolist() == [0.6132, 0.5962, -0.3311, -0.3986]
+
+
+def test_a_euroc_file_is_read_with_w_first_velocities_and_biases(tmp_path: Path) -> None:
+    content = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
+    way = content.trajectory
+    assert content.form == "euroc"
+    assert way.timestamps_ns.tolist() == [1403636580838555648, 1403636580843555328]
+    assert way.quaternions_xyzw is not None
+    assert way.quaternions_xyzw[0].tolist() == [-0.153029, -0.827383, -0.082152, 0.534108]
+    assert content.columns["velocities"][1].tolist() == [-0.029272, 0.033992, 0.804771]
+    assert content.columns["accelerometer_biases"][0].tolist() == [-0.025266, 0.136696, 0.075593]
+
+
+def test_a_euroc_file_is_written_with_all_that_was_read(tmp_path: Path) -> None:
+    first = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
+    assert len(write_trajectory(first, tmp_path / "again.csv")) == 0
+    text = (tmp_path / "again.csv").read_text("utf-8")
+    assert text.splitlines()[0] == EUROC.splitlines()[0]
+    again = read_trajectory_file(tmp_path / "again.csv")
+    for name, values in first.columns.items():
+        assert np.array_equal(values, again.columns[name])
+
+
+def test_what_a_form_cannot_hold_is_told(tmp_path: Path) -> None:
+    content = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
+    losses = write_trajectory(content, tmp_path / "way.tum")
+    assert [loss.field.split(".")[-1] for loss in losses] == [
+        "velocities",
+        "gyroscope_biases",
+        "accelerometer_biases",
+    ]
+
+
+def test_kitti_poses_get_their_times_from_a_file_a_rate_or_the_folder(tmp_path: Path) -> None:
+    poses = put(tmp_path, "00.txt", KITTI)
+    with pytest.raises(DataError, match="--rate HZ"):
+        read_trajectory(poses)
+    assert read_trajectory(poses, rate_hz=3).timestamps_ns.tolist() == [0, 333333333]
+    named = put(tmp_path, "stamps.txt", "5.0\n5.123456789\n")
+    assert read_trajectory(poses, times=named).timestamps_ns.tolist() == [5000000000, 5123456789]
+    put(tmp_path, "times.txt", "0.000000e+00\n1.036224e-01\n")
+    content = read_trajectory_file(poses)
+    assert content.trajectory.timestamps_ns.tolist() == [0, 103622400]
+    assert [notice.code for notice in content.notices] == ["times-beside"]
+    # the second rotation turns x to y, y to z and z to x: 120° about (1, 1, 1)
+    assert content.trajectory.quaternions_xyzw is not None
+    assert content.trajectory.quaternions_xyzw[1].tolist() == [0.5, 0.5, 0.5, 0.5]
+    assert content.trajectory.positions.tolist() == [[0.5, -0.25, 2.0], [3.0, 4.0, 5.0]]
+
+
+def test_poses_of_a_camera_are_turned_to_x_forward(tmp_path: Path) -> None:
+    # 10 m ahead, 2 m to the right and 1 m down, turned to the right: about the camera's y axis, which points down
+    half = math.sqrt(0.5)
+    path = put(tmp_path, "way.tum", f"0 2 1 10 0 {half!r} 0 {half!r}\n")
+    way = read_trajectory(path, optical=True)
+    assert way.positions.tolist() == [[10.0, -2.0, -1.0]]
+    assert way.quaternions_xyzw is not None
+    np.testing.assert_allclose(way.quaternions_xyzw, [[0, 0, -half, half]], atol=1e-15)
+
+
+def test_fixes_are_metres_from_the_first_of_them(tmp_path: Path) -> None:
+    content = read_trajectory_file(put(tmp_path, "fixes.csv", FIXES))
+    assert content.form == "gnss"
+    assert content.trajectory.quaternions_xyzw is None
+    # a thousandth of a degree of longitude at 49°: 6378137 / sqrt(1 - e² sin² 49°) · cos 49° · π / 180000 m
+    normal = 6378137.0 / np.sqrt(1 - 0.00669437999014 * np.sin(np.radians(49)) ** 2)
+    east = (normal + 111.0) * np.cos(np.radians(49)) * np.radians(0.001)
+    np.testing.assert_allclose(content.trajectory.positions[0], 0.0, atol=1e-9)
+    # 1e-3 m: the earth's curvature lowers the second fix by 0.4 mm
+    np.testing.assert_allclose(content.trajectory.positions[1], [east, 0.0, 1.0], atol=1e-3)
+    assert content.fixes is not None
+    np.testing.assert_array_equal(content.fixes.accuracies, [0.5, np.nan])
+
+
+def test_fixes_are_seen_from_an_origin_that_is_named(tmp_path: Path) -> None:
+    way = read_trajectory(put(tmp_path, "fixes.csv", FIXES), origin_lla=(49.0, 8.0, 100.0))
+    np.testing.assert_allclose(way.positions[0], [0, 0, 10], atol=1e-6)
+
+
+def test_a_way_with_an_origin_is_written_as_fixes(tmp_path: Path) -> None:
+    way = Trajectory("way", np.array([0, 10], np.int64), np.array([[0.0, 0, 0], [10.0, 20, 1]]))
+    with pytest.raises(OptionError, match="origin_lla"):
+        write_trajectory(way, tmp_path / "a.csv", form="gnss")
+    write_trajectory(way, tmp_path / "a.csv", form="gnss", origin_lla=(60.0, 25.0, 10.0))
+    back = read_trajectory(tmp_path / "a.csv")
+    # degrees of 64 bits resolve 2e-9 m
+    np.testing.assert_allclose(back.positions, way.positions, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "form"),
+    [
+        ("a.txt", TUM, "tum"),
+        ("a.csv", EUROC, "euroc"),
+        ("a.csv", EUROC.split("\n", 1)[1], "euroc"),
+        ("a.txt", KITTI, "kitti"),
+        ("a.csv", FIXES, "gnss"),
+        ("a.csv", "timestamp_ns,x,y,z\n5,1,2,3\n", "csv"),
+        ("a.csv", "t;px;py;pz;qx;qy;qz;qw\n5;1;2;3;0;0;0;1\n", "csv"),
+        ("a.jsonl", '{"groundTruth":{"position":{"x":1,"y":2,"z":3}},"time":5}\n', "jsonl"),
+        ("a.out", '{"time":5,"position":{"x":1,"y":2,"z":3}}\n', "jsonl"),
+    ],
+)
+def test_the_form_is_told_by_the_content(tmp_path: Path, name: str, text: str, form: str) -> None:
+    found = find_form(put(tmp_path, name, text))
+    assert found is not None
+    assert found.name == form
+
+
+def test_a_suffix_decides_where_the_first_line_is_bad(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="line 1: 7 values; expected 8"):
+        read_trajectory(put(tmp_path, "a.tum", "0 1 2 3 0 0 0\n"))
+    with pytest.raises(DataError, match="line 1"):
+        read_trajectory(put(tmp_path, "a.jsonl", "{torn\n"))
+
+
+def test_what_is_no_trajectory_is_refused_with_all_forms(tmp_path: Path) -> None:
+    with pytest.raises(UnknownFormatError, match="tum, lines of 8 numbers"):
+        read_trajectory(put(tmp_path, "a.txt", "hello world\n"))
+    with pytest.raises(UnknownFormatError, match="no such file"):
+        read_trajectory(tmp_path / "absent.txt")
+    (tmp_path / "b.bin").write_bytes(b"\0\1\2")
+    with pytest.raises(UnknownFormatError):
+        read_trajectory(tmp_path / "b.bin")
+
+
+JSONL = """{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":1403636580.838555648}
+{"pose":{"name":"vio","position":{"x":9,"y":9,"z":9}},"time":1403636580.838555648}
+{"groundTruth":{"position":{"x":1,"y":2,"z":3},"orientation":{"x":0,"y":0,"z":0,"w":1}},"time":1403636580.838555648}
+{"ARKit":{"position":{"x":4,"y":5,"z":6}},"time":1403636580.9}
+{"time":1403636581,"position":{"x":7,"y":8,"z":9},"status":"TRACKING"}
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "x", "stamp_ns"),
+    [
+        (None, 1.0, 1403636580838555648),
+        ("vio", 9.0, 1403636580838555648),
+        ("ARKit", 4.0, 1403636580900000000),
+        ("output", 7.0, 1403636581000000000),
+    ],
+)
+def test_lines_of_json_hold_trajectories_under_any_key(
+    tmp_path: Path, name: str | None, x: float, stamp_ns: int
+) -> None:
+    path = put(tmp_path, "lines.jsonl", JSONL)
+    for way in (read_trajectory(path, name=name), read_trajectory(f"{path}:{name}" if name else path)):
+        assert way.positions[0, 0] == x
+        assert way.timestamps_ns.tolist() == [stamp_ns]
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones(tmp_path: Path) -> None:
+    path = put(tmp_path, "lines.jsonl", JSONL)
+    with pytest.raises(OptionError, match="vio, groundTruth, ARKit, output"):
+        read_trajectory(path, name="slam")
+
+
+def pose(time: object, x: object = 1, w: object = 1) -> str:
+    """A line of JSON."""
+    turn = f'{{"x":0,"y":0,"z":0,"w":{w}}}'
+    return f'{{"groundTruth":{{"position":{{"x":{x},"y":2,"z":3}},"orientation":{turn}}},"time":{time}}}\n'
+
+
+BAD = [
+    ("tum", "0 1 2 3 0 0 0 1\n0.1 1 2 3 0 0 0\n", "line 2: 7 values; expected 8"),
+    ("tum", "0 1 2 3 0 0 0 1\n0.1 1 x 3 0 0 0 1\n", "line 2: column 3: 'x'; expected a finite number"),
+    ("tum", "0 1 2 3 0 0 0 1\n0.1 1 nan 3 0 0 0 1\n", "line 2: column 3: 'nan'"),
+    ("tum", "0 1 2 3 0 0 0 1\nnan 1 2 3 0 0 0 1\n", "line 2: 'nan'; expected a number"),
+    ("tum", "0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1.2\n", "line 2: orientation .* of length 1.2"),
+    ("tum", "0 1 2 3 0 0 0 1\n# x\n\n0.0 1 2 3 0 0 0 1\n", "line 4: the time 0.0 s stands in line 1 already"),
+    ("tum", "0 1e300 2 3 0 0 0 1\n", "line 1: position .*; expected metres"),
+    ("tum", "1403636580838555648 1 2 3 0 0 0 1\n", "nanoseconds"),
+    ("tum", "# nothing\n", "is empty"),
+    ("kitti", "1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 1: .*orthonormal right-handed"),
+    ("kitti", "1 0 0 0 0 1 0 0 0 0 1\n", "line 1: 11 values; expected 12"),
+    ("euroc", "5,1,2,3,1,0,0\n", "line 1: 7 values; expected 8, 11, 14, 17"),
+    ("gnss", "time,lat,lon,alt\n1,95,8,3\n", "line 2: latitude 95.0, .*within ±90"),
+    (
+        "gnss",
+        "time,lat,lon,alt,accuracy\n1,45,8,3,bad\n",
+        "line 2: accuracy: 'bad'; expected metres, or nothing",
+    ),
+    ("gnss", "time,lat,alt\n1,95,8\n", "line 1: no column for longitude among time, lat, alt"),
+    ("gnss", "time,lat,lon,alt\n", "holds no fixes"),
+    ("csv", "t,x,y,z,qx\n1,1,2,3,0\n", "line 1: no column for qy, qz, qw"),
+    ("csv", "t,x,y,z\n", "holds no poses"),
+    ("jsonl", pose(0) + "{torn", "line 2: .*not a JSON object"),
+    ("jsonl", pose(0) + pose('"1"'), 'line 2: time: "1"; expected a number'),
+    ("jsonl", pose(0) + pose("null"), "line 2: time: null"),
+    ("jsonl", pose(0) + pose(1, x='"a"'), "line 2: .*position.x"),
+    ("jsonl", pose(0) + pose(1, w=0.5), "line 2: orientation .* of length 0.5"),
+    ("jsonl", '{"groundTruth":{"position":{"x":1,"y":2,"z":3}}}\n', "line 1: time: missing"),
+    ("jsonl", '{"time":1}\n', "holds no poses"),
+]
+
+
+@pytest.mark.parametrize(("form", "text", "problem"), BAD)
+def test_bad_content_is_one_error_with_its_line(tmp_path: Path, form: str, text: str, problem: str) -> None:
+    path = put(tmp_path, "bad.txt", text)
+    with pytest.raises(DataError, match=problem):
+        read_trajectory(path, form=form, rate_hz=10)
+
+
+def test_a_lenient_reading_leaves_out_what_is_bad(tmp_path: Path) -> None:
+    path = put(tmp_path, "a.jsonl", pose(0) + "{torn\n" + pose(1, w=0.5) + pose(0) + pose(2))
+    content = read_trajectory_file(path, lenient=True)
+    assert content.trajectory.timestamps_ns.tolist() == [0, 2 * 10**9]
+    assert {notice.code for notice in content.notices} == {"bad-lines", "unusable-poses", "repeated-poses"}
+
+
+def test_poses_out_of_order_are_sorted_and_told(tmp_path: Path) -> None:
+    content = read_trajectory_file(put(tmp_path, "a.txt", "2 2 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n"))
+    assert content.trajectory.positions[:, 0].tolist() == [1.0, 2.0]
+    assert [notice.code for notice in content.notices] == ["poses-sorted"]
+
+
+def test_positions_alone_are_refused_where_orientations_are_needed(tmp_path: Path) -> None:
+    way = Trajectory("way", np.array([0], np.int64), np.zeros((1, 3)))
+    for name in ("a.tum", "a.kitti", "a.csv"):
+        with pytest.raises(OptionError, match="positions without orientations"):
+            write_trajectory(way, tmp_path / name)
+        assert not (tmp_path / name).exists()
+    write_trajectory(way, tmp_path / "a.csv", form="csv")
+    assert read_trajectory(tmp_path / "a.csv").quaternions_xyzw is None
+
+
+def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
+    way = read_trajectory(put(tmp_path, "a.txt", TUM))
+    write_trajectory(way, tmp_path / "a.kitti")
+    (tmp_path / "a.kitti").unlink()
+    with pytest.raises(OutputError, match=r"a\.times\.txt: exists already"):
+        write_trajectory(way, tmp_path / "a.kitti")
+    assert not (tmp_path / "a.kitti").exists()
+    write_trajectory(way, tmp_path / "a.kitti", overwrite=True)
+    assert read_trajectory(tmp_path / "a.kitti").timestamps_ns.tolist() == way.timestamps_ns.tolist()
+
+
+def test_a_suffix_that_no_form_has_is_refused(tmp_path: Path) -> None:
+    way = read_trajectory(put(tmp_path, "a.txt", TUM))
+    with pytest.raises(OptionError, match=r"expected one of: tum \(\.tum \.txt\)"):
+        write_trajectory(TrajectoryFile(way), tmp_path / "a.poses")
+
+
+def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    put(
+        folder, "data.jsonl", JSONL + '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n'
+    )
+    assert read_trajectory(folder).name == "groundTruth"
+    assert read_trajectory(f"{folder}:vio").positions[0, 0] == 9.0
+    assert read_trajectory(f"{folder}:fixes").quaternions_xyzw is None
+    with pytest.raises(OptionError, match=r"there are: groundTruth.*fixes"):
+        read_trajectory(folder, name="slam")

@@ -92,10 +92,10 @@ def integrate_rates(timestamps_ns: Int64Array, rates: Float64Array) -> Float64Ar
     before, after = rates[:-1], rates[1:]
     vectors = 0.5 * seconds * (before + after) + seconds**2 / 12.0 * np.cross(before, after)
     turns = np.vstack([[[0.0, 0.0, 0.0, 1.0]], quaternion_from_rotation_vector(vectors)])
-    return _running_product(turns)
+    return running_product(turns)
 
 
-def _running_product(turns: Float64Array) -> Float64Array:
+def running_product(turns: Float64Array) -> Float64Array:
     """Products of the first 1, 2, … N of (N, 4) quaternions: all blocks side by side, then block after block."""
     length = int(np.ceil(np.sqrt(len(turns))))
     blocks = np.tile([0.0, 0.0, 0.0, 1.0], (-(-len(turns) // length) * length, 1))

@@ -1,0 +1,298 @@
+"""Least squares for signals with coloured noise and outliers, with a covariance that can be believed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+
+HUBER = 2.0
+"""Residuals beyond so many standard deviations count linearly. Source: Huber 1964."""
+
+MOST_LAGS = 10
+"""Order of the autoregression that whitens the noise, where there are samples enough."""
+
+_ROUNDS, _STEPS = 3, 10
+
+_CLOSE = 0.02
+"""Steps are small enough at this share of a standard deviation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """A model around some parameters.
+
+    Attributes:
+        residuals: (N, K): measured minus modelled, without what the nuisances explain.
+        jacobian: (N, K, P), derivative of what is modelled.
+        nuisances: (N, K, M), columns whose amounts are free in every window.
+        known: (N,) whether a row can be used.
+    """
+
+    residuals: Float64Array
+    jacobian: Float64Array
+    nuisances: Float64Array
+    known: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """What came out.
+
+    Attributes:
+        parameters: (P,).
+        covariance: (P, P).
+        information: (P, P), of the measurements alone.
+        misfit: sum of the squared whitened residuals in units of `scales`, robust.
+        rows: how many rows were used.
+        scales: (K,), standard deviation of the whitened residuals.
+        jacobian, residuals: (N, K, P), (N, K): whitened, weighted, without nuisances, in units of `scales`.
+        used: (N,).
+        amounts: (W, M), of the nuisances in each window.
+        colour: (K, L), the autoregression.
+    """
+
+    parameters: Float64Array
+    covariance: Float64Array
+    information: Float64Array
+    misfit: float
+    rows: int
+    scales: Float64Array
+    jacobian: Float64Array
+    residuals: Float64Array
+    used: BoolArray
+    amounts: Float64Array
+    colour: Float64Array
+
+
+Model = Callable[[Float64Array, Float64Array], Linearised]
+"""Gives the model at parameters (P,) and amounts of the nuisances (W, M)."""
+
+
+def fit(
+    model: Model,
+    start: Float64Array,
+    prior_sigmas: Float64Array,
+    windows: Int64Array,
+    *,
+    whiten: bool = True,
+    colour: Float64Array | None = None,
+    scales: Float64Array | None = None,
+) -> Fit | None:
+    """Fit parameters by Gauss-Newton; None where too few rows are known.
+
+    Noise that is alike from row to row is whitened by an autoregression that is fitted to the residuals, nuisances
+    are free in each window, large residuals count less, and the covariance is that of Newey and West from what
+    correlation is left.
+
+    Args:
+        start: (P,).
+        prior_sigmas: (P,), how far from the start parameters may be; infinite for anywhere.
+        windows: (N,), number of the window of each row, ascending; the noise is not followed from one to the next.
+        whiten: whether to.
+        colour, scales: (K, L) and (K,) to take as they are.
+
+    Source: whitening before the estimate of Newey and West 1987 is Andrews and Monahan 1992; the autoregression is
+    that of Yule 1927 and Walker 1931; weights are those of Huber 1964.
+    """
+    parameters = start.astype(np.float64)
+    count = int(windows[-1]) + 1 if len(windows) else 0
+    at = model(parameters, np.zeros((count, 0)))
+    amounts = np.zeros((count, at.nuisances.shape[2]))
+    fixed_colour, fixed_scales = colour, scales
+    colour = np.zeros((at.residuals.shape[1], 0)) if colour is None else colour
+    precision = 1.0 / prior_sigmas**2
+    for round_number in range(_ROUNDS if whiten or fixed_colour is not None else 2):
+        for _ in range(_STEPS):
+            at = model(parameters, amounts)
+            solved = _solve(at, windows, colour, fixed_scales, precision, parameters - start)
+            if solved is None:
+                return None
+            step, amounts, state = solved
+            parameters = parameters + step
+            spread = np.sqrt(np.diag(np.linalg.pinv(state.information + np.diag(precision + 1e-300))))
+            if (np.abs(step) <= _CLOSE * spread + 1e-12).all():
+                break
+        if fixed_colour is None and whiten and round_number < _ROUNDS - 1:
+            colour = _colour(state.raw, state.used, windows)
+    return _finished(parameters, amounts, state, precision, colour, windows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    information: Float64Array
+    residuals: Float64Array
+    jacobian: Float64Array
+    used: BoolArray
+    scales: Float64Array
+    raw: Float64Array
+
+
+def _solve(
+    at: Linearised,
+    windows: Int64Array,
+    colour: Float64Array,
+    fixed_scales: Float64Array | None,
+    precision: Float64Array,
+    moved: Float64Array,
+) -> tuple[Float64Array, Float64Array, _State] | None:
+    """One step of the parameters, the amounts of the nuisances, and what belongs to the covariance."""
+    residuals, used = _filtered(at.residuals, at.known, windows, colour)
+    jacobian, _ = _filtered(at.jacobian, at.known, windows, colour)
+    nuisances, _ = _filtered(at.nuisances, at.known, windows, colour)
+    size = len(moved)
+    if used.sum() < size + 4:
+        return None
+    # twice: the weights come from residuals without nuisances, and decide how these are taken out
+    weights = used.astype(np.float64)
+    scales = np.ones(residuals.shape[1])
+    for _ in range(2):
+        clean_r, clean_j, amounts = _without_nuisances(
+            residuals, jacobian, nuisances, weights, scales, windows
+        )
+        scales = _scales(clean_r, used) if fixed_scales is None else fixed_scales
+        weights = used * _weights(clean_r / scales)
+    root = np.sqrt(weights)[:, None]
+    r = clean_r / scales * root
+    j = clean_j / scales[None, :, None] * root[:, :, None]
+    information = np.einsum("nkp,nkq->pq", j, j)
+    gradient = np.einsum("nkp,nk->p", j, r) - precision * moved
+    step = np.linalg.lstsq(information + np.diag(precision), gradient, rcond=None)[0]
+    raw = at.residuals - _explained(at.nuisances, amounts, windows)
+    return step, amounts, _State(information, r, j, used & (weights > 0), scales, raw)
+
+
+def _without_nuisances(
+    residuals: Float64Array,
+    jacobian: Float64Array,
+    nuisances: Float64Array,
+    weights: Float64Array,
+    scales: Float64Array,
+    windows: Int64Array,
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Take out of residuals and derivatives what the nuisances of each window can explain."""
+    clean_r, clean_j = residuals.copy(), jacobian.copy()
+    count, columns = int(windows[-1]) + 1, nuisances.shape[2]
+    amounts = np.zeros((count, columns))
+    if columns == 0:
+        return clean_r, clean_j, amounts
+    edges = np.searchsorted(windows, np.arange(count + 1))
+    size = jacobian.shape[2]
+    for window in range(count):
+        rows = slice(edges[window], edges[window + 1])
+        root = np.sqrt(weights[rows])[:, None] / scales
+        basis = (nuisances[rows] * root[:, :, None]).reshape(-1, columns)
+        told = np.concatenate([residuals[rows, :, None], jacobian[rows]], axis=2)
+        targets = (told * root[:, :, None]).reshape(-1, 1 + size)
+        products = basis.T @ basis
+        lengths = np.sqrt(np.maximum(np.diag(products), 1e-300))
+        normal = products / np.outer(lengths, lengths) + 1e-10 * np.eye(columns)
+        solution = np.linalg.solve(normal, basis.T @ targets / lengths[:, None]) / lengths[:, None]
+        amounts[window] = solution[:, 0]
+        left = told - np.einsum("nkm,mp->nkp", nuisances[rows], solution)
+        clean_r[rows], clean_j[rows] = left[:, :, 0], left[:, :, 1:]
+    return clean_r, clean_j, amounts
+
+
+def _explained(nuisances: Float64Array, amounts: Float64Array, windows: Int64Array) -> Float64Array:
+    explained: Float64Array = np.einsum("nkm,nm->nk", nuisances, amounts[windows])
+    return explained
+
+
+def _filtered(
+    values: Float64Array, known: BoolArray, windows: Int64Array, colour: Float64Array
+) -> tuple[Float64Array, BoolArray]:
+    """Whiten rows, (N, K, …), by what the rows before them tell; rows without all of those before are not used."""
+    whitened = np.where(known.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
+    used = known.copy()
+    plain = whitened.copy()
+    for lag in range(1, colour.shape[1] + 1):
+        factors = colour[:, lag - 1].reshape(1, -1, *[1] * (values.ndim - 2))
+        whitened[lag:] -= factors * plain[:-lag]
+        used[lag:] &= known[:-lag] & (windows[lag:] == windows[:-lag])
+        used[:lag] = False
+    whitened[~used] = 0.0
+    return whitened, used
+
+
+def _colour(residuals: Float64Array, used: BoolArray, windows: Int64Array) -> Float64Array:
+    """Fit an autoregression (K, L) to the residuals, clipped so that outliers do not decide."""
+    order = int(min(MOST_LAGS, used.sum() // 25))
+    components = residuals.shape[1]
+    if order == 0:
+        return np.zeros((components, 0))
+    scales = _scales(residuals, used)
+    clipped = np.clip(residuals, -3 * scales, 3 * scales) * used[:, None]
+    moments = np.empty((components, order + 1))
+    for lag in range(order + 1):
+        pairs = used[lag:] & used[: len(used) - lag] & (windows[lag:] == windows[: len(windows) - lag])
+        products = clipped[lag:] * clipped[: len(clipped) - lag]
+        moments[:, lag] = (products * pairs[:, None]).sum(axis=0) / len(used)
+    rows = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
+    colour = np.zeros((components, order))
+    for k in range(components):
+        if moments[k, 0] > 0:
+            matrix = moments[k][rows] + 1e-6 * moments[k, 0] * np.eye(order)
+            colour[k] = np.linalg.solve(matrix, moments[k, 1:])
+    return colour
+
+
+def _scales(residuals: Float64Array, used: BoolArray) -> Float64Array:
+    """Standard deviation of each column, (K,), from the median of the absolute values."""
+    spread = 1.4826 * np.median(np.abs(residuals[used]), axis=0)
+    floor = 1e-12 + 1e-9 * np.abs(residuals[used]).max(axis=0)
+    return np.asarray(np.maximum(spread, floor), np.float64)
+
+
+def _weights(residuals: Float64Array) -> Float64Array:
+    size = np.sqrt((residuals**2).mean(axis=1))
+    weights: Float64Array = np.minimum(1.0, HUBER / np.maximum(size, 1e-12))
+    return weights
+
+
+def _finished(
+    parameters: Float64Array,
+    amounts: Float64Array,
+    state: _State,
+    precision: Float64Array,
+    colour: Float64Array,
+    windows: Int64Array,
+) -> Fit:
+    rows = int(state.used.sum())
+    scores = np.einsum("nkp,nk->np", state.jacobian, state.residuals)
+    meat = _long_run(scores, windows)
+    freedom = rows / max(rows - len(parameters) - amounts.size / state.residuals.shape[1], 1.0)
+    inverse = np.linalg.pinv(state.information + np.diag(precision))
+    # the scales are medians, which know nothing of the tails that the weights leave
+    plain = np.diag(inverse) * float((state.residuals[state.used] ** 2).mean())
+    robust = inverse @ (meat + np.diag(precision)) @ inverse
+    lifted = np.sqrt(np.maximum(plain / np.maximum(np.diag(robust), 1e-300), 1.0))
+    covariance = freedom * robust * np.outer(lifted, lifted)
+    return Fit(
+        parameters,
+        covariance,
+        state.information,
+        float((state.residuals**2).sum()),
+        rows,
+        state.scales,
+        state.jacobian,
+        state.residuals,
+        state.used,
+        amounts,
+        colour,
+    )
+
+
+def _long_run(scores: Float64Array, windows: Int64Array) -> Float64Array:
+    """The covariance of the sum of (N, P) scores that are alike from row to row.
+
+    Source: Newey and West 1987, eq. 5; the number of lags is that of their 1994 paper.
+    """
+    total = scores.T @ scores
+    lags = int(4 * (len(scores) / 100) ** (2 / 9))
+    for lag in range(1, lags + 1):
+        same = (windows[lag:] == windows[:-lag])[:, None]
+        part = (scores[lag:] * same).T @ scores[:-lag]
+        total = total + (1 - lag / (lags + 1)) * (part + part.T)
+    return np.asarray(total, np.float64)

@@ -13,6 +13,13 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices, prog
 @click.argument("source", type=options.place)
 @click.argument("target", type=options.target)
 @options.writing_scenes
+@click.option(
+    "--pictures",
+    type=click.Choice(["copy", "h264", "ffv1", "png"]),
+    help="How a recording's folder keeps pictures: `copy` a camera's own video packet by packet, and encode H.264 "
+    "where there is none; `h264`: the own video only if it is that; `ffv1` (video) and `png` (files) lose nothing. "
+    "[default: copy]",
+)
 @options.reading
 @options.printing
 def convert(
@@ -21,12 +28,16 @@ def convert(
     overwrite: bool,
     profile: str | None,
     time_unit: str | None,
+    pictures: str | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Write a recording or a scene in another format; what the target cannot hold is reported."""
+    """Write a recording or a scene in another format; what the target cannot hold is reported.
+
+    A TARGET without a suffix is a recording's folder, `.sfs` a scene file.
+    """
     from sceneloom.pipeline.conversion import convert as convert_scene
 
     with progress_bar("converting", quiet=quiet) as progress:
@@ -34,7 +45,7 @@ def convert(
             source,
             target,
             overwrite=overwrite,
-            **options.said(profile=profile, time_unit=time_unit),
+            **options.said(profile=profile, time_unit=time_unit, pictures=pictures),
             reading=options.said(**reading),
             progress=progress,
         )

@@ -5,9 +5,10 @@ from typing import BinaryIO
 
 from sceneloom.cameras import MODELS
 from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.sensor_times import stamps_of
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import DataError
-from sceneloom.scene import CameraSensor, Scene, Severity
+from sceneloom.scene import CameraSensor, DepthCameraSensor, Scene, Severity
 
 _SHORTEST, _LONGEST = 0.05, 30.0
 """Focal lengths outside these parts of the picture's longer side [1] belong to no lens: 30 sees two degrees."""
@@ -19,9 +20,9 @@ _OWN_FOCAL_MEANING = frozenset({"ftheta", "cylindrical", "equirectangular"})
 """Models whose two focal lengths need not be alike, or stand for something else."""
 
 
-def _cameras(subject: Subject) -> Iterator[tuple[str, CameraSensor]]:
+def _cameras(subject: Subject) -> Iterator[tuple[str, CameraSensor | DepthCameraSensor]]:
     for path, sensor in subject.sensors():
-        if isinstance(sensor, CameraSensor):
+        if isinstance(sensor, CameraSensor | DepthCameraSensor):
             yield path, sensor
 
 
@@ -68,7 +69,7 @@ def _video_counts(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     """Compare the pictures of a video with its stamps, once for each video."""
     del subject
     sensor = frame.sensor
-    if not isinstance(sensor, CameraSensor) or sensor.video is None or frame.number:
+    if not isinstance(sensor, CameraSensor | DepthCameraSensor) or sensor.video is None or frame.number:
         return
     named = sensor.video.frame_indices
     try:
@@ -76,7 +77,7 @@ def _video_counts(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     except DataError as error:
         yield Hit(f"{frame.sensor_path}.video.content", error.problem)
         return
-    expected = len(sensor.pictures)
+    expected = len(stamps_of(sensor))
     fits = count == expected if named is None else max(named, default=-1) < count
     if not fits:
         problem = f"{expected} time stamps; the video has {count} pictures"

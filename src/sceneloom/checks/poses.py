@@ -12,6 +12,7 @@ from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
+    DepthCameraSensor,
     LidarSensor,
     OdometrySensor,
     PointsFrame,
@@ -34,12 +35,12 @@ _TURN_FACTOR, _TURN_MARGIN_DEG = 3.0, 15.0
 _FEWEST_STEPS = 4
 """Fewer steps do not tell what is usual."""
 
-Placed = LidarSensor | RadarSensor | CameraSensor
+Placed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
 
 
 def _placed_sensors(subject: Subject) -> Iterator[tuple[str, Placed]]:
     for path, sensor in subject.sensors():
-        if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+        if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
             yield path, sensor
 
 
@@ -161,7 +162,7 @@ def _odometry_ids(subject: Subject) -> set[tuple[type, str | int]]:
 def _in_ego_frame(sensor: Sensor) -> bool:
     if isinstance(sensor, LidarSensor | RadarSensor) and sensor.points_frame is PointsFrame.EGO:
         return True
-    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
         return False
     return sensor.coordinates is Coordinates.EGO and sensor.poses is not None
 

@@ -6,7 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor, RadarSensor, Scene, Sensor
+from sceneloom.scene import (
+    CameraSensor,
+    DepthCameraSensor,
+    LazyFrames,
+    LidarSensor,
+    RadarSensor,
+    Scene,
+    Sensor,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,4 +54,6 @@ def _sorted(sensor: Sensor) -> Sensor:
         return replace(sensor, frames=sorted_frames(sensor.frames))
     if isinstance(sensor, CameraSensor) and sensor.video is None and not is_sorted(sensor.pictures):
         return replace(sensor, pictures=sorted_frames(sensor.pictures))
+    if isinstance(sensor, DepthCameraSensor) and sensor.video is None and not is_sorted(sensor.frames):
+        return replace(sensor, frames=sorted_frames(sensor.frames))
     return sensor

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Sensor
+from sceneloom.scene import CameraSensor, DepthCameraSensor, LidarSensor, RadarSensor, Sensor
 from sceneloom.scene.span import NOMINAL_PERIOD_NS
 
 
@@ -11,7 +11,7 @@ def stamps_of(sensor: Sensor) -> Int64Array:
     """The times of a sensor's frames or pictures, (N,) int64 [ns]; none for sensors without frames."""
     if isinstance(sensor, CameraSensor):
         return sensor.pictures.timestamps_ns
-    if isinstance(sensor, LidarSensor | RadarSensor):
+    if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
         return sensor.frames.timestamps_ns
     return np.zeros(0, np.int64)
 

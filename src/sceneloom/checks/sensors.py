@@ -6,10 +6,11 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.annotation_table import sensor_mentions
-from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.rule import Hit, Rule, unless_recording
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import (
     CameraSensor,
+    DepthCameraSensor,
     GnssSensor,
     Identifier,
     ImuSensor,
@@ -32,7 +33,7 @@ def _nothing(subject: Subject) -> Iterator[Hit]:
 
 def _count(sensor: Sensor) -> int | None:
     """How much a sensor has measured; None where that cannot be said, and for poses, of which there is always one."""
-    if isinstance(sensor, LidarSensor | RadarSensor):
+    if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
         return len(sensor.frames)
     if isinstance(sensor, CameraSensor):
         return len(sensor.pictures)
@@ -177,7 +178,7 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         "Samples of inertial sensors and fixes of satellite receivers have strictly increasing times.",
         "Sort them, and leave out those that stand there twice.",
-        find=_disordered_samples,
+        find=unless_recording(_disordered_samples),
     ),
     Rule(
         "samples-finite",
@@ -191,6 +192,6 @@ RULES: tuple[Rule, ...] = (
         Severity.ERROR,
         "Latitudes lie within 90 degrees, longitudes within 180.",
         "See whether latitude and longitude are exchanged, or given in another unit than degrees.",
-        find=_off_the_earth,
+        find=unless_recording(_off_the_earth),
     ),
 )

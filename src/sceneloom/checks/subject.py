@@ -10,6 +10,7 @@ from sceneloom.formats.recording.further_contents import RecordingContents
 from sceneloom.scene import (
     Annotation,
     CameraSensor,
+    DepthFrame,
     Identifier,
     LidarFrame,
     Notice,
@@ -38,7 +39,7 @@ class FrameInHand:
     sensor: Sensor
     sensor_path: str
     number: int
-    frame: LidarFrame | RadarFrame | Picture | None
+    frame: LidarFrame | RadarFrame | Picture | DepthFrame | None
     fault: str | None = None
 
     @property

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from sceneloom.checks.reordering import with_sorted_frames
-from sceneloom.checks.rule import Find, Hit, Rule
+from sceneloom.checks.rule import Find, Hit, Rule, unless_recording
 from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, stamps_of
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.sfs.times import chosen_offset_ns
-from sceneloom.scene import CameraSensor, Scene, Severity
+from sceneloom.scene import CameraSensor, DepthCameraSensor, Scene, Severity
 from sceneloom.scene.span import time_span
 
 HIGHEST_RATE_HZ = 100
@@ -35,7 +35,7 @@ def _out_of_order(*, in_videos: bool) -> Find:
     def find(subject: Subject) -> Iterator[Hit]:
         for path, sensor in subject.sensors():
             stamps_ns = stamps_of(sensor)
-            if (isinstance(sensor, CameraSensor) and sensor.video is not None) is in_videos:
+            if (getattr(sensor, "video", None) is not None) is in_videos:
                 for k in np.flatnonzero(np.diff(stamps_ns) < 0).tolist():
                     problem = f"{stamps_ns[k + 1]} ns after {stamps_ns[k]} ns; expected a later time"
                     yield Hit(f"{frames_path(path, sensor)}[{k + 1}]", problem)
@@ -105,9 +105,11 @@ def _uneven(subject: Subject) -> Iterator[Hit]:
 
 def _fps_differs(subject: Subject) -> Iterator[Hit]:
     for path, sensor in subject.sensors():
-        if not isinstance(sensor, CameraSensor) or sensor.fps is None or len(sensor.pictures) < 2:
+        if not isinstance(sensor, CameraSensor | DepthCameraSensor) or sensor.fps is None:
             continue
-        rate = 1e9 / period_ns(sensor.pictures.timestamps_ns)
+        if len(stamps_of(sensor)) < 2:
+            continue
+        rate = 1e9 / period_ns(stamps_of(sensor))
         if abs(sensor.fps - rate) > _FPS_TOLERANCE * rate:
             problem = f"{sensor.fps:g}; the stamps tell {rate:.4g} pictures a second"
             yield Hit(f"{path}.video.fps", problem)
@@ -160,14 +162,14 @@ RULES: tuple[Rule, ...] = (
         Severity.ERROR,
         "No two frames or pictures of a sensor have one time.",
         "Keep one of them, or give each the time at which it was measured.",
-        find=_of_one_time,
+        find=unless_recording(_of_one_time),
     ),
     Rule(
         "frame-rate",
         Severity.WARNING,
         "A sensor has at most 100 frames a second on average.",
         "See whether the stamps are in the unit that `time_unit` says.",
-        find=_too_many_a_second,
+        find=unless_recording(_too_many_a_second),
     ),
     Rule(
         "frame-doubled",
@@ -181,14 +183,14 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         "The frames of a sensor follow each other without gaps.",
         "See whether frames were lost; programs that count frames to tell the time will be off.",
-        find=_gaps,
+        find=unless_recording(_gaps),
     ),
     Rule(
         "frame-jitter",
         Severity.HINT,
         "The intervals between frames are even.",
         "Stamp frames when they are measured, not when they arrive.",
-        find=_uneven,
+        find=unless_recording(_uneven),
     ),
     Rule(
         "video-fps",

@@ -9,7 +9,7 @@ from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.sfs.garbage import collector_paused
-from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Sensor
+from sceneloom.scene import CameraSensor, DepthCameraSensor, LidarSensor, RadarSensor, Sensor
 from sceneloom.scene.types import Progress
 
 Hits = dict[str, list[Hit]]
@@ -60,10 +60,12 @@ def _frames_in_hand(subject: Subject) -> Iterator[FrameInHand]:
 def _frames_of(sensor: Sensor) -> Sequence[Any]:
     if isinstance(sensor, CameraSensor):
         return sensor.pictures
-    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor) else ()
+    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor) else ()
 
 
 def _read(sensor: Sensor, number: int) -> Any:
     if isinstance(sensor, CameraSensor):
         return sensor.pictures[number].loaded()
+    if isinstance(sensor, DepthCameraSensor):
+        return sensor.frames[number].loaded()
     return _frames_of(sensor)[number]

@@ -4,7 +4,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, Sensor
+from sceneloom.scene import CameraSensor, DepthCameraSensor, Sensor
 
 _SECTORS = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
 _STEEP = np.cos(np.pi / 6)
@@ -24,7 +24,11 @@ def mounting_text(sensor: Sensor) -> str | None:
         return None
     rotation = mount.matrix[:3, :3]
     x, y, z = mount.translation + 0.0
-    turn = _camera_turn(rotation) if isinstance(sensor, CameraSensor) else _body_turn(rotation)
+    turn = (
+        _camera_turn(rotation)
+        if isinstance(sensor, CameraSensor | DepthCameraSensor)
+        else _body_turn(rotation)
+    )
     place = "" if not np.abs(mount.translation).max() else f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
     return ", ".join(filter(None, [f"mounted on the ego{place}", turn]))
 

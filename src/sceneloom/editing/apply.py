@@ -17,6 +17,7 @@ from sceneloom.scene import (
     CameraSensor,
     Coordinates,
     CuboidAnnotation,
+    DepthCameraSensor,
     Identifier,
     LidarSensor,
     LocalizationAdjustment,
@@ -154,11 +155,14 @@ def _frame(scene: Scene) -> Coordinates:
     """
     frames: dict[Coordinates, Identifier] = {}
     for sensor in scene.sensors:
-        if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+        if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
             continue
         if sensor.poses is not None:
             frames[sensor.coordinates] = sensor.id
-        if not isinstance(sensor, CameraSensor) and sensor.points_frame is not PointsFrame.SENSOR:
+        if (
+            not isinstance(sensor, CameraSensor | DepthCameraSensor)
+            and sensor.points_frame is not PointsFrame.SENSOR
+        ):
             frames[Coordinates(sensor.points_frame.value)] = sensor.id
     if len(frames) > 1:
         raise OptionError(

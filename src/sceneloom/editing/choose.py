@@ -20,6 +20,7 @@ from sceneloom.scene import (
     CameraCalibration,
     CameraSensor,
     Coordinates,
+    DepthCameraSensor,
     Identifier,
     LidarSensor,
     LinkAnnotation,
@@ -77,7 +78,7 @@ def _check_ego(scene: Scene, kept: tuple[object, ...], ids: NewIds) -> None:
     gone = [s for s in scene.sensors if isinstance(s, OdometrySensor) and ids.gone(s.id)]
     left = any(isinstance(sensor, OdometrySensor) for sensor in kept)
     for sensor in kept if gone else ():
-        on_ego = isinstance(sensor, LidarSensor | RadarSensor | CameraSensor) and (
+        on_ego = isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor) and (
             sensor.coordinates is Coordinates.EGO
         )
         if on_ego and not left:

@@ -22,6 +22,7 @@ from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
+    DepthCameraSensor,
     Identifier,
     LazyFrames,
     LidarFrame,
@@ -119,7 +120,11 @@ def _ego(
     scene: Scene, regions: tuple[Region, ...], trajectory: str | None, heading: str | None
 ) -> EgoMotion | None:
     """The ego's way, if something may need it."""
-    posed = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
+    posed = [
+        s
+        for s in scene.sensors
+        if isinstance(s, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
+    ]
     on_ego = any(s.mount is not None or s.coordinates is Coordinates.EGO for s in posed)
     asked = any(region.frame is PointsFrame.EGO for region in regions)
     if trajectory is None and not asked and not (on_ego and scene.trajectories):

@@ -14,7 +14,7 @@ from sceneloom.editing.keyframes import AddedKeyframes, Keyframer, PathKey
 from sceneloom.editing.moved_adjustments import led_from
 from sceneloom.editing.moved_annotations import AnnotationMover
 from sceneloom.editing.record import assumed, ours_of, skipped, with_notices
-from sceneloom.scene import CameraSensor, LidarSensor, PlainAnnotation, RadarSensor, Scene
+from sceneloom.scene import CameraSensor, DepthCameraSensor, LidarSensor, PlainAnnotation, RadarSensor, Scene
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.span import frame_times
 
@@ -69,7 +69,11 @@ def annotations_moved(
 
 def frames_ns(scene: Scene) -> Int64Array:
     """The times (N,) int64 [ns], ascending, of all sweeps, radar cycles and pictures of a scene."""
-    framed = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
+    framed = [
+        s
+        for s in scene.sensors
+        if isinstance(s, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
+    ]
     stamps = [frame_times(sensor) for sensor in framed]
     return np.unique(np.concatenate(stamps)) if stamps else np.zeros(0, np.int64)
 

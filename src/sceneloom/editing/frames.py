@@ -17,6 +17,7 @@ from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_f
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
+    DepthCameraSensor,
     Identifier,
     LidarSensor,
     OdometrySensor,
@@ -127,8 +128,12 @@ def to_sensor(
 
 def _rides_on_ego(scene: Scene) -> bool:
     """Whether something has its place on the ego."""
-    posed = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
-    clouds = [s for s in posed if not isinstance(s, CameraSensor)]
+    posed = [
+        s
+        for s in scene.sensors
+        if isinstance(s, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
+    ]
+    clouds = [s for s in posed if not isinstance(s, CameraSensor | DepthCameraSensor)]
     return (
         needs_ego(scene)
         or any(sensor.coordinates is Coordinates.EGO for sensor in posed)
@@ -171,10 +176,10 @@ def _sensor_in_world(
     reach_ns, world = scene_period_ns(scene), Coordinates.WORLD
     if isinstance(sensor, PlainSensor):
         return _left(moves, sensor)
-    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
         return sensor
     poses = poses_in_world(scene, sensor, ego, reach_ns=reach_ns, anew=anew)
-    if isinstance(sensor, CameraSensor):
+    if isinstance(sensor, CameraSensor | DepthCameraSensor):
         return replace(sensor, poses=poses, coordinates=world)
     change = points_change(scene, sensor, ego, PointsFrame.WORLD, reach_ns=reach_ns)
     if isinstance(sensor, LidarSensor):
@@ -192,11 +197,11 @@ def _sensor_on_ego(
         what = "a map has no time, so it has no place on the ego; it stays in the world"
         moves.notices.append(assumed("map-in-world", f"sensors[{sensor.id}]", what))
         return sensor
-    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
         return sensor
     poses = poses_on_ego(sensor, ego, reach_ns=reach_ns)
     parent_id = _parent(scene, sensor, odometry_id)
-    if isinstance(sensor, CameraSensor):
+    if isinstance(sensor, CameraSensor | DepthCameraSensor):
         return replace(sensor, poses=poses, coordinates=on_ego, parent_id=parent_id)
     change = points_change(scene, sensor, ego, PointsFrame.EGO, reach_ns=reach_ns)
     if isinstance(sensor, LidarSensor):
@@ -223,7 +228,9 @@ def _left(moves: CloudMoves, sensor: PlainSensor) -> PlainSensor:
 
 
 def _parent(
-    scene: Scene, sensor: LidarSensor | RadarSensor | CameraSensor, odometry_id: Identifier
+    scene: Scene,
+    sensor: LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor,
+    odometry_id: Identifier,
 ) -> Identifier | None:
     """The parent of a sensor on the ego: the odometry, where there are several and it would not be clear.
 

@@ -10,8 +10,10 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.sameness import is_same
 from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     CameraSensor,
+    DepthCameraSensor,
     GnssSensor,
     ImuSensor,
     LazyFrames,
@@ -29,7 +31,7 @@ from sceneloom.scene import (
 )
 
 Item_co = TypeVar("Item_co", covariant=True)
-Moving = TypeVar("Moving", LidarSensor, RadarSensor, CameraSensor)
+Moving = TypeVar("Moving", LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 
 MOUNT_TOLERANCE = 1e-9
 """Mountings of the parts of one sensor that differ by more are two mountings [m], [rad]."""
@@ -171,14 +173,20 @@ def _camera(first: CameraSensor, second: CameraSensor, name: str) -> Joined:
     return replace(placed, pictures=pictures, video=None), joint
 
 
+def _depth_camera(first: DepthCameraSensor, second: DepthCameraSensor, name: str) -> Joined:
+    """Join depth images as pictures are joined."""
+    joint = Joint.of(first.frames.timestamps_ns, second.frames.timestamps_ns, name)
+    frames = joint.frames(first.frames, second.frames)
+    placed = _placed(first, second, name)
+    if len(second.frames) == joint.twice:
+        return placed, joint
+    video = second.video if len(first.frames) == 0 else None
+    return replace(placed, frames=frames, video=video), joint
+
+
 def _placed(first: Moving, second: Moving, name: str) -> Moving:
     """The first part with the poses of both."""
-    if (first.mount is None) != (second.mount is None) or (
-        first.mount is not None
-        and second.mount is not None
-        and np.abs(first.mount.matrix - second.mount.matrix).max() > MOUNT_TOLERANCE
-    ):
-        raise OptionError(f"{name}: mounted otherwise in one scene than in another; expected one mounting")
+    _check_mounts(first.mount, second.mount, name)
     if first.poses is None or second.poses is None:
         return replace(first, poses=first.poses or second.poses)
     if first.coordinates is not second.coordinates:
@@ -186,6 +194,15 @@ def _placed(first: Moving, second: Moving, name: str) -> Moving:
             f"{name}: poses in {first.coordinates} and in {second.coordinates}; expected one frame"
         )
     return replace(first, poses=joined_path(first.poses, second.poses, name))
+
+
+def _check_mounts(first: RigidTransform | None, second: RigidTransform | None, name: str) -> None:
+    if (first is None) != (second is None) or (
+        first is not None
+        and second is not None
+        and np.abs(first.matrix - second.matrix).max() > MOUNT_TOLERANCE
+    ):
+        raise OptionError(f"{name}: mounted otherwise in one scene than in another; expected one mounting")
 
 
 def joined_path(first: PosePath, second: PosePath, name: str) -> PosePath:
@@ -248,7 +265,7 @@ def _imu(first: ImuSensor, second: ImuSensor, name: str) -> Joined:
 
 
 def _gnss(first: GnssSensor, second: GnssSensor, name: str) -> Joined:
-    del name
+    _check_mounts(first.mount, second.mount, name)
     rows = new_rows(first.timestamps_ns, second.timestamps_ns)
     names = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
     arrays = {what: _both(getattr(first, what), getattr(second, what), rows) for what in names}
@@ -268,6 +285,7 @@ _JOINS: Mapping[type, Callable[[Any, Any, str], Joined]] = MappingProxyType(
         LidarSensor: _lidar,
         RadarSensor: _radar,
         CameraSensor: _camera,
+        DepthCameraSensor: _depth_camera,
         OdometrySensor: _odometry,
         ImuSensor: _imu,
         GnssSensor: _gnss,

@@ -25,6 +25,7 @@ from sceneloom.errors import OptionError
 from sceneloom.scene import (
     Annotation,
     CameraSensor,
+    DepthCameraSensor,
     GnssSensor,
     Identifier,
     ImuSensor,
@@ -166,8 +167,8 @@ class _Merger:
             what = "frames that are in both scenes; taken once"
             self.notices.append(skipped("frames-twice", f"sensors[{second.id}]", what, count=joint.twice))
         if (
-            isinstance(first, CameraSensor)
-            and isinstance(joined, CameraSensor)
+            isinstance(first, CameraSensor | DepthCameraSensor)
+            and isinstance(joined, CameraSensor | DepthCameraSensor)
             and first.video is not joined.video
         ):
             what = "the videos of parts cannot be joined; its pictures are taken one by one"

@@ -17,6 +17,7 @@ from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
+    DepthCameraSensor,
     LidarSensor,
     OdometrySensor,
     PlainAnnotation,
@@ -32,6 +33,7 @@ from sceneloom.scene import (
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.labelled import renumbered
+from sceneloom.scene.sensor_sources import Posed
 from sceneloom.scene.span import frame_times
 
 
@@ -117,7 +119,7 @@ class _WorldMover:
         if isinstance(sensor, RadarSensor):
             placed_radar = replace(sensor, poses=self._poses(sensor))
             return self.moves.cloud(placed_radar, self._points(sensor), sensor.points_frame)
-        if isinstance(sensor, CameraSensor):
+        if isinstance(sensor, CameraSensor | DepthCameraSensor):
             return replace(sensor, poses=self._poses(sensor))
         if isinstance(sensor, OdometrySensor):
             return replace(
@@ -133,12 +135,12 @@ class _WorldMover:
     def _points(self, sensor: LidarSensor | RadarSensor) -> FrameChange | None:
         return self.change if sensor.points_frame is PointsFrame.WORLD else None
 
-    def _poses(self, sensor: LidarSensor | RadarSensor | CameraSensor) -> PosePath | None:
+    def _poses(self, sensor: Posed) -> PosePath | None:
         if sensor.poses is None or sensor.coordinates is not Coordinates.WORLD:
             return sensor.poses
         return self.change.path(sensor.poses, times_ns=self._times(sensor))
 
-    def _times(self, sensor: LidarSensor | RadarSensor | CameraSensor | OdometrySensor) -> Int64Array | None:
+    def _times(self, sensor: Posed | OdometrySensor) -> Int64Array | None:
         """The times that the poses of something that stands still get where the change is not the same at all times."""
         if sensor.poses is None or not sensor.poses.endless or self.change.is_constant:
             return None

@@ -12,6 +12,7 @@ from sceneloom.motion.sensor_paths import camera_path, sensor_path
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
+    DepthCameraSensor,
     LidarSensor,
     PointsFrame,
     PosePath,
@@ -24,7 +25,7 @@ from sceneloom.scene.sensor_sources import ego_path, points_source, sensor_sourc
 from sceneloom.scene.span import frame_times
 
 PointsOf = LidarSensor | RadarSensor
-Posed = LidarSensor | RadarSensor | CameraSensor
+Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
 
 
 def points_change(
@@ -112,6 +113,8 @@ def _as_needed(source: PoseSource, sensor: Posed) -> PosePath | None:
         return path_at(source, source.path.timestamps_ns)
     if isinstance(sensor, CameraSensor):
         return camera_path(source, sensor.pictures)
+    if isinstance(sensor, DepthCameraSensor):
+        return camera_path(source, sensor.frames)
     return sensor_path(source, times_ns)
 
 

@@ -15,10 +15,8 @@ from sceneloom.geometry.rotations import angle_between, slerp
 from sceneloom.geometry.thinning import thin_greedily
 from sceneloom.scene import (
     Annotation,
-    CameraSensor,
     CuboidAnnotation,
     CuboidPath,
-    LidarSensor,
     LocalizationAdjustment,
     Notice,
     NoticeKind,
@@ -26,13 +24,13 @@ from sceneloom.scene import (
     PointPath,
     PointsAnnotation,
     PosePath,
-    RadarSensor,
     Scene,
     Sensor,
     Trajectory,
 )
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.keypoints import places_of
+from sceneloom.scene.sensor_sources import Posed
 
 ROUNDING = 1e-9
 """Tolerances are kept this share smaller, so that another order of the same sums does not break the promise."""
@@ -197,7 +195,7 @@ class _Thinner:
     def sensor(self, sensor: Sensor) -> Sensor:
         if isinstance(sensor, OdometrySensor):
             return replace(sensor, poses=self.poses("sensors", sensor.poses))
-        if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor) and sensor.poses is not None:
+        if isinstance(sensor, Posed) and sensor.poses is not None:
             return replace(sensor, poses=self.poses("sensors", sensor.poses))
         return sensor
 

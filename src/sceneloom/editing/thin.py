@@ -13,6 +13,7 @@ from sceneloom.editing.voxels import KEEPERS, NEAREST, evenly, one_per_cube
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
     CameraSensor,
+    DepthCameraSensor,
     Identifier,
     LazyFrames,
     LidarFrame,
@@ -137,6 +138,8 @@ def _thinned(
     key = key_of(sensor.id)
     if isinstance(sensor, CameraSensor):
         return every_picture(sensor, every)
+    if isinstance(sensor, DepthCameraSensor):
+        return every_depth_image(sensor, every)
     if isinstance(sensor, PointsSensor) and thinning.changes:
         rows = thinning.rows(sensor.positions)
         changes[key] = Renumbering(rows=partial(_always, rows))
@@ -168,12 +171,20 @@ def every_picture(camera: CameraSensor, every: int) -> CameraSensor:
     """A camera with every so many-th of its pictures, from the first."""
     if every == 1:
         return camera
-    video = camera.video
-    if video is not None:
-        indices = range(len(camera.pictures)) if video.frame_indices is None else video.frame_indices
-        video = replace(video, frame_indices=tuple(indices[::every]))
+    rows = slice(None, None, every)
+    video = None if camera.video is None else camera.video.chosen(rows, len(camera.pictures))
     fps = None if camera.fps is None else camera.fps / every
-    return replace(camera, pictures=camera.pictures[::every], video=video, fps=fps)
+    return replace(camera, pictures=camera.pictures[rows], video=video, fps=fps)
+
+
+def every_depth_image(camera: DepthCameraSensor, every: int) -> DepthCameraSensor:
+    """A depth camera with every so many-th of its images, from the first."""
+    if every == 1:
+        return camera
+    rows = slice(None, None, every)
+    video = None if camera.video is None else camera.video.chosen(rows, len(camera.frames))
+    fps = None if camera.fps is None else camera.fps / every
+    return replace(camera, frames=camera.frames[rows], video=video, fps=fps)
 
 
 def _always(rows: Int64Array, number: int | None) -> Int64Array:  # noqa: ARG001 - a map has one frame only

@@ -8,6 +8,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.geometry.interpolation import thin_poses
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import Picture
+from sceneloom.scene.depth import DepthFrame
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
@@ -41,7 +42,9 @@ def sensor_path(source: PoseSource, frame_times_ns: Int64Array) -> PosePath | No
     return PosePath(times, poses.positions, poses.quaternions_xyzw)
 
 
-def camera_path(source: PoseSource, pictures: LazyFrames[Picture]) -> PosePath | None:
+def camera_path(
+    source: PoseSource, pictures: LazyFrames[Picture] | LazyFrames[DepthFrame]
+) -> PosePath | None:
     """Give `world_from_camera` as `sensor_path` does, each picture's pose by its own mounting where it has one.
 
     Raises:

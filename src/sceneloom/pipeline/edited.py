@@ -15,6 +15,7 @@ from sceneloom.formats.output import check_output
 from sceneloom.formats.table import format_for_output, open_scene, write_scene
 from sceneloom.scene import (
     CameraSensor,
+    DepthCameraSensor,
     Identifier,
     LidarSensor,
     Notice,
@@ -157,7 +158,7 @@ def _map_points(scenes: Sequence[Scene]) -> int:
 
 
 def _counts(scenes: Sequence[Scene], points: int) -> SceneCounts:
-    framed = (LidarSensor, RadarSensor, CameraSensor)
+    framed = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
     sensors = [sensor for scene in scenes for sensor in scene.sensors]
     return SceneCounts(
         sensors=len(sensors),

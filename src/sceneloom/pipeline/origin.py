@@ -12,6 +12,7 @@ from sceneloom.pipeline.shifted_annotations import annotation_can_move, moved_an
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
+    DepthCameraSensor,
     LazyFrames,
     LidarFrame,
     LidarSensor,
@@ -26,7 +27,7 @@ from sceneloom.scene import (
     Trajectory,
 )
 
-Posed = TypeVar("Posed", LidarSensor, RadarSensor, CameraSensor)
+Posed = TypeVar("Posed", LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
 
 
@@ -108,6 +109,7 @@ _MOVES: Mapping[type, Callable[[Any, Float64Array], Sensor]] = MappingProxyType(
         LidarSensor: _moved_lidar,
         RadarSensor: _moved_radar,
         CameraSensor: _moved_poses,
+        DepthCameraSensor: _moved_poses,
         PointsSensor: _moved_map,
         OdometrySensor: _moved_odometry,
     }

@@ -15,6 +15,7 @@ from sceneloom.pipeline.origin import can_move, moved_scene
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
+    DepthCameraSensor,
     Identifier,
     LazyFrames,
     LidarFrame,
@@ -117,7 +118,7 @@ def output_scene(woven: Woven, *, reach_ns: int) -> tuple[Scene, Mapping[Identif
 def _check_order(scene: Scene) -> None:
     """Refuse times that run backwards: what is paired and what is cut off depends on their order."""
     for sensor in scene.sensors:
-        if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
+        if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
             continue
         times = frame_times(sensor)
         backwards = np.flatnonzero(np.diff(times) < 0)

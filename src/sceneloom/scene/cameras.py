@@ -78,6 +78,18 @@ class VideoContent:
     codec: str
     frame_indices: tuple[int, ...] | None = None
 
+    def chosen(self, rows: slice, count: int) -> "VideoContent":
+        """The video of a camera that keeps some of its frames.
+
+        Args:
+            rows: which.
+            count: how many it had.
+        """
+        if range(count)[rows] == range(count):
+            return self
+        indices = range(count) if self.frame_indices is None else self.frame_indices
+        return replace(self, frame_indices=tuple(indices[rows]))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraSensor:

@@ -1,16 +1,28 @@
 """Cameras that measure depth, and their images."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from sceneloom.arrays import Float32Array
+import numpy as np
+
+from sceneloom.arrays import Float32Array, check_array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import VideoContent
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Kept:
+    """Gives an image that is in memory; others cannot write into it."""
+
+    depth: Float32Array
+
+    def __call__(self) -> Float32Array:
+        return read_only(self.depth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,10 +46,24 @@ class DepthFrame:
     mount: RigidTransform | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
+    @classmethod
+    def of(cls, timestamp_ns: int, camera: Camera, depth: Float32Array) -> "DepthFrame":
+        """Wrap an image that is already in memory, (height, width) float32 [m], 0 for none."""
+        check_array("frame.depth", depth, (camera.height, camera.width), np.float32)
+        return cls(timestamp_ns, camera, _Kept(depth))
+
     @property
     def depth(self) -> Float32Array:
         """The image, (height, width) float32 [m], decoded now; keep it if you need it twice."""
         return self.decode()
+
+    def loaded(self) -> "DepthFrame":
+        """The same image, decoded now and kept in memory.
+
+        Raises:
+            DataError: it cannot be decoded.
+        """
+        return self if isinstance(self.decode, _Kept) else replace(self, decode=_Kept(self.decode()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from sceneloom.errors import OptionError
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.labelled import Renumbering, renumbered
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.notices import Notice, NoticeKind
@@ -34,7 +35,7 @@ _POSES_AROUND_NS = 1_000_000_000
 _LONGEST = 9.2e9
 """What int64 nanoseconds hold, nearly [s]."""
 
-Moving = TypeVar("Moving", LidarSensor, RadarSensor, CameraSensor)
+Moving = TypeVar("Moving", LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 Cloud = TypeVar("Cloud", LidarSensor, RadarSensor)
 
 
@@ -80,11 +81,11 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
         return scene
     with_pictures = (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)]))
     sensors = tuple(
-        _cut_sensor(sensor, with_pictures if isinstance(sensor, CameraSensor) else part)
+        _cut_sensor(sensor, with_pictures if isinstance(sensor, CameraSensor | DepthCameraSensor) else part)
         for sensor in scene.sensors
     )
-    clouds_and_pictures = [s for s in sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
-    if not any(len(frame_times(sensor)) for sensor in clouds_and_pictures):
+    kinds = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
+    if not any(len(frame_times(sensor)) for sensor in sensors if isinstance(sensor, kinds)):
         length = np.ptp(time_span(scene) or (0, 0)) / 1e9
         until = "the end" if stop is None else f"{stop} s"
         raise OptionError(
@@ -137,11 +138,15 @@ def _cut_cloud(sensor: Cloud, part: Interval) -> Cloud:
 
 
 def _cut_camera(sensor: CameraSensor, part: Interval) -> CameraSensor:
-    inside, video = _rows_in(sensor, part), sensor.video
-    if video is not None and (inside.start, inside.stop) != (0, len(sensor.pictures)):
-        indices = range(len(sensor.pictures)) if video.frame_indices is None else video.frame_indices
-        video = replace(video, frame_indices=tuple(indices[inside]))
+    inside = _rows_in(sensor, part)
+    video = None if sensor.video is None else sensor.video.chosen(inside, len(sensor.pictures))
     return _with_cut_poses(replace(sensor, pictures=sensor.pictures[inside], video=video), part)
+
+
+def _cut_depth_camera(sensor: DepthCameraSensor, part: Interval) -> DepthCameraSensor:
+    inside = _rows_in(sensor, part)
+    video = None if sensor.video is None else sensor.video.chosen(inside, len(sensor.frames))
+    return _with_cut_poses(replace(sensor, frames=sensor.frames[inside], video=video), part)
 
 
 def _with_cut_poses(sensor: Moving, part: Interval) -> Moving:
@@ -179,6 +184,7 @@ def _cut_fixes(sensor: GnssSensor, part: Interval) -> GnssSensor:
 _CUTS: Mapping[type, Callable[[Any, Interval], Sensor]] = MappingProxyType(
     {
         CameraSensor: _cut_camera,
+        DepthCameraSensor: _cut_depth_camera,
         LidarSensor: _cut_cloud,
         RadarSensor: _cut_cloud,
         OdometrySensor: _cut_odometry,
@@ -211,7 +217,7 @@ def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
     }
 
 
-def _rows_in(sensor: LidarSensor | RadarSensor | CameraSensor, part: Interval) -> slice:
+def _rows_in(sensor: LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor, part: Interval) -> slice:
     return rows_between(frame_times(sensor), part)
 
 

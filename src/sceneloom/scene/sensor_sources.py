@@ -7,6 +7,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.pose_source import PoseSource
@@ -14,7 +15,7 @@ from sceneloom.scene.poses import PosePath
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, PointsFrame
 
-Posed = LidarSensor | RadarSensor | CameraSensor
+Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
 """Sensors that are somewhere."""
 
 _NOT_PLACED = (

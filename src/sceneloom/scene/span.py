@@ -7,6 +7,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import ImuSensor, OdometrySensor
 from sceneloom.scene.scene import Scene, Sensor
 
@@ -36,7 +37,7 @@ def scene_period_ns(scene: Scene) -> int:
 
 def frame_times(sensor: Sensor) -> Int64Array:
     """The time stamps (N,) int64 [ns] of whatever the sensor gives over time; empty where it has no time."""
-    if isinstance(sensor, LidarSensor | RadarSensor):
+    if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
         return sensor.frames.timestamps_ns
     if isinstance(sensor, CameraSensor):
         return sensor.pictures.timestamps_ns

@@ -6,6 +6,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.notices import Notice
 from sceneloom.scene.poses import PosePath
@@ -36,7 +37,7 @@ class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
         gaps: intervals longer than 1.5 median ones; the first 20.
         gap_count: all of them.
         first_frame_points: points of the first frame, for lidars and maps.
-        lens: projection model and picture size, for cameras.
+        lens: projection model and picture size, for cameras and depth cameras.
         video: codec, where the pictures come from a video.
         poses: how many, None where there are none.
         coordinates: frame of the poses, and of the points of a lidar.
@@ -142,7 +143,7 @@ def _summarise_sensor(sensor: Sensor, start_ns: int) -> SensorSummary:
         gap_count=len(gaps),
         first_frame_points=_first_frame_points(sensor),
         lens=_lens(sensor),
-        video=sensor.video.codec if isinstance(sensor, CameraSensor) and sensor.video is not None else None,
+        video=_codec(sensor),
         poses=None if poses is None else len(poses.timestamps_ns),
         coordinates=_coordinates(sensor),
         mounted=getattr(sensor, "mount", None) is not None,
@@ -185,9 +186,15 @@ def _first_frame_points(sensor: Sensor) -> int | None:
 
 
 def _lens(sensor: Sensor) -> str | None:
-    if not isinstance(sensor, CameraSensor):
+    if not isinstance(sensor, CameraSensor | DepthCameraSensor):
         return None
     return f"{sensor.camera.model} {sensor.camera.width}x{sensor.camera.height}"
+
+
+def _codec(sensor: Sensor) -> str | None:
+    if not isinstance(sensor, CameraSensor | DepthCameraSensor) or sensor.video is None:
+        return None
+    return sensor.video.codec
 
 
 def _coordinates(sensor: Sensor) -> str | None:
@@ -195,6 +202,6 @@ def _coordinates(sensor: Sensor) -> str | None:
         return f"points {sensor.points_frame}" + (
             "" if sensor.poses is None else f", poses {sensor.coordinates}"
         )
-    if isinstance(sensor, CameraSensor) and sensor.poses is not None:
+    if isinstance(sensor, CameraSensor | DepthCameraSensor) and sensor.poses is not None:
         return f"poses {sensor.coordinates}"
     return None

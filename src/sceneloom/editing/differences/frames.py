@@ -10,7 +10,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.differences.report import Change
 from sceneloom.editing.differences.values import Comparison
-from sceneloom.scene import CameraSensor, LazyFrames, Picture, VideoContent
+from sceneloom.scene import CameraSensor, DepthCameraSensor, DepthFrame, LazyFrames, Picture, VideoContent
 
 _PIECE = 1 << 20
 
@@ -105,6 +105,46 @@ def compare_pictures(
     compare_frames(comparison, path, first.pictures, second.pictures, compare, on_frame)
 
 
+def compare_depth_images(
+    comparison: Comparison,
+    path: str,
+    first: DepthCameraSensor,
+    second: DepthCameraSensor,
+    on_frame: Callable[[], None],
+    *,
+    pixels: bool,
+) -> None:
+    """Compare depth images of the same time: their lenses, and their videos, else their depths where asked for.
+
+    Args:
+        pixels: decode images that no equal videos hold, and tell how far their depths differ.
+    """
+    videos = _videos(comparison, path, first, second)
+
+    def compare(inner: Comparison, place: str, a: DepthFrame, b: DepthFrame) -> None:
+        inner.records(place, a, b, skipped=("decode",))
+        if videos and a.scale == b.scale:
+            return
+        if pixels:
+            _compare_depths(inner, place, a, b)
+        else:
+            inner.findings.pass_over(f"{path}[]: depth images; decode them to compare them")
+
+    compare_frames(comparison, path, first.frames, second.frames, compare, on_frame)
+
+
+def _compare_depths(comparison: Comparison, path: str, a: DepthFrame, b: DepthFrame) -> None:
+    first, second = a.depth, b.depth
+    if first.shape != second.shape:
+        message = f"{first.shape[1]}x{first.shape[0]} pixels; then {second.shape[1]}x{second.shape[0]}"
+        comparison.add(f"{path}.depth", Change.CHANGED, message)
+        return
+    away = np.abs(first.astype(np.float64) - second)
+    if away.any():
+        message = f"the mean difference of a depth, {float(away.max()):g} m at most"
+        comparison.add(f"{path}.depth", Change.CHANGED, message, float(away.mean()), "m")
+
+
 def _same_bytes(a: Picture, b: Picture) -> bool | None:
     """Whether the files of two pictures are equal; None where one has none."""
     if a.encoded is None or b.encoded is None:
@@ -112,7 +152,12 @@ def _same_bytes(a: Picture, b: Picture) -> bool | None:
     return a.encoded() == b.encoded()
 
 
-def _videos(comparison: Comparison, path: str, first: CameraSensor, second: CameraSensor) -> bool | None:
+def _videos(
+    comparison: Comparison,
+    path: str,
+    first: CameraSensor | DepthCameraSensor,
+    second: CameraSensor | DepthCameraSensor,
+) -> bool | None:
     """Whether the videos behind two cameras are equal, which is told; None where there are not two."""
     a, b = first.video, second.video
     if a is None or b is None:

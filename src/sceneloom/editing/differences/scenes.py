@@ -6,17 +6,26 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.editing.differences.frames import compare_frames, compare_pictures
+from sceneloom.editing.differences.frames import compare_depth_images, compare_frames, compare_pictures
 from sceneloom.editing.differences.report import Change, Findings, SceneDifferences
 from sceneloom.editing.differences.tolerances import Tolerances
 from sceneloom.editing.differences.values import Comparison, shown
 from sceneloom.errors import OptionError
-from sceneloom.scene import CameraSensor, LidarFrame, LidarSensor, RadarFrame, RadarSensor, Scene, Sensor
+from sceneloom.scene import (
+    CameraSensor,
+    DepthCameraSensor,
+    LidarFrame,
+    LidarSensor,
+    RadarFrame,
+    RadarSensor,
+    Scene,
+    Sensor,
+)
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Key, Progress, key_of
 
-_FRAMED = (LidarSensor, RadarSensor, CameraSensor)
+_FRAMED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
@@ -130,6 +139,8 @@ def _compare_sensor(
     comparison.records(path, a, b, skipped=("frames", "pictures", "video"))
     if isinstance(a, CameraSensor) and isinstance(b, CameraSensor):
         compare_pictures(comparison, f"{path}.pictures", a, b, on_frame, pixels=pixels)
+    elif isinstance(a, DepthCameraSensor) and isinstance(b, DepthCameraSensor):
+        compare_depth_images(comparison, f"{path}.frames", a, b, on_frame, pixels=pixels)
     elif isinstance(a, LidarSensor | RadarSensor) and type(a) is type(b):
         compare_frames(comparison, f"{path}.frames", a.frames, b.frames, _compare_cloud, on_frame)
 

@@ -77,7 +77,7 @@ def depth_sensor(
     scale = table.first_fields().get("depthScale")
     if scale is None and len(table.seconds):
         message = f"no depthScale for camera {table.camera_index}; taken to be {DEFAULT_SCALE:g} m a step"
-        ledger.note(NoticeKind.ASSUMED, "depth-scale-assumed", str(table.data_file.path), message)
+        ledger.note(NoticeKind.ASSUMED, "depth-scale-assumed", table.data_file.name, message)
     usual = scale_of(DEFAULT_SCALE if scale is None else scale, table)
     return DepthCameraSensor(
         id=camera.id,
@@ -101,7 +101,7 @@ def scale_of(value: object, table: PictureTable) -> float:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not 0 < float(value) <= _LARGEST_SCALE:  # type: ignore[arg-type]
         problem = f"frames[].depthScale: {value!r} of camera {table.camera_index}; expected metres a step"
-        raise DataError(table.data_file.path, "", problem)
+        raise DataError(table.data_file.name, "", problem)
     return float(value)  # type: ignore[arg-type]
 
 

@@ -30,6 +30,7 @@ from sceneloom.scene import (
     Annotation,
     CameraCalibration,
     CameraSensor,
+    DepthCameraSensor,
     Identifier,
     LidarFrame,
     LidarSensor,
@@ -293,7 +294,16 @@ class SceneWriter:
             self._add_read(annotation, scene)
         self._add_trajectories(scene)
         for sensor in scene.sensors:
-            self.add_sensor(sensor)
+            if isinstance(sensor, DepthCameraSensor):
+                self._lose_depth(sensor)
+            else:
+                self.add_sensor(sensor)
+
+    def _lose_depth(self, sensor: DepthCameraSensor) -> None:
+        what = (
+            f"left out, with {len(sensor.frames)} depth images: the format has no cameras that measure depth"
+        )
+        self._losses.add(f"sensors[{sensor.id}]", what)
 
     def _add_read(self, annotation: Annotation, scene: Scene) -> None:
         """Add an annotation; what cannot be held of one that was read from a file is a fault of that file."""

@@ -52,6 +52,24 @@ class RecordingFolder:
             Image.new("RGB", (width, height), (10 * k,) * 3).save(self.path / name / f"{k:08d}.png")
         return self
 
+    def depth_video(self, name: str, images: Sequence[np.ndarray]) -> "RecordingFolder":
+        """Write images of 16-bit steps, (H, W) uint16, as FFV1."""
+        with av.open(str(self.path / name), "w") as container:
+            stream = container.add_stream("ffv1", rate=10, options={"threads": "1"})
+            stream.height, stream.width = images[0].shape
+            stream.pix_fmt = "gray16le"
+            for image in images:
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray16le")))
+            container.mux(stream.encode())
+        return self
+
+    def depth_pngs(self, name: str, images: Sequence[np.ndarray]) -> "RecordingFolder":
+        """Write images of 16-bit steps as PNG pictures."""
+        (self.path / name).mkdir()
+        for k, image in enumerate(images):
+            Image.fromarray(image).save(self.path / name / f"{k:08d}.png")
+        return self
+
     def points(
         self, name: str, points: Iterable[tuple[float, ...]], *, extra: bytes = b""
     ) -> "RecordingFolder":

@@ -1,0 +1,236 @@
+"""Depth videos and 16-bit pictures against the numbers that were put into them, and what is assumed of them."""
+
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+from sceneloom import diff
+from sceneloom.checks import validate
+from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_world
+from sceneloom.errors import DataError
+from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.sfs import write_scene as write_sfs
+from sceneloom.pipeline.origin import moved_scene
+from sceneloom.scene import DepthCameraSensor
+from sceneloom.scene.summary import summarise
+from sceneloom.scene.watched import watched
+
+LOOKS_AHEAD = [[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, -0.2], [0.0, 0.0, 0.0, 1.0]]
+COUNT = 4
+
+
+@pytest.fixture
+def images():
+    rng = np.random.default_rng(11)
+    steps = rng.integers(0, 65536, (COUNT, 16, 32), dtype=np.uint16)
+    steps[:, 0, 0], steps[:, 0, 1] = 0, 65535
+    return list(steps)
+
+
+def frames_line(k, **depth_fields):
+    entries = [{"cameraInd": 0, "hasDepth": True}, {"cameraInd": 1, **depth_fields}]
+    return {"frames": entries, "number": k, "time": 0.1 * k}
+
+
+def pose_line(k):
+    position, orientation = {"x": 2.0 * k, "y": 0, "z": 0}, {"w": 1, "x": 0, "y": 0, "z": 0}
+    return {"groundTruth": {"position": position, "orientation": orientation}, "time": 0.1 * k}
+
+
+def two_cameras(recording, pinhole, fields):
+    """A colour camera and the lines of a depth camera, whose images are still to be added."""
+    entry = {**pinhole, "imuToCamera": LOOKS_AHEAD}
+    lines = [line for k in range(COUNT) for line in (pose_line(k), frames_line(k, **fields(k)))]
+    return recording.lines(lines).calibration([entry, entry]).video("data.mkv", COUNT)
+
+
+@pytest.fixture
+def depth_recording(recording, pinhole, images):
+    fields = {"colorFormat": "gray16", "depthScale": 0.002, "aligned": True}
+    return two_cameras(recording, pinhole, lambda _: fields).depth_video("data2.mkv", images)
+
+
+@pytest.fixture
+def scene(depth_recording):
+    with FORMAT.open(depth_recording.path) as scene:
+        yield scene
+
+
+def codes(scene):
+    return {notice.code for notice in scene.notices}
+
+
+def test_depths_are_steps_times_their_scale(scene, images):
+    camera = scene.sensor("camera1")
+    assert isinstance(camera, DepthCameraSensor)
+    assert camera.type == "depth_camera"
+    assert [c.id for c in scene.cameras] == ["camera0"]
+    for frame, steps in zip(camera.frames, images, strict=True):
+        assert frame.depth.dtype == np.float32
+        # exact but for rounding to float32
+        np.testing.assert_array_equal(frame.depth, (steps.astype(np.float64) * 0.002).astype(np.float32))
+        assert (frame.scale, frame.depth[0, 0]) == (0.002, 0.0)
+    assert camera.frames[1].extras["aligned"] is True
+    assert camera.video.codec == "ffv1"
+    np.testing.assert_allclose(camera.mount.matrix, np.linalg.inv(LOOKS_AHEAD), atol=1e-15)
+    assert not codes(scene)
+
+
+@pytest.mark.parametrize("name", ["data2.mkv", "data2.avi"])
+def test_videos_of_either_container_hold_the_same_depths(recording, pinhole, images, name):
+    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.001}).depth_video(name, images)
+    with FORMAT.open(recording.path) as scene:
+        depth = scene.sensor("camera1").frames[2].depth
+    np.testing.assert_allclose(depth, images[2] * 0.001, rtol=1e-6)  # float32
+
+
+def test_pictures_of_16_bits_are_depths_too(recording, pinhole, images):
+    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.005}).depth_pngs("frames2", images)
+    with FORMAT.open(recording.path) as scene:
+        camera = scene.sensor("camera1")
+        assert (camera.video, camera.fps) == (None, None)
+        for frame, steps in zip(camera.frames, images, strict=True):
+            np.testing.assert_allclose(frame.depth, steps * 0.005, rtol=1e-6)  # float32
+
+
+def test_every_line_may_have_a_scale_of_its_own(recording, pinhole, images):
+    two_cameras(recording, pinhole, lambda k: {"depthScale": 0.001 * (k + 1)}).depth_video(
+        "data2.mkv", images
+    )
+    with FORMAT.open(recording.path) as scene:
+        for k, frame in enumerate(scene.sensor("camera1").frames):
+            np.testing.assert_allclose(frame.depth, images[k] * (0.001 * (k + 1)), rtol=1e-6)  # float32
+
+
+def test_a_scale_that_is_not_said_is_a_millimetre_with_a_notice(recording, pinhole, images):
+    two_cameras(recording, pinhole, lambda _: {}).depth_video("data2.mkv", images)
+    with FORMAT.open(recording.path) as scene:
+        assert codes(scene) == {"depth-scale-assumed"}
+        assert scene.sensor("camera1").frames[0].depth[0, 1] == np.float32(65.535)
+
+
+@pytest.mark.parametrize("scale", [0, -0.001, "0.001", True, 1e9])
+def test_a_scale_that_is_no_length_is_refused(recording, pinhole, images, scale):
+    two_cameras(recording, pinhole, lambda _: {"depthScale": scale}).depth_video("data2.mkv", images)
+    with pytest.raises(DataError, match=re.escape(f"depthScale: {scale!r} of camera 1; expected metres")):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert [sensor.id for sensor in scene.sensors] == ["camera0"]
+
+
+def test_aligned_images_without_a_calibration_take_that_of_the_first_camera(recording, pinhole, images):
+    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.001}).depth_video("data2.mkv", images)
+    recording.calibration([{**pinhole, "imuToCamera": LOOKS_AHEAD}])
+    with FORMAT.open(recording.path) as scene:
+        colour, depth = scene.sensor("camera0"), scene.sensor("camera1")
+        assert (depth.camera, codes(scene)) == (colour.camera, {"depth-aligned"})
+        np.testing.assert_array_equal(depth.mount.matrix, colour.mount.matrix)
+
+
+def test_depths_in_a_video_of_colours_are_refused(recording, pinhole):
+    two_cameras(recording, pinhole, lambda _: {"colorFormat": "gray16"}).video("data2.mkv", COUNT)
+    with pytest.raises(DataError, match="pixels are no 16-bit grey, while lines say colorFormat 'gray16'"):
+        FORMAT.open(recording.path)
+
+
+def test_a_video_of_colours_has_no_steps_and_one_of_steps_has_colours(depth_recording):
+    from sceneloom.formats.video import open_video
+
+    with open_video(depth_recording.path / "data.mkv") as video:
+        assert not video.has_steps
+        with pytest.raises(DataError, match="has pixels of type bgr0; expected one of gray16le"):
+            video.steps(0)
+    with open_video(depth_recording.path / "data2.mkv") as video:
+        assert video.has_steps
+        assert video.rgb(0).shape == (16, 32, 3)
+
+
+def test_depth_cameras_go_to_other_processes(scene, images):
+    there = pickle.loads(pickle.dumps(scene.sensor("camera1")))
+    np.testing.assert_array_equal(there.frames[3].depth, scene.sensor("camera1").frames[3].depth)
+
+
+def test_validation_reads_depth_images_and_finds_nothing_wrong(depth_recording):
+    report = validate(depth_recording.path, places=None)
+    assert [f for f in report.findings if f.severity == "error"] == []
+    assert report.passed
+
+
+def test_validation_names_a_depth_image_that_cannot_be_decoded(recording, pinhole, images):
+    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.001}).depth_pngs("frames2", images)
+    broken = recording.path / "frames2" / "00000002.png"
+    broken.write_bytes(broken.read_bytes()[:-60])
+    report = validate(recording.path, places=None)
+    assert [f.path for f in report.findings if f.rule == "frame-readable"] == ["sensors[1].frames[2]"]
+
+
+def test_the_summary_counts_depth_images(scene):
+    summary = summarise(scene).sensors[1]
+    assert (summary.type, summary.count, summary.lens, summary.video) == (
+        "depth_camera",
+        COUNT,
+        "pinhole 32x16",
+        "ffv1",
+    )
+    assert (summary.rate_hz, summary.poses, summary.mounted) == (pytest.approx(10.0), COUNT, True)
+
+
+def test_a_part_of_a_drive_has_the_depth_images_of_its_time(scene, images):
+    part = crop_scene(scene, start=0.1, stop=0.3)
+    camera = part.sensor("camera1")
+    assert camera.frames.timestamps_ns.tolist() == [100_000_000, 200_000_000]
+    assert camera.video.frame_indices == (1, 2)
+    np.testing.assert_allclose(camera.frames[0].depth, images[1] * 0.002, rtol=1e-6)  # float32
+
+
+def test_thinning_keeps_every_other_depth_image(scene):
+    camera = thin_scene(scene, every=2).sensor("camera1")
+    assert camera.frames.timestamps_ns.tolist() == [0, 200_000_000]
+    assert camera.video.frame_indices == (0, 2)
+
+
+def test_parts_are_joined_to_what_they_were(scene, images):
+    parts = [crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)]
+    camera = merge_scenes(parts, join=True).sensor("camera1")
+    assert camera.frames.timestamps_ns.tolist() == scene.sensor("camera1").frames.timestamps_ns.tolist()
+    for frame, steps in zip(camera.frames, images, strict=True):
+        np.testing.assert_allclose(frame.depth, steps * 0.002, rtol=1e-6)  # float32
+
+
+def test_depth_cameras_are_placed_as_cameras_are(scene):
+    colour, depth = to_world(scene).sensor("camera0"), to_world(scene).sensor("camera1")
+    np.testing.assert_allclose(depth.poses.positions, colour.poses.positions, atol=1e-12)
+    # each pose at x = 2 k; the mounting puts the camera 0.2 m ahead and 0.1 m to the left
+    np.testing.assert_allclose(depth.poses.positions[:, 0], 2.0 * np.arange(COUNT) + 0.2, atol=1e-12)
+    on_ego = to_ego(scene).sensor("camera1")
+    np.testing.assert_allclose(on_ego.poses.positions, [[0.2, 0.1, 0.0]] * COUNT, atol=1e-12)
+    moved = moved_scene(scene, np.array([1.0, 2.0, 3.0])).sensor("camera1")
+    np.testing.assert_allclose(moved.poses.positions, depth.poses.positions - [1, 2, 3], atol=1e-12)
+
+
+def test_differences_of_depths_are_told(depth_recording, pinhole, images, tmp_path):
+    other = type(depth_recording)(tmp_path / "other")
+    two_cameras(other, pinhole, lambda _: {"colorFormat": "gray16", "depthScale": 0.002, "aligned": True})
+    images[1][5, 7] ^= 512
+    other.depth_video("data2.mkv", images)
+    with FORMAT.open(depth_recording.path) as first, FORMAT.open(other.path) as second:
+        assert not diff(first, first, pixels=True).differences
+        told = {d.path: d.amount for d in diff(first, second, pixels=True).differences}
+    paths = {path.partition(".frames")[2] for path in told if "camera1" in path}
+    # 512 steps of 2 mm in one of 512 pixels
+    assert paths == {".video", "[].depth"}
+    assert told["sensors['camera1'].frames[].depth"] == pytest.approx(512 * 0.002 / 512, rel=1e-5)  # float32
+
+
+def test_scene_files_leave_depth_cameras_out_and_say_so(scene, tmp_path):
+    losses = {loss.field: loss.what for loss in write_sfs(scene, tmp_path / "drive.sfs")}
+    assert "4 depth images" in losses["sensors[camera1]"]
+
+
+def test_nobody_is_told_of_depth_images(scene):
+    told = []
+    for frame in watched(scene, lambda *what: told.append(what)).sensor("camera1").frames:
+        assert frame.depth.shape == (16, 32)
+    assert told == []

@@ -1,0 +1,83 @@
+"""Settings of the vendor's software: which lines are one, which names are known."""
+
+import pytest
+
+from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.vio_config import read_vio_config, repeated_keys, similar_key, unknown_keys
+from sceneloom.formats.recording.vio_config_keys import KNOWN_KEYS
+
+# set: wrapper-base of the vendor's ROS 2 node, with a comment, a list in each form and a quoted text
+TEXT = """\
+# set: wrapper-base
+---
+trackChiTestOutlierR: 3
+useSlam: True   # find loops
+parameterSets: ['wrapper-base', "oak-d"]
+imuToCameraMatrix:
+  - 1.0
+  - 0.0
+stereoCameraTranslation:
+- 0.1
+- 0.0
+"ffmpegVideoCodec": "libx264 -crf 15 # fast"
+
+visualR:0.01
+"""
+
+
+def test_settings_are_read_with_their_lines():
+    config = read_vio_config(TEXT)
+    assert [(s.key, s.value, s.line) for s in config.settings] == [
+        ("trackChiTestOutlierR", "3", 3),
+        ("useSlam", "True", 4),
+        ("parameterSets", "['wrapper-base', \"oak-d\"]", 5),
+        ("imuToCameraMatrix", "", 6),
+        ("stereoCameraTranslation", "", 9),
+        ("ffmpegVideoCodec", '"libx264 -crf 15 # fast"', 12),
+    ]
+    # YAML takes a colon without a blank for a part of a text, so this is no setting
+    assert dict(config.strange) == {14: "visualR:0.01"}
+
+
+def test_known_settings_are_not_told():
+    assert unknown_keys(TEXT) == []
+    assert unknown_keys("") == []
+    assert len(KNOWN_KEYS) > 250
+
+
+@pytest.mark.parametrize(
+    ("text", "unknown"),
+    [
+        ("useSlamm: true\n", ["useSlamm"]),
+        ("UseSlam: true\nuseStereo: no\nsomething else: 1\n", ["UseSlam", "something else"]),
+        ("odometry:\n  visualR: 0.1\n", ["odometry"]),
+    ],
+)
+def test_unknown_settings_are_told_in_their_order(text, unknown):
+    assert unknown_keys(text) == unknown
+
+
+def test_the_nearest_known_name_is_offered():
+    assert similar_key("UseSlam") == "useSlam"
+    assert similar_key("maxKeypoint") == "maxKeypoints"
+    assert similar_key("colour") is None
+
+
+def test_settings_that_stand_there_twice_are_told():
+    assert repeated_keys("useSlam: true\nvisualR: 1\nuseSlam: false\n") == ["useSlam"]
+    assert repeated_keys(TEXT) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["\x00: 1", "{", "[1, 2", "- a\n- b", "a: b: c", "\ufeffuseSlam: 1", "'a: 1", "#"]
+)
+def test_any_text_is_looked_through(text):
+    config = read_vio_config(text)
+    assert len(config.settings) + len(config.strange) <= len(text.splitlines())
+
+
+def test_the_text_is_kept_as_it_is(recording):
+    recording.lines([{"sensor": {"type": "gyroscope", "values": [0, 0, 0]}, "time": 0.0}])
+    (recording.path / "vio_config.yaml").write_text(TEXT)
+    with FORMAT.open(recording.path) as scene:
+        assert scene.metadata["recording"]["vio_config"] == TEXT

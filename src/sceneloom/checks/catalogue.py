@@ -14,6 +14,8 @@ RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.times",
     "sceneloom.checks.point_times",
     "sceneloom.checks.poses",
+    "sceneloom.checks.recordings.poses_and_imu",
+    "sceneloom.checks.recordings.poses_and_gnss",
     "sceneloom.checks.sensors",
     "sceneloom.checks.cameras",
     "sceneloom.checks.points",

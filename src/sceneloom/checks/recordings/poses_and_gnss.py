@@ -1,0 +1,197 @@
+"""Rules about trajectories that do not agree with the fixes of the satellites: far off, mirrored, of another scale."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.geometry.geodesy import enu_from_geodetic
+from sceneloom.scene import GnssSensor, Severity, Trajectory
+
+NEAREST_TOLD = 5.0
+"""Fixes within this distance [m] of a trajectory agree with it, whatever they claim: antennas sit elsewhere."""
+_ACCURACIES = 4.0
+"""And those within so many times the accuracy that they claim,"""
+_DRIFT = 0.01
+"""and within this part of the way: odometry drifts."""
+_FEWEST_FIXES = 10
+_LEAST_SPREAD = 5.0
+_USUAL_ACCURACY = 5.0
+_CLEARLY = 0.3
+"""What explains a distance leaves less than this part of it."""
+_MIRRORED_TOLD = 2.0
+"""Ways less bent [m] have no left and right."""
+_SCALES = (0.9, 1.1)
+_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 1.0 / 0.3048: "feet"}
+_LONGEST_SHIFT, _SHIFT_STEP = 2.0, 0.1
+_HEIGHTS_TELL = 3.0
+_TURNED_HEIGHTS = -0.7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """A trajectory and the fixes during it, places along the ground as complex numbers [m].
+
+    Attributes:
+        fixes: (M,) complex, east and north.
+        ups: (M,) height of the fixes.
+        seconds: (M,) of the fixes, counted from the trajectory's first pose.
+        way: the trajectory.
+        tolerance: so far apart they still agree.
+        vertical: accuracy of the heights.
+    """
+
+    fixes: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    ups: Float64Array
+    seconds: Float64Array
+    way: Trajectory
+    tolerance: float
+    vertical: float
+
+    def places(self, shift: float = 0.0) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
+        """Where the trajectory was at the time of each fix, or so much later [s]."""
+        return np.asarray(self._at(shift, 0) + 1j * self._at(shift, 1))
+
+    def heights(self) -> Float64Array:
+        """How high the trajectory was at the time of each fix."""
+        return self._at(0.0, 2)
+
+    def _at(self, shift: float, axis: int) -> Float64Array:
+        seconds = (self.way.timestamps_ns - self.way.timestamps_ns[0]) / 1e9
+        return np.interp(self.seconds + shift, seconds, self.way.positions[:, axis])
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """Fixes laid onto a trajectory: how far apart they are then in the middle [m], and the scale between them."""
+
+    distance: float
+    scale: float
+
+
+def _cases(subject: Subject) -> Iterator[_Case]:
+    receivers = [s for s in subject.scene.sensors if isinstance(s, GnssSensor)]
+    if not receivers or not len(receivers[0].timestamps_ns):
+        return
+    receiver = receivers[0]
+    finite = np.isfinite(receiver.positions_lla).all(axis=1)
+    for way in subject.scene.trajectories.values():
+        during = finite & (receiver.timestamps_ns >= way.timestamps_ns[0])
+        rows = np.flatnonzero(during & (receiver.timestamps_ns <= way.timestamps_ns[-1]))
+        if len(rows) < _FEWEST_FIXES:
+            continue
+        enu = enu_from_geodetic(receiver.positions_lla[rows], receiver.positions_lla[rows[0]])
+        length = float(np.linalg.norm(np.diff(way.positions, axis=0), axis=1).sum())
+        accuracy = _usual(receiver.accuracies[rows])
+        case = _Case(
+            fixes=enu[:, 0] + 1j * enu[:, 1],
+            ups=enu[:, 2],
+            seconds=(receiver.timestamps_ns[rows] - way.timestamps_ns[0]) / 1e9,
+            way=way,
+            tolerance=max(NEAREST_TOLD, _ACCURACIES * accuracy),
+            vertical=_usual(receiver.vertical_accuracies[rows]),
+        )
+        reach = _DRIFT * min(length, float(np.abs(np.diff(case.fixes)).sum()))
+        yield _Case(case.fixes, case.ups, case.seconds, way, case.tolerance + reach, case.vertical)
+
+
+def _usual(accuracies: Float64Array) -> float:
+    known = accuracies[np.isfinite(accuracies)]
+    return float(np.median(known)) if len(known) else _USUAL_ACCURACY
+
+
+def _fit(case: _Case, *, mirrored: bool = False, scaled: bool = False, shift: float = 0.0) -> _Fit:
+    """Lay the trajectory onto the fixes by turning and shifting it; once more without the farthest ones."""
+    places = case.places(shift)
+    ways = np.conj(places) if mirrored else places
+    kept = np.ones(len(ways), np.bool_)
+    for _ in range(2):
+        wanted, given = case.fixes - case.fixes[kept].mean(), ways - ways[kept].mean()
+        product = np.vdot(given[kept], wanted[kept])
+        energy = float((np.abs(given[kept]) ** 2).sum())
+        scale = float(np.abs(product)) / energy if energy > 0 else 1.0
+        turn = product / np.abs(product) if product else 1.0
+        away = np.abs(wanted - turn * given * (scale if scaled else 1.0))
+        kept = away <= 3.0 * np.median(away) + 1e-9
+    return _Fit(float(np.median(away)), scale)
+
+
+def _far_apart(subject: Subject) -> Iterator[Hit]:
+    for case in _cases(subject):
+        spread = float(min(np.abs(case.fixes - case.fixes.mean()).max(), np.inf))
+        moved = float(np.abs(case.places() - case.places().mean()).max())
+        if max(spread, moved) < max(_LEAST_SPREAD, 2.0 * case.tolerance):
+            continue
+        found = _fit(case)
+        if found.distance <= case.tolerance and not _is_mirrored(case, found):
+            continue
+        told = (
+            f"turned and shifted as well as can be, half of the fixes lie more than {found.distance:.1f} m off; "
+            f"expected {case.tolerance:.1f} m at most"
+        )
+        yield Hit(f"trajectories[{case.way.name}]", f"{told}{_reason(case, found)}")
+
+
+def _is_mirrored(case: _Case, found: _Fit) -> bool:
+    """Whether the mirrored way fits so much better that no drift explains it, though both are near."""
+    return found.distance > _MIRRORED_TOLD and _fit(case, mirrored=True).distance < _CLEARLY * found.distance
+
+
+def _reason(case: _Case, found: _Fit) -> str:
+    for mirrored in (False, True):
+        for scaled in (False, True):
+            fit = _fit(case, mirrored=mirrored, scaled=scaled)
+            if fit.distance < max(_CLEARLY * found.distance, 0.5 * case.tolerance) and (mirrored or scaled):
+                return f": probably {_in_words(fit.scale, mirrored=mirrored)}"
+    shifts = np.arange(-_LONGEST_SHIFT, _LONGEST_SHIFT + _SHIFT_STEP, _SHIFT_STEP)
+    fits = [_fit(case, shift=float(shift)).distance for shift in shifts]
+    best = int(np.argmin(fits))
+    if fits[best] < _CLEARLY * found.distance:
+        later = "late" if shifts[best] < 0 else "early"
+        return f": probably the fixes are stamped {abs(shifts[best]):.1f} s too {later}"
+    return ""
+
+
+def _in_words(scale: float, *, mirrored: bool) -> str:
+    what = (
+        ["the trajectory is mirrored (x and y exchanged, as north and east are, or one negated)"]
+        if mirrored
+        else []
+    )
+    if not _SCALES[0] <= scale <= _SCALES[1]:
+        unit = next((f", as of {name}" for factor, name in _UNITS.items() if 0.9 < scale * factor < 1.1), "")
+        what.append(f"the trajectory is {1.0 / scale:.3g} times as large as the way of the fixes{unit}")
+    return " and ".join(what) or "the trajectory was bent"
+
+
+def _upside_down(subject: Subject) -> Iterator[Hit]:
+    for case in _cases(subject):
+        ups, heights = case.ups - case.ups.mean(), case.heights() - case.heights().mean()
+        if ups.std() < max(_HEIGHTS_TELL * case.vertical, _LEAST_SPREAD) or heights.std() == 0:
+            continue
+        correlation = float((ups * heights).mean() / (ups.std() * heights.std()))
+        if correlation < _TURNED_HEIGHTS:
+            told = f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world points down"
+            yield Hit(f"trajectories[{case.way.name}]", told)
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "poses-against-gnss",
+        Severity.WARNING,
+        f"Trajectories lie along the fixes of the satellites, within {NEAREST_TOLD:g} m or {_ACCURACIES:g} times their "
+        f"accuracy, and {_DRIFT:.0%} of the way.",
+        "Write positions in metres, in a right-handed world whose z points up, on the clock of the fixes.",
+        find=_far_apart,
+    ),
+    Rule(
+        "heights-against-gnss",
+        Severity.WARNING,
+        "Trajectories climb where the altitudes of the fixes do.",
+        "Write positions in a world whose z points up.",
+        find=_upside_down,
+    ),
+)

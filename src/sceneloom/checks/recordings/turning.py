@@ -1,0 +1,132 @@
+"""How a trajectory turned and accelerated, beside what the IMU measured at the same time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.geometry.rotations import (
+    conjugate_quaternion,
+    multiply_quaternions,
+    rotate_vectors,
+    rotation_vector_from_quaternion,
+)
+from sceneloom.scene import Trajectory, VectorSamples
+
+INTERVAL = 0.2
+"""Rates are compared over so long [s], or over the time from pose to pose where that is longer."""
+LONGEST_INTERVAL = 1.0
+"""Poses farther apart [s] do not tell how the device turned between them."""
+_MOST_INTERVALS = 4_000
+_GAP_FACTOR = 5.5
+"""So many usual intervals without a sample are a gap: what the IMU felt then is not known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanSamples:
+    """Samples with finite values and strictly increasing times.
+
+    Attributes:
+        seconds: (N,) float64 [s], counted from `origin_ns`.
+        values: (N, 3) float64.
+        sums: (N, 3) float64, integral of the values since the first sample.
+        gaps: (N,) int64, how many gaps lie before each sample.
+    """
+
+    seconds: Float64Array
+    values: Float64Array
+    sums: Float64Array
+    gaps: Int64Array
+
+    @classmethod
+    def of(cls, samples: VectorSamples | None, origin_ns: int) -> "CleanSamples | None":
+        """Take the usable samples of a stream of three axes; None for fewer than three."""
+        if samples is None or samples.values.shape[1] != 3:
+            return None
+        usable = np.flatnonzero(np.isfinite(samples.values).all(axis=1))
+        times_ns, first = np.unique(samples.timestamps_ns[usable], return_index=True)
+        if len(times_ns) < 3:
+            return None
+        seconds, values = (times_ns - origin_ns) / 1e9, samples.values[usable[first]]
+        steps = np.diff(seconds)
+        areas = 0.5 * (values[1:] + values[:-1]) * steps[:, None]
+        sums = np.vstack([np.zeros((1, 3)), np.cumsum(areas, axis=0)])
+        gaps = np.concatenate([[0], np.cumsum(steps > _GAP_FACTOR * np.median(steps))])
+        return cls(seconds, values, sums, gaps.astype(np.int64))
+
+    def means(self, starts: Float64Array, stops: Float64Array) -> Float64Array:
+        """The mean value over each interval, (M, 3); NaN where it reaches beyond the samples or over a gap."""
+        integral = np.stack([self._at(stops, axis) - self._at(starts, axis) for axis in range(3)], axis=1)
+        before, after = self._place(starts), self._place(stops)
+        known = (starts >= self.seconds[0]) & (stops <= self.seconds[-1])
+        known &= self.gaps[np.minimum(after + 1, len(self.gaps) - 1)] == self.gaps[before]
+        means: Float64Array = np.where(known[:, None], integral / (stops - starts)[:, None], np.nan)
+        return means
+
+    def _at(self, seconds: Float64Array, axis: int) -> Float64Array:
+        return np.interp(seconds, self.seconds, self.sums[:, axis])
+
+    def _place(self, seconds: Float64Array) -> Int64Array:
+        found = np.searchsorted(self.seconds, seconds, side="right") - 1
+        return np.clip(found, 0, len(self.seconds) - 1).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseIntervals:
+    """A trajectory as intervals between some of its poses.
+
+    Attributes:
+        starts, stops: (M,) float64 [s], counted from the trajectory's first pose.
+        first, last: (M,) int64, the poses that bound each interval.
+    """
+
+    starts: Float64Array
+    stops: Float64Array
+    first: Int64Array
+    last: Int64Array
+
+    @classmethod
+    def of(cls, way: Trajectory) -> "PoseIntervals":
+        """Choose intervals of about `INTERVAL`, evenly spread where there are very many."""
+        seconds = (way.timestamps_ns - way.timestamps_ns[0]) / 1e9
+        if len(seconds) < 2:
+            none = np.zeros(0)
+            return cls(none, none, none.astype(np.int64), none.astype(np.int64))
+        step = max(INTERVAL, float(np.median(np.diff(seconds))))
+        knots = np.unique(np.searchsorted(seconds, np.arange(0.0, seconds[-1] + 1e-6, step) - 1e-6))
+        knots = knots[knots < len(seconds)]
+        lengths = np.diff(seconds[knots])
+        usable = np.flatnonzero((lengths > 0.5 * step) & (lengths < min(2.0 * step, LONGEST_INTERVAL + 1e-6)))
+        usable = usable[:: len(usable) // _MOST_INTERVALS + 1]
+        first, last = knots[usable].astype(np.int64), knots[usable + 1].astype(np.int64)
+        return cls(seconds[first], seconds[last], first, last)
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    @property
+    def lengths(self) -> Float64Array:
+        """(M,) float64 [s]."""
+        return self.stops - self.starts
+
+    def rates(self, quaternions_xyzw: Float64Array) -> Float64Array:
+        """Mean turn rate over each interval in the axes of the device, (M, 3) [rad/s]."""
+        turned = multiply_quaternions(
+            conjugate_quaternion(quaternions_xyzw[self.first]), quaternions_xyzw[self.last]
+        )
+        return rotation_vector_from_quaternion(turned) / self.lengths[:, None]
+
+    def velocities(self, positions: Float64Array) -> Float64Array:
+        """Mean velocity over each interval in the world, (M, 3) [m/s]."""
+        velocities: Float64Array = (positions[self.last] - positions[self.first]) / self.lengths[:, None]
+        return velocities
+
+    def to_world(self, quaternions_xyzw: Float64Array, vectors: Float64Array) -> Float64Array:
+        """Turn vectors, one per interval, by the orientation in its middle."""
+        middle = (self.first + self.last) // 2
+        return rotate_vectors(quaternions_xyzw[middle], vectors)
+
+
+def finite_rows(*arrays: Float64Array) -> BoolArray:
+    """Which rows are finite in all of the arrays, (M,) bool."""
+    return np.asarray(np.logical_and.reduce([np.isfinite(array).all(axis=1) for array in arrays]))

@@ -1,0 +1,211 @@
+"""Conventions that are wrong in a simulated drive, planted in the lines of its recording, are found and named."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom import write
+from sceneloom.checks import validate
+from sceneloom.simulate import GnssSpec, ImuSpec, LidarSpec, simulate_street
+
+RULES = (
+    "poses-against-gravity",
+    "poses-against-gyroscope",
+    "gyroscope-scale",
+    "poses-clock",
+    "poses-against-gnss",
+    "heights-against-gnss",
+)
+NORTH_EAST_DOWN = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+FLIP = np.diag([1.0, -1.0, 1.0])
+CAMERA = {
+    "model": "pinhole",
+    "focalLengthX": 300,
+    "focalLengthY": 300,
+    "principalPointX": 160,
+    "principalPointY": 100,
+    "imageWidth": 320,
+    "imageHeight": 200,
+    "imuToCamera": [[0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, -1], [0, 0, 0, 1]],
+}
+CAMERA_FROM_IMU = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory):
+    """The lines of 14 s of driving through bends, with IMU, fixes and the true poses; without pictures and points."""
+    scene = simulate_street(
+        3,
+        frames=140,
+        lidar=LidarSpec(beams=4, steps=60),
+        cameras=(),
+        imu=ImuSpec(rate_hz=100.0),
+        gnss=GnssSpec(rate_hz=5.0),
+        trajectory_hz=25.0,
+    ).scene
+    numbers = replace(scene, sensors=tuple(s for s in scene.sensors if s.id in {"imu", "gnss"}))
+    folder = tmp_path_factory.mktemp("drive") / "recording"
+    write(numbers, folder)
+    return [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture
+def found(lines, tmp_path):
+    """What the rules say of the lines after something was done to each."""
+
+    def run(planted):
+        changed = sorted((planted(json.loads(json.dumps(line))) for line in lines), key=lambda x: x["time"])
+        folder = tmp_path / "planted"
+        folder.mkdir()
+        (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in changed))
+        (folder / "calibration.json").write_text(json.dumps({"cameras": [CAMERA]}))
+        return {finding.rule: finding.message for finding in validate(folder, rules=RULES).findings}
+
+    return run
+
+
+def poses(change):
+    """Change position and rotation of every true pose; the change gives the four numbers as they are written."""
+
+    def planted(line):
+        if "groundTruth" in line:
+            pose = line["groundTruth"]
+            position = np.array([pose["position"][k] for k in "xyz"])
+            rotation = Rotation.from_quat([pose["orientation"][k] for k in "xyzw"])
+            position, quaternion = change(position, rotation)
+            pose["position"] = dict(zip("xyz", map(float, position), strict=True))
+            pose["orientation"] = dict(zip("xyzw", map(float, quaternion), strict=True))
+        return line
+
+    return planted
+
+
+def samples(kind, change):
+    """Change the values of every sample of a sensor."""
+
+    def planted(line):
+        if line.get("sensor", {}).get("type") == kind:
+            line["sensor"]["values"] = np.asarray(change(np.array(line["sensor"]["values"]))).tolist()
+        return line
+
+    return planted
+
+
+def shifted(key, seconds):
+    """Shift the times of all lines with a key."""
+
+    def planted(line):
+        line["time"] += seconds if key in line else 0.0
+        return line
+
+    return planted
+
+
+def flipped(rotation):
+    """A rotation seen in a mirror that negates y, as the four numbers of its quaternion."""
+    return Rotation.from_matrix(FLIP @ rotation.as_matrix() @ FLIP).as_quat()
+
+
+WORLD_UP_IS_Y = Rotation.from_euler("x", -90, degrees=True)
+WORLD_DOWN_IS_Z = Rotation.from_euler("x", 180, degrees=True)
+PLANTED = {
+    "quaternions inverted": (
+        poses(lambda p, r: (p, r.inv().as_quat())),
+        {"poses-against-gyroscope": "quaternions are inverted"},
+    ),
+    "world to device": (
+        poses(lambda p, r: (-r.inv().apply(p), r.inv().as_quat())),
+        {
+            "poses-against-gyroscope": "from the world to the device; expected device to world",
+            "poses-against-gnss": "half of the fixes lie more than",
+        },
+    ),
+    "z down": (
+        poses(lambda p, r: (WORLD_DOWN_IS_Z.apply(p), (WORLD_DOWN_IS_Z * r).as_quat())),
+        {"poses-against-gravity": "z of the world points down", "poses-against-gnss": "mirrored"},
+    ),
+    "north, east, down": (
+        poses(lambda p, r: (NORTH_EAST_DOWN.apply(p), (NORTH_EAST_DOWN * r).as_quat())),
+        {"poses-against-gravity": "z of the world points down", "poses-against-gnss": "north and east"},
+    ),
+    "y up": (
+        poses(lambda p, r: (WORLD_UP_IS_Y.apply(p), (WORLD_UP_IS_Y * r).as_quat())),
+        {"poses-against-gravity": "y of the world points up"},
+    ),
+    "left-handed": (
+        poses(lambda p, r: (FLIP @ p, flipped(r))),
+        {"poses-against-gyroscope": "left-handed", "poses-against-gnss": "mirrored"},
+    ),
+    "left-handed positions": (
+        poses(lambda p, r: (FLIP @ p, r.as_quat())),
+        {"poses-against-gnss": "mirrored"},
+    ),
+    "w first": (
+        poses(lambda p, r: (p, r.as_quat()[[3, 0, 1, 2]])),
+        {"poses-against-gravity": "begin with w", "poses-against-gyroscope": "begin with w"},
+    ),
+    "w last": (
+        poses(lambda p, r: (p, r.as_quat()[[1, 2, 3, 0]])),
+        {"poses-against-gyroscope": "end with w"},
+    ),
+    "poses of the camera": (
+        poses(lambda p, r: (p, (r * CAMERA_FROM_IMU.inv()).as_quat())),
+        {"poses-against-gravity": "those of camera0", "poses-against-gyroscope": "those of camera0"},
+    ),
+    "orientations that do not turn": (
+        poses(lambda p, r: (p, [0.0, 0.0, 0.0, 1.0])),
+        {"poses-against-gyroscope": "the orientations do not turn"},
+    ),
+    "millimetres": (
+        poses(lambda p, r: (1000 * p, r.as_quat())),
+        {"poses-against-gnss": "millimetres"},
+    ),
+    "gyroscope in degrees": (
+        samples("gyroscope", np.degrees),
+        {"gyroscope-scale": "degrees per second"},
+    ),
+    "gyroscope's axes exchanged": (
+        samples("gyroscope", lambda v: v[[1, 2, 0]]),
+        {"poses-against-gyroscope": "axes x, y, z are y, z, x"},
+    ),
+    "gyroscope's signs turned": (
+        samples("gyroscope", lambda v: -v),
+        {"poses-against-gyroscope": "the gyroscope's signs are turned"},
+    ),
+    "accelerometer's signs turned": (
+        samples("accelerometer", lambda v: -v),
+        {"poses-against-gravity": "probably the accelerometer's signs are turned"},
+    ),
+    "accelerometer's axes exchanged": (
+        samples("accelerometer", lambda v: v[[1, 2, 0]]),
+        {"poses-against-gravity": "the accelerometer's axes are not the gyroscope's"},
+    ),
+    "IMU late": (
+        shifted("sensor", 0.5),
+        {"poses-clock": "if the IMU's times are 0.50 s later"},
+    ),
+    "IMU early": (
+        shifted("sensor", -0.5),
+        {"poses-clock": "if the IMU's times are 0.50 s earlier"},
+    ),
+    "IMU very late": (
+        shifted("sensor", 0.1),
+        {"poses-clock": "if the IMU's times are 0.10 s later"},
+    ),
+}
+
+
+def test_nothing_is_said_of_a_drive_as_it_was(found):
+    assert found(lambda line: line) == {}
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_wrong_convention_is_found_and_named(found, name):
+    planted, expected = PLANTED[name]
+    messages = found(planted)
+    assert set(messages) == set(expected)
+    for rule, words in expected.items():
+        assert words in messages[rule]

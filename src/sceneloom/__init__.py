@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         to_sensor,
         to_world,
     )
+    from sceneloom.evaluate import evaluate_trajectory
     from sceneloom.formats.sfs import SceneWriter, salvage
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
@@ -49,6 +50,7 @@ __all__ = [
     "crop_scene",
     "deskew",
     "diff",
+    "evaluate_trajectory",
     "find_ego_motion",
     "fuse",
     "iter_fused",
@@ -77,6 +79,7 @@ _ON_FIRST_USE = {
     "crop_scene": ("sceneloom.editing", "crop_scene"),
     "deskew": ("sceneloom.pipeline", "deskew"),
     "diff": ("sceneloom.editing.differences", "diff_scenes"),
+    "evaluate_trajectory": ("sceneloom.evaluate", "evaluate_trajectory"),
     "find_ego_motion": ("sceneloom.motion.ego_motion", "find_ego_motion"),
     "fuse": ("sceneloom.pipeline", "fuse"),
     "iter_fused": ("sceneloom.pipeline", "iter_fused"),

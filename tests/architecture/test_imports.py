@@ -41,6 +41,7 @@ WRAPPERS = {
     "small_gicp": {"motion"},
     "fsspec": {"formats"},
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
+    "matplotlib": {"evaluate"},
     "click": {"cli"},
     "rich": {"cli"},
     "numpy": set(ROW_OF),

@@ -20,6 +20,14 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices, prog
     "where there is none; `h264`: the own video only if it is that; `ffv1` (video) and `png` (files) lose nothing. "
     "[default: copy]",
 )
+@click.option(
+    "--trajectory",
+    metavar="NAME",
+    help="Which trajectory to write to a file of its own; `lidar`, `gnss`: computed; `fixes`: as received.",
+)
+@click.option("--to", metavar="FORM", help="The form of that file, where its suffix should not decide.")
+@click.option("--to-optical", is_flag=True, help="Write poses as a camera's: z forward, y down.")
+@options.trajectories("from", "SOURCE")
 @options.reading
 @options.printing
 def convert(
@@ -29,6 +37,9 @@ def convert(
     profile: str | None,
     time_unit: str | None,
     pictures: str | None,
+    trajectory: str | None,
+    to: str | None,
+    to_optical: bool,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -36,7 +47,8 @@ def convert(
 ) -> None:
     """Write a recording or a scene in another format; what the target cannot hold is reported.
 
-    A TARGET without a suffix is a recording's folder, `.sfs` a scene file.
+    A TARGET without a suffix is a recording's folder, `.sfs` a scene file; `.tum`, `.kitti`, `.csv` (EuRoC) and
+    `.jsonl` take one trajectory out of SOURCE, which may be such a file, too.
     """
     from sceneloom.pipeline.conversion import convert as convert_scene
 
@@ -44,9 +56,11 @@ def convert(
         report = convert_scene(
             source,
             target,
+            to=to,
+            trajectory=trajectory,
             overwrite=overwrite,
-            **options.said(profile=profile, time_unit=time_unit, pictures=pictures),
-            reading=options.said(**reading),
+            **options.said(profile=profile, time_unit=time_unit, pictures=pictures, optical=to_optical),
+            reading={name.removeprefix("from_"): value for name, value in options.said(**reading).items()},
             progress=progress,
         )
     if as_json:

@@ -25,6 +25,7 @@ VERBS = MappingProxyType(
         "salvage": "Take out of a damaged scene file what is whole.",
         "diff": "Tell what differs between two drives.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
+        "eval": "Say how good an estimate is: a trajectory against a reference.",
         "formats": "List the formats that can be read and written.",
     }
 )

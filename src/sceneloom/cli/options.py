@@ -108,6 +108,38 @@ writing_scenes = _stacked(
 """On every verb that writes `.sfs`."""
 
 
+def trajectories(side: str, path: str) -> Callable[[Command], Command]:
+    """On every verb that reads a trajectory: how to read that of one argument; the names begin with `side`."""
+    return _stacked(
+        click.option(
+            f"--{side}-form", metavar="FORM", help=f"The form of {path}: tum, kitti, euroc, gnss, csv, jsonl."
+        ),
+        click.option(
+            f"--{side}-times",
+            type=click.Path(path_type=Path),
+            metavar="FILE",
+            help=f"Times of the poses of {path}, one per line, for KITTI files.",
+        ),
+        click.option(
+            f"--{side}-rate",
+            f"{side}_rate_hz",
+            type=float,
+            metavar="HZ",
+            help="Poses per second in place of times.",
+        ),
+        click.option(
+            f"--{side}-unit",
+            type=click.Choice(["seconds", "milliseconds", "microseconds", "nanoseconds"]),
+            help=f"Unit of the times in {path}. [default: that of its form]",
+        ),
+        click.option(
+            f"--{side}-optical",
+            is_flag=True,
+            help=f"{path} tells a camera's poses: turn z forward, y down to x forward, z up.",
+        ),
+    )
+
+
 def said(**values: Any) -> dict[str, Any]:
     """The options that the user said; the others are left to the library's defaults."""
     return {name: value for name, value in values.items() if value not in {None, False}}

@@ -1,13 +1,21 @@
 """From one format to another, through the scene."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import format_and_place, format_for_output, format_named
+from sceneloom.formats.table import Format, format_and_place, format_for_output, format_named
+from sceneloom.formats.trajectories import TRAJECTORY_FORMS
+from sceneloom.pipeline.trajectory_conversion import (
+    holds_trajectory_only,
+    is_trajectory_file,
+    write_drive,
+    write_trajectory_file,
+)
 from sceneloom.scene import CameraSensor, Identifier, LidarSensor, Notice, RadarSensor, Scene
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Progress
@@ -37,6 +45,7 @@ def convert(
     target: str | Path,
     *,
     to: str | None = None,
+    trajectory: str | None = None,
     overwrite: bool = False,
     reading: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
@@ -44,10 +53,14 @@ def convert(
 ) -> ConversionReport:
     """Read a recording or a scene and write it in another format, without fusing anything.
 
+    A target that is a file of trajectories (`.tum`, `.kitti`, `.csv`, `.jsonl`) gets one trajectory of the source; a
+    source that is one becomes a drive with nothing else in it.
+
     Args:
         source: a file or folder.
         target: a file or folder; its suffix chooses the format unless `to` names it.
-        to: name of the target's format.
+        to: name of the target's format, or form of trajectories.
+        trajectory: name of the trajectory, where a file of trajectories is written or read.
         overwrite: whether a target that exists may be replaced.
         reading: reading options of the source's format.
         progress: told after each sweep, radar cycle and single picture that is written, how many are done of how many.
@@ -58,19 +71,43 @@ def convert(
         DataError: the source is wrong.
         OutputError: the target exists, or cannot be written.
     """
-    reader, origin = format_and_place(source)
-    place = Path(target)
-    writer = format_for_output(place) if to is None else format_named(to)
-    with reader.open(origin, **(reading or {})) as scene:
-        losses = writer.write(_telling(scene, progress), place, overwrite=overwrite, **writing)
-        return ConversionReport(
-            source=str(source),
-            source_format=reader.name,
-            target=str(target),
-            target_format=writer.name,
-            notices=scene.notices,
-            losses=losses,
+    place, options = Path(target), dict(reading or {})
+    if to in TRAJECTORY_FORMS or (to is None and is_trajectory_file(place)):
+        told = write_trajectory_file(
+            source, place, name=trajectory, to=to, overwrite=overwrite, reading=options, writing=writing
         )
+        return _report(source, place, *told)
+    writer = format_for_output(place) if to is None else format_named(to)
+    if options.get("form") in TRAJECTORY_FORMS or holds_trajectory_only(source):
+        write = partial(_write, writer, place, overwrite=overwrite, **writing)
+        told = write_drive(source, write, name=trajectory, reading=options)
+        return _report(source, place, told[0], writer.name, *told[2:])
+    reader, origin = format_and_place(source)
+    with reader.open(origin, **options) as scene:
+        losses = _write(writer, place, _telling(scene, progress), overwrite=overwrite, **writing)
+        return _report(source, place, reader.name, writer.name, scene.notices, losses)
+
+
+def _write(writer: Format, place: Path, scene: Scene, **writing: Any) -> LossReport:
+    return writer.write(scene, place, **writing)
+
+
+def _report(
+    source: str | Path,
+    target: Path,
+    source_format: str,
+    target_format: str,
+    notices: tuple[Notice, ...],
+    losses: LossReport,
+) -> ConversionReport:
+    return ConversionReport(
+        source=str(source),
+        source_format=source_format,
+        target=str(target),
+        target_format=target_format,
+        notices=notices,
+        losses=losses,
+    )
 
 
 def _telling(scene: Scene, progress: Progress | None) -> Scene:

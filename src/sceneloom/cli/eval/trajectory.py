@@ -1,0 +1,127 @@
+"""`sceneloom eval trajectory`: how far a trajectory is from a reference."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.eval.figures import print_report
+from sceneloom.cli.printing import print_json, print_notices
+
+if TYPE_CHECKING:
+    from sceneloom.formats.trajectories import TrajectoryFile
+
+
+@click.command()
+@click.argument("estimate", type=options.place, metavar="EST")
+@click.argument("reference", type=options.place, metavar="REF")
+@click.option(
+    "--align",
+    type=click.Choice(["none", "origin", "yaw", "se3", "sim3"]),
+    default="se3",
+    show_default=True,
+    help="Lay EST onto REF first: by the first pose; shift and heading; shift and turn; and scale.",
+)
+@click.option("--align-first", type=int, metavar="N", help="Align by the first N pairs only. [default: all]")
+@click.option(
+    "--associate",
+    type=click.Choice(["interpolate", "nearest"]),
+    default="interpolate",
+    show_default=True,
+    help="Take REF between its poses, at the times of EST, or its own poses.",
+)
+@click.option(
+    "--tolerance",
+    type=float,
+    metavar="S",
+    help="How far the nearest pose of REF may be. [default: 0.1, 0.01 for `nearest`]",
+)
+@click.option("--offset", metavar="S", default="0", help="Seconds added to the times of EST.")
+@options.part
+@click.option(
+    "--rpe-delta",
+    "rpe_deltas",
+    multiple=True,
+    metavar="STEP",
+    help="Compare motions over steps such as 1s, 10m, 1f (poses); may be said again. [default: 1s 5m 10m 50m]",
+)
+@click.option(
+    "--plot", type=options.target, metavar="OUT.png", help="Draw the ways from above and the errors."
+)
+@click.option("--overwrite", is_flag=True, help="Replace a picture that exists.")
+@click.option("--est-name", metavar="NAME", help="Which trajectory of EST.")
+@click.option("--ref-name", metavar="NAME", help="Which trajectory of REF.")
+@options.trajectories("est", "EST")
+@options.trajectories("ref", "REF")
+@options.reading
+@options.printing
+def trajectory(
+    estimate: Path | str,
+    reference: Path | str,
+    offset: str,
+    rpe_deltas: tuple[str, ...],
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    align: str,
+    align_first: int | None,
+    associate: str,
+    tolerance: float | None,
+    start: float | None,
+    stop: float | None,
+    plot: Path | None,
+    overwrite: bool,
+    **reading: Any,
+) -> None:
+    """Say how far the trajectory EST is from the trajectory REF: ATE, RPE, KITTI's figures, coverage.
+
+    EST and REF are files (TUM, KITTI, EuRoC, GNSS, named columns, JSON lines) or drives; `PATH:NAME` names one of
+    several trajectories; of a drive also `lidar` and `gnss` (computed) and `fixes` (as received). `--start` and
+    `--stop` count from the first pose of REF.
+    """
+    from sceneloom.evaluate import RPE_DELTAS, evaluate_trajectory
+
+    sides = {side: _read(path, side, reading) for path, side in ((estimate, "est"), (reference, "ref"))}
+    report = evaluate_trajectory(
+        sides["est"],
+        sides["ref"],
+        align=align,
+        align_first=align_first,
+        associate=associate,
+        tolerance=tolerance,
+        offset_ns=_offset_ns(offset),
+        start=start,
+        stop=stop,
+        rpe_deltas=rpe_deltas or RPE_DELTAS,
+        plot=plot,
+        overwrite=overwrite,
+    )
+    if as_json:
+        print_json(report)
+        return
+    print_report(report)
+    if not quiet:
+        print_notices([*sides["est"].notices, *sides["ref"].notices, *report.notices], verbose=verbose)
+
+
+def _read(path: Path | str, side: str, reading: dict[str, Any]) -> "TrajectoryFile":
+    """Read one side by its own options and by those of both."""
+    from sceneloom.formats.trajectories import read_trajectory_file
+
+    own = {
+        name.removeprefix(f"{side}_"): value
+        for name, value in reading.items()
+        if name.startswith(f"{side}_") or not name.startswith(("est_", "ref_"))
+    }
+    return read_trajectory_file(path, **options.said(**own))
+
+
+def _offset_ns(text: str) -> int:
+    """Seconds as they were typed, in nanoseconds, without rounding."""
+    from sceneloom.formats.rig.stamps import StampError, parse_stamp
+
+    try:
+        return parse_stamp(text, "seconds")
+    except StampError as error:
+        raise click.BadParameter(str(error), param_hint="--offset") from None

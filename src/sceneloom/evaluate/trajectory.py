@@ -1,0 +1,300 @@
+"""A trajectory compared with a reference: paired by time, aligned, measured."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.evaluate.alignment import Alignment, align_pairs
+from sceneloom.evaluate.association import (
+    Pairs,
+    Poses,
+    associate_poses,
+    checked_trajectory,
+    covered_share,
+    way_along,
+)
+from sceneloom.evaluate.relative import kitti_errors, parse_delta, relative_errors
+from sceneloom.evaluate.report import AbsoluteErrors, AlignmentReport, ErrorStatistics, TrajectoryReport
+from sceneloom.formats.trajectories import TrajectoryFile, read_trajectory_file
+from sceneloom.formats.trajectories.gnss import of_fixes
+from sceneloom.geometry.rotations import (
+    angle_between,
+    conjugate_quaternion,
+    matrix_from_quaternion,
+    multiply_quaternions,
+    nearest_rotation,
+    quaternion_from_matrix,
+)
+from sceneloom.scene import Notice, NoticeKind, PosePath, Trajectory
+
+RPE_DELTAS = ("1s", "5m", "10m", "50m")
+"""Steps over which motions are compared where nothing else is said."""
+
+Way = Trajectory | TrajectoryFile | PosePath | str | Path
+"""What can be compared: a trajectory, or a file or scene that holds one."""
+
+_FARTHEST_NS = 9_200_000_000_000_000_000
+_TURNED_DEG = 5.0
+_STEADY = 0.25
+"""A mean turn of the device's axes beyond so many degrees, from which single ones stray by less than this share of it,
+is taken for another choice of axes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryErrors:
+    """The errors of all pairs, for plots.
+
+    Attributes:
+        estimate_name, reference_name: of what was compared.
+        pairs: poses as they were paired.
+        aligned: (N,) poses of the estimate in the reference's world.
+        reference_way: (M, 3) float64 [m], all of the reference's positions.
+        translation: (N,) float64 [m].
+        rotation_deg: (N,) float64 [deg], or None.
+    """
+
+    estimate_name: str
+    reference_name: str
+    pairs: Pairs
+    aligned: Poses
+    reference_way: Float64Array
+    translation: Float64Array
+    rotation_deg: Float64Array | None
+
+
+def evaluate_trajectory(
+    estimate: Way,
+    reference: Way,
+    *,
+    align: str = "se3",
+    align_first: int | None = None,
+    associate: str = "interpolate",
+    tolerance: float | None = None,
+    offset_ns: int = 0,
+    start: float | None = None,
+    stop: float | None = None,
+    rpe_deltas: Sequence[str] = RPE_DELTAS,
+    plot: str | Path | None = None,
+    overwrite: bool = False,
+) -> TrajectoryReport:
+    """Say how far a trajectory is from a reference.
+
+    Args:
+        estimate: what is judged.
+        reference: what is taken for the truth.
+        align: how the estimate is laid onto the reference first: "none", "origin" (first pose on first pose), "yaw"
+            (shift and heading), "se3" (shift and turn), "sim3" (and scale).
+        align_first: by how many pairs from the first on; None: by all.
+        associate: "interpolate" takes the reference between its poses at the estimate's times, "nearest" its own poses.
+        tolerance: how far the reference's nearest pose may be [s]; None: 0.1 where interpolated, else 0.01.
+        offset_ns: added to the estimate's times [ns].
+        start, stop: compare this part only [s], counted from the reference's first pose.
+        rpe_deltas: steps over which motions are compared: seconds, metres or poses, "1s", "10m", "1f".
+        plot: a picture to write: the ways from above, errors over time.
+        overwrite: whether a picture that exists may be replaced.
+
+    Raises:
+        OptionError: an argument is wrong.
+        PoseError: the two do not overlap in time, or too little for the alignment.
+        ArrayError: a trajectory holds a number that is not finite, or its times do not rise.
+        DataError: a file is wrong.
+        OutputError: the picture exists, or cannot be written.
+        MissingExtraError: what draws the picture is not installed.
+
+    Source: Sturm et al. 2012 for both errors, Zhang and Scaramuzza 2018 for alignments, KITTI's development kit.
+    """
+    for delta in rpe_deltas:
+        parse_delta(delta)
+    report, errors = _compared(
+        *_both(estimate, reference),
+        align=align,
+        first=align_first,
+        how=associate,
+        tolerance=tolerance,
+        offset_ns=offset_ns,
+        part=(start, stop),
+        deltas=rpe_deltas,
+    )
+    if plot is not None:
+        from sceneloom.evaluate.plot import plot_errors
+
+        plot_errors(errors, report, Path(plot), overwrite=overwrite)
+    return report
+
+
+def _both(estimate: Way, reference: Way) -> tuple[Trajectory, Trajectory]:
+    """The two trajectories; the fixes of two receivers are seen from one origin."""
+    ours, theirs = _content(estimate), _content(reference)
+    if ours.fixes is not None and theirs.origin_lla is not None:
+        ours = of_fixes(ours.fixes, origin_lla=theirs.origin_lla)
+    return checked_trajectory(ours.trajectory), checked_trajectory(theirs.trajectory)
+
+
+def _content(way: Way) -> TrajectoryFile:
+    if isinstance(way, TrajectoryFile):
+        return way
+    if isinstance(way, Trajectory):
+        return TrajectoryFile(way)
+    if isinstance(way, PosePath):
+        return TrajectoryFile(Trajectory("poses", way.timestamps_ns, way.positions, way.quaternions_xyzw))
+    return read_trajectory_file(way)
+
+
+def _compared(
+    estimate: Trajectory,
+    reference: Trajectory,
+    *,
+    align: str,
+    first: int | None,
+    how: str,
+    tolerance: float | None,
+    offset_ns: int,
+    part: tuple[float | None, float | None],
+    deltas: Sequence[str],
+) -> tuple[TrajectoryReport, TrajectoryErrors]:
+    estimate = _shifted(estimate, offset_ns)
+    estimate, reference = _within(estimate, reference, *part)
+    tolerance_ns = None if tolerance is None else _nanoseconds("tolerance", tolerance)
+    pairs = associate_poses(estimate, reference, how=how, tolerance_ns=tolerance_ns)
+    alignment = align_pairs(pairs, align, first=first)
+    aligned = alignment.apply(pairs.estimate)
+    absolute, errors = _absolute(estimate, reference, pairs, aligned)
+    relative = {delta: relative_errors(pairs, aligned, delta) for delta in deltas}
+    used = len(pairs.timestamps_ns) if first is None else min(first, len(pairs.timestamps_ns))
+    report = TrajectoryReport(
+        estimate=estimate.name,
+        reference=reference.name,
+        estimate_poses=len(estimate.timestamps_ns),
+        reference_poses=len(reference.timestamps_ns),
+        pairs=len(pairs.timestamps_ns),
+        start_ns=int(pairs.timestamps_ns[0]),
+        stop_ns=int(pairs.timestamps_ns[-1]),
+        seconds=float(pairs.seconds[-1]),
+        coverage=covered_share(estimate.timestamps_ns, reference.timestamps_ns),
+        path_length=float(pairs.distances[-1]),
+        estimate_path_length=float(way_along(pairs.estimate.positions)[-1]),
+        alignment=_alignment_report(alignment, align, used),
+        absolute=absolute,
+        relative=tuple(errors for errors in relative.values() if errors is not None),
+        kitti=kitti_errors(pairs, aligned),
+        notices=(*_notices(alignment, pairs, aligned), *_unmeasured(relative)),
+    )
+    return report, errors
+
+
+def _shifted(way: Trajectory, offset_ns: int) -> Trajectory:
+    ends = [int(way.timestamps_ns[row]) + offset_ns for row in (0, -1)]
+    if max(map(abs, ends)) > _FARTHEST_NS:
+        raise OptionError(
+            f"offset {offset_ns / 1e9:g} s; with it the times of {way.name!r} are beyond the year 2261"
+        )
+    return replace(way, timestamps_ns=way.timestamps_ns + offset_ns)
+
+
+def _within(
+    estimate: Trajectory, reference: Trajectory, start: float | None, stop: float | None
+) -> tuple[Trajectory, Trajectory]:
+    """The parts of both in the time that was asked for."""
+    if start is None and stop is None:
+        return estimate, reference
+    zero = int(reference.timestamps_ns[0])
+    first = zero if start is None else zero + _nanoseconds("start", start)
+    end = _FARTHEST_NS if stop is None else zero + _nanoseconds("stop", stop)
+    return _cut(estimate, first, end), _cut(reference, first, end)
+
+
+def _cut(way: Trajectory, start_ns: int, stop_ns: int) -> Trajectory:
+    inside = (way.timestamps_ns >= start_ns) & (way.timestamps_ns < stop_ns)
+    if not inside.any():
+        a, b = (int(way.timestamps_ns[row]) / 1e9 for row in (0, -1))
+        raise PoseError(
+            f"{way.name!r} ({a:.9g} to {b:.9g} s) has no pose from {start_ns / 1e9:.9g} to {stop_ns / 1e9:.9g} s"
+        )
+    quaternions = way.quaternions_xyzw
+    return Trajectory(
+        way.name,
+        way.timestamps_ns[inside],
+        way.positions[inside],
+        None if quaternions is None else quaternions[inside],
+    )
+
+
+def _nanoseconds(name: str, seconds: float) -> int:
+    if not (np.isfinite(seconds) and 0 <= seconds < 1e9):
+        raise OptionError(f"{name} {seconds:g} s; expected 0 or more")
+    return round(seconds * 1e9)
+
+
+def _absolute(
+    estimate: Trajectory, reference: Trajectory, pairs: Pairs, aligned: Poses
+) -> tuple[AbsoluteErrors, TrajectoryErrors]:
+    away = aligned.positions - pairs.reference.positions
+    lengths = np.linalg.norm(away, axis=1)
+    degrees = None
+    if aligned.quaternions_xyzw is not None and pairs.reference.quaternions_xyzw is not None:
+        degrees = np.degrees(angle_between(aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw))
+    errors = TrajectoryErrors(
+        estimate.name, reference.name, pairs, aligned, reference.positions, lengths, degrees
+    )
+    told = AbsoluteErrors(
+        translation=ErrorStatistics.of(lengths),
+        horizontal=ErrorStatistics.of(np.hypot(away[:, 0], away[:, 1])),
+        vertical=ErrorStatistics.of(np.abs(away[:, 2])),
+        rotation_deg=None if degrees is None else ErrorStatistics.of(degrees),
+    )
+    return told, errors
+
+
+def _alignment_report(alignment: Alignment, kind: str, poses: int) -> AlignmentReport:
+    x, y, z, w = quaternion_from_matrix(alignment.rotation).tolist()
+    east, north, up = alignment.translation.tolist()
+    return AlignmentReport(
+        kind=kind,
+        poses=0 if kind == "none" else 1 if kind == "origin" else poses,
+        quaternion_xyzw=(x, y, z, w),
+        translation=(east, north, up),
+        scale=alignment.scale,
+    )
+
+
+def _notices(alignment: Alignment, pairs: Pairs, aligned: Poses) -> list[Notice]:
+    found = [_notice("doubtful-alignment", doubt) for doubt in alignment.doubts]
+    ours, theirs = aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw
+    if ours is None or theirs is None:
+        side = "estimate" if ours is None else "reference"
+        message = (
+            f"the {side} has no orientations: motions are compared in the aligned world, turns not at all"
+        )
+        return [*found, _notice("no-orientations", message)]
+    turn, strays_deg = _turn_of_axes(ours, theirs)
+    if turn > _TURNED_DEG and strays_deg < _STEADY * turn:
+        message = (
+            f"the device's axes differ by a steady turn of {turn:.1f}° (single poses stray by {strays_deg:.2g}°): if "
+            "one side tells a camera's poses, say `--est-optical` or `--ref-optical`"
+        )
+        found.append(_notice("other-axes", message))
+    return found
+
+
+def _turn_of_axes(ours: Float64Array, theirs: Float64Array) -> tuple[float, float]:
+    """The mean turn between the axes of both devices, and the mean angle by which single ones stray from it [deg]."""
+    turns = multiply_quaternions(conjugate_quaternion(ours), theirs)
+    mean, _ = nearest_rotation(matrix_from_quaternion(turns).mean(axis=0))
+    axes = quaternion_from_matrix(mean)
+    angle = angle_between(axes, np.array([0.0, 0.0, 0.0, 1.0]))
+    return float(np.degrees(angle)), float(np.degrees(angle_between(turns, axes).mean()))
+
+
+def _unmeasured(relative: Mapping[str, object]) -> list[Notice]:
+    missing = [delta for delta, errors in relative.items() if errors is None]
+    if not missing:
+        return []
+    return [_notice("no-steps", f"the way is too short for steps of {', '.join(missing)}")]
+
+
+def _notice(code: str, message: str) -> Notice:
+    return Notice(kind=NoticeKind.ASSUMED, code=code, place="", message=message)

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.errors import SceneloomError
 from sceneloom.formats.faults import FaultLedger, PlacedFault, placed
 from sceneloom.formats.recording.further_contents import RecordingContents
-from sceneloom.formats.recording.scene_from_recording import read_recording, recording_folder
+from sceneloom.formats.recording.place import find_place
+from sceneloom.formats.recording.scene_from_recording import check_values, read_recording
 from sceneloom.scene import Scene
 
 
@@ -31,19 +32,21 @@ def examine_recording(
     """Read a recording as far as it is sound, and give every fault of it with its place; nothing is raised for them.
 
     Args:
-        path: the folder, or the `data.jsonl` in it.
+        path: the folder, the `data.jsonl` in it, or a zip archive.
         altitude: what the altitudes of `gps` lines are above: "wgs84" or "msl".
         camera_shift: what becomes of `imuToCameraShiftSeconds`, as for `open_recording`.
 
     Raises:
         OptionError: a value is unknown.
     """
-    folder = recording_folder(path)
-    ledger = FaultLedger(folder)
+    check_values(altitude, camera_shift)
     try:
-        scene, contents = read_recording(path, altitude, ledger, camera_shift=camera_shift)
-    except OptionError:
-        raise
+        place = find_place(path)
     except SceneloomError as error:
-        return RecordingExamination(None, (*ledger.faults, placed(error, "unreadable", str(folder))))
+        return RecordingExamination(None, (placed(error, "unreadable", str(path)),))
+    ledger = FaultLedger(place.folder)
+    try:
+        scene, contents = read_recording(place, altitude, ledger, camera_shift=camera_shift)
+    except SceneloomError as error:
+        return RecordingExamination(None, (*ledger.faults, placed(error, "unreadable", str(place.folder))))
     return RecordingExamination(scene, ledger.faults, contents)

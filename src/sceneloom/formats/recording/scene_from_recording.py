@@ -17,6 +17,7 @@ from sceneloom.formats.recording.further_contents import RecordingContents, furt
 from sceneloom.formats.recording.lidar_building import build_lidars
 from sceneloom.formats.recording.lines import read_lines
 from sceneloom.formats.recording.picture_files import OpenPictures
+from sceneloom.formats.recording.place import DATA_FILE, Closing, RecordingPlace, find_place
 from sceneloom.formats.recording.trajectories import build_trajectories
 from sceneloom.scene import (
     GnssSensor,
@@ -26,13 +27,7 @@ from sceneloom.scene import (
     VectorSamples,
 )
 
-DATA_FILE = "data.jsonl"
 ALTITUDES = ("wgs84", "msl")
-
-
-def recording_folder(path: Path) -> Path:
-    """The folder of a recording that is named by its folder or by its `data.jsonl`."""
-    return path.parent if path.name == DATA_FILE and not path.is_dir() else path
 
 
 def open_recording(
@@ -41,7 +36,7 @@ def open_recording(
     """Open a recording; pictures and points are read when asked for.
 
     Args:
-        path: the folder, or the `data.jsonl` in it.
+        path: the folder, the `data.jsonl` in it, or a zip archive, which is unpacked until the scene is closed.
         lenient: leave out and count what is wrong instead of raising.
         altitude: what the altitudes of `gps` lines are above: "wgs84", the ellipsoid, or "msl", mean sea level.
         camera_shift: what becomes of `imuToCameraShiftSeconds` of the calibration: "ignore"; "apply" adds it to the
@@ -52,27 +47,42 @@ def open_recording(
         CalibrationError: a lens or a mounting is unusable.
         OptionError: a value is unknown.
     """
-    return read_recording(path, altitude, Ledger(lenient=lenient), camera_shift=camera_shift)[0]
+    check_values(altitude, camera_shift)
+    return read_recording(find_place(path), altitude, Ledger(lenient=lenient), camera_shift=camera_shift)[0]
 
 
-def read_recording(
-    path: Path, altitude: str, ledger: Ledger, *, camera_shift: str = "ignore"
-) -> tuple[Scene, RecordingContents]:
-    """Read a recording with a ledger that decides what becomes of its faults; as `open_recording` else."""
+def check_values(altitude: str, camera_shift: str) -> None:
+    """Refuse reading options that have no such value.
+
+    Raises:
+        OptionError: there is none.
+    """
     for name, value, known in (
         ("altitude", altitude, ALTITUDES),
         ("camera_shift", camera_shift, tuple(CAMERA_SHIFTS)),
     ):
         if value not in known:
             raise OptionError(f"{name} {value!r}; expected one of: {', '.join(known)}")
-    folder = recording_folder(path)
+
+
+def read_recording(
+    place: RecordingPlace, altitude: str, ledger: Ledger, *, camera_shift: str = "ignore"
+) -> tuple[Scene, RecordingContents]:
+    """Read a recording with a ledger that decides what becomes of its faults; as `open_recording` else."""
     try:
-        return _read(folder, altitude, camera_shift, ledger)
+        return _read(place, altitude, camera_shift, ledger)
     except OSError as error:
-        raise DataError(folder, "", f"cannot be read: {error}") from error
+        place.remove()
+        raise DataError(place.source, "", f"cannot be read: {error}") from error
+    except BaseException:
+        place.remove()
+        raise
 
 
-def _read(folder: Path, altitude: str, camera_shift: str, ledger: Ledger) -> tuple[Scene, RecordingContents]:
+def _read(
+    place: RecordingPlace, altitude: str, camera_shift: str, ledger: Ledger
+) -> tuple[Scene, RecordingContents]:
+    folder = place.folder
     data_path = folder / DATA_FILE
     if not folder.is_dir():
         raise DataError(folder, "", "no such folder; expected a recording's folder")
@@ -104,10 +114,10 @@ def _read(folder: Path, altitude: str, camera_shift: str, ledger: Ledger) -> tup
                 {trajectory.name: trajectory for trajectory in trajectories.values()}
             ),
             metadata=MappingProxyType({"recording": metadata}),
-            source=str(folder),
+            source=place.source,
             format="recording",
             notices=ledger.notices,
-            on_close=opened.close,
+            on_close=Closing(opened, place.remove),
         )
         stack.pop_all()
         return scene, contents

@@ -15,7 +15,7 @@ from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
-from sceneloom.formats.recording.scene_from_recording import DATA_FILE
+from sceneloom.formats.recording.place import DATA_FILE
 from sceneloom.formats.recording.writing_plan import WritingPlan
 from sceneloom.formats.recording.written_calibration import camera_entry, cropped, lidar_entry
 from sceneloom.formats.recording.written_frames import FrameLines, group_pictures, grouping_losses

@@ -1,0 +1,216 @@
+"""Zipped recordings: the same scene as from the folder, nothing outside the folder, nothing left behind."""
+
+import io
+import pickle
+import stat
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sceneloom.checks import validate
+from sceneloom.errors import DataError
+from sceneloom.formats.recording import FORMAT, zipped
+from sceneloom.formats.table import find_format, open_scene
+
+LINES = [
+    {"sensor": {"type": "gyroscope", "values": [0.0, 0.1, 0.2]}, "time": 0.0},
+    {"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0},
+    {"lidar": {"model": "RoboSense M1 XYZIRT", "dataFile": "lidar/0.bin"}, "time": 0.0},
+    {"frames": [{"cameraInd": 0}], "number": 1, "time": 0.1},
+]
+
+
+@pytest.fixture
+def scratch(tmp_path, monkeypatch):
+    """The folder of temporary files, so that the test sees what is left in it."""
+    folder = tmp_path / "scratch"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+@pytest.fixture
+def drive(recording, pinhole):
+    recording.lines(LINES).calibration([pinhole]).video("data.mkv", 2)
+    return recording.points("lidar/0.bin", [(1.0, 2.0, 3.0, 7, 1, 0.0)]).path
+
+
+def zip_of(folder, path, *, top="", extra=()):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in sorted(folder.rglob("*")):
+            archive.write(file, top + str(file.relative_to(folder)))
+        for name, content in extra:
+            archive.writestr(name, content)
+    return path
+
+
+@pytest.mark.parametrize("top", ["", "my drive/"])
+def test_a_zipped_drive_is_the_same_scene(drive, scratch, tmp_path, top):
+    extra = [("__MACOSX/._drive", b"x"), (f"{top}.DS_Store", b"x")] if top else []
+    path = zip_of(drive, tmp_path / "drive.zip", top=top, extra=extra)
+    assert find_format(path).name == "recording"
+    with FORMAT.open(drive) as expected, open_scene(path) as scene:
+        assert scene.source == str(path)
+        assert [s.id for s in scene.sensors] == [s.id for s in expected.sensors]
+        for k in range(2):
+            np.testing.assert_array_equal(
+                scene.cameras[0].pictures[k].rgb, expected.cameras[0].pictures[k].rgb
+            )
+        np.testing.assert_array_equal(scene.lidars[0].frames[0].points.positions, [[1.0, 2.0, 3.0]])
+        assert len(list(scratch.iterdir())) == 1
+    assert list(scratch.iterdir()) == []
+
+
+def test_frames_go_to_other_processes_while_the_scene_is_open(drive, scratch, tmp_path):
+    with open_scene(zip_of(drive, tmp_path / "drive.zip")) as scene:
+        other = (
+            "import pickle, sys; scene = pickle.load(sys.stdin.buffer);"
+            "print(scene.cameras[0].pictures[1].rgb.mean()); scene.close()"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", other], input=pickle.dumps(scene), capture_output=True, check=True
+        )
+        assert float(done.stdout) == 10.0  # picture k is grey 10 k
+        # the other process closed its scene and ended; the files are this one's
+        assert scene.cameras[0].pictures[1].rgb.mean() == 10.0
+    assert list(scratch.iterdir()) == []
+
+
+def test_nothing_is_left_when_the_interpreter_ends(drive, tmp_path):
+    path, scratch = zip_of(drive, tmp_path / "drive.zip"), tmp_path / "other"
+    scratch.mkdir()
+    code = (
+        f"import sceneloom, os; scene = sceneloom.open({str(path)!r});"
+        "frames = scene.cameras[0].pictures; del scene;"
+        "print(frames[1].rgb.mean(), len(os.listdir(os.environ['TMPDIR'])))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, check=True, text=True, env={"TMPDIR": str(scratch)}
+    )
+    assert done.stdout.split() == ["10.0", "1"]
+    assert list(scratch.iterdir()) == []
+
+
+def test_faults_of_a_zipped_drive_are_told_as_those_of_a_folder(drive, scratch, tmp_path):
+    with (drive / "data.jsonl").open("a") as file:
+        file.write("{broken\n")
+    path = zip_of(drive, tmp_path / "drive.zip", top="drive/")
+    with pytest.raises(DataError, match=r"drive\.zip/data\.jsonl: line 5: {broken"):
+        FORMAT.open(path)
+    assert list(scratch.iterdir()) == []
+    findings = validate(path, places=None).findings
+    assert [(f.rule, f.path) for f in findings if f.severity == "error"] == [
+        ("broken-lines", "data.jsonl: line 5")
+    ]
+    assert list(scratch.iterdir()) == []
+
+
+def with_member(tmp_path, name, *, mode=0, content=b"x"):
+    path = tmp_path / "bad.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data.jsonl", "{}\n")
+        member = zipfile.ZipInfo(name)
+        member.external_attr = mode << 16
+        archive.writestr(member, content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "problem"),
+    [
+        ("../outside.bin", 0, "leads out of the folder"),
+        ("lidar/../../outside.bin", 0, "leads out of the folder"),
+        ("/tmp/outside.bin", 0, "leads out of the folder"),
+        ("C:/outside.bin", 0, "leads out of the folder"),
+        ("lidar\\..\\..\\outside.bin", 0, "leads out of the folder"),
+        ("lidar\\0.bin", 0, "is no name of a file"),
+        ("a" * 1001, 0, "is no name of a file"),
+        ("lidar/0.bin", stat.S_IFLNK | 0o777, "is a link or a device"),
+        ("lidar/0.bin", stat.S_IFIFO | 0o777, "is a link or a device"),
+        ("data.jsonl", 0, "stands there twice"),
+        ("data.jsonl/x", 0, "cannot be unpacked"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_names_that_lead_astray_are_refused(tmp_path, scratch, name, mode, problem):
+    path = with_member(tmp_path, name, mode=mode, content=b"../../x")
+    with pytest.raises(DataError, match=problem):
+        FORMAT.open(path)
+    assert list(scratch.iterdir()) == []
+    assert not list(tmp_path.rglob("outside.bin"))
+
+
+@pytest.mark.parametrize(
+    ("bound", "value", "problem"),
+    [
+        ("MOST_FILES", 1, "holds 2 files; expected 1 at most"),
+        ("LARGEST_TOTAL", 1000, "says that it holds 5000003 bytes; expected 1000 at most"),
+        ("_ALWAYS_FINE", 1000, "times as many; expected 300 times at most"),
+    ],
+)
+def test_archives_beyond_the_bounds_are_refused_before_anything_is_written(
+    tmp_path, scratch, monkeypatch, bound, value, problem
+):
+    path = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data.jsonl", "{}\n")
+        archive.writestr("data.mkv", bytes(5_000_000))
+    monkeypatch.setattr(zipped, bound, value)
+    with pytest.raises(DataError, match=problem):
+        FORMAT.open(path)
+    assert list(scratch.iterdir()) == []
+
+
+def test_an_archive_larger_than_the_disk_has_room_for_is_refused(drive, scratch, tmp_path, monkeypatch):
+    monkeypatch.setattr(zipped, "_SPARE_BYTES", 1 << 60)
+    with pytest.raises(DataError, match="free; unpack it elsewhere and open the folder, or set TMPDIR"):
+        FORMAT.open(zip_of(drive, tmp_path / "drive.zip"))
+    assert list(scratch.iterdir()) == []
+
+
+def test_damaged_and_encrypted_archives_are_refused(drive, scratch, tmp_path):
+    whole = zip_of(drive, tmp_path / "drive.zip").read_bytes()
+    # a wrong byte inside the first file's compressed bytes breaks its checksum
+    flipped = bytearray(whole)
+    flipped[120] ^= 0xFF
+    encrypted = bytearray(whole)
+    for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        encrypted[encrypted.find(signature) + offset] |= 1
+    for content, problem in ((flipped, "cannot be unpacked"), (encrypted, "is encrypted")):
+        path = tmp_path / "bad.zip"
+        path.write_bytes(content)
+        with pytest.raises(DataError, match=problem):
+            FORMAT.open(path)
+    (tmp_path / "bad.zip").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(DataError, match="cannot be unpacked: File is not a zip file"):
+        FORMAT.open(tmp_path / "bad.zip")
+    assert list(scratch.iterdir()) == []
+
+
+def test_other_archives_are_no_recordings(tmp_path, scratch):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("a/data.jsonl", "{}")
+        archive.writestr("b/data.jsonl", "{}")
+    path = Path(tmp_path / "two.zip")
+    path.write_bytes(buffer.getvalue())
+    assert not FORMAT.recognises(path)
+    with pytest.raises(
+        DataError, match=r"holds no data\.jsonl, neither at its root nor in a single top folder"
+    ):
+        FORMAT.open(path)
+
+
+@pytest.mark.parametrize("cut", range(0, 400, 7))
+def test_an_archive_cut_anywhere_raises_errors_of_ours_only(drive, scratch, tmp_path, cut):
+    whole = zip_of(drive, tmp_path / "drive.zip").read_bytes()
+    path = tmp_path / "cut.zip"
+    path.write_bytes(whole[: len(whole) * cut // 400])
+    with pytest.raises(DataError):
+        FORMAT.open(path)
+    assert list(scratch.iterdir()) == []

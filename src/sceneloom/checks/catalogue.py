@@ -11,6 +11,13 @@ from sceneloom.errors import OptionError
 RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.reading",
     "sceneloom.checks.recordings.faults",
+    "sceneloom.checks.recordings.presence",
+    "sceneloom.checks.recordings.times",
+    "sceneloom.checks.recordings.imu_times",
+    "sceneloom.checks.recordings.imu_values",
+    "sceneloom.checks.recordings.sensor_values",
+    "sceneloom.checks.recordings.fixes",
+    "sceneloom.checks.recordings.configuration",
     "sceneloom.checks.times",
     "sceneloom.checks.point_times",
     "sceneloom.checks.poses",

@@ -40,6 +40,15 @@ Look = Callable[[Subject, FrameInHand], Iterable[Hit]]
 Fix = Callable[[Scene], Scene]
 
 
+def unless_recording(find: Find) -> Find:
+    """Leave recordings out, of which rules over their lines tell the same with the line, and more."""
+
+    def found(subject: Subject) -> Iterable[Hit]:
+        return () if subject.recording is not None else find(subject)
+
+    return found
+
+
 @dataclass(frozen=True, slots=True)
 class Rule:
     """One rule; it has `find`, or `look`, or both; `look` with `conclude` judges frames together.

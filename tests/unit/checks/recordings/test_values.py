@@ -1,0 +1,124 @@
+"""Rules about what sensors measured."""
+
+import numpy as np
+import pytest
+
+from sceneloom.checks import validate
+
+
+@pytest.mark.parametrize(
+    ("factor", "guess"),
+    [
+        (1 / 9.80665, "units of g"),
+        (1000 / 9.80665, "thousandths of g"),
+        (1000.0, "mm/s²"),
+        (3.28084, "feet"),
+        (0.02, "gravity taken off"),
+    ],
+)
+def test_accelerations_in_another_unit_are_an_error_that_says_which(told, drive, factor, guess):
+    drive.scaled("accelerometer", factor)
+    [(place, message)] = told(drive, "accelerometer-unit")
+    assert place == "data.jsonl: accelerometer"
+    assert guess in message
+    assert told(drive, "accelerometer-range") == []
+    assert told(drive, "accelerometer-noise") == []
+
+
+def test_a_blow_is_told_with_its_line_and_is_no_unit(written, drive, line_of):
+    drive.scaled("accelerometer", 25.0, slice(400, 402))
+    folder = written(drive)
+    report = validate(folder, rules=["accelerometer-unit", "accelerometer-range"])
+    [finding] = report.findings
+    assert finding.rule == "accelerometer-range"
+    assert finding.path == line_of(folder, drive.streams["accelerometer"][400])
+    assert finding.message.startswith("accelerometer at 5.000000 s is 24")
+    assert finding.count == 2
+
+
+@pytest.mark.parametrize(("deviation", "is_loud"), [(2.0, False), (5.0, True)])
+def test_noise_above_the_limit_is_told(told, drive, deviation, is_loud):
+    # of white noise a filter that cuts at a quarter of the rate leaves sqrt(1/2), of which the mean is 0.8
+    noise = deviation * np.random.default_rng(1).standard_normal(len(drive.streams["accelerometer"]))
+    for line, extra in zip(drive.streams["accelerometer"], noise.tolist(), strict=True):
+        x, y, z = line["sensor"]["values"]
+        line["sensor"]["values"] = [x, y + extra, z]
+    messages = [message for _, message in told(drive, "accelerometer-noise")]
+    assert [message.split(" changes")[0] for message in messages] == (["y"] if is_loud else [])
+
+
+def test_noise_agrees_with_the_vendors_kind_of_filter():
+    from scipy.signal import butter, filtfilt
+
+    from sceneloom.checks.recordings.imu_values import _mean_noise
+
+    noise = np.random.default_rng(1).standard_normal((20_000, 3))
+    b, a = butter(3, 0.5, btype="high")
+    expected = np.abs(filtfilt(b, a, noise, axis=0)).mean(axis=0)
+    np.testing.assert_allclose(_mean_noise(noise), expected, rtol=0.05)  # the flanks differ
+
+
+def test_turns_in_degrees_are_an_error(told, drive):
+    for line in drive.streams["gyroscope"][300:500]:
+        line["sensor"]["values"][2] += 0.5
+    assert told(drive, "gyroscope-unit") == []
+    drive.scaled("gyroscope", 57.2958)
+    [(place, message)] = told(drive, "gyroscope-unit")
+    assert place == "data.jsonl: gyroscope"
+    assert "degrees per second" in message
+    assert told(drive, "gyroscope-range") == []
+
+
+def test_a_torn_turn_rate_is_told_with_its_line(written, drive, line_of):
+    drive.streams["gyroscope"][77]["sensor"]["values"][0] = 35.0
+    folder = written(drive)
+    [finding] = validate(folder, rules=["gyroscope-range", "gyroscope-unit"]).findings
+    assert finding.path == line_of(folder, drive.streams["gyroscope"][77])
+    assert finding.message.startswith("gyroscope at 1.770000 s is 35 rad/s long")
+
+
+@pytest.mark.parametrize(
+    ("name", "rule", "factor", "guess"),
+    [
+        ("magnetometer", "magnetometer-unit", 1000.0, "nanotesla"),
+        ("magnetometer", "magnetometer-unit", 0.01, "gauss"),
+        ("magnetometer", "magnetometer-unit", 1e-6, "tesla"),
+        ("barometer", "barometer-unit", 100.0, "pascal"),
+        ("barometer", "barometer-unit", 0.1, "kilopascal"),
+        ("barometer", "barometer-unit", 0.001, "bar"),
+        ("imuTemperature", "temperature-unit", 0.1, "Celsius"),
+    ],
+)
+def test_other_units_of_further_sensors_are_guessed(told, drive, name, rule, factor, guess):
+    [(_, message)] = told(drive.scaled(name, factor), rule)
+    assert f"{guess}?" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "every", "is_told"),
+    [
+        ("accelerometer", 10, True),
+        ("accelerometer", 200, False),
+        ("gyroscope", 10, True),
+        ("magnetometer", 10, True),
+        ("barometer", 10, False),
+        ("barometer", 3, True),
+        ("gps", 10, True),
+        ("imuTemperature", 2, False),
+    ],
+)
+def test_samples_that_repeat_the_one_before_are_told(told, drive, name, every, is_told):
+    stream, key = drive.streams[name], "gps" if name == "gps" else "sensor"
+    for before, line in zip(stream[::every], stream[1::every], strict=False):
+        line[key] = before[key]
+    found = told(drive, "values-repeated")
+    assert len(found) == is_told
+    if found:
+        assert found[0][1].startswith(f"{name} at {stream[1]['time']:.6f} s has the very values")
+
+
+def test_a_place_that_is_held_for_a_while_counts_though_its_accuracy_changes(told, drive):
+    for k, line in enumerate(drive.streams["gps"][20:40]):
+        line["gps"] = {**drive.streams["gps"][20]["gps"], "accuracy": 0.5 + 0.1 * k}
+    [(_, message)] = told(drive, "values-repeated")
+    assert "gps at 5.2" in message

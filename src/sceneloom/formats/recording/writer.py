@@ -1,8 +1,7 @@
 """A scene as a recording's folder: sorted lines, calibration, videos or PNG pictures, lidar binaries."""
 
-import heapq
 import re
-from collections.abc import Iterator
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,11 +14,12 @@ from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
+from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, merged_lines
 from sceneloom.formats.recording.place import DATA_FILE
 from sceneloom.formats.recording.writing_plan import WritingPlan
 from sceneloom.formats.recording.written_calibration import camera_entry, cropped, lidar_entry
 from sceneloom.formats.recording.written_frames import FrameLines, group_pictures, grouping_losses
-from sceneloom.formats.recording.written_lines import NumberLines, WrittenLine, other_lines
+from sceneloom.formats.recording.written_lines import NumberLines, other_lines
 from sceneloom.formats.recording.written_pictures import PICTURES, PictureSink, open_sink
 from sceneloom.formats.recording.written_shots import shots_of
 from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter
@@ -105,7 +105,9 @@ class _RecordingWriter:
             )
             sweeps = self._sweep_writers()
             # of one time, the small lines come first: a filter then knows all up to a picture when it gets it
-            self._write_lines([*self._number_streams(), *(sweep.lines() for sweep in sweeps), frames.lines()])
+            self._write_lines(
+                [*self._number_streams(), *(sweep.stream() for sweep in sweeps), frames.stream()]
+            )
             for sink in sinks:
                 sink.close()
         self._write_calibration(sinks)
@@ -133,22 +135,22 @@ class _RecordingWriter:
             )
         return writers
 
-    def _number_streams(self) -> list[Iterator[WrittenLine]]:
+    def _number_streams(self) -> list[LineStream]:
         plan, lines = self._plan, self._numbers
         imus = [sensor for sensor in plan.scene.sensors if isinstance(sensor, ImuSensor)]
         receivers = [sensor for sensor in plan.scene.sensors if isinstance(sensor, GnssSensor)]
         streams = [lines.trajectory(trajectory, origin) for trajectory, origin in plan.trajectories]
         streams += [stream for sensor in imus[:1] for stream in lines.imu(sensor)]
         streams += [lines.gnss(sensor) for sensor in receivers[:1]]
-        return [*streams, iter(other_lines(plan.notes.other_lines))]
+        others = other_lines(plan.notes.other_lines)
+        stamps = np.array([line.timestamp_ns for line in others], np.int64)
+        return [*streams, OneByOne(stamps, others)]
 
-    def _write_lines(self, streams: list[Iterator[WrittenLine]]) -> None:
-        count = 0
+    def _write_lines(self, streams: Sequence[LineStream]) -> None:
         with (self._folder / DATA_FILE).open("wb") as file:
-            for line in heapq.merge(*streams, key=_place):
-                file.write(line.text + b"\n")
-                count += 1
-        if count == 0:
+            for lines in merged_lines(streams):
+                file.write("\n".join([*lines, ""]).encode())
+        if not any(len(stream.timestamps_ns) for stream in streams):
             raise OptionError(f"{self._plan.scene.source}: holds nothing that a recording could hold")
 
     def _write_calibration(self, sinks: list[PictureSink]) -> None:
@@ -173,10 +175,6 @@ def _picture_rows(plan: WritingPlan) -> Int64Array:
     if not plan.cameras:
         return np.zeros((0, 0), np.int64)
     return group_pictures([shots_of(camera).timestamps_ns for camera in plan.cameras])
-
-
-def _place(line: WrittenLine) -> tuple[int, float]:
-    return line.timestamp_ns, line.seconds
 
 
 def _time_losses(times: TimeWriter) -> list[Loss]:

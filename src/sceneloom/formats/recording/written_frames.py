@@ -7,8 +7,9 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
 from sceneloom.formats.recording.written_calibration import lens_entry, lens_losses, matrix_entry
-from sceneloom.formats.recording.written_lines import WrittenLine, make_line
+from sceneloom.formats.recording.written_lines import make_line
 from sceneloom.formats.recording.written_pictures import PictureSink
 from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of, shots_of
 from sceneloom.formats.recording.written_times import TimeWriter
@@ -91,8 +92,15 @@ class FrameLines:
         self._sensors, self._sinks, self._rows, self._times = sensors, sinks, rows, times
         self._keep_extras = keep_extras
 
-    def lines(self) -> Iterator[WrittenLine]:
-        """Give one line after the other, each after its pictures were handed on."""
+    def stream(self) -> LineStream:
+        """The lines, each made after its pictures were handed on."""
+        stamps = np.full(self._rows.shape, np.iinfo(np.int64).max)
+        for column, sensor in enumerate(self._sensors):
+            there = self._rows[:, column] >= 0
+            stamps[there, column] = shots_of(sensor).timestamps_ns[self._rows[there, column]]
+        return OneByOne(stamps.min(axis=1, initial=np.iinfo(np.int64).max), self._lines())
+
+    def _lines(self) -> Iterator[WrittenLine]:
         for number, row in enumerate(self._rows.tolist()):
             pairs = zip(self._sensors, row, strict=True)
             shots: list[Shot | None] = [shots_of(sensor)[k] if k >= 0 else None for sensor, k in pairs]

@@ -12,7 +12,8 @@ from sceneloom.errors import PoseError
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.columns import nanoseconds
 from sceneloom.formats.recording.lidar_files import LIDAR_MODELS, XYZIRT
-from sceneloom.formats.recording.written_lines import WrittenLine, make_line, with_further_keys
+from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
+from sceneloom.formats.recording.written_lines import make_line, with_further_keys
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
@@ -75,8 +76,11 @@ class SweepWriter:
             _world_poses(sensor, mount, ego_path) if sensor.points_frame is PointsFrame.WORLD else None
         )
 
-    def lines(self) -> Iterator[WrittenLine]:
-        """Give one line after the other, each after its file was written."""
+    def stream(self) -> LineStream:
+        """The lines, each made after its file was written."""
+        return OneByOne(self._sensor.frames.timestamps_ns, self._lines())
+
+    def _lines(self) -> Iterator[WrittenLine]:
         (self._folder / self._subfolder).mkdir(exist_ok=True)
         for k, frame in enumerate(self._sensor.frames):
             name = f"{self._subfolder}/{k:06d}.bin"

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-
-_SECOND_NS = 1_000_000_000
+from sceneloom.formats.recording.columns import nanoseconds
+from sceneloom.formats.recording.number_texts import decimal_text, seconds_texts, written_seconds
 
 
 def seconds_text(timestamp_ns: int, file_seconds: float | None = None) -> str:
@@ -22,9 +22,7 @@ def seconds_text(timestamp_ns: int, file_seconds: float | None = None) -> str:
     """
     if file_seconds is not None and means(file_seconds, timestamp_ns):
         return repr(float(file_seconds))
-    whole, rest = divmod(abs(timestamp_ns), _SECOND_NS)
-    decimals = f"{rest:09d}".rstrip("0") or "0"
-    return f"{'-' if timestamp_ns < 0 else ''}{whole}.{decimals}"
+    return decimal_text(timestamp_ns)
 
 
 def means(seconds: float, timestamp_ns: int) -> bool:
@@ -53,6 +51,13 @@ class TimeWriter:
             self.inexact += 1
             self.worst_ns = max(self.worst_ns, error)
         return text
+
+    def texts(self, timestamps_ns: Int64Array, file_seconds: Float64Array | None) -> list[str]:
+        """Write many times, (N,) int64 [ns], with the numbers that they were read from, (N,) float64 [s]."""
+        errors = np.abs(nanoseconds(written_seconds(timestamps_ns, file_seconds)) - timestamps_ns)
+        self.inexact += int(np.count_nonzero(errors))
+        self.worst_ns = max(self.worst_ns, int(errors.max(initial=0)))
+        return seconds_texts(timestamps_ns, file_seconds)
 
     def raw(self, timestamp_ns: int, file_seconds: float | None = None) -> msgspec.Raw:
         """The same, ready to be put into JSON."""

@@ -19,6 +19,7 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
 from sceneloom.formats.recording.line_shapes import ROOT_KEYS, NamedPose
+from sceneloom.formats.recording.merged_lines import merged_lines
 from sceneloom.formats.recording.trajectories import RANKS
 from sceneloom.formats.recording.written_lines import NumberLines
 from sceneloom.formats.recording.written_times import TimeWriter
@@ -150,8 +151,8 @@ def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     # the number that a time was read from may mean another nanosecond when its decimals are read exactly
     way = replace(content.trajectory, file_seconds=None)
     with path.open("wb") as file:
-        for line in NumberLines(TimeWriter(), {}).trajectory(way, None):
-            file.write(line.text + b"\n")
+        for lines in merged_lines([NumberLines(TimeWriter(), {}).trajectory(way, None)]):
+            file.write("\n".join([*lines, ""]).encode())
     return further_losses(content)
 
 

@@ -1,0 +1,107 @@
+"""Lines of many streams in the order of their times; of one time, in the order of their numbers, then of the streams.
+
+The order is found from the times alone, before any line is made. Then the lines are made block by block: those of
+numbers many at once, those of frames one by one, in order, each when its turn comes.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.formats.recording.number_texts import exact_seconds
+
+_BLOCK = 2048
+"""Lines that are in memory together, or as many more as have one time."""
+
+
+class LineStream(Protocol):
+    """Lines in the order of their times.
+
+    Attributes:
+        timestamps_ns: (N,) int64 [ns], ascending.
+        seconds: (N,) float64 [s], the numbers that stand in the lines, or what is known of them.
+    """
+
+    @property
+    def timestamps_ns(self) -> Int64Array: ...  # noqa: D102 - said above
+
+    @property
+    def seconds(self) -> Float64Array: ...  # noqa: D102 - said above
+
+    def lines(self, start: int, stop: int) -> Iterator[str]:
+        """Make the lines of some rows; called for all rows, in order."""
+        ...
+
+
+class WrittenLine(NamedTuple):
+    """A line, and by what it is put among the others."""
+
+    timestamp_ns: int
+    seconds: float
+    text: str
+
+
+class OneByOne:
+    """A stream of lines that are made one after the other, whose numbers are known then only."""
+
+    def __init__(self, timestamps_ns: Int64Array, lines: Iterable[WrittenLine]) -> None:
+        """Begin.
+
+        Args:
+            timestamps_ns: (N,) int64 [ns], ascending.
+            lines: as many, with these times.
+        """
+        self.timestamps_ns = timestamps_ns
+        self.seconds = exact_seconds(timestamps_ns)
+        self._lines = iter(lines)
+
+    def lines(self, start: int, stop: int) -> Iterator[str]:
+        """Make lines, and note down the numbers that stand in them."""
+        for row in range(start, stop):
+            line = next(self._lines)
+            self.seconds[row] = line.seconds
+            yield line.text
+
+
+def merged_lines(streams: Sequence[LineStream]) -> Iterator[list[str]]:
+    """Give the lines of all streams, block after block."""
+    stamps = np.concatenate([stream.timestamps_ns for stream in streams] or [np.zeros(0, np.int64)])
+    known = np.concatenate([stream.seconds for stream in streams] or [np.zeros(0)])
+    ranks = np.repeat(np.arange(len(streams)), [len(stream.timestamps_ns) for stream in streams])
+    order = np.lexsort((known, stamps))
+    stamps, ranks, known = stamps[order], ranks[order], known[order]
+    done = np.zeros(len(streams), np.int64)
+    start = 0
+    while start < len(stamps):
+        stop = _end_of_block(stamps, start)
+        counts = np.bincount(ranks[start:stop], minlength=len(streams))
+        yield _block(streams, done, counts, stamps[start:stop], ranks[start:stop], known[start:stop])
+        done += counts
+        start = stop
+
+
+def _end_of_block(stamps: Int64Array, start: int) -> int:
+    """The end of a block, which parts no lines of one time."""
+    last = min(start + _BLOCK, len(stamps)) - 1
+    return int(np.searchsorted(stamps, stamps[last], side="right"))
+
+
+def _block(
+    streams: Sequence[LineStream],
+    done: Int64Array,
+    counts: Int64Array,
+    stamps: Int64Array,
+    ranks: Int64Array,
+    known: Float64Array,
+) -> list[str]:
+    spans = [slice(begin, begin + count) for begin, count in zip(done.tolist(), counts.tolist(), strict=True)]
+    makers = [stream.lines(span.start, span.stop) for stream, span in zip(streams, spans, strict=True)]
+    lines = [next(makers[rank]) for rank in ranks.tolist()]
+    told = np.empty(len(lines))
+    for rank, (stream, span) in enumerate(zip(streams, spans, strict=True)):
+        told[ranks == rank] = stream.seconds[span]
+    if np.array_equal(told, known):
+        return lines
+    return [lines[k] for k in np.lexsort((ranks, told, stamps)).tolist()]

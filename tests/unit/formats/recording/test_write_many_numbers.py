@@ -1,0 +1,115 @@
+"""Blocks of numbers and times become the text that they become one by one; lines of many streams come in order."""
+
+from decimal import Decimal
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+
+from sceneloom.formats.recording.merged_lines import OneByOne, WrittenLine, merged_lines
+from sceneloom.formats.recording.number_texts import exact_seconds, number_texts, row_texts, seconds_texts
+from sceneloom.formats.recording.written_times import TimeWriter
+
+SPANS = {
+    "around zero": (-(10**7), 10**7),
+    "minutes": (-(10**12), 10**12),
+    "weeks": (-(10**15), 10**15),
+    "where numbers stop to hold nanoseconds": (-(2**54), 2**54),
+    "just beyond": (8 * 10**15, 10**16),
+    "today": (17 * 10**17, 17 * 10**17 + 10**15),
+    "everything": (-9 * 10**18, 9 * 10**18),
+}
+
+
+def some_times(span):
+    low, high = SPANS[span]
+    rng = np.random.default_rng(low % 1000)
+    # whole milliseconds, and multiples of 2^-9 s, which lie halfway between two numbers in places
+    steps = [rng.integers(low // step, high // step, 300) * step for step in (1, 10**6, 1_953_125, 10**9)]
+    return np.concatenate(steps).astype(np.int64)
+
+
+@pytest.mark.parametrize("span", SPANS)
+def test_times_are_written_exactly_and_without_zeros_at_the_end(span):
+    stamps = some_times(span)
+    for stamp, text in zip(stamps.tolist(), seconds_texts(stamps, None), strict=True):
+        assert Decimal(text) == Decimal(stamp).scaleb(-9)
+        assert "e" not in text
+        assert text.endswith(".0") or not text.endswith("0")
+
+
+@pytest.mark.parametrize("span", SPANS)
+def test_the_nearest_numbers_are_those_that_reading_gives(span):
+    stamps = some_times(span)
+    expected = [float(Decimal(stamp).scaleb(-9)) for stamp in stamps.tolist()]
+    assert exact_seconds(stamps).tolist() == expected
+
+
+def test_a_file_s_own_numbers_are_written_where_they_still_mean_the_times():
+    seconds = np.array([1.444770263671875, 0.1 + 0.2, np.nan, np.inf, 1e300, 1700000000.1234567, -2.5])
+    stamps = np.array([1_444_770_264, 300_000_000, 7, 8, 9, 1_700_000_000_123_456_717, -2_400_000_000])
+    texts = seconds_texts(stamps, seconds)
+    assert [float(texts[k]) for k in (0, 1, 5)] == [seconds[k] for k in (0, 1, 5)]
+    assert [texts[k] for k in (2, 3, 4, 6)] == ["0.000000007", "0.000000008", "0.000000009", "-2.4"]
+
+
+def test_times_that_numbers_cannot_hold_are_counted_in_blocks_as_one_by_one():
+    stamps = some_times("today")
+    block, single = TimeWriter(), TimeWriter()
+    block.texts(stamps, None)
+    for stamp in stamps.tolist():
+        single.text(stamp)
+    assert (block.inexact, block.worst_ns) == (single.inexact, single.worst_ns)
+    assert block.inexact > 0
+
+
+def test_numbers_are_read_as_they_were():
+    numbers = np.concatenate(
+        [np.random.default_rng(0).normal(size=200) * 10.0 ** np.arange(-100, 100), [0.0, -0.0]]
+    )
+    assert [float(text) for text in number_texts(numbers)] == numbers.tolist()
+    rows = numbers[:201].reshape(-1, 3)
+    assert [msgspec.json.decode(f"[{text}]") for text in row_texts(rows)] == rows.tolist()
+    assert number_texts(np.zeros(0)) == row_texts(np.zeros((0, 3))) == []
+
+
+def a_stream(name, pairs, asked=None):
+    """Lines that say their stream, their time and their number."""
+
+    def make():
+        for stamp, seconds in pairs:
+            if asked is not None:
+                asked.append(name)
+            yield WrittenLine(stamp, seconds, f"{name} {stamp} {seconds!r}")
+
+    return OneByOne(np.array([stamp for stamp, _ in pairs], np.int64), make())
+
+
+def test_lines_come_by_time_then_by_number_then_by_stream():
+    first = a_stream("a", [(1, 1e-9), (5, 5.2e-9), (9, 9e-9)])
+    second = a_stream("b", [(1, 1e-9), (5, 4.9e-9), (6, 6e-9)])
+    lines = [line for block in merged_lines([first, second]) for line in block]
+    assert [line.split()[:2] for line in lines] == [
+        ["a", "1"],
+        ["b", "1"],
+        ["b", "5"],
+        ["a", "5"],
+        ["b", "6"],
+        ["a", "9"],
+    ]
+
+
+def test_thousands_of_lines_come_in_order_each_asked_for_when_its_turn_comes():
+    rng = np.random.default_rng(3)
+    asked: list[str] = []
+    pairs = {
+        name: sorted((int(t), float(t) * 1e-9) for t in rng.integers(0, 500, count))
+        for name, count in (("a", 7000), ("b", 300), ("c", 0))
+    }
+    streams = [a_stream(name, found, asked) for name, found in pairs.items()]
+    lines = [line.split() for block in merged_lines(streams) for line in block]
+    assert len(lines) == 7300
+    keys = [(int(stamp), float(seconds), name) for name, stamp, seconds in lines]
+    assert all(before <= after for before, after in pairwise(keys))
+    assert asked == [name for name, _, _ in lines]

@@ -1,6 +1,7 @@
 """What the lines of a recording say, as growing columns, one set per stream; small per sample, and no text."""
 
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,12 +40,16 @@ class Columns:
 
     Attributes:
         width: numbers per sample.
+        code: what stands for this stream in `LineLog.codes`.
+        form: the first line that says nothing but a sample, as text.
         seconds: times [s].
         values: the samples one after another.
         further: by row, the text of a line that holds more than these columns do.
     """
 
     width: int
+    code: int = 0
+    form: str | None = None
     seconds: "array[float]" = field(default_factory=lambda: array("d"))
     values: "array[float]" = field(default_factory=lambda: array("d"))
     further: dict[int, str] = field(default_factory=dict)
@@ -68,10 +73,26 @@ class Columns:
             read_only(nanoseconds(seconds)), read_only(seconds), read_only(values), read_only(order)
         )
 
+    def row_keys(self, rows: Sequence[int]) -> list[str]:
+        """Name rows by their time [ns], as text; of several samples of one time, the second is `TIME#1`."""
+        if not rows:
+            return []
+        stamps = self.by_time().timestamps_ns
+        places = np.empty(len(stamps), np.int64)
+        places[time_order(view(self.seconds))] = np.arange(len(stamps))
+        chosen = places[np.asarray(rows, np.int64)]
+        counts = chosen - np.searchsorted(stamps, stamps[chosen], "left")
+        return [row_key(*pair) for pair in zip(stamps[chosen].tolist(), counts.tolist(), strict=True)]
+
     def further_by_time(self) -> dict[str, str]:
-        """Give the texts by their sample's time [ns], as text; of samples with one time, the last one's."""
-        stamps = nanoseconds(view(self.seconds))
-        return {str(stamps[row]): text for row, text in self.further.items()}
+        """Give the texts by the key of their row."""
+        rows = sorted(self.further)
+        return {key: self.further[row] for key, row in zip(self.row_keys(rows), rows, strict=True)}
+
+
+def row_key(timestamp_ns: int, count: int) -> str:
+    """Name a sample: its time [ns], and how many samples of that time come before it, if any do."""
+    return f"{timestamp_ns}#{count}" if count else str(timestamp_ns)
 
 
 def view(numbers: "array[float]") -> Float64Array:
@@ -145,6 +166,7 @@ class FrameColumns:
     """The `frames` lines.
 
     Attributes:
+        code: what stands for these lines in `LineLog.codes`.
         numbers: `number` of each line.
         seconds: `time` of each line [s].
         lines: number of each line in the file.
@@ -153,6 +175,7 @@ class FrameColumns:
         texts: every different text of `cameraParameters` and `imuToCamera`, with its place in this order.
     """
 
+    code: int = 0
     numbers: "array[int]" = field(default_factory=lambda: array("q"))
     seconds: "array[float]" = field(default_factory=lambda: array("d"))
     lines: "array[int]" = field(default_factory=lambda: array("q"))
@@ -165,6 +188,62 @@ class FrameColumns:
         return self.texts.setdefault(text, len(self.texts)) if text else -1
 
 
+NOTHING, TEXT, SEVERAL = 0, 1, 2
+"""Codes of lines that nothing was taken from, that are kept as text, and that several streams have a part in."""
+
+_MOST_STREAMS = 60_000
+
+
+@dataclass(slots=True, eq=False)
+class SharedLine:
+    """A line that more than one stream has a part in.
+
+    Attributes:
+        text: all of it.
+        rows: code and row of each sample that it brought; a line of pictures has no row here.
+    """
+
+    text: str
+    rows: list[tuple[int, int]] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class LineLog:
+    """What became of each line of the file, in its order.
+
+    Attributes:
+        codes: by line, the code of the stream that took it, or `NOTHING`, `TEXT`, `SEVERAL`.
+        shared: lines of several streams, by number.
+        last_code: the greatest code that is given away.
+    """
+
+    codes: "array[int]" = field(default_factory=lambda: array("H"))
+    shared: dict[int, SharedLine] = field(default_factory=dict)
+    last_code: int = SEVERAL
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no further stream can be told from the others."""
+        return self.last_code >= _MOST_STREAMS
+
+    def new_code(self) -> int:
+        """Give away the next code."""
+        self.last_code += 1
+        return self.last_code
+
+    def lines_of(self, code: int) -> Int64Array:
+        """Give the number of the line that each row of a stream was read from, (N,) int64, counted from 1."""
+        codes = np.frombuffer(self.codes, np.uint16) if self.codes else np.zeros(0, np.uint16)
+        lines: Int64Array = np.flatnonzero(codes == code) + 1
+        beside = [
+            (row, line) for line, shared in self.shared.items() for own, row in shared.rows if own == code
+        ]
+        if not beside:
+            return lines
+        rows = sorted(beside)
+        return np.insert(lines, [row - k for k, (row, _) in enumerate(rows)], [line for _, line in rows])
+
+
 @dataclass(slots=True, eq=False)
 class RecordingColumns:
     """All lines of a recording.
@@ -172,17 +251,49 @@ class RecordingColumns:
     Attributes:
         sensors: streams by `sensor.type`.
         gnss: latitude, longitude [deg], altitude [m], accuracy and vertical accuracy [m], NaN where not given.
+        receivers: the same of satellite receivers under other root keys, by root key and name.
+        barometer: `barometer` lines [hPa].
         poses: trajectories by the root key of their lines ("" for poses at the root itself) and their name.
         lidars: by `lidarInd`.
         frames: the `frames` lines.
         other_lines: the text of lines that hold none of these.
+        other_seconds: the time of each of those lines [s], NaN where it has none.
         other_keys: how many of those lines have which first key.
+        log: what became of each line.
     """
 
     sensors: dict[str, Columns] = field(default_factory=dict)
     gnss: Columns = field(default_factory=lambda: Columns(5))
+    receivers: dict[tuple[str, str], Columns] = field(default_factory=dict)
+    barometer: Columns = field(default_factory=lambda: Columns(1))
     poses: dict[tuple[str, str], PoseColumns] = field(default_factory=dict)
     lidars: dict[int, LidarColumns] = field(default_factory=dict)
     frames: FrameColumns = field(default_factory=FrameColumns)
     other_lines: list[str] = field(default_factory=list)
+    other_seconds: "array[float]" = field(default_factory=lambda: array("d"))
     other_keys: dict[str, int] = field(default_factory=dict)
+    log: LineLog = field(default_factory=LineLog)
+
+    def streams(self) -> dict[tuple[str, ...], Columns]:
+        """All streams of numbers, by what tells them apart."""
+        return {
+            **{("sensor", name): stream for name, stream in self.sensors.items()},
+            ("gps",): self.gnss,
+            ("barometer",): self.barometer,
+            **{("receiver", *origin): stream for origin, stream in self.receivers.items()},
+            **{("pose", *origin): stream.samples for origin, stream in self.poses.items()},
+            **{("lidar", str(index)): lidar.sweeps for index, lidar in self.lidars.items()},
+        }
+
+    def line_seconds(self) -> Float64Array:
+        """Give the time of each line in the order of the file, (N,) float64 [s], NaN for lines without one."""
+        codes = np.frombuffer(self.log.codes, np.uint16) if self.log.codes else np.zeros(0, np.uint16)
+        seconds = np.full(len(codes), np.nan)
+        for stream in self.streams().values():
+            if len(stream):
+                seconds[self.log.lines_of(stream.code) - 1] = view(stream.seconds)
+        if len(self.frames.seconds):
+            seconds[np.frombuffer(self.frames.lines, np.int64) - 1] = view(self.frames.seconds)
+        if self.other_lines:
+            seconds[codes == TEXT] = view(self.other_seconds)
+        return seconds

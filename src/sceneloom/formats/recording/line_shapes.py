@@ -1,7 +1,8 @@
 """The shapes of the lines in `data.jsonl`, as the JSON decoder checks them.
 
-Each shape comes twice. The exact one knows all keys that it may have, and nearly all lines fit one; decoding into it
-is fastest. The open one takes further keys, for lines whose text is then kept beside what is read from it.
+Each shape comes twice. The exact one knows all keys that it may have and takes none as `null`, so that what it holds
+can be written again as it was; nearly all lines fit one, and decoding into it is fastest. The open one takes further
+keys, for lines whose text is then kept beside what is read from it.
 
 Source: "JSONL format" of the recording format's description; the key names are the format's own.
 """
@@ -10,7 +11,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import msgspec
-from msgspec import Meta, Raw, Struct
+from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
 from sceneloom.formats.recording.columns import FARTHEST_TIME
 
@@ -58,7 +59,7 @@ class ExactPose(Pose, forbid_unknown_fields=True, gc=False):
     """A pose and nothing else."""
 
     position: ExactPoint
-    orientation: ExactQuaternion | None = None
+    orientation: ExactQuaternion | UnsetType = UNSET  # type: ignore[assignment]
 
 
 class NamedPose(Pose, gc=False):
@@ -71,7 +72,8 @@ class ExactNamedPose(NamedPose, forbid_unknown_fields=True, gc=False):
     """A named pose and nothing else."""
 
     position: ExactPoint
-    orientation: ExactQuaternion | None = None
+    orientation: ExactQuaternion | UnsetType = UNSET  # type: ignore[assignment]
+    name: str | UnsetType = UNSET  # type: ignore[assignment]
 
 
 class SensorSample(Struct, gc=False):
@@ -98,6 +100,19 @@ class GnssFix(Struct, gc=False):
 class ExactGnssFix(GnssFix, forbid_unknown_fields=True, gc=False):
     """A fix and nothing else."""
 
+    accuracy: float | UnsetType = UNSET  # type: ignore[assignment]
+    verticalAccuracy: float | UnsetType = UNSET  # type: ignore[assignment]  # noqa: N815 - the format's own word
+
+
+class Pressure(Struct, gc=False):
+    """`barometer`: the pressure of the air."""
+
+    pressureHectopascals: float  # noqa: N815 - the format's own word
+
+
+class ExactPressure(Pressure, forbid_unknown_fields=True, gc=False):
+    """A pressure and nothing else."""
+
 
 class Sweep(Struct, gc=False):
     """`lidar`: one file of points."""
@@ -108,7 +123,9 @@ class Sweep(Struct, gc=False):
 
 
 class ExactSweep(Sweep, forbid_unknown_fields=True, gc=False):
-    """A sweep and nothing else."""
+    """A sweep and nothing else; the first lidar's index is not written."""
+
+    lidarInd: Annotated[int, Meta(ge=1, le=254)] | UnsetType = UNSET  # type: ignore[assignment]  # noqa: N815
 
 
 class FrameEntry(Struct, gc=False):
@@ -124,6 +141,9 @@ class FrameEntry(Struct, gc=False):
 class ExactFrameEntry(FrameEntry, forbid_unknown_fields=True, gc=False):
     """An entry and nothing else."""
 
+    time: Seconds | UnsetType = UNSET  # type: ignore[assignment]
+    missingBitmap: bool | UnsetType = UNSET  # type: ignore[assignment]  # noqa: N815 - the format's own word
+
 
 class Line(Struct, kw_only=True, gc=False):
     """A line, whatever else may be in it."""
@@ -134,20 +154,28 @@ class Line(Struct, kw_only=True, gc=False):
     groundTruth: Pose | None = None  # noqa: N815 - the format's own word
     pose: NamedPose | None = None
     lidar: Sweep | None = None
+    barometer: Pressure | None = None
     frames: Sequence[FrameEntry] | None = None
     number: FrameNumber | None = None
 
 
-class ExactLine(Line, kw_only=True, forbid_unknown_fields=True, gc=False):
-    """A line that the columns can hold."""
+class FrequentLine(Struct, kw_only=True, forbid_unknown_fields=True, gc=False):
+    """What most lines are: the fewer fields a shape has, the sooner it is clear that a line has none but one."""
 
     time: Seconds
-    sensor: ExactSensorSample | None = None
-    gps: ExactGnssFix | None = None
-    groundTruth: ExactPose | None = None  # noqa: N815 - the format's own word
-    pose: ExactNamedPose | None = None
-    lidar: ExactSweep | None = None
-    frames: Sequence[ExactFrameEntry] | None = None
+    sensor: ExactSensorSample | UnsetType = UNSET
+    groundTruth: ExactPose | UnsetType = UNSET  # noqa: N815 - the format's own word
+    frames: Sequence[ExactFrameEntry] | UnsetType = UNSET
+    number: FrameNumber | UnsetType = UNSET
+
+
+class ExactLine(FrequentLine, kw_only=True, forbid_unknown_fields=True, gc=False):
+    """A line that the columns can hold."""
+
+    gps: ExactGnssFix | UnsetType = UNSET
+    pose: ExactNamedPose | UnsetType = UNSET
+    lidar: ExactSweep | UnsetType = UNSET
+    barometer: ExactPressure | UnsetType = UNSET
 
 
 ROOT_KEYS = frozenset(field.name for field in msgspec.structs.fields(Line))

@@ -1,7 +1,11 @@
-"""From a decoded line to the columns: one function per kind of line."""
+"""From a decoded line to the columns: what a line holds is looked through first, then all of it is taken."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import nan
+from typing import Any, TypeVar
+
+from msgspec import UnsetType
 
 from sceneloom.formats.recording.columns import (
     CameraColumns,
@@ -11,7 +15,15 @@ from sceneloom.formats.recording.columns import (
     RecordingColumns,
 )
 from sceneloom.formats.recording.lidar_files import LIDAR_MODELS, problem_of_name
-from sceneloom.formats.recording.line_shapes import FrameEntry, GnssFix, Line, Pose, SensorSample, Sweep
+from sceneloom.formats.recording.line_shapes import (
+    FrameEntry,
+    FrequentLine,
+    GnssFix,
+    Line,
+    Pose,
+    SensorSample,
+    Sweep,
+)
 
 SENSOR_WIDTHS: Mapping[str, int] = {
     "accelerometer": 3,
@@ -21,124 +33,181 @@ SENSOR_WIDTHS: Mapping[str, int] = {
 }
 """How many values a sample of each sensor has; of others the first sample decides."""
 
+Origin = tuple[str, str]
+"""Root key and name of a trajectory or of a receiver."""
+
+Value = TypeVar("Value")
+
 
 class UnfitLineError(ValueError):
     """A line is valid JSON, but does not say what a line of its kind has to."""
 
 
+@dataclass(slots=True)
+class Takings:
+    """What a line brought.
+
+    Attributes:
+        seconds: its time.
+        streams: those that it gave a sample, each as many times as it did.
+        frames: whether it told of pictures.
+        leftover: whether it says something that no stream took.
+    """
+
+    seconds: float
+    streams: list[Columns] = field(default_factory=list)
+    frames: bool = False
+    leftover: bool = False
+
+
 def take_line(
-    columns: RecordingColumns, line: Line, number: int, *, offset: int = -1
-) -> tuple[Columns | None, float]:
-    """Put all that a line says into the columns.
+    columns: RecordingColumns,
+    line: Line | FrequentLine,
+    number: int,
+    *,
+    poses: Sequence[tuple[Origin, Pose]] = (),
+    fixes: Sequence[tuple[Origin, GnssFix]] = (),
+    offset: Callable[[], int] | None = None,
+) -> Takings:
+    """Put all that a line says into the columns, or, where a part of it is wrong, nothing.
 
     Args:
         number: of the line in the file.
-        offset: byte at which a line begins that says more than its shape, else -1.
-
-    Returns:
-        The stream that grew, of several the last, None for a line of pictures only or of nothing known; and the time.
+        poses: those under keys that have no shape of their own.
+        fixes: likewise.
+        offset: gives the byte at which the line begins, where it says more than the columns hold.
 
     Raises:
         UnfitLineError: it has no time, or a part of it does not say what it has to.
     """
-    seconds, stream = line.time, None
+    seconds = line.time
     if seconds is None:
         raise UnfitLineError("time: missing; expected seconds")
-    sample = line.sensor
+    takings = Takings(seconds)
+    sample, sweep, entries = given(line.sensor), given(getattr(line, "lidar", None)), given(line.frames)
+    _check(columns, sample, sweep, entries, given(line.number))
     if sample is not None:
-        stream = take_sample(columns, seconds, sample)
-    if line.gps is not None:
-        stream = take_fix(columns, seconds, line.gps)
-    if line.groundTruth is not None:
-        stream = take_pose(columns, seconds, line.groundTruth, ("groundTruth", "groundTruth"), number)
-    if line.pose is not None:
-        stream = take_pose(columns, seconds, line.pose, ("pose", line.pose.name or "pose"), number)
-    if line.lidar is not None:
-        stream = take_sweep(columns, seconds, line.lidar, number)
-    if line.frames is not None:
-        take_frames(columns, seconds, line.frames, line.number, line=number, offset=offset)
-    return stream, seconds
+        _take_sample(columns, takings, sample)
+    for origin, pose in [*_own_poses(line), *poses]:
+        takings.streams.append(_take_pose(columns, seconds, pose, origin, number))
+    for origin, fix in [*_own_fixes(line), *fixes]:
+        takings.streams.append(_take_fix(columns, seconds, fix, origin))
+    barometer = given(getattr(line, "barometer", None))
+    if barometer is not None:
+        takings.streams.append(_append(columns, columns.barometer, seconds, [barometer.pressureHectopascals]))
+    if sweep is not None:
+        takings.streams.append(_take_sweep(columns, seconds, sweep, number))
+    if entries is not None:
+        at = -1 if offset is None else offset()
+        take_frames(columns, seconds, entries, given(line.number) or 0, line=number, offset=at)
+        takings.frames = True
+    takings.leftover |= given(line.number) is not None and entries is None
+    return takings
 
 
-def take_sample(columns: RecordingColumns, seconds: float, sample: SensorSample) -> Columns:
-    """Add a sample of an N-axis sensor to its stream.
+def given(value: Value | UnsetType | None) -> Value | None:
+    """What a shape holds, None for what it holds none of."""
+    return None if isinstance(value, UnsetType) else value
 
-    Raises:
-        UnfitLineError: the number of values is not that of the stream.
-    """
-    values = sample.values
+
+def _own_poses(line: Line | FrequentLine) -> list[tuple[Origin, Pose]]:
+    truth, pose = given(line.groundTruth), given(getattr(line, "pose", None))
+    found: list[tuple[Origin, Pose]] = []
+    if truth is not None:
+        found.append((("groundTruth", "groundTruth"), truth))
+    if pose is not None:
+        found.append((("pose", given(pose.name) or "pose"), pose))
+    return found
+
+
+def _own_fixes(line: Line | FrequentLine) -> list[tuple[Origin, GnssFix]]:
+    fix = given(getattr(line, "gps", None))
+    return [] if fix is None else [(("gps", "gps"), fix)]
+
+
+def _check(
+    columns: RecordingColumns,
+    sample: SensorSample | None,
+    sweep: Sweep | None,
+    entries: Sequence[FrameEntry] | None,
+    number: int | None,
+) -> None:
+    if sample is not None:
+        _check_sample(sample)
+    if sweep is not None:
+        _check_sweep(sweep)
+    if entries is not None:
+        check_frames(entries, number)
+    if columns.log.is_full:
+        raise UnfitLineError("the file names more streams than are told apart")
+
+
+def _check_sample(sample: SensorSample) -> None:
+    width = SENSOR_WIDTHS.get(sample.type)
+    if not sample.values or (width is not None and len(sample.values) != width):
+        expected = "at least one" if width is None else str(width)
+        raise UnfitLineError(f"sensor.values: {sample.values}; expected {expected} of {sample.type!r}")
+
+
+def _take_sample(columns: RecordingColumns, takings: Takings, sample: SensorSample) -> None:
+    """Add a sample; of a sensor that the format does not name, samples of another width are left as text."""
+    values = list(sample.values)
     stream = columns.sensors.get(sample.type)
-    if stream is None or len(values) != stream.width:
-        stream = _stream_for(columns, sample)
-    # the loop over all lines spends its time here: not `append`, a call less
-    stream.seconds.append(seconds)
-    stream.values.fromlist(values)
+    if stream is None:
+        stream = columns.sensors.setdefault(sample.type, Columns(len(values)))
+    if len(values) == stream.width:
+        takings.streams.append(_append(columns, stream, takings.seconds, values))
+    else:
+        takings.leftover = True
+
+
+def _append(columns: RecordingColumns, stream: Columns, seconds: float, values: list[float]) -> Columns:
+    if not stream.code:
+        stream.code = columns.log.new_code()
+    stream.append(seconds, values)
     return stream
 
 
-def _stream_for(columns: RecordingColumns, sample: SensorSample) -> Columns:
-    known = columns.sensors.get(sample.type)
-    width = known.width if known else SENSOR_WIDTHS.get(sample.type, len(sample.values))
-    if len(sample.values) != width or width == 0:
-        expected = str(width) if width else "at least one"
-        raise UnfitLineError(f"sensor.values: {sample.values}; expected {expected} of {sample.type!r}")
-    return columns.sensors.setdefault(sample.type, Columns(width))
+def _take_fix(columns: RecordingColumns, seconds: float, fix: GnssFix, origin: Origin) -> Columns:
+    accuracies = [nan if given(value) is None else value for value in (fix.accuracy, fix.verticalAccuracy)]
+    stream = columns.gnss if origin == ("gps", "gps") else columns.receivers.get(origin)
+    if stream is None:
+        stream = columns.receivers.setdefault(origin, Columns(5))
+    values: list[Any] = [fix.latitude, fix.longitude, fix.altitude, *accuracies]
+    return _append(columns, stream, seconds, values)
 
 
-def take_fix(columns: RecordingColumns, seconds: float, fix: GnssFix) -> Columns:
-    """Add a fix of the satellite receiver."""
-    accuracies = (nan if value is None else value for value in (fix.accuracy, fix.verticalAccuracy))
-    columns.gnss.append(seconds, [fix.latitude, fix.longitude, fix.altitude, *accuracies])
-    return columns.gnss
-
-
-def take_pose(
-    columns: RecordingColumns, seconds: float, pose: Pose, origin: tuple[str, str], line: int
-) -> Columns:
-    """Add a pose to the trajectory of that root key and name."""
+def _take_pose(columns: RecordingColumns, seconds: float, pose: Pose, origin: Origin, line: int) -> Columns:
     trajectory = columns.poses.get(origin)
     if trajectory is None:
         trajectory = columns.poses.setdefault(origin, PoseColumns())
-    position, turn = pose.position, pose.orientation
+    position, turn = pose.position, given(pose.orientation)
     quaternion = (nan, nan, nan, nan) if turn is None else (turn.x, turn.y, turn.z, turn.w)
-    trajectory.samples.append(seconds, [position.x, position.y, position.z, *quaternion])
     trajectory.lines.append(line)
-    return trajectory.samples
+    return _append(columns, trajectory.samples, seconds, [position.x, position.y, position.z, *quaternion])
 
 
-def take_sweep(columns: RecordingColumns, seconds: float, sweep: Sweep, line: int) -> Columns:
-    """Add a sweep of a lidar.
-
-    Raises:
-        UnfitLineError: the model is unknown, or the file's name leads out of the folder.
-    """
+def _check_sweep(sweep: Sweep) -> None:
     if sweep.model not in LIDAR_MODELS:
         known = ", ".join(map(repr, LIDAR_MODELS))
         raise UnfitLineError(f"lidar.model: {sweep.model!r}; expected one of: {known}")
     problem = problem_of_name(sweep.dataFile)
     if problem:
         raise UnfitLineError(problem)
-    lidar = columns.lidars.setdefault(sweep.lidarInd, LidarColumns(sweep.model))
-    lidar.sweeps.append(seconds, [])
+
+
+def _take_sweep(columns: RecordingColumns, seconds: float, sweep: Sweep, line: int) -> Columns:
+    index = given(sweep.lidarInd) or 0
+    lidar = columns.lidars.get(index)
+    if lidar is None:
+        lidar = columns.lidars.setdefault(index, LidarColumns(sweep.model))
     lidar.files.append(sweep.dataFile)
     lidar.lines.append(line)
-    return lidar.sweeps
+    return _append(columns, lidar.sweeps, seconds, [])
 
 
-def take_frames(
-    columns: RecordingColumns,
-    seconds: float,
-    entries: Sequence[FrameEntry],
-    number: int | None,
-    *,
-    line: int,
-    offset: int,
-) -> None:
-    """Add a line of pictures.
-
-    Args:
-        line: its number in the file.
-        offset: byte at which it begins, where it says more than the columns hold, else -1.
+def check_frames(entries: Sequence[FrameEntry], number: int | None) -> None:
+    """Look through the pictures that a line tells of.
 
     Raises:
         UnfitLineError: it has no number, or names a camera twice.
@@ -150,14 +219,41 @@ def take_frames(
     indices = [entry.cameraInd for entry in entries]
     if len(set(indices)) != len(indices):
         raise UnfitLineError(f"frames[].cameraInd: {indices}; expected each camera once")
+
+
+def take_frames(
+    columns: RecordingColumns,
+    seconds: float,
+    entries: Sequence[FrameEntry],
+    number: int,
+    *,
+    line: int,
+    offset: int = -1,
+) -> None:
+    """Add a line of pictures.
+
+    Args:
+        line: its number in the file.
+        offset: byte at which it begins, where it says more than the columns hold, else -1.
+
+    Raises:
+        UnfitLineError: it names a camera twice.
+    """
+    check_frames(entries, number)
     frames = columns.frames
+    if not frames.code:
+        frames.code = columns.log.new_code()
+    row, cameras = len(frames.numbers), frames.cameras
     for entry in entries:
-        camera = frames.cameras.setdefault(entry.cameraInd, CameraColumns())
-        camera.rows.append(len(frames.numbers))
-        camera.seconds.append(seconds if entry.time is None else entry.time)
-        camera.parameters.append(frames.text_index(bytes(entry.cameraParameters)))
-        camera.mounts.append(frames.text_index(bytes(entry.imuToCamera)))
-        camera.missing.append(entry.missingBitmap)
+        camera = cameras.get(entry.cameraInd)
+        if camera is None:
+            camera = cameras.setdefault(entry.cameraInd, CameraColumns())
+        time, lens, mount = given(entry.time), entry.cameraParameters, entry.imuToCamera
+        camera.rows.append(row)
+        camera.seconds.append(seconds if time is None else time)
+        camera.parameters.append(frames.text_index(bytes(lens)) if lens else -1)
+        camera.mounts.append(frames.text_index(bytes(mount)) if mount else -1)
+        camera.missing.append(entry.missingBitmap is True)
     frames.numbers.append(number)
     frames.seconds.append(seconds)
     frames.lines.append(line)

@@ -4,27 +4,22 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
 
-from sceneloom.arrays import read_only
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.default_poses import default_poses
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.recording.calibration import Calibration, read_calibration
+from sceneloom.formats.recording.calibration import CALIBRATION_FILE, Calibration, read_calibration
 from sceneloom.formats.recording.camera_building import CameraSources, build_cameras
 from sceneloom.formats.recording.camera_shifts import CAMERA_SHIFTS, applied_shifts
-from sceneloom.formats.recording.columns import Columns, RecordingColumns
 from sceneloom.formats.recording.further_contents import RecordingContents, further_contents
 from sceneloom.formats.recording.lidar_building import build_lidars
 from sceneloom.formats.recording.lines import read_lines
+from sceneloom.formats.recording.number_sensors import build_number_sensors
 from sceneloom.formats.recording.picture_files import OpenPictures
 from sceneloom.formats.recording.place import DATA_FILE, Closing, RecordingPlace, find_place
 from sceneloom.formats.recording.trajectories import build_trajectories
 from sceneloom.scene import (
-    GnssSensor,
-    ImuSensor,
     Scene,
-    Sensor,
-    VectorSamples,
 )
 
 ALTITUDES = ("wgs84", "msl")
@@ -36,7 +31,8 @@ def open_recording(
     """Open a recording; pictures and points are read when asked for.
 
     Args:
-        path: the folder, the `data.jsonl` in it, or a zip archive, which is unpacked until the scene is closed.
+        path: the folder, the `data.jsonl` in it, a zip archive, which is unpacked until the scene is closed, or any
+            other file of such lines, as methods put out; what lies beside that counts only if it has pictures or lidar.
         lenient: leave out and count what is wrong instead of raising.
         altitude: what the altitudes of `gps` lines are above: "wgs84", the ellipsoid, or "msl", mean sea level.
         camera_shift: what becomes of `imuToCameraShiftSeconds` of the calibration: "ignore"; "apply" adds it to the
@@ -82,15 +78,15 @@ def read_recording(
 def _read(
     place: RecordingPlace, altitude: str, camera_shift: str, ledger: Ledger
 ) -> tuple[Scene, RecordingContents]:
-    folder = place.folder
-    data_path = folder / DATA_FILE
+    folder, data_path = place.folder, place.data_path
     if not folder.is_dir():
         raise DataError(folder, "", "no such folder; expected a recording's folder")
     if not data_path.is_file():
         raise DataError(folder, "", f"holds no {DATA_FILE}; expected a recording's folder")
     data_file = FileIdentity.of(data_path)
     columns = read_lines(data_path, ledger)
-    calibration = read_calibration(folder, ledger)
+    alone = place.alone and not (columns.frames.cameras or columns.lidars)
+    calibration = Calibration(folder / CALIBRATION_FILE) if alone else read_calibration(folder, ledger)
     trajectories = build_trajectories(columns.poses, data_path, ledger)
     ego_path = default_poses(trajectories, str(data_path), ledger)
     opened = OpenPictures()
@@ -100,13 +96,13 @@ def _read(
             folder, data_path, data_file, calibration, columns.frames, ego_path, ledger, opened, camera_shift
         )
         lidars = build_lidars(folder, data_path, columns.lidars, calibration, ego_path, ledger)
-        cameras = build_cameras(sources)
-        ego_sensors = [*_imu(columns), *_gnss(columns, calibration)]
+        cameras = [] if alone else build_cameras(sources)
+        ego_sensors = build_number_sensors(columns, calibration)
         contents = RecordingContents(folder, columns, calibration, trajectories)
         metadata = {
             "altitude": altitude,
             **applied_shifts(calibration, camera_shift),
-            **further_contents(contents, ledger),
+            **further_contents(contents, ledger, alone=alone),
         }
         scene = Scene(
             sensors=(*lidars, *cameras, *ego_sensors),
@@ -121,32 +117,3 @@ def _read(
         )
         stack.pop_all()
         return scene, contents
-
-
-def _imu(columns: RecordingColumns) -> list[Sensor]:
-    if not columns.sensors:
-        return []
-    return [ImuSensor("imu", MappingProxyType({name: _samples(c) for name, c in columns.sensors.items()}))]
-
-
-def _samples(columns: Columns) -> VectorSamples:
-    stream = columns.by_time()
-    return VectorSamples(stream.timestamps_ns, stream.values, stream.seconds)
-
-
-def _gnss(columns: RecordingColumns, calibration: Calibration) -> list[Sensor]:
-    if not len(columns.gnss):
-        return []
-    fixes = columns.gnss.by_time()
-    gnss_from_imu = calibration.rig.gnss_from_imu
-    return [
-        GnssSensor(
-            id="gnss",
-            timestamps_ns=fixes.timestamps_ns,
-            positions_lla=read_only(fixes.values[:, :3]),
-            accuracies=read_only(fixes.values[:, 3]),
-            vertical_accuracies=read_only(fixes.values[:, 4]),
-            file_seconds=fixes.seconds,
-            mount=None if gnss_from_imu is None else gnss_from_imu.inverse(),
-        )
-    ]

@@ -65,6 +65,46 @@ def test_arrays_are_read_only(recording):
         samples.values[0, 0] = 1.0
 
 
+def test_barometer_lines_are_a_stream_of_hectopascals(recording):
+    recording.lines(
+        [
+            {"barometer": {"pressureHectopascals": 1013.25}, "time": 0.5},
+            {"time": 1.5, "barometer": {"pressureHectopascals": 1013}},
+        ]
+    )
+    scene = FORMAT.open(recording.path)
+    stream = imu_of(scene).streams["barometer"]
+    assert stream.values.tolist() == [[1013.25], [1013.0]]
+    assert stream.timestamps_ns.tolist() == [500_000_000, 1_500_000_000]
+    assert scene.notices == ()
+
+
+def test_further_receivers_are_sensors_of_their_own(recording):
+    fix = {"latitude": 60.1, "longitude": 24.9, "altitude": 14.2}
+    recording.lines(
+        [
+            {"rtkgps": {**fix, "accuracy": 0.02}, "time": 1.0},
+            {"gps": fix, "time": 1.0},
+            {"pose": {"name": "gps", **fix}, "time": 2.0},
+            {"groundTruth": fix, "time": 3.0},
+        ]
+    )
+    scene = FORMAT.open(recording.path)
+    sensors = {sensor.id: sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)}
+    assert set(sensors) == {"gnss", "rtkgps", "gps", "groundTruth"}
+    assert sensors["rtkgps"].accuracies.tolist() == [0.02]
+    assert sensors["gps"].timestamps_ns.tolist() == [2_000_000_000]
+    assert sensors["groundTruth"].positions_lla.tolist() == [[60.1, 24.9, 14.2]]
+    assert scene.trajectories == {}
+
+
+def test_east_north_up_of_a_receiver_is_a_trajectory_without_orientations(recording):
+    recording.lines([{"gnssEnu": {"mean": [1, 2.5, -3], "covariance": [[1, 0, 0]] * 3}, "time": 1.0}])
+    trajectory = FORMAT.open(recording.path).trajectories["gnssEnu"]
+    assert trajectory.positions.tolist() == [[1.0, 2.5, -3.0]]
+    assert trajectory.quaternions_xyzw is None
+
+
 def test_fixes_keep_nan_for_accuracies_that_are_not_given(recording):
     fix = {"latitude": 60.1, "longitude": 24.9, "altitude": 14.2}
     recording.lines(
@@ -296,15 +336,15 @@ def test_orientations_that_are_none_are_faults_of_their_line(recording, lines, w
     assert lenient.trajectories["pose"].timestamps_ns.tolist() == [0]
 
 
-def test_sensors_that_change_their_number_of_values_are_faults(recording):
-    recording.lines(
-        [
-            {"sensor": {"type": "pressure", "values": [1, 2]}, "time": 0},
-            {"sensor": {"type": "pressure", "values": [1]}, "time": 1},
-        ]
-    )
-    with pytest.raises(DataError, match=r"line 2: sensor.values: \[1.0\]; expected 2 of 'pressure'"):
-        FORMAT.open(recording.path)
+def test_samples_of_another_width_than_the_first_of_an_unknown_sensor_are_kept_as_text(recording):
+    lines = [
+        {"sensor": {"type": "pressure", "values": [1, 2]}, "time": 0},
+        {"sensor": {"type": "pressure", "values": [1]}, "time": 1},
+    ]
+    recording.lines(lines)
+    scene = FORMAT.open(recording.path)
+    assert imu_of(scene).streams["pressure"].values.tolist() == [[1.0, 2.0]]
+    assert [json.loads(text) for text in scene.metadata["recording"]["other_lines"]] == lines[1:]
 
 
 def test_a_line_longer_than_any_is_a_fault(recording, monkeypatch):

@@ -1,0 +1,350 @@
+"""Lines taken one after the other into columns: the usual ones fast, all others with all that they say."""
+
+from array import array
+from collections.abc import Iterator, Sequence
+from math import nan
+from typing import Any
+
+import msgspec
+from msgspec import UNSET
+
+from sceneloom.formats.recording.columns import SEVERAL, TEXT, PoseColumns, RecordingColumns, SharedLine
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
+from sceneloom.formats.recording.line_shapes import (
+    RECORD_KEYS,
+    ROOT_KEYS,
+    ExactGnssFix,
+    ExactLine,
+    ExactPose,
+    FrequentLine,
+    GnssFix,
+    Line,
+    Pose,
+)
+from sceneloom.formats.recording.line_taking import Origin, Takings, UnfitLineError, take_frames, take_line
+
+OUTPUT_TRAJECTORY = "output"
+"""Name of the trajectory of lines with a position at their root, as the vendor's software puts out."""
+
+BROKEN, UNFIT = "broken-lines", "unfit-lines"
+"""Codes of faults: a line is no JSON, or does not say what a line of its kind has to."""
+
+_decode_frequent = msgspec.json.Decoder(FrequentLine).decode
+_decode_exact = msgspec.json.Decoder(ExactLine).decode
+_decode_open = msgspec.json.Decoder(Line).decode
+_decode_any = msgspec.json.Decoder().decode
+
+_GROUND_TRUTH = ("groundTruth", "groundTruth")
+
+_NO_SUBJECT = {"time", "number"}
+_FIXED_KEYS = frozenset({"rtkgps", "groundTruth", "pose"})
+"""Root keys that hold poses or fixes, beside `gps`."""
+
+_Bound = tuple["array[float]", "array[float]", int, int]
+
+
+class LineReader:
+    """Takes lines apart into columns; what is wrong with them is noted, not raised.
+
+    Attributes:
+        columns: what was read so far.
+        faults: code, number of the line and problem of each line that nothing was taken from.
+    """
+
+    def __init__(self) -> None:
+        """Begin with no lines."""
+        self.columns = RecordingColumns()
+        self.faults: list[tuple[str, int, str]] = []
+        self._bound: dict[str, _Bound] = {}
+        self._truth: PoseColumns | None = None
+        self._lines: Sequence[bytes] = ()
+        self._first, self._reached, self._offset = 0, 0, 0
+
+    def read(self, lines: Sequence[bytes], offset: int) -> None:
+        """Take the next lines of the file.
+
+        Args:
+            lines: without their line feeds.
+            offset: byte at which the first one begins.
+        """
+        codes = self.columns.log.codes
+        self._lines, self._first, self._reached, self._offset = lines, len(codes), 0, offset
+        decoded = map(_decode_frequent, lines)
+        while True:
+            try:
+                self._take_frequent(decoded)
+            except DECODER_FAULTS:
+                self._take_infrequent()
+            else:
+                return
+
+    def _take_frequent(self, decoded: Iterator[FrequentLine]) -> None:
+        """Take lines until one is of another kind; nearly all of the time of reading goes by in here."""
+        codes, bound = self.columns.log.codes, self._bound
+        take_truth, take_pictures = self._take_truth, self._take_pictures
+        for line in decoded:
+            sample = line.sensor
+            if sample is not UNSET:
+                # nothing but a sample: asking for each of the others takes less time than counting
+                if line.groundTruth is line.frames is line.number is UNSET:
+                    stream = bound.get(sample.type)
+                    numbers = sample.values
+                    if stream is not None and len(numbers) == stream[2]:
+                        stream[0].append(line.time)
+                        stream[1].fromlist(numbers)
+                        codes.append(stream[3])
+                        continue
+            elif line.groundTruth is not UNSET:
+                if line.frames is line.number is UNSET:
+                    take_truth(line)
+                    continue
+            elif line.frames is not UNSET:
+                take_pictures(line)
+                continue
+            self._take_exact(line)
+
+    def _take_truth(self, line: FrequentLine) -> None:
+        """Take a line that is a pose of the ground truth alone."""
+        trajectory, pose = self._truth, line.groundTruth
+        if trajectory is None or pose is UNSET:
+            self._take_exact(line)
+            return
+        position, turn = pose.position, pose.orientation
+        values = [position.x, position.y, position.z, nan, nan, nan, nan]
+        if turn is not UNSET:
+            values[3:] = turn.x, turn.y, turn.z, turn.w
+        samples, codes = trajectory.samples, self.columns.log.codes
+        samples.seconds.append(line.time)
+        samples.values.fromlist(values)
+        codes.append(samples.code)
+        trajectory.lines.append(len(codes))
+
+    def _take_pictures(self, line: FrequentLine) -> None:
+        """Take a line that tells of pictures alone, without lenses and mountings of their own."""
+        entries, number, frames = line.frames, line.number, self.columns.frames
+        if number is UNSET or not frames.code or entries is UNSET:
+            self._take_exact(line)
+            return
+        for entry in entries:
+            if entry.cameraParameters or entry.imuToCamera or entry.missingBitmap is not UNSET:
+                self._take_exact(line)
+                return
+        codes = self.columns.log.codes
+        try:
+            take_frames(self.columns, line.time, entries, number, line=len(codes) + 1)
+        except UnfitLineError as error:
+            self._fault(UNFIT, str(error))
+        else:
+            codes.append(frames.code)
+
+    @property
+    def _text(self) -> bytes:
+        return self._lines[len(self.columns.log.codes) - self._first]
+
+    @property
+    def _number(self) -> int:
+        return len(self.columns.log.codes) + 1
+
+    def _begin(self) -> int:
+        """Byte at which the line begins."""
+        place = len(self.columns.log.codes) - self._first
+        self._offset += sum(map(len, self._lines[self._reached : place])) + place - self._reached
+        self._reached = place
+        return self._offset
+
+    def _take_infrequent(self) -> None:
+        try:
+            line = _decode_exact(self._text)
+        except DECODER_FAULTS:
+            self._take_inexact(self._text)
+        else:
+            self._take_exact(line)
+
+    def _take_exact(self, line: FrequentLine) -> None:
+        """Take a line that says nothing but what the columns hold, or several such things."""
+        try:
+            offset = self._begin if line.frames is not UNSET and _says_more(line, self._text) else None
+            takings = take_line(self.columns, line, self._number, offset=offset)
+        except UnfitLineError as error:
+            self._fault(UNFIT, str(error))
+        except UnicodeDecodeError as error:
+            self._fault(BROKEN, json_problem(error, self._text))
+        else:
+            self._note(takings, says_more=takings.leftover)
+
+    def _take_inexact(self, text: bytes) -> None:
+        """Take a line that is broken, wrong, or says more than the exact shapes hold."""
+        try:
+            self._take_open(text, _decode_object(text))
+        except UnfitLineError as error:
+            self._fault(UNFIT, str(error))
+        except msgspec.ValidationError as error:
+            self._fault(UNFIT, json_problem(error, text))
+        except DECODER_FAULTS as error:
+            self._fault(BROKEN, json_problem(error, text))
+
+    def _take_open(self, text: bytes, content: dict[str, Any]) -> None:
+        poses, fixes = _other_poses(content), _other_fixes(content)
+        own = {origin[0] for origin, _, _ in fixes} & ROOT_KEYS
+        if not _is_pressure(content.get("barometer")):
+            own |= {"barometer"} & content.keys()
+        if own:
+            text = msgspec.json.encode({key: value for key, value in content.items() if key not in own})
+        line = _decode_open(text)
+        if not poses and not fixes and all(getattr(line, key) is None for key in RECORD_KEYS):
+            self._keep_text(line.time, next((key for key in content if key not in _NO_SUBJECT), ""))
+            return
+        takings = take_line(
+            self.columns,
+            line,
+            self._number,
+            poses=[(origin, pose) for origin, pose, _ in poses],
+            fixes=[(origin, fix) for origin, fix, _ in fixes],
+            offset=self._begin,
+        )
+        simple = [*poses, *fixes]
+        self._note(takings, says_more=not (len(simple) == 1 and simple[0][2]))
+
+    def _note(self, takings: Takings, *, says_more: bool) -> None:
+        """Note which streams took a line, and keep its text where it says more than one of them holds."""
+        log, streams = self.columns.log, takings.streams
+        if not streams and not takings.frames:
+            self._keep_text(takings.seconds, "" if not takings.leftover else "sensor")
+        elif len(streams) + takings.frames > 1:
+            rows = [(stream.code, len(stream) - 1) for stream in streams]
+            log.shared[self._number] = SharedLine(self._text.decode(), rows)
+            log.codes.append(SEVERAL)
+        elif takings.frames:
+            log.codes.append(self.columns.frames.code)
+        else:
+            stream = streams[0]
+            if says_more:
+                stream.further[len(stream) - 1] = self._text.decode()
+            elif stream.form is None:
+                stream.form = self._text.decode()
+                self._bind()
+            log.codes.append(stream.code)
+
+    def _bind(self) -> None:
+        for name, stream in self.columns.sensors.items():
+            if stream.form is not None:
+                self._bound[name] = (stream.seconds, stream.values, stream.width, stream.code)
+        truth = self.columns.poses.get(_GROUND_TRUTH)
+        if truth is not None and truth.samples.form is not None:
+            self._truth = truth
+
+    def _keep_text(self, seconds: float | None, key: str) -> None:
+        columns = self.columns
+        columns.other_lines.append(self._text.decode().strip())
+        columns.other_seconds.append(nan if seconds is None else seconds)
+        columns.other_keys[key] = columns.other_keys.get(key, 0) + 1
+        columns.log.codes.append(TEXT)
+
+    def _fault(self, code: str, problem: str) -> None:
+        self.faults.append((code, self._number, problem))
+        self.columns.log.codes.append(0)
+
+
+def _says_more(line: FrequentLine, text: bytes) -> bool:
+    """Whether a line of pictures says what its columns do not hold.
+
+    Raises:
+        UnicodeDecodeError: it is no text; the decoder leaves out what it only copies.
+    """
+    text.decode()
+    beside = (getattr(line, key, UNSET) for key in RECORD_KEYS if key != "frames")
+    entries = () if line.frames is UNSET else line.frames
+    return any(value is not UNSET for value in beside) or any(
+        entry.missingBitmap is False for entry in entries
+    )
+
+
+def _decode_object(text: bytes) -> dict[str, Any]:
+    if not text.strip():
+        raise UnfitLineError("blank; expected a JSON object")
+    text.decode()
+    content = _decode_any(text)
+    if not isinstance(content, dict):
+        raise UnfitLineError(f"{quote(text)}: expected a JSON object")
+    return content
+
+
+def _is_pressure(value: object) -> bool:
+    return isinstance(value, dict) and "pressureHectopascals" in value
+
+
+def _other_poses(content: dict[str, Any]) -> list[tuple[Origin, Pose, bool]]:
+    """Find the poses of a line under any root key without a shape of its own, or at the root itself.
+
+    Returns:
+        Of each its origin, and whether the line holds nothing else.
+
+    Raises:
+        UnfitLineError: a position or an orientation is incomplete.
+    """
+    poses = [
+        _pose(value, (key, key), says_all=set(content) == {"time", key})
+        for key, value in content.items()
+        if key not in ROOT_KEYS and isinstance(value, dict) and isinstance(value.get("position"), dict)
+    ]
+    if isinstance(content.get("position"), dict):
+        fields = {key: value for key, value in content.items() if key != "time"}
+        poses.append(_pose(fields, ("", OUTPUT_TRAJECTORY), says_all="time" in content))
+    mean = content["gnssEnu"].get("mean") if isinstance(content.get("gnssEnu"), dict) else None
+    if isinstance(mean, list):
+        says_all = set(content) == {"time", "gnssEnu"} and len(content["gnssEnu"]) == 1
+        poses.append(_east_north_up(mean, says_all=says_all))
+    return poses
+
+
+def _pose(value: dict[str, Any], origin: Origin, *, says_all: bool) -> tuple[Origin, Pose, bool]:
+    try:
+        return origin, msgspec.convert(value, ExactPose), says_all
+    except msgspec.ValidationError:
+        pass
+    try:
+        return origin, msgspec.convert(value, Pose), False
+    except msgspec.ValidationError as error:
+        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=origin[0])) from error
+
+
+def _east_north_up(mean: list[Any], *, says_all: bool) -> tuple[Origin, Pose, bool]:
+    """`gnssEnu`: where a receiver was, metres to the east, north and up of a point that the log does not tell."""
+    if len(mean) != 3:
+        raise UnfitLineError(f"gnssEnu.mean: {mean}; expected 3 numbers (east, north, up)")
+    position = dict(zip("xyz", mean, strict=True))
+    origin, pose, _ = _pose({"position": position}, ("gnssEnu", "gnssEnu"), says_all=True)
+    return origin, pose, says_all
+
+
+def _other_fixes(content: dict[str, Any]) -> list[tuple[Origin, GnssFix, bool]]:
+    """Find the fixes of satellite receivers under root keys other than `gps`.
+
+    Raises:
+        UnfitLineError: a fix is incomplete, under a key of the format; others may mean something else.
+    """
+    return [
+        _fix(key, value, says_all=set(content) == {"time", key})
+        for key, value in content.items()
+        if isinstance(value, dict) and "position" not in value and _may_be_fix(key, value)
+    ]
+
+
+def _may_be_fix(key: str, value: dict[str, Any]) -> bool:
+    if key in _FIXED_KEYS:
+        return {"latitude", "longitude"} <= value.keys()
+    numbers = [value.get(name) for name in ("latitude", "longitude", "altitude")]
+    return key not in ROOT_KEYS and all(isinstance(number, int | float) for number in numbers)
+
+
+def _fix(key: str, value: dict[str, Any], *, says_all: bool) -> tuple[Origin, GnssFix, bool]:
+    name = value.get("name") if key == "pose" else None
+    origin = (key, name if isinstance(name, str) and name else key)
+    try:
+        return origin, msgspec.convert(value, ExactGnssFix), says_all
+    except msgspec.ValidationError:
+        pass
+    try:
+        return origin, msgspec.convert(value, GnssFix), False
+    except msgspec.ValidationError as error:
+        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=key)) from error

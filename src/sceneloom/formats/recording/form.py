@@ -7,7 +7,7 @@ from typing import Any
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.recording.examination import RecordingExamination, examine_recording
-from sceneloom.formats.recording.place import DATA_FILE
+from sceneloom.formats.recording.place import DATA_FILE, is_log
 from sceneloom.formats.recording.scene_from_recording import open_recording
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.formats.recording.zipped import holds_recording
@@ -22,13 +22,13 @@ class RecordingFormat:
 
     name = "recording"
     suffixes: tuple[str, ...] = ("",)
-    looks_like = "a folder with a data.jsonl, or a zip file of one"
+    looks_like = "a folder with a data.jsonl, a zip file of one, or a file of such lines"
 
     def recognises(self, path: Path) -> bool:
-        """Say whether the path is a folder with a `data.jsonl`, that file, or a zip archive of such a folder."""
+        """Say whether the path is a folder with a `data.jsonl`, a file of such lines, or a zip archive of a folder."""
         if path.is_dir():
             return (path / DATA_FILE).is_file()
-        return path.is_file() and (path.name == DATA_FILE or holds_recording(path, DATA_FILE))
+        return path.is_file() and (path.name == DATA_FILE or is_log(path) or holds_recording(path, DATA_FILE))
 
     def open(self, path: Path, **options: Any) -> Scene:
         """Open a recording; `open_recording` describes the options.

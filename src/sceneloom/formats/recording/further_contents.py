@@ -31,7 +31,7 @@ class RecordingContents:
     trajectories: Mapping[tuple[str, str], Trajectory]
 
 
-def further_contents(contents: RecordingContents, ledger: Ledger) -> dict[str, Any]:
+def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool = False) -> dict[str, Any]:
     """Collect what the scene has no place for; what there is none of is left out.
 
     Returns:
@@ -50,7 +50,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger) -> dict[str, A
     }
     found = {
         "calibration": dict(contents.calibration.content),
-        "vio_config": _vio_config(contents.folder, ledger),
+        "vio_config": None if alone else _vio_config(contents.folder, ledger),
         "other_lines": list(contents.columns.other_lines),
         "further_keys": _further_keys(contents, ledger),
         "trajectory_origins": origins,

@@ -1,13 +1,20 @@
-"""Where a recording is: a folder, the `data.jsonl` in one, or a zip archive that is unpacked while it is open."""
+"""Where a recording is: a folder, its `data.jsonl`, a zip archive that is unpacked while it is open, or a lone log."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS
+from sceneloom.formats.recording.line_shapes import RECORD_KEYS
 from sceneloom.formats.recording.picture_files import OpenPictures
 from sceneloom.formats.recording.zipped import is_zip, unpack
 
 DATA_FILE = "data.jsonl"
+
+_LONGEST_FIRST_LINE = 1 << 20
+_LEADING_LINES = 20
 
 
 def _nothing() -> None:
@@ -21,11 +28,15 @@ class RecordingPlace:
     Attributes:
         folder: where its files are.
         source: what messages call it.
+        data_path: its lines.
+        alone: whether these are a log by itself, as programs put out, and what lies beside it is somebody else's.
         remove: takes away what was made for it.
     """
 
     folder: Path
     source: str
+    data_path: Path
+    alone: bool = False
     remove: Callable[[], None] = _nothing
 
 
@@ -43,15 +54,42 @@ class Closing:
 
 
 def find_place(path: Path) -> RecordingPlace:
-    """Find the folder of a recording that is named by its folder, its `data.jsonl` or a zip archive of it.
+    """Find the folder of a recording that is named by its folder, its log or a zip archive of it.
 
     Raises:
         DataError: the archive is damaged, or holds something else or too much.
     """
     if path.is_dir():
-        return RecordingPlace(path, str(path))
+        return RecordingPlace(path, str(path), path / DATA_FILE)
     if is_zip(path):
         unpacked = unpack(path, DATA_FILE)
-        return RecordingPlace(unpacked.folder, str(path), unpacked.remove)
-    folder = path.parent if path.name == DATA_FILE else path
-    return RecordingPlace(folder, str(folder))
+        return RecordingPlace(unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove)
+    if path.name == DATA_FILE:
+        return RecordingPlace(path.parent, str(path.parent), path)
+    if path.is_file():
+        return RecordingPlace(path.parent, str(path), path, alone=True)
+    return RecordingPlace(path, str(path), path / DATA_FILE)
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file is lines of JSON as a recording or the output of a method has them: one of the first is known."""
+    try:
+        with path.open("rb") as file:
+            first = [file.readline(_LONGEST_FIRST_LINE) for _ in range(_LEADING_LINES)]
+    except OSError:
+        return False
+    return any(map(_is_line, first))
+
+
+def _is_line(text: bytes) -> bool:
+    if not text.lstrip().startswith(b"{"):
+        return False
+    try:
+        line = msgspec.json.decode(text)
+    except DECODER_FAULTS:
+        return False
+    if "time" not in line:
+        return False
+    values = (line, *line.values())
+    is_pose = any(isinstance(value, dict) and isinstance(value.get("position"), dict) for value in values)
+    return is_pose or bool(RECORD_KEYS & line.keys())

@@ -1,0 +1,118 @@
+"""Files of lines that methods put out, as trajectories."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sceneloom.checks import validate
+from sceneloom.errors import DataError, UnknownFormatError
+from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.table import find_format
+
+# a line as the vendor's software puts it out, the numbers shortened
+OUTPUT = (
+    '{"acceleration":{"x":0.0001,"y":-4e-05,"z":2e-05},"angularVelocity":{"x":0.014,"y":-0.02,"z":-0.023},'
+    '"orientation":{"w":-0.384162,"x":0.453153,"y":-0.603051,"z":0.532354},'
+    '"position":{"x":-0.01,"y":-0.14,"z":0.046},"status":"TRACKING","time":7323.558535104899,'
+    '"velocity":{"x":-0.0099,"y":-0.0042,"z":-0.0094},"positionCovariance":[[0.1,0,0],[0,0.2,0],[0,0,0.3]]}'
+)
+
+
+def later(seconds):
+    line = json.loads(OUTPUT)
+    line["time"] += seconds
+    line["position"]["x"] += seconds
+    return json.dumps(line)
+
+
+@pytest.fixture
+def output(tmp_path):
+    path = tmp_path / "out.jsonl"
+    path.write_text(OUTPUT + "\n" + later(0.5) + "\n" + later(1.0) + "\n")
+    return path
+
+
+def test_a_file_of_output_is_a_scene_with_a_trajectory(output):
+    assert find_format(output).name == "recording"
+    with FORMAT.open(output) as scene:
+        assert (scene.source, list(scene.trajectories), scene.sensors) == (str(output), ["output"], ())
+        way = scene.trajectories["output"]
+        np.testing.assert_allclose(
+            way.positions, [[-0.01, -0.14, 0.046], [0.49, -0.14, 0.046], [0.99, -0.14, 0.046]]
+        )
+        np.testing.assert_array_equal(way.quaternions_xyzw[0], [0.453153, -0.603051, 0.532354, -0.384162])
+        assert way.timestamps_ns[0] == 7323558535105
+        # what a trajectory has no place for is kept word by word
+        kept = scene.metadata["recording"]["further_keys"]["trajectories.output"]
+        assert json.loads(kept["7323558535105"]) == json.loads(OUTPUT)
+
+
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        ('{"output":{"position":{"x":1,"y":2,"z":3}},"time":0.5}', ["output"]),
+        ('{"pose":{"name":"basalt","position":{"x":1,"y":2,"z":3}},"time":0.5}', ["basalt"]),
+        ('{"groundTruth":{"position":{"x":1,"y":2,"z":3}},"time":0.5}', ["groundTruth"]),
+        (
+            '{"arkit":{"position":{"x":1,"y":2,"z":3},"orientation":{"w":1,"x":0,"y":0,"z":0}},"time":0.5}',
+            ["arkit"],
+        ),
+    ],
+)
+def test_poses_under_the_name_of_a_method_are_read_from_any_file(tmp_path, line, names):
+    path = tmp_path / "results.json"
+    path.write_text(line + "\n")
+    assert FORMAT.recognises(path)
+    with FORMAT.open(path) as scene:
+        assert list(scene.trajectories) == names
+
+
+def test_what_lies_beside_output_is_not_taken_for_its_own(output, recording, pinhole):
+    recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0}]).calibration([pinhole])
+    recording.video("data.mkv", 1)
+    (recording.path / "vio_config.yaml").write_text("useSlam: True\n")
+    output.rename(recording.path / "out.jsonl")
+    with FORMAT.open(recording.path / "out.jsonl") as scene:
+        assert scene.sensors == ()
+        assert scene.metadata["recording"].keys() == {"altitude", "further_keys", "trajectory_origins"}
+        assert {notice.code for notice in scene.notices} == {"further-keys-kept"}
+
+
+def test_a_log_under_another_name_has_the_pictures_beside_it(recording, pinhole):
+    recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0}]).calibration([pinhole])
+    recording.video("data.mkv", 1).path.joinpath("data.jsonl").rename(recording.path / "log.jsonl")
+    with FORMAT.open(recording.path / "log.jsonl") as scene:
+        assert [camera.id for camera in scene.cameras] == ["camera0"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{}\n",
+        '{"time":1}\n',
+        '{"version":"1.0","sensors":[]}\n',
+        "[1]\n",
+        '"time"\n',
+        "{broken\n",
+        "\x00" * 99,
+    ],
+)
+def test_other_files_are_no_logs(tmp_path, text):
+    path = tmp_path / "other.jsonl"
+    path.write_text(text)
+    assert not FORMAT.recognises(path)
+    with pytest.raises(UnknownFormatError):
+        find_format(path)
+
+
+def test_faults_of_output_are_named_with_their_line(output):
+    with output.open("a") as file:
+        file.write(OUTPUT.replace('"x":-0.01,', "") + "\n")
+    with pytest.raises(DataError, match=r"out\.jsonl: line 4: .*position"):
+        FORMAT.open(output)
+    errors = [f for f in validate(output).findings if f.severity == "error"]
+    assert [(f.rule, f.path.partition(": ")[0], "line 4" in f.path) for f in errors] == [
+        ("unfit-lines", "out.jsonl", True)
+    ]

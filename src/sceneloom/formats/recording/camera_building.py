@@ -1,7 +1,7 @@
 """The cameras of a recording: lens, mounting, pictures and poses brought together."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -31,11 +31,12 @@ from sceneloom.formats.recording.picture_files import (
     choose_pictures,
     expected_names,
     find_pictures,
+    maybe_cut_off,
     open_pictures,
     unused_pictures,
 )
 from sceneloom.formats.recording.picture_table import PictureTable, build_table, further_fields
-from sceneloom.formats.video import VideoReader
+from sceneloom.formats.video import VideoReader, open_video
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, DepthCameraSensor, LazyFrames, NoticeKind, PosePath, VideoContent
 from sceneloom.scene.pose_source import poses_along
@@ -163,10 +164,15 @@ def _match_pictures(
             ledger.fault("missing-videos", DataError(sources.folder, "", f"{problem}; expected {expected}"))
         return None, none
     try:
-        files = open_pictures(path)
+        files = open_pictures(path, sources.ledger)
         sources.open_files.add(files)
         check_kind(files, _first_fields(sources, index, columns))
-        choice = choose_pictures(np.asarray(sources.frames.numbers, np.int64), files.count)
+        numbers = np.asarray(sources.frames.numbers, np.int64)
+        choice = choose_pictures(numbers, files.count)
+        if choice.problem is not None and ledger.lenient and maybe_cut_off(files, len(numbers)):
+            files = open_video(path, cut_off=True)
+            sources.open_files.add(files)
+            choice = replace(choose_pictures(numbers, files.count), problem=choice.problem)
     except DataError as error:
         ledger.fault("unreadable-videos", error)
         return None, none

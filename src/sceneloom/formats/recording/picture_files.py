@@ -15,6 +15,9 @@ from sceneloom.formats.video import PngFolder, VideoReader, open_video
 VIDEO_SUFFIXES = ("mkv", "mp4", "mov", "avi", "ts")
 """Endings of `data`, `data2`, … that are looked for, in this order."""
 
+_ENDLESS = {".ts", ".avi"}
+"""Endings of videos that do not say where they end."""
+
 _PICTURES = re.compile(
     rf"data(?P<video>|[2-9]|[1-9]\d+)\.(?:{'|'.join(VIDEO_SUFFIXES)})|frames(?P<folder>[1-9]\d*)"
 )
@@ -73,13 +76,42 @@ def expected_names(camera_index: int) -> str:
     return f"data{number}.{{{','.join(VIDEO_SUFFIXES)}}} or frames{camera_index + 1}/00000000.png"
 
 
-def open_pictures(path: Path) -> PictureFiles:
-    """Open a video or a folder of PNG pictures.
+def open_pictures(path: Path, ledger: Ledger) -> PictureFiles:
+    """Open a video or a folder of PNG pictures; a lenient reading takes what is left of a video that is cut off.
 
     Raises:
-        DataError: it cannot be read.
+        DataError: it cannot be read, or no picture of it is left.
     """
-    return PngFolder(path) if path.is_dir() else open_video(path)
+    if path.is_dir():
+        return PngFolder(path)
+    video = open_video(path)
+    try:
+        video.index  # noqa: B018 - the walk through the packets finds out whether it is whole
+    except DataError as error:
+        video.close()
+        return _what_is_left(path, error, ledger)
+    return video
+
+
+def maybe_cut_off(files: PictureFiles, wanted: int) -> bool:
+    """Whether a video that lacks pictures may have been cut off: its container does not say where it ends."""
+    return isinstance(files, VideoReader) and files.count < wanted and Path(files.name).suffix in _ENDLESS
+
+
+def _what_is_left(path: Path, error: DataError, ledger: Ledger) -> VideoReader:
+    if not ledger.lenient:
+        raise error
+    video = open_video(path, cut_off=True)
+    try:
+        count = video.count
+    except DataError:
+        count = 0
+    if count == 0:
+        video.close()
+        raise error
+    told = DataError(error.file, error.place, f"{error.problem}; its first {count} pictures are read")
+    ledger.fault("unreadable-videos", told)
+    return video
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,7 @@
 """Which pictures a video holds, found by walking through its packets without decoding any."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -22,6 +23,9 @@ _UNTIMED = frozenset({"avi", "h264", "hevc"})
 
 _REORDERS = 1 << 3
 """Source: AV_CODEC_PROP_REORDER of libavcodec/codec_desc.h."""
+
+_MOST_REORDERED = 16
+"""So many pictures at most are stored before one that is shown before them. Source: H.264, `max_num_reorder_frames`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,13 +91,16 @@ def presentation_ticks(packet: "Packet[VideoStream]", *, reorders: bool) -> int 
     return None if reorders else packet.dts
 
 
-def read_index(source: VideoSource, name: str, *, options: Mapping[str, str] | None = None) -> VideoIndex:
+def read_index(
+    source: VideoSource, name: str, *, options: Mapping[str, str] | None = None, cut_off: bool = False
+) -> VideoIndex:
     """Walk through all packets of a video.
 
     Args:
         source: the video.
         name: what messages call it.
         options: further ones for the container.
+        cut_off: take the pictures of a video that breaks off, up to the first that may be missing.
 
     Raises:
         DataError: the container breaks off, or a packet is damaged.
@@ -101,9 +108,9 @@ def read_index(source: VideoSource, name: str, *, options: Mapping[str, str] | N
     opened = OpenVideo(source, name, options=options)
     try:
         with decoder_faults(name, ""):
-            if "matroska" in opened.container.format.name:
+            if "matroska" in opened.container.format.name and not cut_off:
                 check_whole(source, name)
-            packets = _walk(opened, name)
+            packets = _first_packets(opened) if cut_off else _walk(opened, name)
         stream = opened.stream
         return _index_of(packets, stream.time_base or Fraction(1, av.time_base), stream.average_rate)
     finally:
@@ -128,6 +135,32 @@ def _walk(opened: OpenVideo, name: str) -> _Packets:
         found = len(ticks) + hidden
         raise DataError(name, "", f"is cut off: holds {found} of the {declared} pictures that it declares")
     return _Packets(ticks, keys, hidden)
+
+
+def _first_packets(opened: OpenVideo) -> _Packets:
+    """Walk as far as a container that breaks off can be followed.
+
+    A picture that is shown before one that is there may have been stored after it. No packet after the last one is
+    decoded earlier than that, nor shown before it is decoded: the pictures up to the last decoding time are all there.
+    """
+    reorders, guessed = codec_reorders(opened.stream), _lacks_presentation_times(opened)
+    found: list[tuple[int | None, bool]] = []
+    last_dts, hidden = None, 0
+    with suppress(av.FFmpegError):
+        for packet in opened.container.demux(opened.stream):
+            if packet.is_corrupt:
+                break
+            if packet.is_discard:
+                hidden += 1
+            elif packet.size:
+                tick = None if guessed else presentation_ticks(packet, reorders=reorders)
+                found.append((tick, packet.is_keyframe))
+                last_dts = packet.dts
+    if reorders and last_dts is not None and not guessed:
+        found = [(tick, key) for tick, key in found if tick is not None and tick <= last_dts]
+    elif reorders and opened.stream.codec_context.has_b_frames:
+        found = found[:-_MOST_REORDERED]
+    return _Packets([tick for tick, _ in found], [key for _, key in found], hidden)
 
 
 def _index_of(packets: _Packets, time_base: Fraction, rate: Fraction | None) -> VideoIndex:

@@ -42,7 +42,12 @@ class VideoReader:
     """
 
     def __init__(
-        self, source: VideoSource, *, name: str | None = None, index: VideoIndex | None = None
+        self,
+        source: VideoSource,
+        *,
+        name: str | None = None,
+        index: VideoIndex | None = None,
+        cut_off: bool = False,
     ) -> None:
         """Open the container and read its head.
 
@@ -50,6 +55,7 @@ class VideoReader:
             source: a file, its bytes, or a function that opens a seekable binary file anew each time.
             name: what messages call the video, where the source is not a file.
             index: the list of its pictures, where it is known already.
+            cut_off: read what is left of a video that breaks off.
 
         Raises:
             DataError: there is no such file, it is no video, or it holds no video stream.
@@ -65,6 +71,7 @@ class VideoReader:
         rate = self._opened.stream.average_rate
         self._rate = float(rate) if rate else None
         self._index = index
+        self._cut_off = cut_off
         self._closed = False
         self._begin()
 
@@ -77,7 +84,18 @@ class VideoReader:
 
     def __getstate__(self) -> dict[str, Any]:
         source = self._source
-        kept = ("name", "codec", "width", "height", "has_steps", "_rate", "_index", "_identity", "_closed")
+        kept = (
+            "name",
+            "codec",
+            "width",
+            "height",
+            "has_steps",
+            "_rate",
+            "_index",
+            "_identity",
+            "_closed",
+            "_cut_off",
+        )
         return {
             **{name: getattr(self, name) for name in kept},
             "_source": bytes(source) if isinstance(source, memoryview) else source,
@@ -179,7 +197,7 @@ class VideoReader:
     def _known_index(self) -> VideoIndex:
         if self._index is None:
             self._check_unchanged()
-            self._index = read_index(self._source, self.name)
+            self._index = read_index(self._source, self.name, cut_off=self._cut_off)
         return self._index
 
     def _frame(self, index: int) -> VideoFrame:
@@ -239,14 +257,15 @@ class VideoReader:
             return np.ascontiguousarray(image.to_ndarray())
 
 
-def open_video(source: VideoSource, *, name: str | None = None) -> VideoReader:
+def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = False) -> VideoReader:
     """Open a video for reading by picture number.
 
     Args:
         source: a file, its bytes, or a function that opens a seekable binary file anew each time.
         name: what messages call the video, where the source is not a file.
+        cut_off: read what is left of a video that breaks off.
 
     Raises:
         DataError: it is no video, or holds no video stream.
     """
-    return VideoReader(source, name=name)
+    return VideoReader(source, name=name, cut_off=cut_off)

@@ -42,7 +42,7 @@ def test_a_folder_or_its_lines_name_a_recording(recording, name):
 
 
 def test_other_paths_are_not_recognised(recording, tmp_path):
-    (tmp_path / "other.jsonl").write_text(IMU_LINE)
+    (tmp_path / "other.jsonl").write_text('{"speed": 1.5, "time": 0.0}\n')
     for path in (recording.path, tmp_path / "other.jsonl", tmp_path / "missing"):
         assert not FORMAT.recognises(path)
 

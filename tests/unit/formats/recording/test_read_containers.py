@@ -1,0 +1,111 @@
+"""Videos in every container, whole and cut off anywhere: which pictures are read, and that each is the right one."""
+
+import av
+import numpy as np
+import pytest
+
+from sceneloom.checks import validate
+from sceneloom.errors import DataError
+from sceneloom.formats.recording import FORMAT
+
+COUNT = 24
+CODECS = {
+    "data.mkv": ("libx264", "yuv420p"),
+    "data.mp4": ("libx264", "yuv420p"),
+    "data.mov": ("libx264", "yuv420p"),
+    "data.avi": ("mpeg4", "yuv420p"),
+    "data.ts": ("libx264", "yuv420p"),
+}
+"""By name of the video: an encoder that its container is usual with. H.264 stores pictures out of their order."""
+
+
+def video(path, codec, pixels):
+    """Pictures that get brighter by 8 levels each, with noise so that all take some room."""
+    rng = np.random.default_rng(5)
+    options = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
+    with av.open(str(path), "w", options=options) as container:
+        stream = container.add_stream(codec, rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, pixels
+        stream.codec_context.gop_size = 8
+        stream.options = {"bf": "2", "crf": "12"} if codec == "libx264" else {}
+        for k in range(COUNT):
+            picture = (20 + 8 * k + rng.integers(-15, 16, (48, 64, 1))).repeat(3, axis=2).astype(np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+
+
+@pytest.fixture
+def drive(recording, pinhole):
+    """A recording whose video is still to be added."""
+    frames = [{"frames": [{"cameraInd": 0}], "number": k, "time": 0.1 * k} for k in range(COUNT)]
+    size = {"imageWidth": 64, "imageHeight": 48, "principalPointX": 31.5, "principalPointY": 23.5}
+    return recording.lines(frames).calibration([{**pinhole, **size}])
+
+
+def brightness(picture):
+    """Number of the picture as its brightness tells it; encoding loses less than half of the 8 levels."""
+    return round((float(picture.rgb.mean()) - 20) / 8)
+
+
+@pytest.mark.parametrize("name", CODECS)
+def test_each_line_gets_its_picture_from_a_video_of_any_container(drive, name):
+    video(drive.path / name, *CODECS[name])
+    with FORMAT.open(drive.path) as scene:
+        camera = scene.cameras[0]
+        assert [brightness(picture) for picture in camera.pictures] == list(range(COUNT))
+        assert not scene.notices
+
+
+def test_folders_of_pictures_are_cameras_too(recording, pinhole):
+    lines = [{"frames": [{"cameraInd": 0}, {"cameraInd": 1}], "number": k, "time": 0.1 * k} for k in range(5)]
+    recording.lines(lines).calibration([pinhole, pinhole]).pngs("frames1", 5).video("data2.mkv", 5)
+    with FORMAT.open(recording.path) as scene:
+        for camera in scene.cameras:
+            assert [picture.rgb[0, 0, 0] for picture in camera.pictures] == [0, 10, 20, 30, 40]
+
+
+@pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
+@pytest.mark.parametrize("name", CODECS)
+def test_of_a_video_that_is_cut_off_the_whole_pictures_are_read_when_lenient(drive, name, share):
+    path = drive.path / name
+    video(path, *CODECS[name])
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+    with pytest.raises(DataError) as error:
+        FORMAT.open(drive.path)
+    assert name in str(error.value)
+    with FORMAT.open(drive.path, lenient=True) as scene:
+        pictures = scene.cameras[0].pictures if scene.cameras else ()
+        assert [brightness(picture) for picture in pictures] == list(range(len(pictures)))
+        assert 0 <= len(pictures) < COUNT
+        assert {"unreadable-videos", "unmatched-pictures"} & {notice.code for notice in scene.notices}
+    # the tables of these stand before the pictures, or between them
+    if name in {"data.mkv", "data.mp4", "data.ts"}:
+        # a group of 8 and what is stored ahead of its time may be incomplete at the end
+        assert len(pictures) >= COUNT * share - 10
+
+
+def test_what_is_left_of_a_video_is_told_with_its_count(drive):
+    path = drive.path / "data.mkv"
+    video(path, "ffv1", "bgr0")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(DataError, match=r"data\.mkv: byte \d+: is cut off: the container goes on"):
+        FORMAT.open(drive.path)
+    with FORMAT.open(drive.path, lenient=True) as scene:
+        count = len(scene.cameras[0].pictures)
+        assert COUNT // 2 - 3 < count < COUNT // 2 + 3
+        messages = {notice.code: notice.message for notice in scene.notices}
+        assert f"its first {count} pictures are read" in messages["unreadable-videos"]
+        assert f"{count} pictures, but data.jsonl has {COUNT} frames lines" in messages["unmatched-pictures"]
+    report = validate(drive.path)
+    assert not report.passed
+    assert "unreadable-videos" in {finding.rule for finding in report.findings}
+
+
+def test_a_video_of_which_nothing_is_left_is_told_and_left_out(drive):
+    path = drive.path / "data.mp4"
+    video(path, "libx264", "yuv420p")
+    path.write_bytes(path.read_bytes()[:600])
+    with pytest.raises(DataError, match="cannot be read as video"):
+        FORMAT.open(drive.path)
+    with FORMAT.open(drive.path, lenient=True) as scene:
+        assert [len(camera.pictures) for camera in scene.cameras] == [0]

@@ -118,8 +118,10 @@ def _yaw(pairs: Pairs) -> Alignment:
     turn = _mean_turn(pairs)
     doubts: tuple[str, ...] = ()
     flat = covariance[:2, :2]
+    extent = np.sqrt(_spread(pairs.reference.positions[:, :2]))
+    if extent < _SMALL:
+        doubts = (_kept_within(float(extent)),)
     if np.hypot(flat[0, 0] + flat[1, 1], flat[1, 0] - flat[0, 1]) <= _POINT:
-        doubts = ("the poses do not move along the ground; the heading comes from their orientations",)
         flat = np.eye(2) if turn is None else turn[:2, :2]
     yaw = float(np.arctan2(flat[1, 0] - flat[0, 1], flat[0, 0] + flat[1, 1]))
     rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
@@ -156,13 +158,20 @@ def _doubts(positions: Float64Array) -> tuple[str, ...]:
     """What the shape of the way leaves open."""
     extents = np.sqrt(np.maximum(np.linalg.eigvalsh(np.atleast_2d(np.cov(positions.T, bias=True))), 0.0))
     if extents[2] < _SMALL:
-        return (f"the reference keeps within {extents[2]:.2g} m, so that its positions hardly tell the turn",)
+        return (_kept_within(float(extents[2])),)
     if extents[1] < _THIN * extents[2]:
         told = f"the reference is nearly straight ({extents[2]:.3g} m along, {extents[1]:.2g} m across)"
         return (
             f"{told}, so that its positions hardly tell the turn about that line; `--align yaw` needs none",
         )
     return ()
+
+
+def _kept_within(extent: float) -> str:
+    return (
+        f"the reference keeps within {extent:.2g} m, so that its positions hardly tell the turn; `--align origin` "
+        "takes it from the first poses"
+    )
 
 
 def _spread(positions: Float64Array) -> float:

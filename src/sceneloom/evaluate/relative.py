@@ -22,8 +22,9 @@ KITTI_STEP = 10
 """Lengths [m] of the segments, and how many poses after each other they begin. Source: KITTI's development kit."""
 
 _DELTA = re.compile(r"(?P<amount>\d+(?:\.\d+)?)\s*(?P<unit>[a-z]+)")
-_SLACK = 0.1
-"""Share of a step of time by which it may be off."""
+_SLACK = 0.75
+"""Share of the median spacing of poses by which a step of time may be off: less than one, so that the last poses are
+not taken for later ones."""
 
 Steps = tuple[Int64Array, Int64Array]
 """Rows of the first and the last pair of each step."""
@@ -37,7 +38,7 @@ def _by_time(pairs: Pairs, amount: float) -> Steps:
     last = np.where(wanted - seconds[after - 1] < seconds[after] - wanted, after - 1, after)
     spacing = float(np.median(np.diff(seconds)))
     first = np.arange(len(seconds))
-    near = np.abs(seconds[last] - wanted) <= max(_SLACK * amount, 0.5 * spacing) + 1e-9
+    near = np.abs(seconds[last] - wanted) <= _SLACK * spacing
     chosen = np.flatnonzero(near & (last > first))
     return chosen, last[chosen]
 

@@ -1,7 +1,5 @@
 """What the comparison of a trajectory with a reference tells."""
 
-from collections.abc import Sequence
-
 import msgspec
 import numpy as np
 
@@ -165,8 +163,3 @@ class TrajectoryReport(msgspec.Struct, frozen=True, kw_only=True):
     relative: tuple[RelativeErrors, ...]
     kitti: KittiErrors | None
     notices: tuple[Notice, ...] = ()
-
-
-def as_floats(values: Sequence[float] | FloatArray) -> tuple[float, ...]:
-    """Numbers as a tuple that JSON can hold."""
-    return tuple(float(value) for value in values)

@@ -1,6 +1,6 @@
 """A trajectory compared with a reference: paired by time, aligned, measured."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,19 +17,16 @@ from sceneloom.evaluate.association import (
     covered_share,
     way_along,
 )
+from sceneloom.evaluate.doubts import doubts_of, unmeasured
 from sceneloom.evaluate.relative import kitti_errors, parse_delta, relative_errors
 from sceneloom.evaluate.report import AbsoluteErrors, AlignmentReport, ErrorStatistics, TrajectoryReport
 from sceneloom.formats.trajectories import TrajectoryFile, read_trajectory_file
 from sceneloom.formats.trajectories.gnss import of_fixes
 from sceneloom.geometry.rotations import (
     angle_between,
-    conjugate_quaternion,
-    matrix_from_quaternion,
-    multiply_quaternions,
-    nearest_rotation,
     quaternion_from_matrix,
 )
-from sceneloom.scene import Notice, NoticeKind, PosePath, Trajectory
+from sceneloom.scene import PosePath, Trajectory
 
 RPE_DELTAS = ("1s", "5m", "10m", "50m")
 """Steps over which motions are compared where nothing else is said."""
@@ -38,10 +35,6 @@ Way = Trajectory | TrajectoryFile | PosePath | str | Path
 """What can be compared: a trajectory, or a file or scene that holds one."""
 
 _FARTHEST_NS = 9_200_000_000_000_000_000
-_TURNED_DEG = 5.0
-_STEADY = 0.25
-"""A mean turn of the device's axes beyond so many degrees, from which single ones stray by less than this share of it,
-is taken for another choice of axes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +174,7 @@ def _compared(
         absolute=absolute,
         relative=tuple(errors for errors in relative.values() if errors is not None),
         kitti=kitti_errors(pairs, aligned),
-        notices=(*_notices(alignment, pairs, aligned), *_unmeasured(relative)),
+        notices=(*doubts_of(alignment, pairs, aligned), *unmeasured(relative)),
     )
     return report, errors
 
@@ -259,42 +252,3 @@ def _alignment_report(alignment: Alignment, kind: str, poses: int) -> AlignmentR
         translation=(east, north, up),
         scale=alignment.scale,
     )
-
-
-def _notices(alignment: Alignment, pairs: Pairs, aligned: Poses) -> list[Notice]:
-    found = [_notice("doubtful-alignment", doubt) for doubt in alignment.doubts]
-    ours, theirs = aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw
-    if ours is None or theirs is None:
-        side = "estimate" if ours is None else "reference"
-        message = (
-            f"the {side} has no orientations: motions are compared in the aligned world, turns not at all"
-        )
-        return [*found, _notice("no-orientations", message)]
-    turn, strays_deg = _turn_of_axes(ours, theirs)
-    if turn > _TURNED_DEG and strays_deg < _STEADY * turn:
-        message = (
-            f"the device's axes differ by a steady turn of {turn:.1f}° (single poses stray by {strays_deg:.2g}°): if "
-            "one side tells a camera's poses, say `--est-optical` or `--ref-optical`"
-        )
-        found.append(_notice("other-axes", message))
-    return found
-
-
-def _turn_of_axes(ours: Float64Array, theirs: Float64Array) -> tuple[float, float]:
-    """The mean turn between the axes of both devices, and the mean angle by which single ones stray from it [deg]."""
-    turns = multiply_quaternions(conjugate_quaternion(ours), theirs)
-    mean, _ = nearest_rotation(matrix_from_quaternion(turns).mean(axis=0))
-    axes = quaternion_from_matrix(mean)
-    angle = angle_between(axes, np.array([0.0, 0.0, 0.0, 1.0]))
-    return float(np.degrees(angle)), float(np.degrees(angle_between(turns, axes).mean()))
-
-
-def _unmeasured(relative: Mapping[str, object]) -> list[Notice]:
-    missing = [delta for delta, errors in relative.items() if errors is None]
-    if not missing:
-        return []
-    return [_notice("no-steps", f"the way is too short for steps of {', '.join(missing)}")]
-
-
-def _notice(code: str, message: str) -> Notice:
-    return Notice(kind=NoticeKind.ASSUMED, code=code, place="", message=message)

@@ -1,0 +1,119 @@
+"""What an alignment leaves open changes no error; equal ways have none."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from sceneloom import evaluate_trajectory
+from sceneloom.evaluate import TrajectoryReport
+from sceneloom.scene import Trajectory
+
+GROUPS = {"none": (0, 0, 0), "yaw": (1, 0, 0), "origin": (1, 1, 0), "se3": (1, 1, 0), "sim3": (1, 1, 1)}
+"""Whether a kind of alignment leaves open the heading and the place, the other turns, and the scale."""
+
+seeds = st.integers(0, 10_000)
+
+
+def ways(seed: int) -> tuple[Trajectory, Trajectory]:
+    """A winding way and a noisy copy of it."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(5, 60))
+    stamps = np.cumsum(rng.integers(50_000_000, 150_000_000, count))
+    positions = np.cumsum(rng.normal(0, 1, (count, 3)), axis=0)
+    turns = Rotation.from_rotvec(np.cumsum(rng.normal(0, 0.2, (count, 3)), axis=0))
+    noisy = positions + rng.normal(0, 0.1, (count, 3))
+    noisy_turns = turns * Rotation.from_rotvec(rng.normal(0, 0.02, (count, 3)))
+    return (
+        Trajectory("found", stamps, noisy, noisy_turns.as_quat()),
+        Trajectory("true", stamps, positions, turns.as_quat()),
+    )
+
+
+def moved(way: Trajectory, world: Rotation, shift: np.ndarray, scale: float) -> Trajectory:
+    """The same way in another world."""
+    turns = (world * Rotation.from_quat(way.quaternions_xyzw)).as_quat()
+    return Trajectory(way.name, way.timestamps_ns, scale * world.apply(way.positions) + shift, turns)
+
+
+def figures(report: TrajectoryReport) -> list[float]:
+    """All errors of a report."""
+    assert report.absolute.rotation_deg is not None
+    errors = [report.absolute.translation, report.absolute.rotation_deg]
+    errors += [part for step in report.relative for part in (step.translation, step.rotation_deg)]
+    return [
+        value for told in errors for value in (told.mean, told.rms, told.median, told.max, told.percentile_95)
+    ]
+
+
+@pytest.mark.parametrize("kind", GROUPS)
+@settings(max_examples=12)
+@given(seed=seeds, other=seeds)
+def test_moving_the_estimate_by_what_is_aligned_changes_nothing(kind: str, seed: int, other: int) -> None:
+    found, true = ways(seed)
+    rng = np.random.default_rng(other)
+    heading, tilt, scale = GROUPS[kind]
+    angles = rng.uniform(-3, 3, 3) * (heading, tilt, tilt)
+    world = Rotation.from_euler("ZYX", angles)
+    there = moved(
+        found, world, heading * rng.uniform(-1e3, 1e3, 3), float(rng.uniform(0.1, 10)) if scale else 1.0
+    )
+    deltas = ("1f", "3m", "1s")
+    before, after = (evaluate_trajectory(way, true, align=kind, rpe_deltas=deltas) for way in (found, there))
+    # coordinates of 1e4 m leave 1e-12 m, angles of matrices 1e-8 rad or some 1e-6 degrees
+    assert figures(after) == pytest.approx(figures(before), rel=1e-7, abs=1e-6)
+    assert after.path_length == before.path_length
+
+
+@pytest.mark.parametrize("kind", GROUPS)
+@settings(max_examples=12)
+@given(seed=seeds, other=seeds)
+def test_moving_both_alike_changes_nothing(kind: str, seed: int, other: int) -> None:
+    found, true = ways(seed)
+    rng = np.random.default_rng(other)
+    # yaw knows what is up, so that only turns about the vertical leave it alone
+    world = Rotation.from_euler("ZYX", rng.uniform(-3, 3, 3) * (1, kind != "yaw", kind != "yaw"))
+    shift = rng.uniform(-1e3, 1e3, 3)
+    there = [moved(way, world, shift, 1.0) for way in (found, true)]
+    before, after = (
+        evaluate_trajectory(*both, align=kind, rpe_deltas=("2f",)) for both in ((found, true), there)
+    )
+    assert figures(after) == pytest.approx(figures(before), rel=1e-7, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", GROUPS)
+@settings(max_examples=12)
+@given(seed=seeds, other=seeds)
+def test_a_moved_copy_has_no_error_and_tells_how_it_was_moved(kind: str, seed: int, other: int) -> None:
+    _, true = ways(seed)
+    rng = np.random.default_rng(other)
+    heading, tilt, scale = GROUPS[kind]
+    world = Rotation.from_euler("ZYX", rng.uniform(-3, 3, 3) * (heading, tilt, tilt))
+    factor = float(rng.uniform(0.1, 10)) if scale else 1.0
+    shift = heading * rng.uniform(-1e3, 1e3, 3)
+    report = evaluate_trajectory(moved(true, world, shift, factor), true, align=kind, rpe_deltas=("1f",))
+    assert max(figures(report)) < 1e-5
+    assert report.alignment.scale == pytest.approx(1 / factor, rel=1e-9)
+    back = Rotation.from_quat(report.alignment.quaternion_xyzw)
+    assert (back * world).magnitude() < 1e-7
+    np.testing.assert_allclose(report.alignment.translation, -back.apply(shift) / factor, atol=1e-5)
+    assert report.coverage == 1.0
+
+
+@settings(max_examples=12)
+@given(seed=seeds)
+def test_a_richer_alignment_leaves_less(seed: int) -> None:
+    found, true = ways(seed)
+    reports = [evaluate_trajectory(found, true, align=kind) for kind in ("none", "yaw", "se3", "sim3")]
+    left = [report.absolute.translation.rms for report in reports]
+    assert all(later <= earlier + 1e-9 for earlier, later in pairwise(left))
+
+
+@settings(max_examples=12)
+@given(seed=seeds)
+def test_the_figures_of_errors_keep_their_order(seed: int) -> None:
+    told = evaluate_trajectory(*ways(seed)).absolute.translation
+    assert told.min <= told.median <= told.percentile_95 <= told.max
+    assert told.min <= told.mean <= told.rms <= told.max
+    assert told.rms**2 == pytest.approx(told.mean**2 + told.std**2)

@@ -1,0 +1,186 @@
+"""`sceneloom eval trajectory`, and conversions between files of trajectories."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom import read_trajectory, write_trajectory
+from sceneloom.scene import Trajectory
+
+Call = Callable[..., Any]
+
+
+@pytest.fixture
+def ways(tmp_path: Path) -> tuple[Path, Path]:
+    """A circle of 20 m radius, and the same one 0.5 m higher and 2 s later on its clock."""
+    angles = np.linspace(0, 2 * np.pi, 200)
+    turns = np.stack([np.zeros(200), np.zeros(200), np.sin(angles / 2), np.cos(angles / 2)], axis=1)
+    positions = 20 * np.stack([np.sin(angles), 1 - np.cos(angles), np.zeros(200)], axis=1)
+    stamps = 1_400_000_000_123_456_789 + np.arange(200) * 100_000_000
+    write_trajectory(Trajectory("true", stamps, positions, turns), tmp_path / "true.tum")
+    later = Trajectory("found", stamps + 2_000_000_000, positions + np.array([0, 0, 0.5]), turns)
+    write_trajectory(later, tmp_path / "found.csv")
+    return tmp_path / "found.csv", tmp_path / "true.tum"
+
+
+def test_the_figures_are_printed_as_tables(call: Call, ways: tuple[Path, Path]) -> None:
+    outcome = call("eval", "trajectory", *ways, "--offset", "-2", "--align", "none")
+    assert outcome.code == 0
+    lines = outcome.out.splitlines()
+    assert lines[0] == "found against true"
+    assert lines[1].startswith("200 pairs of 200 and 200 poses, 19.900 s from 1400000000.123456789 s, 125.6")
+    table = {line.split("  ")[1]: line.split()[2:] for line in lines if "[m]" in line}
+    assert table["translation [m]"][:5] == ["0.5"] * 5
+    assert any(line.split()[:3] == ["100", "m", "5"] for line in lines), "KITTI's segments of 100 m"
+
+
+def test_the_figures_are_given_to_machines(call: Call, ways: tuple[Path, Path]) -> None:
+    found, true = ways
+    arguments = (
+        "--align",
+        "yaw",
+        "--offset",
+        "-2",
+        "--start",
+        "5",
+        "--stop",
+        "10",
+        "--rpe-delta",
+        "2s",
+        "--json",
+    )
+    told = json.loads(call("eval", "trajectory", found, true, *arguments).out)
+    assert told["pairs"] == 50
+    assert told["start_ns"] == 1_400_000_005_123_456_789
+    assert told["alignment"]["kind"] == "yaw"
+    assert told["absolute"]["translation"]["max"] == pytest.approx(0.0, abs=1e-9)
+    assert [step["delta"] for step in told["relative"]] == ["2s"]
+    assert told["kitti"] is None
+
+
+def test_ways_without_a_common_time_exit_with_one_and_an_offset(call: Call, ways: tuple[Path, Path]) -> None:
+    outcome = call("eval", "trajectory", *ways, "--offset", "100")
+    assert outcome.code == 1
+    assert "--offset -102.0" not in outcome.out
+    assert "they do not overlap in time" in outcome.err
+    assert "add -102.0 s" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("--offset", "soon"), "expected a number"),
+        (("--align", "affine"), "affine"),
+        (("--rpe-delta", "fast"), "'fast'; expected seconds, metres or poses"),
+        (("--est-form", "xls"), "no form of trajectories 'xls'"),
+        (("--plot", "out.bmp"), "expected one of .png"),
+    ],
+)
+def test_wrong_options_exit_with_two(
+    call: Call, ways: tuple[Path, Path], arguments: tuple[str, ...], problem: str
+) -> None:
+    options = ("--offset", "-2", *arguments) if arguments[0] != "--offset" else arguments
+    outcome = call("eval", "trajectory", *ways, *options)
+    assert outcome.code == 2
+    assert problem in outcome.err
+
+
+def test_a_plot_is_a_picture_and_is_not_replaced_unasked(
+    call: Call, ways: tuple[Path, Path], tmp_path: Path
+) -> None:
+    arguments = ("eval", "trajectory", *ways, "--offset", "-2", "--plot", tmp_path / "errors.png")
+    assert call(*arguments).code == 0
+    with Image.open(tmp_path / "errors.png") as picture:
+        assert picture.size == (1560, 780)
+        colours = picture.convert("RGB").getcolors(1 << 24)
+    assert colours is not None
+    assert len(colours) > 50, "lines and dots of several colours"
+    again = call(*arguments)
+    assert again.code == 1
+    assert "exists already" in again.err
+    assert call(*arguments, "--overwrite").code == 0
+
+
+def test_drawing_leaves_the_callers_matplotlib_alone(ways: tuple[Path, Path], tmp_path: Path) -> None:
+    program = (
+        "import sys, sceneloom\n"
+        f"way = sceneloom.read_trajectory({str(ways[1])!r})\n"
+        f"sceneloom.evaluate_trajectory(way, way, plot={str(tmp_path / 'a.png')!r})\n"
+        "print('matplotlib.pyplot' in sys.modules)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "False\n", done.stderr
+
+
+def test_without_matplotlib_the_extra_is_named(
+    call: Call, ways: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    outcome = call("eval", "trajectory", *ways, "--offset", "-2", "--plot", tmp_path / "errors.png")
+    assert outcome.code == 1
+    assert "pip install 'sceneloom[report]'" in outcome.err
+
+
+def test_a_drive_is_compared_with_a_file_by_name(call: Call, recording: Path, tmp_path: Path) -> None:
+    assert call("convert", recording, tmp_path / "way.tum").code == 0
+    outcome = call(
+        "eval", "trajectory", f"{recording}:groundTruth", tmp_path / "way.tum", "--align", "none", "--json"
+    )
+    told = json.loads(outcome.out)
+    assert told["absolute"]["translation"]["max"] == 0.0
+    # orientations are scaled to length 1 before they are compared
+    assert told["absolute"]["rotation_deg"]["max"] < 1e-10
+    unknown = call("eval", "trajectory", recording, tmp_path / "way.tum", "--est-name", "slam")
+    assert unknown.code == 2
+    assert "there are: groundTruth" in unknown.err
+
+
+def test_a_way_goes_through_all_forms_and_a_drive(
+    call: Call, ways: tuple[Path, Path], tmp_path: Path
+) -> None:
+    places = [
+        ways[1],
+        *(tmp_path / name for name in ("b.csv", "c.jsonl", "d.txt", "drive", "e.sfs", "f.tum")),
+    ]
+    for source, target in pairwise(places):
+        outcome = call("convert", source, target)
+        assert outcome.code == 0, outcome.err
+    first, last = (read_trajectory(path) for path in (places[0], places[3]))
+    assert np.array_equal(first.timestamps_ns, last.timestamps_ns)
+    end = read_trajectory(places[-1])
+    assert np.array_equal(first.positions, end.positions)
+    # a recording's times are numbers of 64 bits, which resolve 0.24 µs today: rounded once, and once times 1e9
+    assert np.abs(first.timestamps_ns - end.timestamps_ns).max() <= 240
+
+
+def test_a_kitti_file_is_converted_with_its_rate_and_axes(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 2\n", "ascii")
+    outcome = call(
+        "convert", tmp_path / "poses.txt", tmp_path / "a.tum", "--from-rate", "10", "--from-optical"
+    )
+    assert outcome.code == 0
+    way = read_trajectory(tmp_path / "a.tum")
+    assert way.positions.tolist() == [[0, 0, 0], [2, 0, 0]]
+    assert way.timestamps_ns.tolist() == [0, 100_000_000]
+    back = call("convert", tmp_path / "a.tum", tmp_path / "b.kitti", "--to-optical")
+    assert back.code == 0
+    assert (tmp_path / "b.kitti").read_text("ascii").splitlines()[1].split()[11] == "2.0"
+    assert (tmp_path / "b.times.txt").read_text("ascii") == "0.0\n0.1\n"
+
+
+def test_options_of_scenes_are_refused_for_files_of_trajectories(
+    call: Call, ways: tuple[Path, Path], tmp_path: Path
+) -> None:
+    outcome = call("convert", ways[1], tmp_path / "a.csv", "--profile", "scale")
+    assert outcome.code == 2
+    assert "option 'profile'; writing a trajectory takes optical" in outcome.err

@@ -5,10 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration
-from sceneloom.formats.recording.columns import Columns, RecordingColumns
+from sceneloom.formats.recording.columns import TEXT, Columns, RecordingColumns, view
+from sceneloom.formats.recording.line_order import filled_seconds, line_order
+from sceneloom.formats.recording.number_sensors import GPS_ORIGIN, RECEIVER, imu_streams, receivers
 from sceneloom.scene import NoticeKind, Trajectory
 
 VIO_CONFIG_FILE = "vio_config.yaml"
@@ -37,25 +43,128 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
     Returns:
         calibration: all of `calibration.json`.
         vio_config: the text of `vio_config.yaml`.
-        other_lines: the text of lines that nothing here computes with, in the order of the file.
+        other_lines: the text of lines that nothing here computes with, in the order of the file; and poses that repeat
+            the time of another one of their trajectory.
+        other_seconds: by index in `other_lines`, the time of the line before [s], for lines without a time.
         further_keys: the text of lines that say more than the scene holds, by stream ("imu.accelerometer", "gnss",
-            "trajectories.output", "lidars.0") and by time [ns] as text.
+            "gnss.rtkgps", "trajectories.output", "lidars.0") and by time [ns] as text; `TIME#1` is the second line of
+            that time.
+        shared_lines: lines that several streams have a part in: `text`, and `records`, stream and time of each part.
         trajectory_origins: by name of a trajectory, the root key of its lines ("" for poses at the root itself) and the
             name there, where these are not both the trajectory's name.
+        receiver_origins: the same of satellite receivers.
+        line_forms: by stream, a line as it stands in the file: the order of its keys.
+        line_order: of lines of one time; `LineOrder` describes it.
     """
-    origins = {
-        trajectory.name: list(origin)
-        for origin, trajectory in contents.trajectories.items()
-        if origin != (trajectory.name, trajectory.name)
-    }
+    columns, streams = contents.columns, named_streams(contents)
+    repeated = _repeated_poses(contents)
+    seconds = filled_seconds(columns)
+    texts, anchors = _other_lines(columns, repeated, seconds)
+    names = {stream.code: name for name, stream in streams.items()}
+    as_text = np.array([line for line, _ in repeated], np.int64)
     found = {
         "calibration": dict(contents.calibration.content),
         "vio_config": None if alone else _vio_config(contents.folder, ledger),
-        "other_lines": list(contents.columns.other_lines),
-        "further_keys": _further_keys(contents, ledger),
-        "trajectory_origins": origins,
+        "other_lines": texts,
+        "other_seconds": anchors,
+        "further_keys": _further_keys(contents, streams, ledger),
+        "shared_lines": _shared_lines(columns, streams),
+        "trajectory_origins": {
+            trajectory.name: list(origin)
+            for origin, trajectory in contents.trajectories.items()
+            if origin != (trajectory.name, trajectory.name)
+        },
+        "receiver_origins": {
+            name: list(origin)
+            for name, (origin, _) in receivers(columns).items()
+            if origin not in {(name, name), GPS_ORIGIN}
+        },
+        "line_forms": {name: stream.form for name, stream in streams.items() if stream.form is not None},
+        "line_order": line_order(columns, names, as_text, seconds),
     }
     return {name: value for name, value in found.items() if value}
+
+
+def named_streams(contents: RecordingContents) -> dict[str, Columns]:
+    """Give the streams of numbers by the names under which more is kept of them."""
+    columns = contents.columns
+    return {
+        **{f"imu.{name}": stream for name, stream in imu_streams(columns).items()},
+        **{
+            name if name == RECEIVER else f"{RECEIVER}.{name}": stream
+            for name, (_, stream) in receivers(columns).items()
+        },
+        **{
+            f"trajectories.{t.name}": columns.poses[origin].samples
+            for origin, t in contents.trajectories.items()
+        },
+        **{f"lidars.{index}": lidar.sweeps for index, lidar in columns.lidars.items()},
+    }
+
+
+def _repeated_poses(contents: RecordingContents) -> list[tuple[int, str]]:
+    """Number and text of lines with a pose of which its trajectory has another one of the same time."""
+    found: list[tuple[int, str]] = []
+    for origin in contents.trajectories:
+        columns = contents.columns.poses[origin]
+        samples = columns.samples.by_time()
+        again = np.flatnonzero(np.diff(samples.timestamps_ns) == 0) + 1
+        for row in again.tolist():
+            place = int(samples.order[row])
+            if columns.lines[place] in contents.columns.log.shared:
+                continue
+            values, seconds = samples.values[row].tolist(), float(samples.seconds[row])
+            text = columns.samples.further.get(place) or pose_text(origin, values, seconds)
+            found.append((columns.lines[place], text))
+    return sorted(found)
+
+
+def pose_text(origin: tuple[str, str], values: list[float], seconds: float) -> str:
+    """Write the line of a pose: position, then the quaternion x y z w, NaN where there is none."""
+    pose: dict[str, Any] = {"position": dict(zip("xyz", values[:3], strict=True))}
+    if not np.isnan(values[3]):
+        pose["orientation"] = dict(zip("xyzw", values[3:], strict=True))
+    root, name = origin
+    if root == "pose" and name != "pose":
+        pose = {"name": name, **pose}
+    if root == "gnssEnu":
+        pose = {"mean": values[:3]}
+    return msgspec.json.encode({**({root: pose} if root else pose), "time": seconds}).decode()
+
+
+def _other_lines(
+    columns: RecordingColumns, repeated: list[tuple[int, str]], seconds: Float64Array
+) -> tuple[list[str], dict[str, float]]:
+    """Texts in the order of the file, and the times of those that have none of their own."""
+    lines = columns.log.lines_of(TEXT).tolist()
+    entries = sorted([*zip(lines, columns.other_lines, strict=True), *repeated])
+    untimed = set(np.asarray(lines, np.int64)[np.isnan(view(columns.other_seconds))].tolist())
+    anchors = {
+        str(k): float(seconds[line - 1])
+        for k, (line, _) in enumerate(entries)
+        if line in untimed and np.isfinite(seconds[line - 1])
+    }
+    return [text for _, text in entries], anchors
+
+
+def _shared_lines(columns: RecordingColumns, streams: Mapping[str, Columns]) -> list[dict[str, Any]]:
+    by_code = {stream.code: (name, stream) for name, stream in streams.items()}
+    rows: dict[int, list[int]] = {}
+    for shared in columns.log.shared.values():
+        for code, row in shared.rows:
+            rows.setdefault(code, []).append(row)
+    keys = {
+        code: dict(zip(found, by_code[code][1].row_keys(found), strict=True))
+        for code, found in rows.items()
+        if code in by_code
+    }
+    return [
+        {
+            "text": shared.text,
+            "records": [[by_code[code][0], keys[code][row]] for code, row in shared.rows if code in by_code],
+        }
+        for shared in columns.log.shared.values()
+    ]
 
 
 def _vio_config(folder: Path, ledger: Ledger) -> str | None:
@@ -69,23 +178,12 @@ def _vio_config(folder: Path, ledger: Ledger) -> str | None:
         return None
 
 
-def _further_keys(contents: RecordingContents, ledger: Ledger) -> dict[str, dict[str, str]]:
-    texts = {name: stream.further_by_time() for name, stream in _streams(contents).items() if stream.further}
+def _further_keys(
+    contents: RecordingContents, streams: Mapping[str, Columns], ledger: Ledger
+) -> dict[str, dict[str, str]]:
+    texts = {name: stream.further_by_time() for name, stream in streams.items() if stream.further}
     if texts:
         message = f"lines of {', '.join(texts)} say more than is computed with; their text is kept"
         count = sum(map(len, texts.values()))
         ledger.note(NoticeKind.SKIPPED, "further-keys-kept", str(contents.folder), message, count=count)
     return texts
-
-
-def _streams(contents: RecordingContents) -> dict[str, Columns]:
-    columns = contents.columns
-    return {
-        **{f"imu.{name}": stream for name, stream in columns.sensors.items()},
-        "gnss": columns.gnss,
-        **{
-            f"trajectories.{t.name}": columns.poses[origin].samples
-            for origin, t in contents.trajectories.items()
-        },
-        **{f"lidars.{index}": lidar.sweeps for index, lidar in columns.lidars.items()},
-    }

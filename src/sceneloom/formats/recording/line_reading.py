@@ -26,9 +26,6 @@ from sceneloom.formats.recording.line_taking import Origin, Takings, UnfitLineEr
 OUTPUT_TRAJECTORY = "output"
 """Name of the trajectory of lines with a position at their root, as the vendor's software puts out."""
 
-BROKEN, UNFIT = "broken-lines", "unfit-lines"
-"""Codes of faults: a line is no JSON, or does not say what a line of its kind has to."""
-
 _decode_frequent = msgspec.json.Decoder(FrequentLine).decode
 _decode_exact = msgspec.json.Decoder(ExactLine).decode
 _decode_open = msgspec.json.Decoder(Line).decode
@@ -133,7 +130,7 @@ class LineReader:
         try:
             take_frames(self.columns, line.time, entries, number, line=len(codes) + 1)
         except UnfitLineError as error:
-            self._fault(UNFIT, str(error))
+            self._fault("unfit-lines", str(error))
         else:
             codes.append(frames.code)
 
@@ -166,9 +163,9 @@ class LineReader:
             offset = self._begin if line.frames is not UNSET and _says_more(line, self._text) else None
             takings = take_line(self.columns, line, self._number, offset=offset)
         except UnfitLineError as error:
-            self._fault(UNFIT, str(error))
+            self._fault("unfit-lines", str(error))
         except UnicodeDecodeError as error:
-            self._fault(BROKEN, json_problem(error, self._text))
+            self._fault("broken-lines", json_problem(error, self._text))
         else:
             self._note(takings, says_more=takings.leftover)
 
@@ -177,11 +174,11 @@ class LineReader:
         try:
             self._take_open(text, _decode_object(text))
         except UnfitLineError as error:
-            self._fault(UNFIT, str(error))
+            self._fault("unfit-lines", str(error))
         except msgspec.ValidationError as error:
-            self._fault(UNFIT, json_problem(error, text))
+            self._fault("unfit-lines", json_problem(error, text))
         except DECODER_FAULTS as error:
-            self._fault(BROKEN, json_problem(error, text))
+            self._fault("broken-lines", json_problem(error, text))
 
     def _take_open(self, text: bytes, content: dict[str, Any]) -> None:
         poses, fixes = _other_poses(content), _other_fixes(content)

@@ -1,5 +1,7 @@
 """What an alignment leaves open changes no error; equal ways have none."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings

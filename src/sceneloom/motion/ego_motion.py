@@ -1,10 +1,12 @@
-"""The way of the ego that a scene is placed by: recorded, or found from what the lidar saw."""
+"""The way of the ego that a scene is placed by: recorded, or found from satellite fixes, IMU and lidar."""
 
 from dataclasses import replace
 
-from sceneloom.errors import PoseError
+from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.trajectories import IMU, LIDAR, choose_trajectory
+from sceneloom.motion.gnss_receivers import gnss_receivers
+from sceneloom.motion.heading import headed_poses
+from sceneloom.motion.trajectories import GNSS, IMU, LIDAR, choose_trajectory
 from sceneloom.scene import LidarSensor, Notice, NoticeKind, PointsFrame, Scene, Trajectory
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.types import Progress
@@ -18,11 +20,12 @@ def find_ego_motion(
     progress: Progress | None = None,
     lenient: bool = False,
 ) -> EgoMotion:
-    """Take a recorded way of the ego, or find it from the lidar's sweeps.
+    """Take a recorded way of the ego, or find it from satellite fixes, IMU and lidar.
 
     Args:
-        name: a name out of `scene.trajectories`; "identity" for an ego that stands still; "lidar" to find the way from
-            the sweeps; None for the scene's default trajectory, and for "lidar" where it has none.
+        name: a name out of `scene.trajectories`; "identity" for an ego that stands still; "gnss" to find the way from
+            satellite fixes, with IMU and lidar sweeps as far as there are; "lidar" to find it from the sweeps alone;
+            None for the scene's default trajectory, and where it has none for "gnss", then "lidar".
         heading: "motion" to derive orientations from positions where a trajectory has none.
         progress: told after each sweep, where the way is found from the sweeps.
         lenient: pass over sweeps that cannot be read.
@@ -38,16 +41,28 @@ def find_ego_motion(
             f"{scene.source}: an IMU alone tells how the ego turned, but not where it was; it serves "
             "`sceneloom edit deskew --trajectory imu` only"
         )
-    if is_computed(scene, name):
-        return _from_lidar(scene, by_default=name is None, progress=progress, lenient=lenient)
+    match computed_name(scene, name):
+        case "gnss":
+            return _from_gnss(scene, heading, progress=progress, lenient=lenient)
+        case "lidar":
+            return _from_lidar(scene, by_default=name is None, progress=progress, lenient=lenient)
     return choose_trajectory(scene, name=name, heading=heading)
 
 
 def is_computed(scene: Scene, name: str | None) -> bool:
-    """Whether the way of that name is found from the lidar's sweeps, rather than recorded in the scene."""
-    if name is None:
-        return not scene.trajectories and bool(placeable_lidars(scene))
-    return name == LIDAR and name not in scene.trajectories
+    """Whether the way of that name is found from the scene's measurements, rather than recorded in it."""
+    return computed_name(scene, name) is not None
+
+
+def computed_name(scene: Scene, name: str | None) -> str | None:
+    """What the way of that name is found from, "gnss" or "lidar"; None where it is recorded, or cannot be found."""
+    if name is not None:
+        return name if name in {GNSS, LIDAR} and name not in scene.trajectories else None
+    if scene.trajectories:
+        return None
+    if gnss_receivers(scene):
+        return GNSS
+    return LIDAR if placeable_lidars(scene) else None
 
 
 def with_way_found(scene: Scene, ego: EgoMotion) -> Scene:
@@ -75,6 +90,45 @@ def _from_lidar(scene: Scene, *, by_default: bool, progress: Progress | None, le
     run = lidar_odometry(scene, progress=progress, lenient=lenient)
     notices = (_assumed(scene), *run.notices) if by_default else tuple(run.notices)
     return _in_known_world(replace(EgoMotion.of(run.trajectory), notices=notices), scene)
+
+
+def _from_gnss(scene: Scene, heading: str | None, *, progress: Progress | None, lenient: bool) -> EgoMotion:
+    from sceneloom.motion.gnss_imu import gnss_imu_motion
+
+    if heading not in {None, "motion"}:
+        raise OptionError(f"heading {heading!r}; expected 'motion'")
+    lidar, told = _lidar_beside_gnss(scene, progress, lenient=lenient)
+    run = gnss_imu_motion(scene, lidar=lidar)
+    latitude, longitude, height = run.origin_lla.tolist()
+    way = run.trajectory
+    if way.quaternions_xyzw is None and heading == "motion":
+        ego = EgoMotion(way.name, headed_poses(way), heading)
+    elif way.quaternions_xyzw is None:
+        raise PoseError(
+            f"{scene.source}: GNSS fixes tell positions without orientations, and there is no IMU; derive the heading "
+            "from the motion with `--heading motion`, or choose another with `--trajectory NAME`"
+        )
+    else:
+        ego = EgoMotion.of(way)
+    return replace(ego, notices=(*told, *run.notices), enu_origin_lla=(latitude, longitude, height))
+
+
+def _lidar_beside_gnss(
+    scene: Scene, progress: Progress | None, *, lenient: bool
+) -> tuple[Trajectory | None, tuple[Notice, ...]]:
+    """The way by lidar odometry to be taken in with the fixes, where there is one."""
+    from sceneloom.motion.odometry import lidar_odometry
+
+    if not gnss_receivers(scene) or not placeable_lidars(scene):
+        return None, ()
+    try:
+        run = lidar_odometry(scene, progress=progress, lenient=lenient)
+    except PoseError as error:
+        message = f"the lidar could not be taken in with the fixes: {error}"
+        return None, (
+            Notice(kind=NoticeKind.SKIPPED, code="gnss-without-lidar", place=scene.source, message=message),
+        )
+    return run.trajectory, run.notices
 
 
 def _in_known_world(ego: EgoMotion, scene: Scene) -> EgoMotion:

@@ -6,9 +6,10 @@ from sceneloom.scene import PosePath, Scene, Trajectory
 from sceneloom.scene.ego import EgoMotion
 
 IDENTITY = "identity"
+GNSS = "gnss"
 LIDAR = "lidar"
 IMU = "imu"
-RESERVED = ("gnss", LIDAR, IMU)
+RESERVED = (GNSS, LIDAR, IMU)
 
 
 def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | None = None) -> EgoMotion:
@@ -28,7 +29,7 @@ def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | N
         return EgoMotion(IDENTITY, PosePath.identity())
     if name in RESERVED and name not in scene.trajectories:
         raise PoseError(
-            f"{scene.source}: poses cannot be derived from {name} yet; choose one of: {_choices(scene)}"
+            f"{scene.source}: nothing in it tells the way by {name!r}; choose one of: {_choices(scene)}"
         )
     if name is None and not scene.trajectories and not scene.lidars:
         raise PoseError(

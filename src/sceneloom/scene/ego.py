@@ -23,6 +23,8 @@ class EgoMotion:
         heading: "motion" where the orientation was derived from the motion, else None.
         covariances: (N, 6, 6) float64, one per pose of the path, as in `Trajectory`; None where not known.
         notices: what was assumed or met on the way to it.
+        enu_origin_lla: latitude, longitude [deg] and height above the WGS84 ellipsoid [m] of the place whose east,
+            north and up are the world's axes, where these are known; `moved` leaves it where it is.
     """
 
     name: str
@@ -30,6 +32,7 @@ class EgoMotion:
     heading: str | None = None
     covariances: Float64Array | None = None
     notices: tuple[Notice, ...] = field(default=())
+    enu_origin_lla: tuple[float, float, float] | None = None
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> "EgoMotion":
@@ -54,9 +57,9 @@ class EgoMotion:
             endless=self.path.endless,
         )
         if self.covariances is None:
-            return replace(self, path=path)
+            return replace(self, path=path, enu_origin_lla=None)
         axes = np.kron(np.eye(2), turn)
-        return replace(self, path=path, covariances=axes @ self.covariances @ axes.T)
+        return replace(self, path=path, covariances=axes @ self.covariances @ axes.T, enu_origin_lla=None)
 
     def within(self, part: Interval | None) -> "EgoMotion":
         """The way in and around a part of the drive; None: all of it."""

@@ -1,0 +1,383 @@
+"""A chain of motion states, what was measured of them, and the states that fit it best."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.geometry.rotations import (
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+)
+from sceneloom.kernels import motion_chain as kernels
+from sceneloom.kernels.chain import chain_covariances, solve_chain
+from sceneloom.kernels.motion_chain import ACCELEROMETER, GYROSCOPE, POSITION, SIZE, TURN, VELOCITY
+from sceneloom.motion.gnss_imu.preintegration import Preintegrated
+from sceneloom.motion.gnss_imu.settings import SmootherSettings
+
+_MAX_DAMPINGS = 12
+_UNKNOWN_SPEED, _UNKNOWN_TURN, _TILT = 100.0, np.pi, 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class States:
+    """K states.
+
+    Attributes:
+        rotations: (K, 3, 3) `world_from_body`.
+        positions, velocities: (K, 3) [m] and [m/s], world.
+        biases: (K, 6) of the gyroscope [rad/s] and of the accelerometer [m/s²].
+    """
+
+    rotations: Float64Array
+    positions: Float64Array
+    velocities: Float64Array
+    biases: Float64Array
+
+    def stepped(self, step: Float64Array) -> "States":
+        """Go a step, (K, 15) in the order of `kernels.motion_chain`."""
+        turns = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, TURN]))
+        return States(
+            np.ascontiguousarray(self.rotations @ turns),
+            self.positions + step[:, POSITION],
+            self.velocities + step[:, VELOCITY],
+            self.biases + step[:, 9:],
+        )
+
+    def part(self, first: int, last: int) -> "States":
+        """States `first` to `last`, without the latter."""
+        rows = slice(first, last)
+        return States(
+            self.rotations[rows].copy(),
+            self.positions[rows].copy(),
+            self.velocities[rows].copy(),
+            self.biases[rows].copy(),
+        )
+
+    def joined(self, later: "States") -> "States":
+        """These states and then others."""
+        return States(
+            np.concatenate([self.rotations, later.rotations]),
+            np.concatenate([self.positions, later.positions]),
+            np.concatenate([self.velocities, later.velocities]),
+            np.concatenate([self.biases, later.biases]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fixes:
+    """Positions of antennas.
+
+    Attributes:
+        places: (F,) int64, ascending: the state of each fix.
+        positions: (F, 3) [m], world.
+        levers: (F, 3) [m], the antenna in the body.
+        sigmas: (F, 3) [m], standard deviations along the world's axes.
+        receivers: (F,) int64, which receiver each is from.
+    """
+
+    places: Int64Array
+    positions: Float64Array
+    levers: Float64Array
+    sigmas: Float64Array
+    receivers: Int64Array
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def chosen(self, rows: Int64Array | BoolArray) -> "Fixes":
+        """Some of the fixes."""
+        return Fixes(
+            self.places[rows],
+            self.positions[rows],
+            self.levers[rows],
+            self.sigmas[rows],
+            self.receivers[rows],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativePoses:
+    """Measured poses of states as seen from those before, `earlier_from_later`.
+
+    Attributes:
+        places: (F,) int64, the earlier states.
+        turns: (F, 3, 3); ways: (F, 3) [m].
+        information: (F, 6, 6) of turn [rad] and way.
+    """
+
+    places: Int64Array
+    turns: Float64Array
+    ways: Float64Array
+    information: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodySpeeds:
+    """Known speeds along axes of the body.
+
+    Attributes:
+        places: (F,) int64, the states.
+        axes: (F, 3) unit vectors in the body; speeds: (F,) [m/s]; sigmas: (F,) [m/s].
+    """
+
+    places: Int64Array
+    axes: Float64Array
+    speeds: Float64Array
+    sigmas: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """Everything that was measured of K states.
+
+    Attributes:
+        knots_ns: (K,) int64 [ns], their times.
+        measured: (K - 1,) bool, between which an IMU measured.
+        inertial: what it measured, for all K - 1 intervals; what stands in the others does not count.
+        fixes, relative, speeds: further measurements.
+        gravity: [m/s²], down the world's z axis.
+        settings: noise that is taken for granted.
+        information: (K - 1, 9, 9) of what the IMU measured.
+    """
+
+    knots_ns: Int64Array
+    measured: BoolArray
+    inertial: Preintegrated
+    fixes: Fixes
+    gravity: float
+    settings: SmootherSettings
+    relative: tuple[RelativePoses, ...] = ()
+    speeds: tuple[BodySpeeds, ...] = ()
+    information: Float64Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        information = np.zeros((len(self.measured), 9, 9))
+        if self.measured.any():
+            information[self.measured] = np.linalg.inv(self.inertial.covariances[self.measured])
+        object.__setattr__(self, "information", information)
+
+    @property
+    def seconds(self) -> Float64Array:
+        """(K - 1,) between the states."""
+        seconds: Float64Array = np.diff(self.knots_ns) * 1e-9
+        return seconds
+
+    def part(self, first: int, last: int) -> "Chain":
+        """What was measured of states `first` to `last`, without the latter."""
+        rows = slice(first, last - 1)
+        return replace(
+            self,
+            knots_ns=self.knots_ns[first:last],
+            measured=self.measured[rows],
+            inertial=self.inertial.part(rows),
+            fixes=_fixes_within(self.fixes, first, last),
+            relative=tuple(_relative_within(one, first, last) for one in self.relative),
+            speeds=tuple(_speeds_within(one, first, last) for one in self.speeds),
+        )
+
+
+def _fixes_within(fixes: Fixes, first: int, last: int) -> Fixes:
+    inside = fixes.chosen((fixes.places >= first) & (fixes.places < last))
+    return replace(inside, places=inside.places - first)
+
+
+def _relative_within(one: RelativePoses, first: int, last: int) -> RelativePoses:
+    inside = (one.places >= first) & (one.places < last - 1)
+    return RelativePoses(
+        one.places[inside] - first, one.turns[inside], one.ways[inside], one.information[inside]
+    )
+
+
+def _speeds_within(one: BodySpeeds, first: int, last: int) -> BodySpeeds:
+    inside = (one.places >= first) & (one.places < last)
+    return BodySpeeds(one.places[inside] - first, one.axes[inside], one.speeds[inside], one.sigmas[inside])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equations:
+    """Normal equations around some states, and how well these fit.
+
+    Attributes:
+        blocks, couplings, right: (K, 15, 15), (K - 1, 15, 15), (K, 15).
+        cost: weighted sum of squares.
+        fix_residuals: (F, 3) [m].
+    """
+
+    blocks: Float64Array
+    couplings: Float64Array
+    right: Float64Array
+    cost: float
+    fix_residuals: Float64Array
+
+
+def equations(chain: Chain, states: States, weights: Float64Array) -> Equations:
+    """Linearise everything that was measured around some states.
+
+    Args:
+        weights: (F,) of the fixes, 0 to 1.
+    """
+    count = len(states.positions)
+    blocks, couplings = np.zeros((count, SIZE, SIZE)), np.zeros((count - 1, SIZE, SIZE))
+    right = np.zeros((count, SIZE))
+    normal = (blocks, couplings, right)
+    cost = _add_priors(chain, states, blocks, right)
+    cost += _add_motion(chain, states, normal)
+    for relative in chain.relative:
+        residuals = np.empty((len(relative.places), 6))
+        cost += kernels.add_relative_poses(
+            states.rotations, states.positions, relative.places, relative.turns, relative.ways,
+            relative.information, *normal, residuals,
+        )  # fmt: skip
+    for speeds in chain.speeds:
+        speed_residuals = np.empty(len(speeds.places))
+        cost += kernels.add_body_speeds(
+            states.rotations, states.velocities, speeds.places, speeds.axes, speeds.speeds,
+            speeds.sigmas**-2.0, blocks, right, speed_residuals,
+        )  # fmt: skip
+    fixes = chain.fixes
+    fix_residuals = np.empty((len(fixes), 3))
+    cost += kernels.add_fixes(
+        states.rotations, states.positions, fixes.places, fixes.positions, fixes.levers,
+        weights[:, None] * fixes.sigmas**-2.0, blocks, right, fix_residuals,
+    )  # fmt: skip
+    return Equations(blocks, couplings, right, cost, fix_residuals)
+
+
+def _add_priors(chain: Chain, states: States, blocks: Float64Array, right: Float64Array) -> float:
+    """What is known of the first state before anything was measured; without an IMU, that it stands about upright."""
+    settings = chain.settings
+    cost = 0.0
+    for rows, value, sigma in (
+        (VELOCITY, states.velocities[0], _UNKNOWN_SPEED),
+        (GYROSCOPE, states.biases[0, :3], settings.gyroscope_bias),
+        (ACCELEROMETER, states.biases[0, 3:], settings.accelerometer_bias),
+    ):
+        blocks[0, rows, rows] += np.eye(3) * sigma**-2
+        right[0, rows] -= value * sigma**-2
+        cost += float(value @ value) * sigma**-2
+    blocks[0, TURN, TURN] += np.eye(3) * _UNKNOWN_TURN**-2
+    if not chain.measured.any():
+        slope = np.cross(states.rotations[0], [0.0, 0.0, -1.0])[:2]
+        tilt = states.rotations[0][:2, 2]
+        blocks[0, TURN, TURN] += slope.T @ slope * _TILT**-2
+        right[0, TURN] -= slope.T @ tilt * _TILT**-2
+        cost += float(tilt @ tilt) * _TILT**-2
+    return cost
+
+
+def _add_motion(
+    chain: Chain, states: States, normal: tuple[Float64Array, Float64Array, Float64Array]
+) -> float:
+    settings, seconds, inertial = chain.settings, chain.seconds, chain.inertial
+    everywhere = np.arange(len(seconds))
+    walks = np.repeat([settings.gyroscope_walk, settings.accelerometer_walk], 3)
+    walk = 1.0 / (seconds[:, None] * walks**2)
+    residuals = np.empty((len(seconds), SIZE))
+    cost = kernels.add_inertial(
+        states.rotations, states.positions, states.velocities, states.biases, seconds, chain.gravity, everywhere,
+        inertial.turns, inertial.gains, inertial.ways, inertial.slopes, chain.information, inertial.biases, walk,
+        *normal, residuals,
+    )  # fmt: skip
+    coasting = np.flatnonzero(~chain.measured)
+    if len(coasting) == 0:
+        return float(cost)
+    cost += kernels.add_coasting(
+        states.positions, states.velocities, seconds, coasting, settings.acceleration**2, *normal
+    )
+    turns = np.tile(np.eye(3), (len(coasting), 1, 1))
+    information = np.zeros((len(coasting), 6, 6))
+    information[:, :3, :3] = np.eye(3) / (settings.turning**2 * seconds[coasting, None, None])
+    cost += kernels.add_relative_poses(
+        states.rotations, states.positions, coasting, turns, np.zeros((len(coasting), 3)), information, *normal,
+        np.empty((len(coasting), 6)),
+    )  # fmt: skip
+    return float(cost)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """A step towards states that fit better.
+
+    Attributes:
+        states: after the step.
+        before: equations around the states before it.
+        cost: after the step, with the weights of before.
+        damping: with which the step was found, to begin the next with.
+    """
+
+    states: States
+    before: Equations
+    cost: float
+    damping: float
+
+
+def step(chain: Chain, states: States, weights: Float64Array, damping: float) -> Step:
+    """Go one step of Levenberg and Marquardt; where no step helps, none is gone.
+
+    Source: Madsen, Nielsen and Tingleff 2004, "Methods for Non-Linear Least Squares Problems", 3.2.
+    """
+    here = equations(chain, states, weights)
+    factors, gains = np.empty_like(here.blocks), np.empty_like(here.couplings)
+    solution = np.empty_like(here.right)
+    for _ in range(_MAX_DAMPINGS):
+        failed = solve_chain(here.blocks, here.couplings, here.right, damping, factors, gains, solution)
+        if failed < 0 and np.isfinite(solution).all():
+            there = states.stepped(solution)
+            cost = equations(chain, there, weights).cost
+            if cost <= here.cost * (1.0 + 1e-12) + 1e-12:
+                return Step(there, here, cost, 0.0 if damping < 1e-8 else damping / 10.0)
+        damping = max(10.0 * damping, 1e-6)
+    return Step(states, here, here.cost, damping)
+
+
+def covariances(chain: Chain, states: States, weights: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Give the covariance of each state, (K, 15, 15), and with the next, (K - 1, 15, 15)."""
+    here = equations(chain, states, weights)
+    factors, gains = np.empty_like(here.blocks), np.empty_like(here.couplings)
+    damping = 0.0
+    while (
+        solve_chain(
+            here.blocks, here.couplings, here.right, damping, factors, gains, np.empty_like(here.right)
+        )
+        >= 0
+    ):
+        damping = max(10.0 * damping, 1e-14)
+    own, between = np.empty_like(here.blocks), np.empty_like(here.couplings)
+    chain_covariances(factors, gains, own, between)
+    return own, between
+
+
+def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """How far the states are from what the IMU measured: (K - 1, 9), and slopes by both states, (K - 1, 9, 15).
+
+    The slopes of the turn leave out what is second order in its residual.
+    """
+    seconds, inertial = chain.seconds[:, None], chain.inertial
+    changes = np.einsum("nij,nj->ni", inertial.slopes, states.biases[:-1] - inertial.biases)
+    before, inverse = states.rotations[:-1], np.swapaxes(states.rotations[:-1], 1, 2)
+    relative = inverse @ states.rotations[1:]
+    expected = inertial.turns @ matrix_from_quaternion(quaternion_from_rotation_vector(changes[:, :3]))
+    apart = np.swapaxes(expected, 1, 2) @ relative
+    down = np.array([0.0, 0.0, -chain.gravity])
+    gain = np.diff(states.velocities, axis=0) - seconds * down
+    way = np.diff(states.positions, axis=0) - seconds * states.velocities[:-1] - 0.5 * seconds**2 * down
+    felt, gone = (np.einsum("nji,nj->ni", before, vector) for vector in (gain, way))
+    turn = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
+    residuals = np.hstack([turn, felt - inertial.gains, gone - inertial.ways])
+    residuals[:, 3:] -= changes[:, 3:]
+    first, second = np.zeros((len(seconds), 9, SIZE)), np.zeros((len(seconds), 9, SIZE))
+    first[:, :3, TURN], second[:, :3, TURN] = -np.swapaxes(relative, 1, 2), np.eye(3)
+    first[:, 3:6, TURN], first[:, 6:9, TURN] = _crosses(felt), _crosses(gone)
+    first[:, 3:6, VELOCITY], second[:, 3:6, VELOCITY] = -inverse, inverse
+    first[:, 6:9, POSITION], second[:, 6:9, POSITION] = -inverse, inverse
+    first[:, 6:9, VELOCITY] = -seconds[:, :, None] * inverse
+    first[:, :, 9:] = -inertial.slopes
+    return residuals, first, second
+
+
+def _crosses(vectors: Float64Array) -> Float64Array:
+    """(N, 3, 3) matrices that take the cross product of (N, 3) vectors with what comes."""
+    return np.cross(np.eye(3)[None], vectors[:, None]).swapaxes(1, 2) * -1.0

@@ -1,0 +1,172 @@
+"""A scene's trajectory from its satellite fixes and its IMU."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.errors import PoseError
+from sceneloom.geometry.geodesy import normal_gravity
+from sceneloom.geometry.rotations import quaternion_from_matrix
+from sceneloom.motion.gnss_imu.fixes import GnssFixes, gnss_fixes
+from sceneloom.motion.gnss_imu.samples import InertialSamples, inertial_samples
+from sceneloom.motion.gnss_imu.settings import DEFAULTS, SmootherSettings
+from sceneloom.motion.gnss_imu.smoother import Measurements, Smoothed, smoothed
+from sceneloom.motion.gnss_imu.way import pose_covariances, way_between, way_times
+from sceneloom.motion.gnss_receivers import gnss_receivers
+from sceneloom.motion.standing import find_standing
+from sceneloom.scene import Notice, NoticeKind, Scene, Trajectory
+
+NAME = "gnss"
+"""The trajectory's name."""
+
+_UNSURE_HEADING = np.radians(15.0)
+"""Standard deviation of the heading from which on it counts as not known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GnssImuRun:
+    """What fixes and IMU tell of the ego's way.
+
+    Attributes:
+        trajectory: `world_from_ego` under the name "gnss", at the IMU's rate, with covariances; without orientations
+            where there is no IMU. The world's axes are east, north and up at the origin.
+        origin_lla: (3,) the first fix: latitude, longitude [deg], height above the ellipsoid [m].
+        velocities: (N, 3) [m/s], world.
+        biases: (N, 6) of gyroscope [rad/s] and accelerometer [m/s²], ego frame.
+        knots_ns: (K,) [ns], times of the states.
+        covariances: (K, 15, 15) of the states: turn about the ego's axes, position, velocity, the two biases.
+        fixes: which went in.
+        used: (F,) bool, which of them were not left out as jumps.
+        fix_sigmas: (F, 3) [m] east, north, up: their noise as found.
+        notices: what was assumed, repaired or left out.
+    """
+
+    trajectory: Trajectory
+    origin_lla: Float64Array
+    velocities: Float64Array
+    biases: Float64Array
+    knots_ns: Int64Array
+    covariances: Float64Array
+    fixes: GnssFixes
+    used: BoolArray
+    fix_sigmas: Float64Array
+    notices: tuple[Notice, ...]
+
+
+def gnss_imu_motion(
+    scene: Scene, *, lidar: Trajectory | None = None, settings: SmootherSettings = DEFAULTS
+) -> GnssImuRun:
+    """Find the ego's way from its satellite fixes, and from its IMU where it has one.
+
+    Args:
+        lidar: the way by lidar odometry, whose steps are taken in, too.
+
+    Raises:
+        PoseError: fewer than two fixes are usable.
+    """
+    if not gnss_receivers(scene):
+        raise PoseError(f"{scene.source}: no usable GNSS fixes in it; expected two or more")
+    fixes = gnss_fixes(scene, settings)
+    if len(fixes) < 2:
+        raise PoseError(f"{scene.source}: {len(fixes)} usable GNSS fix; expected two or more")
+    found = inertial_samples(scene)
+    samples = None if found is None else found[1]
+    gravity = settings.gravity or normal_gravity(float(fixes.origin_lla[0]), float(fixes.origin_lla[2]))
+    bias = None if samples is None else _standing_bias(samples)
+    drive = Measurements(fixes, samples, lidar, gravity, bias)
+    return _run(scene, drive, smoothed(drive, settings))
+
+
+def _standing_bias(samples: InertialSamples) -> Float64Array | None:
+    times, values = samples.timestamps_ns, samples.values
+    standing = find_standing(times, values[:, :3], times, values[:, 3:])
+    return None if standing is None else standing.rate
+
+
+def _run(scene: Scene, drive: Measurements, result: Smoothed) -> GnssImuRun:
+    fixes, samples = drive.fixes, drive.samples
+    fit = result.fit
+    way = way_between(fit.chain, fit.states, samples, way_times(fit.chain, samples))
+    poses = pose_covariances(fit.chain, fit.states, result.own, way)
+    offset = _common_offset(fixes, fit.chain.fixes.sigmas)
+    poses[:, 3:, 3:] += np.diag(offset**2)
+    trajectory = Trajectory(
+        NAME,
+        way.timestamps_ns,
+        way.positions,
+        None if samples is None and drive.lidar is None else quaternion_from_matrix(way.rotations),
+        covariances=poses,
+    )
+    used = fit.weights > 0.5
+    run = GnssImuRun(
+        trajectory, fixes.origin_lla, way.velocities, way.biases, fit.chain.knots_ns, result.own, fixes, used,
+        fit.chain.fixes.sigmas, fixes.notices,
+    )  # fmt: skip
+    return replace(run, notices=(*fixes.notices, *_remarks(scene, run, drive, offset)))
+
+
+def _common_offset(fixes: GnssFixes, sigmas: Float64Array) -> Float64Array:
+    """(3,) [m] by which all fixes may be off together: what receivers tell beyond the noise that is seen.
+
+    Fixes wander slowly with satellites and air; that shows in the accuracy told, not in how fixes agree.
+    """
+    if not fixes.told.any():
+        return np.zeros(3)
+    told, seen = np.median(fixes.sigmas[fixes.told], axis=0), np.median(sigmas[fixes.told], axis=0)
+    rest = np.sqrt(np.maximum(told**2 - seen**2, 0.0))
+    offset: Float64Array = np.where(seen < 0.6 * told, rest, 0.0)
+    return offset
+
+
+def _remarks(scene: Scene, run: GnssImuRun, drive: Measurements, offset: Float64Array) -> list[Notice]:
+    place, samples = scene.source, drive.samples
+    told = [_how(place, run, drive)]
+    lost = int((~run.used).sum())
+    if lost:
+        message = f"fixes that jump by more than the rest allows were left out ({len(run.used)} in all)"
+        told.append(_notice(NoticeKind.SKIPPED, "gnss-jumps", place, message, lost))
+    if offset.any():
+        message = (
+            f"the fixes agree better with each other than the accuracy that they tell; all of them may be off "
+            f"together by {offset[0]:.2f} m across and {offset[2]:.2f} m in height (one standard deviation), which "
+            "stands in the covariances"
+        )
+        told.append(_notice(NoticeKind.ASSUMED, "gnss-common-offset", place, message))
+    if samples is not None and len(samples.gaps_ns):
+        message = "the IMU has gaps; in them the ego was taken to go on evenly between what is known"
+        told.append(_notice(NoticeKind.ASSUMED, "imu-gaps", place, message, len(samples.gaps_ns)))
+    if samples is not None and samples.left_out:
+        message = "samples that are no numbers, or not later than the one before, were left out"
+        told.append(_notice(NoticeKind.REPAIRED, "imu-samples", place, message, samples.left_out))
+    heading = run.trajectory.covariances
+    if samples is not None and heading is not None and np.sqrt(heading[:, 2, 2].min()) > _UNSURE_HEADING:
+        message = (
+            f"the ego moved too little to tell its heading, which is known to "
+            f"{np.degrees(np.sqrt(heading[:, 2, 2].min())):.0f} degrees at best; it was taken to look where it goes"
+        )
+        told.append(_notice(NoticeKind.ASSUMED, "heading-unknown", place, message))
+    return told
+
+
+def _how(place: str, run: GnssImuRun, drive: Measurements) -> Notice:
+    sigma = np.median(run.fix_sigmas[run.used], axis=0) if run.used.any() else run.fix_sigmas[0]
+    latitude, longitude, height = run.origin_lla
+    message = (
+        f"{len(run.used)} fixes {_WITH[drive.samples is not None, drive.lidar is not None]} gave the way of "
+        f"the ego; noise of the fixes as found {sigma[0]:.2f} m across, {sigma[2]:.2f} m in height; the world's axes "
+        f"are east, north and up at the first fix, {latitude:.7f}, {longitude:.7f}, {height:.2f} m"
+    )
+    return _notice(NoticeKind.ASSUMED, "trajectory-from-gnss", place, message)
+
+
+_WITH = {
+    (False, False): "alone, without an IMU,",
+    (True, False): "and the IMU",
+    (False, True): "and the lidar's sweeps",
+    (True, True): "the IMU and the lidar's sweeps",
+}
+
+
+def _notice(kind: NoticeKind, code: str, place: str, message: str, count: int = 1) -> Notice:
+    return Notice(kind=kind, code=code, place=place, message=message, count=count)

@@ -1,0 +1,128 @@
+"""The smoother: all measurements of a drive at once, and the noise that they show."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.motion.gnss_imu.chain import Chain, Fixes, covariances
+from sceneloom.motion.gnss_imu.fixes import GnssFixes
+from sceneloom.motion.gnss_imu.knots import knot_times, nearest_knots
+from sceneloom.motion.gnss_imu.lidar_steps import led_by_lidar, lidar_steps
+from sceneloom.motion.gnss_imu.preintegration import Preintegrated, preintegrated
+from sceneloom.motion.gnss_imu.robust import Fit, fit_gently, fit_sternly, inertial_factors, rescaled
+from sceneloom.motion.gnss_imu.samples import InertialSamples, noise_densities
+from sceneloom.motion.gnss_imu.settings import SmootherSettings
+from sceneloom.motion.gnss_imu.start import coasted, oriented, standing_states
+from sceneloom.scene import Trajectory
+
+_ROUNDS = 4
+"""So often the noise is told anew from the residuals."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Smoothed:
+    """What the smoother found.
+
+    Attributes:
+        fit: states at the knots, and what they fit.
+        own: (K, 15, 15) covariances of the states, in the order of `kernels.motion_chain`.
+        densities: (K - 1, 2) of the IMU's white noise, as found, (rad/s)²/Hz and (m/s²)²/Hz.
+    """
+
+    fit: Fit
+    own: Float64Array
+    densities: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """What a drive offers to the smoother.
+
+    Attributes:
+        fixes: at least two.
+        samples: of the IMU, or None.
+        lidar: the way by lidar odometry, or None.
+        gravity: [m/s²].
+        gyroscope_bias: (3,) [rad/s] to begin with, or None.
+    """
+
+    fixes: GnssFixes
+    samples: InertialSamples | None
+    lidar: Trajectory | None
+    gravity: float
+    gyroscope_bias: Float64Array | None
+
+
+def smoothed(drive: Measurements, settings: SmootherSettings) -> Smoothed:
+    """Find the states that fit everything best."""
+    chain, densities = _chain(drive, settings)
+    coasting = coasted(chain, standing_states(chain, drive.gyroscope_bias))
+    moved = _moved_to_knots(coasting.chain.fixes, chain, drive.fixes, coasting)
+    chain = replace(chain, fixes=moved)
+    if drive.samples is not None:
+        fit, densities = _refined(oriented(chain, coasting), drive.samples, densities)
+    elif drive.lidar is not None:
+        rotations = led_by_lidar(drive.lidar, chain.knots_ns, moved)
+        fit = fit_gently(chain, replace(coasting.states, rotations=rotations))
+        for _ in range(_ROUNDS):
+            fit, _ = rescaled(fit)
+            fit = fit_sternly(fit.chain, fit.states)
+    else:
+        fit = fit_sternly(coasting.chain, coasting.states)
+    own, _ = covariances(fit.chain, fit.states, fit.weights)
+    return Smoothed(fit, own, densities)
+
+
+def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tuple[Fit, Float64Array]:
+    """Fit again with biases and noise as found, fixes that jump left out."""
+    for _ in range(_ROUNDS):
+        fit, _ = rescaled(fit)
+        densities = densities * inertial_factors(fit) ** 2
+        chain = fit.chain
+        again = preintegrated(
+            samples.timestamps_ns,
+            samples.values,
+            chain.knots_ns,
+            biases=fit.states.biases[:-1],
+            densities=densities,
+        )
+        fit = fit_sternly(replace(chain, inertial=again), fit.states)
+    return fit, densities
+
+
+def _chain(drive: Measurements, settings: SmootherSettings) -> tuple[Chain, Float64Array]:
+    fixes, samples, lidar = drive.fixes, drive.samples, drive.lidar
+    further = np.empty(0, np.int64) if samples is not None or lidar is None else lidar.timestamps_ns
+    knots = knot_times(fixes.timestamps_ns, samples, further, longest=settings.longest_interval)
+    count = len(knots) - 1
+    biases = np.zeros((count, 6))
+    if drive.gyroscope_bias is not None:
+        biases[:, :3] = drive.gyroscope_bias
+    if samples is None:
+        measured, inertial, densities = np.zeros(count, np.bool_), _nothing_felt(biases), np.zeros((count, 2))
+    else:
+        measured = samples.is_measured(knots[:-1], knots[1:])
+        densities = noise_densities(samples, knots, settings)
+        inertial = preintegrated(
+            samples.timestamps_ns, samples.values, knots, biases=biases, densities=densities
+        )
+    places = nearest_knots(knots, fixes.timestamps_ns)
+    at_knots = Fixes(places, fixes.positions, fixes.levers, fixes.sigmas, fixes.receivers)
+    relative = () if lidar is None else (lidar_steps(lidar, knots),)
+    return Chain(knots, measured, inertial, at_knots, drive.gravity, settings, relative), densities
+
+
+def _nothing_felt(biases: Float64Array) -> Preintegrated:
+    count = len(biases)
+    turns = np.tile(np.eye(3), (count, 1, 1))
+    covariance = np.tile(np.eye(9), (count, 1, 1))
+    nothing = np.zeros((count, 3))
+    return Preintegrated(turns, nothing, nothing.copy(), np.zeros((count, 9, 6)), covariance, biases)
+
+
+def _moved_to_knots(found: Fixes, chain: Chain, fixes: GnssFixes, coasting: Fit) -> Fixes:
+    """The fixes at the times of their states, which are some milliseconds from their own."""
+    late = (chain.knots_ns[found.places] - fixes.timestamps_ns) * 1e-9
+    velocities = coasting.states.velocities[found.places]
+    return replace(found, positions=fixes.positions + late[:, None] * velocities)

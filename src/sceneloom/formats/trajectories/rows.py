@@ -78,7 +78,7 @@ def _sound(path: Path, rows: PoseRows, ledger: Ledger) -> Int64Array:
             )
     for k in sorted(wrong):
         ledger.fault("unusable-poses", DataError(path, f"line {rows.lines[k]}", wrong[k]))
-    return np.array([k for k in range(len(rows.timestamps_ns)) if k not in wrong], np.int64)
+    return np.delete(np.arange(len(rows.timestamps_ns)), sorted(wrong))
 
 
 def _once(path: Path, rows: PoseRows, usable: Int64Array, ledger: Ledger) -> Int64Array:

@@ -1,7 +1,7 @@
 """Least squares for signals with coloured noise and outliers, with a covariance that can be believed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -99,10 +99,13 @@ def fit(
     parameters = start.astype(np.float64)
     count = int(windows[-1]) + 1 if len(windows) else 0
     at = model(parameters, np.zeros((count, 0)))
-    amounts = np.zeros((count, at.nuisances.shape[2]))
     fixed_colour, fixed_scales = colour, scales
     colour = np.zeros((at.residuals.shape[1], 0)) if colour is None else colour
     precision = 1.0 / prior_sigmas**2
+    first = _solve(at, windows, colour, fixed_scales, precision, parameters - start)
+    if first is None:
+        return None
+    amounts = first[1]
     for round_number in range(_ROUNDS if whiten or fixed_colour is not None else 2):
         for _ in range(_STEPS):
             at = model(parameters, amounts)
@@ -117,6 +120,31 @@ def fit(
         if fixed_colour is None and whiten and round_number < _ROUNDS - 1:
             colour = _colour(state.raw, state.used, windows)
     return _finished(parameters, amounts, state, precision, colour, windows)
+
+
+def misfit_of(
+    model: Model,
+    parameters: Float64Array,
+    windows: Int64Array,
+    *,
+    colour: Float64Array | None = None,
+    scales: Float64Array | None = None,
+) -> float:
+    """The misfit of a model at some parameters: in units of `scales`, else the mean residual's size, squared.
+
+    It is infinite where too few rows are known.
+    """
+    at = model(parameters, np.zeros((int(windows[-1]) + 1, 0)))
+    bare = replace(at, jacobian=at.jacobian[:, :, :0])
+    filter_by = np.zeros((at.residuals.shape[1], 0)) if colour is None else colour
+    solved = _solve(bare, windows, filter_by, scales, np.zeros(0), np.zeros(0))
+    if solved is None:
+        return float("inf")
+    state = solved[2]
+    if scales is not None:
+        return float((state.residuals**2).sum())
+    sizes = np.abs(state.residuals[state.used]) * state.scales
+    return float(sizes.mean() ** 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,7 +39,7 @@ class Turning:
     @classmethod
     def of_poses(cls, timestamps_ns: Int64Array, quaternions_xyzw: Float64Array) -> "Turning":
         """Take the orientations of a path, (N,) [ns] strictly increasing and (N, 4)."""
-        return cls(timestamps_ns, normalise_quaternion(quaternions_xyzw), _pieces(timestamps_ns))
+        return cls(timestamps_ns, normalise_quaternion(quaternions_xyzw), numbered_pieces(timestamps_ns))
 
     @classmethod
     def of_rates(cls, timestamps_ns: Int64Array, rates: Float64Array) -> "Turning":
@@ -52,9 +52,9 @@ class Turning:
         """
         usable = np.flatnonzero(finite_rows(rates))
         times, first = np.unique(timestamps_ns[usable], return_index=True)
-        values, pieces = rates[usable[first]], _pieces(times)
+        values, pieces = rates[usable[first]], numbered_pieces(times)
         turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
-        for piece in _slices(pieces):
+        for piece in piece_slices(pieces):
             if piece.stop - piece.start >= LEAST_KNOTS:
                 turns[piece] = _integrated(times[piece], values[piece])
         return cls(times, turns, pieces)
@@ -65,7 +65,7 @@ class Turning:
         known = finite_rows(vectors)
         steps = quaternion_from_rotation_vector(np.where(known[:, None], vectors, 0.0))
         turns = running_product(np.vstack([[[0.0, 0.0, 0.0, 1.0]], steps]))
-        pieces = _pieces(timestamps_ns)
+        pieces = numbered_pieces(timestamps_ns)
         pieces[1:] += np.cumsum(~known)
         return cls(timestamps_ns, turns, pieces)
 
@@ -118,7 +118,7 @@ def steps_of(turning: Turning, origin_ns: int, least: float) -> Steps:
     first: list[Int64Array] = []
     begins: list[Int64Array] = []
     count = 0
-    for piece in _slices(turning.pieces):
+    for piece in piece_slices(turning.pieces):
         rows = np.arange(piece.start, piece.stop - stride)
         # groups of one length: what is left over at the end of a piece is left out
         rows = rows[: len(rows) - len(rows) % stride]
@@ -144,7 +144,7 @@ class TurningCurve:
         from scipy.interpolate import CubicSpline
 
         self._pieces = []
-        for piece in _slices(turning.pieces):
+        for piece in piece_slices(turning.pieces):
             if piece.stop - piece.start < LEAST_KNOTS:
                 continue
             seconds = (turning.timestamps_ns[piece] - origin_ns) * 1e-9
@@ -197,7 +197,8 @@ def _turn(first: Float64Array, last: Float64Array) -> Float64Array:
     return rotation_vector_from_quaternion(multiply_quaternions(conjugate_quaternion(first), last))
 
 
-def _pieces(timestamps_ns: Int64Array) -> Int64Array:
+def numbered_pieces(timestamps_ns: Int64Array) -> Int64Array:
+    """Number the pieces without gaps that times (N,) [ns] fall into, ascending."""
     numbers = np.zeros(len(timestamps_ns), np.int64)
     if len(timestamps_ns) > 1:
         steps = np.diff(timestamps_ns)
@@ -205,7 +206,8 @@ def _pieces(timestamps_ns: Int64Array) -> Int64Array:
     return numbers
 
 
-def _slices(pieces: Int64Array) -> list[slice]:
+def piece_slices(pieces: Int64Array) -> list[slice]:
+    """The rows of each piece, from their numbers (N,)."""
     edges = [0, *(np.flatnonzero(np.diff(pieces)) + 1).tolist(), len(pieces)]
     return [slice(a, b) for a, b in pairwise(edges) if b > a]
 

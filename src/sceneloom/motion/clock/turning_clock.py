@@ -11,7 +11,7 @@ from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from
 from sceneloom.motion.clock.correlation import Peak, correlation_peaks
 from sceneloom.motion.clock.drift import Line, robust_line
 from sceneloom.motion.clock.estimate import ClockEstimate
-from sceneloom.motion.clock.fitting import Fit, Linearised, fit
+from sceneloom.motion.clock.fitting import Fit, Linearised, fit, misfit_of
 from sceneloom.motion.clock.outcome import Candidate, Clocks, concluded
 from sceneloom.motion.clock.turning import Steps, Turning, TurningCurve, finite_rows, steps_of
 
@@ -222,12 +222,10 @@ class _TurningModel:
 
     def candidate(self, found: Fit, score: float) -> Candidate:
         """The fit with what is needed to judge it."""
-        still = fit(
+        still = misfit_of(
             _Still(self, found.parameters),
             np.zeros(1),
-            np.full(1, 1e-9),
             self.windows,
-            whiten=False,
             colour=found.colour,
             scales=found.scales,
         )
@@ -236,7 +234,7 @@ class _TurningModel:
             times=self.row_times,
             middle=self.middle,
             span=self.pair.common,
-            without_motion=None if still is None else still.misfit,
+            without_motion=still,
             score=score,
             rotation=self.turned(found.parameters),
         )

@@ -1,0 +1,120 @@
+"""How a camera turned, by the corners that it saw from picture to picture."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.cameras import unproject
+from sceneloom.errors import DataError
+from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
+from sceneloom.motion.clock.bearings import LEAST_BEARINGS, turn_between
+from sceneloom.motion.clock.corners import Pyramid, find_corners, followed
+from sceneloom.motion.clock.turning import Turning, finite_rows
+from sceneloom.scene import CameraSensor, Picture
+from sceneloom.scene.types import Progress
+
+
+@dataclass(frozen=True, slots=True)
+class Shutter:
+    """How long a picture's lines are taken one after the other, and which way.
+
+    Attributes:
+        seconds: from the first to the last line; 0 where all are taken at once.
+        over_columns: from the left to the right, in place of from the top to the bottom.
+    """
+
+    seconds: float = 0.0
+    over_columns: bool = False
+
+    @classmethod
+    def of(cls, camera: CameraSensor) -> "Shutter":
+        """Take what the calibration says of it."""
+        entry = camera.extras.get("calibration")
+        if not isinstance(entry, dict):
+            return cls()
+        seconds = entry.get("shutterRollTimeSeconds")
+        if not isinstance(seconds, int | float) or not 0 <= seconds <= 1:
+            return cls()
+        return cls(float(seconds), entry.get("rollingShutterLeftToRight") is True)
+
+    def delay(self, pixels: Float64Array, picture: Picture) -> float:
+        """When the lines of some pixels (N, 2) are taken on the mean, after the picture's time [s].
+
+        Source: "One clock" in docs/CONVENTIONS.md: row r of H is taken at t + ((r + 0.5)/H - 0.5) · roll time.
+        """
+        if self.seconds == 0.0 or len(pixels) == 0:
+            return 0.0
+        size = picture.camera.width if self.over_columns else picture.camera.height
+        line = float(pixels[:, 0 if self.over_columns else 1].mean())
+        return ((line + 0.5) / size - 0.5) * self.seconds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A picture with its pyramid."""
+
+    picture: Picture
+    pyramid: Pyramid
+
+
+def camera_turning(camera: CameraSensor, *, progress: Progress | None = None) -> Turning:
+    """Follow a camera's turning from picture to picture; pictures that show nothing to follow break it.
+
+    With a rolling shutter the times are those at which the lines of the corners were taken.
+
+    Args:
+        progress: told after each picture.
+
+    Raises:
+        CalibrationError: the lens cannot be used.
+    """
+    times = camera.pictures.timestamps_ns
+    rows = np.flatnonzero(np.diff(times, prepend=times[:1] - 1) > 0)
+    shutter = Shutter.of(camera)
+    vectors = np.full((max(len(rows) - 1, 0), 3), np.nan)
+    delays = np.zeros(len(rows))
+    before: _Seen | None = None
+    for number, row in enumerate(rows.tolist()):
+        seen = _seen(camera, row)
+        if before is not None and seen is not None:
+            vectors[number - 1], early, late = _turn(before, seen, shutter)
+            delays[number - 1] = early if number == 1 else 0.5 * (delays[number - 1] + early)
+            delays[number] = late
+        before = seen
+        if progress is not None:
+            progress(number + 1, len(rows))
+    stamps = times[rows] + np.rint(delays * 1e9).astype(np.int64)
+    return Turning.of_steps(np.maximum.accumulate(stamps), vectors)
+
+
+def _seen(camera: CameraSensor, row: int) -> _Seen | None:
+    try:
+        picture = camera.pictures[row]
+        return _Seen(picture, Pyramid.of(picture.rgb))
+    except DataError:
+        return None
+
+
+def _turn(first: _Seen, second: _Seen, shutter: Shutter) -> tuple[Float64Array, float, float]:
+    """Give how a camera turned between two pictures (3,) [rad], and when its corners were taken in each [s]."""
+    unknown = np.full(3, np.nan), 0.0, 0.0
+    if first.pyramid.levels[0].shape != second.pyramid.levels[0].shape:
+        return unknown
+    corners = find_corners(first.pyramid)
+    if len(corners) < LEAST_BEARINGS:
+        return unknown
+    there, found = followed(first.pyramid, second.pyramid, corners)
+    before = first.pyramid.outer(corners[found].astype(np.float64))
+    after = second.pyramid.outer(there[found].astype(np.float64))
+    rays_before = unproject(first.picture.camera, before)
+    rays_after = unproject(second.picture.camera, after)
+    usable = finite_rows(rays_before) & finite_rows(rays_after)
+    turned = turn_between(rays_before[usable], rays_after[usable])
+    if turned is None:
+        return unknown
+    rotation, agreeing = turned
+    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotation.T))
+    early = shutter.delay(before[usable][agreeing], first.picture)
+    late = shutter.delay(after[usable][agreeing], second.picture)
+    return vector, early, late

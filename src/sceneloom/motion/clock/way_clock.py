@@ -1,0 +1,217 @@
+"""The clocks of two streams that tell where one body was, or how it moved on the ground."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from sceneloom.arrays import AnyArray, Float64Array
+from sceneloom.motion.clock.estimate import ClockEstimate
+from sceneloom.motion.clock.fitting import Fit, Linearised, fit, misfit_of
+from sceneloom.motion.clock.outcome import Candidate, Clocks, concluded
+from sceneloom.motion.clock.ways import Fixes, Way
+
+_LEAST_FIXES = 12
+_LEAST_COMMON = 5.0
+"""Seconds that two streams need in common."""
+
+_LAG = 0.2
+"""Step of the search [s]; from so near the fit finds its way."""
+
+_MOST_SEARCHED = 3000
+"""Fixes of a long drive that are looked at in the search."""
+
+LEVER_SIGMA = 1.0
+"""How far from the ego's origin a receiver's antenna may be on each axis, where nothing is said [m]."""
+
+_PRIORS = (10.0, 2e-3)
+"""How far offset [s] and skew may be from the start."""
+
+
+def compare_ways(
+    fixes: Fixes,
+    way: Way,
+    *,
+    origin_ns: int,
+    fixes_are_reference: bool,
+    reach_ns: int,
+    lever_sigma: float = LEVER_SIGMA,
+) -> ClockEstimate:
+    """Find the offset and the skew between fixes and a way of the same body.
+
+    The fixes are the way at their times, shifted by the offset, but for what the way does not know: in every window
+    of half a minute a turn and a scale on the ground, and a polynomial in the time. What the body's speed changes
+    beyond that tells the offset. The place of the receiver on the body is estimated along; where the body turns, or
+    goes on at one speed, that alone keeps the offset from being known better.
+
+    Args:
+        fixes: places at some times.
+        way: what moves between them.
+        origin_ns: where the way's seconds count from.
+        fixes_are_reference: which of both clocks is taken for the right one.
+        reach_ns: offsets up to this are looked for [ns].
+        lever_sigma: how far from the way's body the fixes' body may be on each axis [m].
+
+    Source: linear amounts are eliminated as in Golub and Pereyra 1973, "The Differentiation of Pseudo-Inverses and
+    Nonlinear Least Squares Problems Whose Variables Separate".
+    """
+    if len(fixes) < _LEAST_FIXES:
+        return ClockEstimate.unknown(f"{len(fixes)} fixes; expected {_LEAST_FIXES} or more")
+    model = _WayModel.of(fixes, way, origin_ns)
+    clocks = Clocks(origin_ns, finer_is_stream=fixes_are_reference)
+    known = model.known_at(0.0)
+    common = float(np.ptp(model.times[known])) if known.any() else 0.0
+    if known.sum() < _LEAST_FIXES or common < _LEAST_COMMON:
+        return ClockEstimate.unknown(
+            f"{int(known.sum())} fixes in {common:.1f} s in common; expected {_LEAST_FIXES} in {_LEAST_COMMON:.0f} s "
+            "or more"
+        )
+    priors = np.array([*_PRIORS, *[max(lever_sigma, 1e-6)] * 3])
+    candidates = []
+    for lag in _lags(model, min(reach_ns * 1e-9, common / 2)):
+        found = fit(model, np.array([lag, 0.0, 0.0, 0.0, 0.0]), priors, model.windows)
+        if found is not None:
+            candidates.append(_candidate(model, found, common))
+    return concluded(candidates, clocks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _WayModel:
+    """Fixes told by a way: offset, skew, and three numbers of where the one body is on the other."""
+
+    places: AnyArray
+    times: Float64Array
+    windows: AnyArray
+    bounds: tuple[tuple[float, float], ...]
+    polynomials: Float64Array
+    way: Way
+    middle: float
+
+    @classmethod
+    def of(cls, fixes: Fixes, way: Way, origin_ns: int) -> "_WayModel":
+        """Cut the fixes into windows."""
+        times = np.asarray((fixes.timestamps_ns - origin_ns) * 1e-9, np.float64)
+        span = float(times[-1] - times[0])
+        count = max(1, round(span / way.window))
+        edges = times[0] + span / count * np.arange(count + 1)
+        numbers = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, count - 1)
+        present, windows = np.unique(numbers, return_inverse=True)
+        bounds = tuple((float(edges[k]), float(edges[k + 1])) for k in present.tolist())
+        begins, ends = np.array(bounds)[windows].T
+        polynomials = legvander(2 * (times - begins) / (ends - begins) - 1, way.degree)
+        # the middle of each window's places is taken off: kilometres leave no digits for millimetres
+        sums = np.zeros(len(bounds), np.complex128)
+        np.add.at(sums, windows, fixes.places)
+        places = fixes.places - (sums / np.bincount(windows))[windows]
+        return cls(places, times, windows, bounds, polynomials, way, 0.5 * float(times[0] + times[-1]))
+
+    def part(self, most: int) -> "_WayModel":
+        """Some of the windows, spread over the drive, with about so many fixes."""
+        every = -(-len(self.times) // most)
+        chosen = np.unique(self.windows)[::every]
+        rows = np.isin(self.windows, chosen)
+        windows = np.searchsorted(chosen, self.windows[rows])
+        bounds = tuple(self.bounds[k] for k in chosen.tolist())
+        return _WayModel(
+            self.places[rows],
+            self.times[rows],
+            windows,
+            bounds,
+            self.polynomials[rows],
+            self.way,
+            self.middle,
+        )
+
+    def known_at(self, lag: float) -> AnyArray:
+        """Which fixes the way tells of, (N,) bool."""
+        return np.isfinite(self._way(np.full(len(self.times), lag))[0])
+
+    def _way(self, shifts: Float64Array) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+        edges = np.searchsorted(self.windows, np.arange(len(self.bounds) + 1))
+        parts = [
+            self.way.at(self.bounds[k], (self.times + shifts)[edges[k] : edges[k + 1]])
+            for k in range(len(self.bounds))
+        ]
+        return (
+            np.concatenate([_centred(part.places) for part in parts]),
+            np.concatenate([part.velocities for part in parts]),
+            np.concatenate([part.axes for part in parts]),
+            np.concatenate([part.drifts for part in parts]),
+        )
+
+    def __call__(self, parameters: Float64Array, amounts: Float64Array) -> Linearised:
+        offset, skew, lever = parameters[0], parameters[1], parameters[2:5]
+        since = self.times - self.middle
+        places, velocities, axes, drifts = self._way(offset + skew * since)
+        known = np.isfinite(places) & np.isfinite(velocities)
+        places, velocities = (np.where(known, x, 0.0) for x in (places, velocities))
+        axes, drifts = (np.where(known[:, None], x, 0.0) for x in (axes, drifts))
+        turn = np.zeros(len(places), np.complex128)
+        if amounts.shape[1]:
+            turn = (amounts[:, -2] + 1j * amounts[:, -1])[self.windows]
+        moved = places + axes @ lever
+        nuisances = np.concatenate(
+            [
+                self.polynomials,
+                1j * self.polynomials,
+                turn[:, None] * drifts,
+                moved[:, None],
+                1j * moved[:, None],
+            ],
+            axis=1,
+        )
+        slopes = np.concatenate(
+            [(turn * velocities)[:, None], (turn * velocities * since)[:, None], turn[:, None] * axes], axis=1
+        )
+        return Linearised(_split(self.places), _split(slopes), _split(nuisances), known)
+
+
+def _centred(places: AnyArray) -> AnyArray:
+    known = np.isfinite(places)
+    return places - places[known].mean() if known.any() else places
+
+
+def _split(values: AnyArray) -> Float64Array:
+    """Complex (N, …) as (N, 2, …)."""
+    return np.stack([values.real, values.imag], axis=1)
+
+
+def _lags(model: _WayModel, reach: float) -> list[float]:
+    """The offsets at which a way fits best, to begin with."""
+    part = model.part(_MOST_SEARCHED) if len(model.times) > _MOST_SEARCHED else model
+    lags = np.arange(-np.floor(reach / _LAG), np.floor(reach / _LAG) + 1) * _LAG
+    costs = np.array([misfit_of(part, np.array([lag, 0, 0, 0, 0]), part.windows) for lag in lags.tolist()])
+    padded = np.concatenate([[np.inf], costs, [np.inf]])
+    lows = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:]))
+    return [float(lags[k]) for k in lows[np.argsort(costs[lows])][:3]]
+
+
+def _candidate(model: _WayModel, found: Fit, common: float) -> Candidate:
+    still = misfit_of(
+        _Unmoved(model, found.parameters),
+        np.zeros(1),
+        model.windows,
+        colour=found.colour,
+        scales=found.scales,
+    )
+    return Candidate(
+        fit=found,
+        times=model.times - model.times[0],
+        middle=model.middle,
+        span=common,
+        without_motion=still,
+        score=None,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unmoved:
+    """The same fixes, told by polynomials alone."""
+
+    model: _WayModel
+    parameters: Float64Array
+
+    def __call__(self, parameters: Float64Array, amounts: Float64Array) -> Linearised:
+        del parameters
+        at = self.model(self.parameters, amounts[:, :0])
+        return Linearised(at.residuals, np.zeros((*at.residuals.shape, 1)), at.nuisances[:, :, :-2], at.known)

@@ -1,6 +1,6 @@
 """`calibration.json`: the entries of cameras and lidars, checked one by one, their text kept."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -14,8 +14,10 @@ from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault, 
 from sceneloom.formats.recording.lenses import CameraParameters
 from sceneloom.formats.recording.line_shapes import SensorIndex
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
+from sceneloom.formats.recording.old_forms import read_old_calibration
 from sceneloom.formats.recording.rig_calibration import RigCalibration, read_rig
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import NoticeKind
 
 CALIBRATION_FILE = "calibration.json"
 
@@ -95,8 +97,16 @@ class Calibration:
     content: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_calibration(folder: Path, ledger: Ledger) -> Calibration:
-    """Read the calibration of a recording; one without the file has an empty one.
+def read_calibration(
+    folder: Path, ledger: Ledger, *, data_path: Path | None = None, other_lines: Iterable[str] = ()
+) -> Calibration:
+    """Read the calibration of a recording; one without the file has what older forms say, or an empty one.
+
+    Args:
+        folder: the recording.
+        ledger: takes notices and faults.
+        data_path: its lines.
+        other_lines: those of them that tell of no time; old recordings say there how cameras are mounted.
 
     Raises:
         DataError: the file cannot be read, is no JSON object, or an entry has a value of the wrong type.
@@ -104,7 +114,7 @@ def read_calibration(folder: Path, ledger: Ledger) -> Calibration:
     """
     path = folder / CALIBRATION_FILE
     if not path.exists():
-        return Calibration(path)
+        return _read_old(folder, data_path or folder, other_lines, ledger)
     try:
         content = _read_object(path)
         listed = {name: _entries(path, content, name) for name in ("cameras", "lidars")}
@@ -121,6 +131,22 @@ def read_calibration(folder: Path, ledger: Ledger) -> Calibration:
             continue
         lidars[index] = lidar
     return Calibration(path, cameras, lidars, read_rig(path, content, ledger), content)
+
+
+def _read_old(folder: Path, data_path: Path, other_lines: Iterable[str], ledger: Ledger) -> Calibration:
+    path = folder / CALIBRATION_FILE
+    try:
+        old = read_old_calibration(folder, data_path, other_lines)
+    except DataError as error:
+        ledger.refuse("unreadable-calibration", error)
+        return Calibration(path)
+    if not old.content:
+        return Calibration(path)
+    told = f"no {CALIBRATION_FILE}; lenses and mountings were taken from an older form"
+    for message in (told, *old.doubts):
+        ledger.note(NoticeKind.ASSUMED, "old-calibration", str(old.path), message)
+    cameras = dict(_cameras(old.path, old.content["cameras"], ledger))
+    return Calibration(path, cameras, content=old.content)
 
 
 def _read_object(path: Path) -> Mapping[str, Any]:

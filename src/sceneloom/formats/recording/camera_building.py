@@ -113,6 +113,7 @@ def _build(sources: CameraSources, index: int) -> list[CameraSensor | DepthCamer
         message = "has no picture size, and there are no pictures of it; the camera was left out"
         sources.ledger.note(NoticeKind.SKIPPED, "cameras-without-size", calibration.place, message)
         return []
+    calibration = _with_lens_of_lines(sources, calibration, columns)
     camera = _fitted_lens(sources, calibration, files)
     read_lens = _lens_reader(sources, calibration, camera)
     reading_mount = partial(read_mount, path=sources.data_path, ledger=sources.ledger)
@@ -148,6 +149,17 @@ def _calibration_of_lines(
     text = list(sources.frames.texts)[columns.parameters[0]]
     parameters = read_parameters(text, line, path=sources.data_path)
     return CameraCalibration(f"{sources.data_path}: line {line}: frames[].cameraParameters", parameters)
+
+
+def _with_lens_of_lines(
+    sources: CameraSources, calibration: CameraCalibration, columns: CameraColumns
+) -> CameraCalibration:
+    """Take the lens of a camera's first line where the calibration has a mounting only, as old recordings have."""
+    if calibration.parameters.focalLengthX is not None or not columns.rows or columns.parameters[0] < 0:
+        return calibration
+    text, line = list(sources.frames.texts)[columns.parameters[0]], sources.frames.lines[columns.rows[0]]
+    parameters = read_parameters(text, line, path=sources.data_path).over(calibration.parameters)
+    return replace(calibration, parameters=parameters)
 
 
 def _match_pictures(

@@ -61,7 +61,7 @@ def read_parameters(text: bytes, line: int, *, path: Path) -> CameraParameters:
         DataError: it is no object, or a value has the wrong type.
     """
     try:
-        return msgspec.json.decode(text, type=CameraParameters)
+        return msgspec.json.decode(text, type=CameraParameters).with_both_focal_lengths()
     except DECODER_FAULTS as error:
         problem = json_problem(error, text, prefix="frames[].cameraParameters")
         raise DataError(path, f"line {line}", problem) from error

@@ -15,6 +15,7 @@ from sceneloom.formats.recording.calibration import Calibration
 from sceneloom.formats.recording.columns import TEXT, Columns, RecordingColumns, view
 from sceneloom.formats.recording.line_order import filled_seconds, line_order
 from sceneloom.formats.recording.number_sensors import GPS_ORIGIN, RECEIVER, imu_streams, receivers
+from sceneloom.formats.recording.old_forms import PARAMETERS_FILE
 from sceneloom.scene import NoticeKind, Trajectory
 
 VIO_CONFIG_FILE = "vio_config.yaml"
@@ -43,6 +44,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
     Returns:
         calibration: all of `calibration.json`.
         vio_config: the text of `vio_config.yaml`.
+        parameters: the text of `parameters.txt`, which old recordings have.
         other_lines: the text of lines that nothing here computes with, in the order of the file; and poses that repeat
             the time of another one of their trajectory.
         other_seconds: by index in `other_lines`, the time of the line before [s], for lines without a time.
@@ -64,7 +66,12 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
     as_text = np.array([line for line, _ in repeated], np.int64)
     found = {
         "calibration": dict(contents.calibration.content),
-        "vio_config": None if alone else _vio_config(contents.folder, ledger),
+        "vio_config": None
+        if alone
+        else _text(contents.folder / VIO_CONFIG_FILE, "unreadable-vio-config", ledger),
+        "parameters": None
+        if alone
+        else _text(contents.folder / PARAMETERS_FILE, "unreadable-vio-config", ledger),
         "other_lines": texts,
         "other_seconds": anchors,
         "further_keys": _further_keys(contents, streams, ledger),
@@ -167,14 +174,13 @@ def _shared_lines(columns: RecordingColumns, streams: Mapping[str, Columns]) -> 
     ]
 
 
-def _vio_config(folder: Path, ledger: Ledger) -> str | None:
-    path = folder / VIO_CONFIG_FILE
+def _text(path: Path, code: str, ledger: Ledger) -> str | None:
     if not path.is_file():
         return None
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        ledger.fault("unreadable-vio-config", DataError(path, "", f"cannot be read as text: {error}"))
+        ledger.fault(code, DataError(path, "", f"cannot be read as text: {error}"))
         return None
 
 

@@ -23,6 +23,7 @@ class CameraParameters(Struct, frozen=True):
     distortionCoefficients: list[float] | None = None  # noqa: N815 - the format's own word
     focalLengthX: float | None = None  # noqa: N815 - the format's own word
     focalLengthY: float | None = None  # noqa: N815 - the format's own word
+    focalLength: float | None = None  # noqa: N815 - the word of old recordings, for both
     principalPointX: float | None = None  # noqa: N815 - the format's own word
     principalPointY: float | None = None  # noqa: N815 - the format's own word
     imageWidth: int | float | None = None  # noqa: N815 - the format's own word
@@ -37,6 +38,13 @@ class CameraParameters(Struct, frozen=True):
     def lens_model(self) -> str | None:
         """The model under either of its keys."""
         return self.distortionModel if self.model is None else self.model
+
+    def with_both_focal_lengths(self) -> "CameraParameters":
+        """The same lens, one focal length for both axes told as two."""
+        if self.focalLength is None or (self.focalLengthX, self.focalLengthY) != (None, None):
+            return self
+        both = self.focalLength
+        return structs.replace(self, focalLength=None, focalLengthX=both, focalLengthY=both)
 
     def over(self, base: "CameraParameters") -> "CameraParameters":
         """These parameters, and those of `base` where they say nothing.

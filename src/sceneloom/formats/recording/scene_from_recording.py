@@ -86,7 +86,9 @@ def _read(
     data_file = FileIdentity.of(data_path)
     columns = read_lines(data_path, ledger)
     alone = place.alone and not (columns.frames.cameras or columns.lidars)
-    calibration = Calibration(folder / CALIBRATION_FILE) if alone else read_calibration(folder, ledger)
+    calibration = Calibration(folder / CALIBRATION_FILE)
+    if not alone:
+        calibration = read_calibration(folder, ledger, data_path=data_path, other_lines=columns.other_lines)
     trajectories = build_trajectories(columns.poses, data_path, ledger)
     ego_path = default_poses(trajectories, str(data_path), ledger)
     opened = OpenPictures()

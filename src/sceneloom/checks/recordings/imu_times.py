@@ -57,7 +57,7 @@ def _far_from_imu(subject: Subject) -> Iterator[Hit]:
 def _at_samples(subject: Subject) -> Iterator[Hit]:
     for camera in streams_of_kind(subject, Kind.CAMERA):
         for imu in streams_of_kind(subject, *_IMU):
-            same = np.isin(camera.seconds, imu.seconds)
+            same = _distances(camera.seconds, imu.seconds) == 0
             share = float(same.mean())
             if share > SHARE_AT_SAMPLES:
                 row = int(np.flatnonzero(same)[0])

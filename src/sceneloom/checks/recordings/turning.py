@@ -56,19 +56,24 @@ class CleanSamples:
 
     def means(self, starts: Float64Array, stops: Float64Array) -> Float64Array:
         """The mean value over each interval, (M, 3); NaN where it reaches beyond the samples or over a gap."""
-        integral = np.stack([self._at(stops, axis) - self._at(starts, axis) for axis in range(3)], axis=1)
         before, after = self._place(starts), self._place(stops)
+        integral = self._sums_at(stops, after) - self._sums_at(starts, before)
         known = (starts >= self.seconds[0]) & (stops <= self.seconds[-1])
         known &= self.gaps[np.minimum(after + 1, len(self.gaps) - 1)] == self.gaps[before]
         means: Float64Array = np.where(known[:, None], integral / (stops - starts)[:, None], np.nan)
         return means
 
-    def _at(self, seconds: Float64Array, axis: int) -> Float64Array:
-        return np.interp(seconds, self.seconds, self.sums[:, axis])
-
     def _place(self, seconds: Float64Array) -> Int64Array:
         found = np.searchsorted(self.seconds, seconds, side="right") - 1
         return np.clip(found, 0, len(self.seconds) - 1).astype(np.int64)
+
+    def _sums_at(self, seconds: Float64Array, place: Int64Array) -> Float64Array:
+        """The sums at times that lie after these samples, (M, 3): once looked up for all axes."""
+        first = np.minimum(place, len(self.seconds) - 2)
+        share = (seconds - self.seconds[first]) / (self.seconds[first + 1] - self.seconds[first])
+        before = self.sums[first]
+        sums: Float64Array = before + share[:, None] * (self.sums[first + 1] - before)
+        return sums
 
 
 @dataclass(frozen=True, slots=True, eq=False)

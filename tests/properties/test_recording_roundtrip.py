@@ -149,7 +149,7 @@ def test_sweeps_come_back_point_by_point(stamps, mount, data):
         LidarSensor(f"lidar{index}", LazyFrames.of(frames, stamps), mount=mount) for index in range(2)
     )
     for found, report in round_trip(Scene(lidars)):
-        assert len(report) == 0
+        assert not [loss for loss in report if loss.field != "replay"]
         for lidar in found.lidars:
             # the mounting is inverted on the way there and back
             np.testing.assert_allclose(lidar.mount.matrix, mount.matrix, atol=1e-12)
@@ -184,7 +184,7 @@ def test_cameras_come_back_with_lens_mounting_times_and_pixels(lens, mount, stam
         for index in range(count)
     )
     for found, report in round_trip(Scene(cameras), pictures="png"):
-        assert len(report) == 0
+        assert not [loss for loss in report if loss.field != "replay"]
         assert len(found.cameras) == count
         for camera in found.cameras:
             np.testing.assert_array_equal(lens_vector(camera.camera), lens_vector(lens))

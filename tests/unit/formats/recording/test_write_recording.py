@@ -127,7 +127,12 @@ def records_of(path):
 
 
 def losses_of(report):
-    return {loss.field: loss.what for loss in report}
+    """What is lost, without what the vendor's software makes of it."""
+    return {loss.field: loss.what for loss in report if loss.field != "replay"}
+
+
+def replay_of(report):
+    return {loss.what: loss.count for loss in report if loss.field == "replay"}
 
 
 def test_lines_are_sorted_and_each_says_one_thing(tmp_path):
@@ -277,7 +282,7 @@ def test_a_camera_s_own_video_is_copied_packet_by_packet(tmp_path, codec, pictur
     video = VideoContent(lambda: path.open("rb"), "h264" if codec == "libx264" else codec)
     report = write_recording(a_scene(a_camera(video=video)), tmp_path / "drive", pictures=pictures)
     assert (packets_of(tmp_path / "drive" / "data.mkv") == packets_of(path)) == copied
-    assert (len(report) == 0) == copied
+    assert (not losses_of(report)) == copied
     assert len(read_video(tmp_path / "drive" / "data.mkv")) == 4
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sceneloom.formats.table import write_scene as write
     from sceneloom.formats.trajectories import read_trajectory, write_trajectory
     from sceneloom.motion.ego_motion import find_ego_motion
-    from sceneloom.pipeline import convert, deskew, fuse, iter_fused
+    from sceneloom.pipeline import convert, deskew, fuse, iter_fused, sync
     from sceneloom.scene import PosePath, Scene
     from sceneloom.simulate import simulate_street
     from sceneloom.visibility import count_points, project_cuboids
@@ -60,6 +60,7 @@ __all__ = [
     "read_trajectory",
     "salvage",
     "simulate_street",
+    "sync",
     "thin_scene",
     "to_ego",
     "to_sensor",
@@ -89,6 +90,7 @@ _ON_FIRST_USE = {
     "read_trajectory": ("sceneloom.formats.trajectories", "read_trajectory"),
     "salvage": ("sceneloom.formats.sfs", "salvage"),
     "simulate_street": ("sceneloom.simulate", "simulate_street"),
+    "sync": ("sceneloom.pipeline", "sync"),
     "thin_scene": ("sceneloom.editing", "thin_scene"),
     "to_ego": ("sceneloom.editing", "to_ego"),
     "to_sensor": ("sceneloom.editing", "to_sensor"),

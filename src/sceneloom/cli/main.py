@@ -26,6 +26,7 @@ VERBS = MappingProxyType(
         "diff": "Tell what differs between two drives.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "eval": "Say how good an estimate is: a trajectory against a reference.",
+        "sync": "Tell whether the clocks of a drive's streams are in step, and correct them.",
         "formats": "List the formats that can be read and written.",
     }
 )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.fusing import fuse, iter_fused
     from sceneloom.pipeline.outputs import FusionOutputs
     from sceneloom.pipeline.report import CameraReport, FusionReport
+    from sceneloom.pipeline.syncing import SyncReport, sync
 
 __all__ = [
     "CameraReport",
@@ -21,11 +22,13 @@ __all__ = [
     "DeskewReport",
     "FusionOutputs",
     "FusionReport",
+    "SyncReport",
     "convert",
     "deskew",
     "deskewed_scene",
     "fuse",
     "iter_fused",
+    "sync",
 ]
 
 _ON_FIRST_USE = {
@@ -34,11 +37,13 @@ _ON_FIRST_USE = {
     "DeskewReport": "deskew_report",
     "FusionOutputs": "outputs",
     "FusionReport": "report",
+    "SyncReport": "syncing",
     "convert": "conversion",
     "deskew": "deskewing",
     "deskewed_scene": "deskewing",
     "fuse": "fusing",
     "iter_fused": "fusing",
+    "sync": "syncing",
 }
 """The module of everything that is imported when it is first asked for."""
 

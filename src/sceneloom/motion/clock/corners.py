@@ -45,8 +45,9 @@ class Pyramid:
         """Make it of a picture (H, W, 3)."""
         shrunk = -(-rgb.shape[1] // LARGEST_WIDTH)
         height, width = rgb.shape[0] // shrunk, rgb.shape[1] // shrunk
-        grey = rgb[: height * shrunk, : width * shrunk].astype(np.float32) @ _GREY
-        small = grey.reshape(height, shrunk, width, shrunk).mean(axis=(1, 3)) if shrunk > 1 else grey
+        small = rgb[: height * shrunk, : width * shrunk].astype(np.float32) @ _GREY
+        if shrunk > 1:
+            small = _shrunk(small, shrunk)
         levels = [np.ascontiguousarray(small, np.float32)]
         while min(levels[-1].shape) >= 2 * _SMALLEST:
             levels.append(_halved(levels[-1]))
@@ -61,15 +62,20 @@ _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 """Source: ITU-R BT.601, luma."""
 
 
+def _shrunk(grey: Float32Array, times: int) -> Float32Array:
+    """The means of squares of so many pixels a side."""
+    height, width = grey.shape
+    squares = grey.reshape(height // times, times, width // times, times)
+    means: Float32Array = squares.mean(axis=(1, 3), dtype=np.float32)
+    return means
+
+
 def _halved(grey: Float32Array) -> Float32Array:
-    for axis in (0, 1):
-        padded = np.pad(grey, [(2, 2) if k == axis else (0, 0) for k in (0, 1)], mode="edge")
-        size = grey.shape[axis]
-        grey = sum(
-            weight * (padded[k : k + size] if axis == 0 else padded[:, k : k + size])
-            for k, weight in enumerate(_BLUR)
-        )
-    return np.ascontiguousarray(grey[::2, ::2], np.float32)
+    height, width = grey.shape
+    wide: Float32Array = np.pad(grey, ((2, 2), (2, 2)), mode="edge")
+    upright: Float32Array = sum((w * wide[k : k + height] for k, w in enumerate(_BLUR)), np.float32(0.0))
+    blurred: Float32Array = sum((w * upright[:, k : k + width] for k, w in enumerate(_BLUR)), np.float32(0.0))
+    return np.ascontiguousarray(blurred[::2, ::2], np.float32)
 
 
 def find_corners(pyramid: Pyramid) -> Float32Array:

@@ -18,7 +18,7 @@ from sceneloom.motion.clock.turning import Steps, Turning, TurningCurve, finite_
 REACH_NS = 5_000_000_000
 """Offsets up to this are looked for [ns]."""
 
-_LEAST_COMMON = 1.0
+_LEAST_COMMON = 2.0
 """Seconds that two streams need in common."""
 
 _GRID = 0.02

@@ -1,0 +1,137 @@
+"""`sceneloom sync`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import (
+    print_json,
+    print_losses,
+    print_notices,
+    print_table,
+    progress_bar,
+    several,
+)
+
+if TYPE_CHECKING:
+    from sceneloom.motion.clock import ClockEstimate
+    from sceneloom.pipeline.syncing import SyncReport
+
+
+@click.command()
+@click.argument("path", type=options.place)
+@click.option(
+    "--reference", metavar="STREAM", help="The stream whose clock is right. [default: the IMU, else …]"
+)
+@click.option("--streams", metavar="NAMES", help="The only streams to compare, with commas. [default: all]")
+@click.option(
+    "--reach",
+    type=float,
+    default=5.0,
+    show_default=True,
+    metavar="S",
+    help="Look for offsets up to S seconds.",
+)
+@click.option(
+    "--lever",
+    type=click.FloatRange(min=0),
+    default=1.0,
+    show_default=True,
+    metavar="M",
+    help="How far from the ego's origin a receiver's antenna may be.",
+)
+@click.option(
+    "--apply", "output", type=options.target, metavar="OUT", help="Write the drive with clocks corrected."
+)
+@options.part
+@options.writing_scenes
+@options.reading
+@options.printing
+def sync(
+    path: Path | str,
+    reference: str | None,
+    streams: str | None,
+    reach: float,
+    lever: float,
+    output: Path | None,
+    start: float | None,
+    stop: float | None,
+    overwrite: bool,
+    profile: str | None,
+    time_unit: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **reading: Any,
+) -> None:
+    """Tell whether the clocks of a drive's streams are in step, and put right those that are not.
+
+    Streams are IMUs, trajectories, lidars, cameras and satellite receivers. Their motion is compared: what the one
+    stream shows later than the other is the offset of their clocks, what it loses over the drive the skew.
+    """
+    from sceneloom.formats import open_scene
+    from sceneloom.pipeline.syncing import sync as sync_scene
+    from sceneloom.scene.part import cut_scene
+
+    with (
+        open_scene(path, **options.said(**reading)) as scene,
+        progress_bar("looking", quiet=quiet) as progress,
+    ):
+        report = sync_scene(
+            cut_scene(scene, start=start, stop=stop),
+            output,
+            reference=reference,
+            streams=None if streams is None else tuple(name.strip() for name in streams.split(",")),
+            reach_ns=round(reach * 1e9),
+            lever_sigma=lever,
+            progress=progress,
+            overwrite=overwrite,
+            **({} if output is None else options.said(profile=profile, time_unit=time_unit)),
+        )
+    if as_json:
+        print_json(report)
+    else:
+        _print_report(report, quiet=quiet, verbose=verbose)
+
+
+def _print_report(report: "SyncReport", *, quiet: bool, verbose: bool) -> None:
+    if not report.comparisons:
+        click.echo(
+            f"{report.source}: nothing to compare: two streams that tell of the ego's motion are needed"
+        )
+        return
+    click.echo(f"{report.source}: {several(len(report.off), 'stream')} off, against {report.reference}")
+    print_table(
+        [("stream", "against", "by", "offset [ms]", "skew [ppm]", "verdict"), *map(_row, report.comparisons)]
+    )
+    if report.output is not None:
+        for correction in report.applied:
+            skew = f", skew {correction.skew_ppm:+.1f} ppm" if correction.skew_ppm else ""
+            by_way = f" (through {correction.through})" if correction.through else ""
+            click.echo(f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{by_way}")
+        click.echo(f"written: {report.output}" + ("" if report.applied else ", as it was"))
+    if not quiet:
+        print_notices(report.notices, verbose=verbose)
+        print_losses(report.losses, verbose=verbose)
+
+
+def _row(comparison: Any) -> tuple[str, ...]:
+    estimate: ClockEstimate = comparison.estimate
+    verdict = f"{estimate.verdict}: {estimate.reason}" if estimate.reason else str(estimate.verdict)
+    return (
+        comparison.stream,
+        comparison.reference,
+        comparison.method,
+        _measured(estimate.offset_ns, estimate.offset_sigma_ns, 1e6),
+        _measured(estimate.skew_ppm, estimate.skew_sigma_ppm, 1.0),
+        verdict,
+    )
+
+
+def _measured(value: float | None, sigma: float | None, unit: float) -> str:
+    if value is None or sigma is None:
+        return "-"
+    digits = 3 if sigma / unit < 0.1 else 1
+    return f"{value / unit:+.{digits}f} ± {sigma / unit:.{digits}f}"

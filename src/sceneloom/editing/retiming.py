@@ -1,0 +1,257 @@
+"""Scenes whose streams go by other clocks: every time of a stream is moved, whatever it belongs to."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array, read_only
+from sceneloom.editing.retimed_annotations import retimed_annotation
+from sceneloom.errors import OptionError
+from sceneloom.motion.sensor_paths import camera_path, sensor_path
+from sceneloom.scene import (
+    CameraSensor,
+    DepthCameraSensor,
+    GnssSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarSensor,
+    OdometrySensor,
+    PosePath,
+    RadarFrame,
+    RadarSensor,
+    Scene,
+    Trajectory,
+)
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import same_way
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Key, key_of
+
+Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
+
+_SAME_CLOCK_NS = 10_000_000_000
+"""Point times farther from their sweep's stamp are not on its clock, and stay [ns]."""
+
+_MEASURED = "measured_timestamps_ns"
+"""The further array of deskewed points that holds times."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockCorrection:
+    """What is taken off the times of a stream: t - offset - skew (t - offset - at).
+
+    Attributes:
+        offset_ns: what the stream's stamps say too much, at `at_ns` [ns].
+        skew_ppm: how much too fast its clock runs [parts in a million].
+        at_ns: on the right clock [ns].
+    """
+
+    offset_ns: float
+    skew_ppm: float = 0.0
+    at_ns: int = 0
+
+    def right(self, timestamps_ns: Int64Array) -> Int64Array:
+        """The right times (…,) int64 [ns] of stamps of the stream, rounded to whole nanoseconds."""
+        times = np.asarray(timestamps_ns, np.int64)
+        whole_ns = round(self.offset_ns)
+        drift = self.skew_ppm * 1e-6 * (times - whole_ns - self.at_ns)
+        right: Int64Array = times - whole_ns - np.rint(drift).astype(np.int64)
+        return right
+
+    def right_ns(self, timestamp_ns: int) -> int:
+        """The right time of one stamp [ns]."""
+        return int(self.right(np.array(timestamp_ns, np.int64)))
+
+
+def retimed_scene(
+    scene: Scene,
+    *,
+    sensors: Mapping[Key, ClockCorrection] = MappingProxyType({}),
+    trajectories: Mapping[str, ClockCorrection] = MappingProxyType({}),
+) -> Scene:
+    """Give the scene with the clocks of some sensors and trajectories corrected.
+
+    All their times move: stamps, times of points, samples and fixes. Where a sensor is mounted on the ego, its poses
+    are taken anew from the default trajectory, at its right times. Annotations of one sensor go with that sensor,
+    others with the first lidar, in whose sweeps such are drawn. Frames are read and moved when asked for.
+
+    Args:
+        scene: as it is.
+        sensors: by id and its type (`scene.types.key_of`).
+        trajectories: by name.
+
+    Raises:
+        OptionError: there is no such sensor or trajectory, or it has no times.
+    """
+    known = {key_of(sensor.id): sensor for sensor in scene.sensors}
+    for key in sensors:
+        if key not in known or type(known[key]) not in _RETIMED:
+            raise OptionError(f"{scene.source}: no sensor {key[1]!r} whose times could be corrected")
+    for name in trajectories:
+        if name not in scene.trajectories:
+            raise OptionError(f"{scene.source}: no trajectory {name!r}")
+    ways = {
+        name: _trajectory(way, trajectories[name]) if name in trajectories else way
+        for name, way in scene.trajectories.items()
+    }
+    moved = [
+        _RETIMED[type(sensor)](sensor, sensors[key_of(sensor.id)]) if key_of(sensor.id) in sensors else sensor
+        for sensor in scene.sensors
+    ]
+    changed = replace(scene, sensors=tuple(_along(moved, scene, ways, trajectories)), trajectories=ways)
+    placed = [
+        _placed(sensor, changed)
+        if key_of(sensor.id) in sensors or _default_moved(scene, trajectories)
+        else sensor
+        for sensor in changed.sensors
+    ]
+    own: Mapping[Key, Callable[[Int64Array], Int64Array]] = {key: c.right for key, c in sensors.items()}
+    first = next((own.get(key_of(lidar.id)) for lidar in scene.lidars), None)
+    return replace(
+        changed,
+        sensors=tuple(placed),
+        annotations=tuple(retimed_annotation(annotation, own, first) for annotation in scene.annotations),
+        attributes=tuple(retimed_annotation(path, own, None) for path in scene.attributes),
+    )
+
+
+def _default_moved(scene: Scene, trajectories: Mapping[str, ClockCorrection]) -> bool:
+    return next(iter(scene.trajectories), None) in trajectories
+
+
+def _trajectory(way: Trajectory, correction: ClockCorrection) -> Trajectory:
+    return replace(way, timestamps_ns=read_only(correction.right(way.timestamps_ns)), file_seconds=None)
+
+
+def _cloud(sensor: Any, correction: ClockCorrection) -> Any:
+    times = correction.right(sensor.frames.timestamps_ns)
+    return replace(sensor, frames=LazyFrames(times, RetimedClouds(sensor.frames, correction)))
+
+
+def _camera(camera: CameraSensor, correction: ClockCorrection) -> CameraSensor:
+    times = correction.right(camera.pictures.timestamps_ns)
+    return replace(camera, pictures=LazyFrames(times, RetimedPictures(camera.pictures, correction)))
+
+
+def _depth_camera(camera: DepthCameraSensor, correction: ClockCorrection) -> DepthCameraSensor:
+    times = correction.right(camera.frames.timestamps_ns)
+    return replace(camera, frames=LazyFrames(times, RetimedPictures(camera.frames, correction)))
+
+
+def _imu(imu: ImuSensor, correction: ClockCorrection) -> ImuSensor:
+    streams = {
+        name: replace(
+            samples, timestamps_ns=read_only(correction.right(samples.timestamps_ns)), file_seconds=None
+        )
+        for name, samples in imu.streams.items()
+    }
+    return replace(imu, streams=MappingProxyType(streams))
+
+
+def _receiver(receiver: GnssSensor, correction: ClockCorrection) -> GnssSensor:
+    times = read_only(correction.right(receiver.timestamps_ns))
+    return replace(receiver, timestamps_ns=times, file_seconds=None)
+
+
+_RETIMED: Mapping[type, Callable[[Any, ClockCorrection], Any]] = MappingProxyType(
+    {
+        LidarSensor: _cloud,
+        RadarSensor: _cloud,
+        CameraSensor: _camera,
+        DepthCameraSensor: _depth_camera,
+        ImuSensor: _imu,
+        GnssSensor: _receiver,
+    }
+)
+"""How the times of each kind of sensor are moved."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RetimedClouds(Generic[Cloud]):
+    """Reads sweeps or radar cycles and moves their times; what `LazyFrames` asks for."""
+
+    frames: LazyFrames[Cloud]
+    correction: ClockCorrection
+
+    def __call__(self, k: int) -> Any:
+        """Read frame `k`.
+
+        Raises:
+            DataError: it cannot be read.
+        """
+        frame: Any = self.frames[k]
+        points: Any = frame.points
+        if points.timestamps_ns is not None:
+            points = replace(points, timestamps_ns=self._right(points.timestamps_ns, frame.timestamp_ns))
+        if _MEASURED in points.extras:
+            measured = self._right(np.asarray(points.extras[_MEASURED]), frame.timestamp_ns)
+            points = replace(points, extras=MappingProxyType({**points.extras, _MEASURED: measured}))
+        stamp_ns = self.correction.right_ns(frame.timestamp_ns)
+        changed: Any = replace(
+            frame, timestamp_ns=stamp_ns, points=points, extras=_without_own_times(frame.extras)
+        )
+        return changed
+
+    def _right(self, times: Int64Array, stamp_ns: int) -> Int64Array:
+        far = np.abs(times - stamp_ns) > _SAME_CLOCK_NS
+        return read_only(np.where(far, times, self.correction.right(times)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RetimedPictures:
+    """Reads pictures or depth images and moves their times; what `LazyFrames` asks for."""
+
+    pictures: LazyFrames[Any]
+    correction: ClockCorrection
+
+    def __call__(self, k: int) -> Any:
+        """Read picture `k`.
+
+        Raises:
+            DataError: its record cannot be read.
+        """
+        picture = self.pictures[k]
+        return replace(
+            picture,
+            timestamp_ns=self.correction.right_ns(picture.timestamp_ns),
+            extras=_without_own_times(picture.extras),
+        )
+
+
+def _without_own_times(extras: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Further fields of a frame without the file's own form of its time, which holds no more."""
+    return MappingProxyType({k: v for k, v in extras.items() if k not in {"file_seconds", "line_seconds"}})
+
+
+def _along(
+    sensors: list[Any], scene: Scene, ways: Mapping[str, Trajectory], corrected: Mapping[str, ClockCorrection]
+) -> list[Sensor]:
+    """Odometry sensors that tell the same way as a corrected trajectory go with it."""
+    return [
+        replace(sensor, poses=ways[name].poses)
+        if isinstance(sensor, OdometrySensor)
+        and (name := next((n for n in corrected if same_way(sensor.poses, scene.trajectories[n])), None))
+        else sensor
+        for sensor in sensors
+    ]
+
+
+def _placed(sensor: Sensor, scene: Scene) -> Sensor:
+    """A mounted sensor with its poses along the default trajectory, at its right times."""
+    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
+        return sensor
+    way = next(iter(scene.trajectories.values()), None)
+    if sensor.poses is None or sensor.mount is None or way is None or way.quaternions_xyzw is None:
+        return sensor
+    source = PoseSource(way.poses, sensor.mount, scene_period_ns(scene))
+    poses: PosePath | None
+    if isinstance(sensor, CameraSensor):
+        poses = camera_path(source, sensor.pictures)
+    else:
+        poses = sensor_path(source, sensor.frames.timestamps_ns)
+    return replace(sensor, poses=poses)

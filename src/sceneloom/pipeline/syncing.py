@@ -1,0 +1,315 @@
+"""The clocks of a drive: which streams are in step, by how much others are off, and the drive put right."""
+
+import time
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from sceneloom.editing.record import ours_of, with_notices, with_ours
+from sceneloom.editing.retiming import ClockCorrection, retimed_scene
+from sceneloom.errors import OptionError
+from sceneloom.formats.loss import LossReport
+from sceneloom.formats.output import check_output
+from sceneloom.formats.table import format_for_output, write_scene
+from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
+from sceneloom.motion.clock.scene_clocks import compare_streams
+from sceneloom.motion.clock.streams import Stream, StreamKind, streams_of
+from sceneloom.motion.clock.turning_clock import REACH_NS
+from sceneloom.motion.clock.way_clock import LEVER_SIGMA
+from sceneloom.scene import Notice, NoticeKind, Scene
+from sceneloom.scene.types import Progress, key_of
+
+_RANKS = (StreamKind.IMU, StreamKind.TRAJECTORY, StreamKind.LIDAR, StreamKind.CAMERA, StreamKind.GNSS)
+"""Which kind of stream is taken for the reference before others."""
+
+
+class ClockComparison(msgspec.Struct, frozen=True, kw_only=True):
+    """One stream against another.
+
+    Attributes:
+        stream, kind: name and kind of the stream.
+        reference: name of the other one, whose clock counts as the right one.
+        method: by what: "turning", "way", or "none".
+        estimate: what came out.
+    """
+
+    stream: str
+    kind: str
+    reference: str
+    method: str
+    estimate: ClockEstimate
+
+
+class AppliedCorrection(msgspec.Struct, frozen=True, kw_only=True):
+    """What was taken off the times of a stream: t - offset - skew (t - offset - at).
+
+    Attributes:
+        stream: its name.
+        offset_ns, skew_ppm: offset and skew against the reference.
+        at_ns: where the offset holds, on the reference's clock.
+        through: the stream through which it was compared with the reference; None: directly.
+    """
+
+    stream: str
+    offset_ns: float
+    skew_ppm: float
+    at_ns: int
+    through: str | None = None
+
+
+class SyncReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The clocks of a drive.
+
+    Attributes:
+        source: the drive.
+        reference: name of the stream whose clock counts as the right one; None where nothing could be compared.
+        comparisons: what was compared with what, each stream with the reference first.
+        off: names of the streams that are not in step with the reference.
+        output: what was written, or None.
+        applied: what was corrected in it.
+        seconds: how long it took.
+        notices: what was assumed, repaired or left out.
+        losses: what the output could not hold.
+    """
+
+    source: str
+    reference: str | None
+    comparisons: tuple[ClockComparison, ...]
+    off: tuple[str, ...]
+    output: str | None = None
+    applied: tuple[AppliedCorrection, ...] = ()
+    seconds: float = 0.0
+    notices: tuple[Notice, ...] = ()
+    losses: LossReport = LossReport()
+
+    def comparison(self, stream: str) -> ClockComparison:
+        """The comparison of a stream with the reference.
+
+        Raises:
+            OptionError: there is none.
+        """
+        for found in self.comparisons:
+            if found.stream == stream and found.reference == self.reference:
+                return found
+        known = ", ".join(c.stream for c in self.comparisons if c.reference == self.reference)
+        raise OptionError(f"{self.source}: stream {stream!r} was not compared; there are: {known or 'none'}")
+
+
+def sync(
+    scene: Scene,
+    output: str | Path | None = None,
+    *,
+    reference: str | None = None,
+    streams: Collection[str] | None = None,
+    reach_ns: int = REACH_NS,
+    lever_sigma: float = LEVER_SIGMA,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    **writing: Any,
+) -> SyncReport:
+    """Compare the clocks of a drive's streams, and write the drive with those corrected that are off.
+
+    Streams are IMUs (by their gyroscope), trajectories, lidars (by odometry), cameras (by followed corners) and
+    satellite receivers. Each is compared with the reference; what cannot be, with the first trajectory besides.
+
+    Args:
+        scene: the drive.
+        output: a recording or a scene file to write, by its suffix; None for none.
+        reference: name of the stream whose clock is right; None for the first IMU, else trajectory, lidar, ….
+        streams: names of the only streams to compare; None for all.
+        reach_ns: offsets up to this are looked for [ns].
+        lever_sigma: how far from the ego's origin a receiver's antenna may be on each axis [m].
+        progress: told while sweeps and pictures are looked at.
+        overwrite: whether an output that exists may be replaced.
+        writing: further options of the output's format.
+
+    Raises:
+        OptionError: there is no such stream.
+        OutputError: the output exists, or cannot be written.
+    """
+    begun = time.perf_counter()
+    if output is not None:
+        format_for_output(Path(output))
+        check_output(Path(output), overwrite=overwrite)
+    found = {stream.name: stream for stream in streams_of(scene)}
+    chosen = _chosen(scene, found, reference, streams)
+    comparisons = _compared(chosen, found, reach_ns, lever_sigma, progress)
+    right = chosen[0].name if chosen else None
+    applied = _corrections(comparisons, right)
+    report = SyncReport(
+        source=scene.source,
+        reference=right,
+        comparisons=comparisons,
+        off=tuple(c.stream for c in comparisons if c.reference == right and c.estimate.is_off),
+        notices=scene.notices,
+    )
+    if output is not None:
+        corrected = corrected_scene(scene, applied, reference=right)
+        losses = write_scene(corrected, output, overwrite=overwrite, **writing)
+        report = msgspec.structs.replace(
+            report, output=str(output), applied=applied, notices=corrected.notices, losses=losses
+        )
+    return msgspec.structs.replace(report, seconds=time.perf_counter() - begun)
+
+
+def corrected_scene(
+    scene: Scene, corrections: Collection[AppliedCorrection], *, reference: str | None = None
+) -> Scene:
+    """Give the scene with corrections applied; each stands in a notice, all in `metadata.sceneloom.clocks`.
+
+    Args:
+        corrections: by the names that `sync` gives streams.
+        reference: the stream against which they were found.
+
+    Raises:
+        OptionError: there is no such stream.
+    """
+    found = {stream.name: stream for stream in streams_of(scene)}
+    sensors, ways = {}, {}
+    for correction in corrections:
+        stream = found.get(correction.stream)
+        if stream is None:
+            raise OptionError(f"{scene.source}: no stream {correction.stream!r}; there are: {_listed(found)}")
+        clock = ClockCorrection(correction.offset_ns, correction.skew_ppm, correction.at_ns)
+        if stream.kind is StreamKind.TRAJECTORY:
+            ways[stream.source.name] = clock
+        else:
+            sensors[key_of(stream.source.id)] = clock
+    if not corrections:
+        return scene
+    changed = retimed_scene(scene, sensors=sensors, trajectories=ways)
+    entries = [{**msgspec.to_builtins(c), "reference": reference} for c in corrections]
+    told = with_ours(changed, clocks=[*(ours_of(scene).get("clocks") or ()), *entries])
+    return with_notices(told, [_notice(c, reference) for c in corrections])
+
+
+def _chosen(
+    scene: Scene, found: Mapping[str, Stream], reference: str | None, names: Collection[str] | None
+) -> list[Stream]:
+    """The reference, and the streams to be compared with it."""
+    for name in (*([reference] if reference else ()), *(names or ())):
+        if name not in found:
+            raise OptionError(f"{scene.source}: no stream {name!r}; there are: {_listed(found)}")
+    wanted = [stream for stream in found.values() if names is None or stream.name in names]
+    if reference is not None:
+        first = found[reference]
+    elif wanted:
+        first = min(found.values(), key=lambda stream: _RANKS.index(stream.kind))
+    else:
+        return []
+    return [first, *(stream for stream in wanted if stream is not first)]
+
+
+def _compared(
+    chosen: list[Stream],
+    found: Mapping[str, Stream],
+    reach_ns: int,
+    lever_sigma: float,
+    progress: Progress | None,
+) -> tuple[ClockComparison, ...]:
+    """Each stream with the reference; and with the first trajectory what tells nothing against that."""
+    if not chosen:
+        return ()
+    first, *others = chosen
+    second = next((s for s in found.values() if s.kind is StreamKind.TRAJECTORY and s is not first), None)
+    comparisons: list[ClockComparison] = []
+
+    def compare(against: Stream, stream: Stream) -> ClockComparison:
+        method, estimate = compare_streams(
+            against, stream, reach_ns=reach_ns, lever_sigma=lever_sigma, progress=progress
+        )
+        comparisons.append(
+            ClockComparison(
+                stream=stream.name,
+                kind=stream.kind,
+                reference=against.name,
+                method=method,
+                estimate=estimate,
+            )
+        )
+        return comparisons[-1]
+
+    later = [
+        stream
+        for stream in others
+        if compare(first, stream).estimate.verdict is ClockVerdict.NOT_OBSERVABLE
+        or stream.kind is StreamKind.GNSS
+    ]
+    if second is not None:
+        for stream in later:
+            if stream is not second:
+                compare(second, stream)
+    return tuple(comparisons)
+
+
+def _corrections(
+    comparisons: Collection[ClockComparison], reference: str | None
+) -> tuple[AppliedCorrection, ...]:
+    """What streams that are off are off against the reference, found directly, or through the first trajectory."""
+    direct = {c.stream: c for c in comparisons if c.reference == reference}
+    indirect = {c.stream: c for c in comparisons if c.reference != reference}
+    found = []
+    for stream, comparison in direct.items():
+        other = indirect.get(stream)
+        if other is not None and _is_better(other, direct.get(other.reference), comparison):
+            found += _through(other, direct[other.reference])
+        elif comparison.estimate.is_off:
+            found.append(_correction(comparison))
+    return tuple(found)
+
+
+def _is_better(other: ClockComparison, link: ClockComparison | None, direct: ClockComparison) -> bool:
+    """Whether a stream is known better through another one."""
+    if link is None or ClockVerdict.NOT_OBSERVABLE in {other.estimate.verdict, link.estimate.verdict}:
+        return False
+    if direct.estimate.verdict is ClockVerdict.NOT_OBSERVABLE:
+        return True
+    parts = [e.estimate.offset_sigma_ns or 0.0 for e in (other, link)]
+    return bool(sum(s * s for s in parts) < (direct.estimate.offset_sigma_ns or 0.0) ** 2)
+
+
+def _correction(comparison: ClockComparison) -> AppliedCorrection:
+    estimate = comparison.estimate
+    return AppliedCorrection(
+        stream=comparison.stream,
+        offset_ns=estimate.offset_ns or 0.0,
+        skew_ppm=_skew(estimate),
+        at_ns=estimate.at_ns,
+    )
+
+
+def _through(other: ClockComparison, link: ClockComparison) -> list[AppliedCorrection]:
+    """The sum of two corrections of which either is one; each counts only where it is off."""
+    parts = [comparison.estimate for comparison in (other, link) if comparison.estimate.is_off]
+    if not parts:
+        return []
+    at_ns = link.estimate.at_ns
+    offset_ns = sum((part.offset_ns or 0.0) + _skew(part) * 1e-6 * (at_ns - part.at_ns) for part in parts)
+    return [
+        AppliedCorrection(
+            stream=other.stream,
+            offset_ns=offset_ns,
+            skew_ppm=sum(map(_skew, parts)),
+            at_ns=at_ns,
+            through=other.reference,
+        )
+    ]
+
+
+def _skew(estimate: ClockEstimate) -> float:
+    """The skew that is corrected: one that is surely there."""
+    sure = estimate.skew_ppm is not None and abs(estimate.skew_ppm) > 3 * (estimate.skew_sigma_ppm or 0.0)
+    return float(estimate.skew_ppm or 0.0) if sure else 0.0
+
+
+def _notice(correction: AppliedCorrection, reference: str | None) -> Notice:
+    message = f"its times were moved by {-correction.offset_ns / 1e6:+.3f} ms against {reference!r}" + (
+        f", its clock slowed by {correction.skew_ppm:.1f} ppm" if correction.skew_ppm else ""
+    )
+    return Notice(kind=NoticeKind.REPAIRED, code="clock-corrected", place=correction.stream, message=message)
+
+
+def _listed(found: Mapping[str, Stream]) -> str:
+    return ", ".join(found) or "none"

@@ -47,14 +47,14 @@ def _nowhere(stream: Stream) -> BoolArray:
 
 
 def _tell(
-    subject: Subject, stream: Stream, wrong: BoolArray, column: str, values: Float64Array, expected: str
+    stream: Stream, wrong: BoolArray, column: str, values: Float64Array, expected: str
 ) -> Iterator[Hit]:
     rows = np.flatnonzero(wrong)
     if len(rows):
         row = int(rows[0])
         many = f" ({len(rows)} of {len(stream)} fixes)" if len(rows) > 1 else ""
         problem = f"{stream.at(row)}: {column} {_shown(values[row])}{many}; expected {expected}"
-        yield Hit(place(subject, stream, row), problem, len(rows))
+        yield Hit(place(stream, row), problem, len(rows))
 
 
 def _shown(value: Float64Array) -> str:
@@ -67,14 +67,14 @@ def _off_the_earth(subject: Subject) -> Iterator[Hit]:
         expected = "degrees within 90 and 180"
         if (wrong & (np.abs(places[:, 0]) <= 180) & (np.abs(places[:, 1]) <= 90)).any():
             expected += ": are latitude and longitude exchanged?"
-        yield from _tell(subject, stream, wrong, "latitude, longitude", places, expected)
+        yield from _tell(stream, wrong, "latitude, longitude", places, expected)
 
 
 def _at_zero(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GNSS):
         places, nowhere = stream.values[:, :2], _nowhere(stream)
         expected = "a place: receivers write 0, 0 before they know one"
-        yield from _tell(subject, stream, nowhere, "latitude, longitude", places, expected)
+        yield from _tell(stream, nowhere, "latitude, longitude", places, expected)
         others = places[~nowhere]
         if len(others) and (np.abs(others) <= _RADIANS).all():
             problem = f"all latitudes and longitudes are {_shown(others[0])} or near it: are these radians?"
@@ -88,7 +88,7 @@ def _altitudes(subject: Subject) -> Iterator[Hit]:
         expected = f"{LOWEST:g} to {HIGHEST:g} m"
         if len(altitudes) and HIGHEST < abs(float(np.median(altitudes))) <= 1000 * HIGHEST:
             expected += ": is it in millimetres?"
-        yield from _tell(subject, stream, wrong, "altitude", altitudes, expected)
+        yield from _tell(stream, wrong, "altitude", altitudes, expected)
 
 
 def _accuracies(subject: Subject) -> Iterator[Hit]:
@@ -97,7 +97,7 @@ def _accuracies(subject: Subject) -> Iterator[Hit]:
             said = stream.values[:, column]
             wrong = ~np.isnan(said) & ~((said > 0) & (said <= WORST_ACCURACY))
             expected = f"more than 0 and at most {WORST_ACCURACY:g} m, or none where it is not known"
-            yield from _tell(subject, stream, wrong, name, said, expected)
+            yield from _tell(stream, wrong, name, said, expected)
 
 
 def _jumps(subject: Subject) -> Iterator[Hit]:
@@ -117,7 +117,7 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
         too_far[1:] &= ~peaks[:-1]
         for k in np.flatnonzero(peaks | too_far).tolist():
             row = int(rows[k])
-            yield Hit(place(subject, stream, row), _told(stream, row, seconds, places, sigmas, off, k))
+            yield Hit(place(stream, row), _told(stream, row, seconds, places, sigmas, off, k))
 
 
 def _told(

@@ -51,7 +51,7 @@ def _far_from_imu(subject: Subject) -> Iterator[Hit]:
                 f"{camera.at(row)} is {distances[row]:.3f} s from the nearest sample of the {imu.name}, others up to "
                 f"{worst:.3f} s ({len(far)} of {len(camera)} pictures); expected at most {limit:.3f} s"
             )
-            yield Hit(place(subject, camera, row), problem, len(far))
+            yield Hit(place(camera, row), problem, len(far))
 
 
 def _at_samples(subject: Subject) -> Iterator[Hit]:
@@ -65,7 +65,7 @@ def _at_samples(subject: Subject) -> Iterator[Hit]:
                     f"{share:.0%} of the pictures have the very time of a sample of the {imu.name}, "
                     f"the first is {camera.at(row)}"
                 )
-                yield Hit(place(subject, camera, row), problem, int(same.sum()))
+                yield Hit(place(camera, row), problem, int(same.sum()))
                 break
 
 

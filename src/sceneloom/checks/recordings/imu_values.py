@@ -68,10 +68,10 @@ def _wrong_unit_of_pull(subject: Subject) -> Iterator[Hit]:
 def _hard_pulls(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.ACCELEROMETER):
         if _pull_is_plausible(_mean_pull(stream)):
-            yield from _beyond(subject, stream, HARDEST_PULL, "m/s²")
+            yield from _beyond(stream, HARDEST_PULL, "m/s²")
 
 
-def _beyond(subject: Subject, stream: Stream, limit: float, unit: str) -> Iterator[Hit]:
+def _beyond(stream: Stream, limit: float, unit: str) -> Iterator[Hit]:
     """Tell the samples that are longer than a limit, in the place of the first."""
     lengths = magnitudes(stream)
     rows = np.flatnonzero(~(lengths <= limit))
@@ -80,7 +80,7 @@ def _beyond(subject: Subject, stream: Stream, limit: float, unit: str) -> Iterat
         problem = f"{stream.at(row)} is {lengths[row]:.4g} {unit} long; expected at most {limit:g}"
         if len(rows) > 1:
             problem += f"; the longest of {len(rows)} is {lengths.max():.4g}"
-        yield Hit(place(subject, stream, row), problem, len(rows))
+        yield Hit(place(stream, row), problem, len(rows))
 
 
 def _noise(subject: Subject) -> Iterator[Hit]:
@@ -127,7 +127,7 @@ def _wrong_unit_of_turns(subject: Subject) -> Iterator[Hit]:
 def _fast_turns(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GYROSCOPE):
         if not turns_too_long(stream):
-            yield from _beyond(subject, stream, FASTEST_TURN, "rad/s")
+            yield from _beyond(stream, FASTEST_TURN, "rad/s")
 
 
 RULES: tuple[Rule, ...] = (

@@ -90,7 +90,7 @@ def _out_of_range(kind: Kind) -> Find:
                     f"{limits.lowest:g} to {limits.highest:g} {limits.unit}"
                 )
                 guess = _other_unit(float(np.median(values)), limits.others)
-                yield Hit(place(subject, stream, row), f"{problem}{guess}", len(wrong))
+                yield Hit(place(stream, row), f"{problem}{guess}", len(wrong))
 
     return find
 
@@ -120,7 +120,7 @@ def _hanging(subject: Subject) -> Iterator[Hit]:
                 f"{stream.at(row)} has the very values of the sample before, as have {share:.1%} of all; "
                 f"expected at most {_REPEATING[stream.kind]:.0%}"
             )
-            yield Hit(place(subject, stream, row), problem, same.size)
+            yield Hit(place(stream, row), problem, same.size)
 
 
 def _repeated(stream: Stream) -> np.ndarray:

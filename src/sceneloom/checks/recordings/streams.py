@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.checks.recordings.line_numbers import LINED_KEYS, LineNumbers
 from sceneloom.checks.subject import Subject
-from sceneloom.formats.recording.columns import Columns, RecordingColumns, is_sorted, time_order
+from sceneloom.formats.recording.columns import Columns, LineLog, RecordingColumns, is_sorted, time_order
+from sceneloom.formats.recording.number_sensors import RECEIVER, imu_streams, receivers
 
 DATA_FILE = "data.jsonl"
 
@@ -53,17 +53,29 @@ class Stream:
         kind: what it is of.
         file_seconds: (N,) float64 [s], in the order of the file.
         file_values: (N, K) float64 in the order of the file; None for pictures and sweeps.
-        file_lines: (N,) int64, line of each in the order of the file; None where it has to be looked up.
+        code: of the stream in `log`.
+        log: which line each sample was read from.
+        known_lines: (N,) int64, line of each in the order of the file, where that is known beforehand.
     """
 
     name: str
     kind: Kind
     file_seconds: Float64Array
     file_values: Float64Array | None = None
-    file_lines: Int64Array | None = None
+    code: int = 0
+    log: LineLog | None = None
+    known_lines: Int64Array | None = None
 
     def __len__(self) -> int:
         return len(self.file_seconds)
+
+    @cached_property
+    def file_lines(self) -> Int64Array | None:
+        """(N,) int64, line of each in the order of the file; None where it cannot be told."""
+        if self.known_lines is not None or self.log is None:
+            return self.known_lines
+        lines = self.log.lines_of(self.code)
+        return lines if len(lines) == len(self) else None
 
     @cached_property
     def order(self) -> Int64Array:
@@ -117,23 +129,15 @@ def streams_of_kind(subject: Subject, *kinds: Kind) -> Iterator[Stream]:
     return (stream for stream in streams_of(subject) if stream.kind in kinds)
 
 
-def place(subject: Subject, stream: Stream, row: int) -> str:
+def place(stream: Stream, row: int) -> str:
     """Where a sample stands: its line, if that is known; `row` counts in the order of `seconds`."""
-    return place_in_file(subject, stream, int(stream.order[row]))
+    return place_in_file(stream, int(stream.order[row]))
 
 
-def place_in_file(subject: Subject, stream: Stream, row: int) -> str:
+def place_in_file(stream: Stream, row: int) -> str:
     """As `place`; `row` counts in the order of the file."""
     lines = stream.file_lines
-    if lines is None:
-        lines = subject.table("lines of the recording", _line_numbers).of(stream.name, stream.file_seconds)
     return stream.whole if lines is None else f"{DATA_FILE}: line {lines[row]}"
-
-
-def _line_numbers(subject: Subject) -> LineNumbers:
-    if subject.recording is None:
-        return LineNumbers()
-    return LineNumbers.read(subject.recording.folder / DATA_FILE)
 
 
 def _make_streams(subject: Subject) -> tuple[Stream, ...]:
@@ -150,32 +154,33 @@ def _frames(columns: RecordingColumns) -> Iterator[Stream]:
         there = np.asarray(camera.missing, np.int8) == 0
         rows = np.asarray(camera.rows, np.int64)[there]
         seconds = np.asarray(camera.seconds, np.float64)[there]
-        yield Stream(f"camera{index}", Kind.CAMERA, seconds, file_lines=lines[rows])
+        yield Stream(f"camera{index}", Kind.CAMERA, seconds, known_lines=lines[rows])
 
 
 def _lidars(columns: RecordingColumns) -> Iterator[Stream]:
     for index, lidar in sorted(columns.lidars.items()):
         name = f"lidar{index}" if len(columns.lidars) > 1 else "lidar"
         seconds, lines = np.asarray(lidar.sweeps.seconds), np.asarray(lidar.lines, np.int64)
-        yield Stream(name, Kind.LIDAR, seconds, file_lines=lines)
+        yield Stream(name, Kind.LIDAR, seconds, known_lines=lines)
 
 
 def _sensors(columns: RecordingColumns) -> Iterator[Stream]:
-    for name, stream in columns.sensors.items():
-        yield _of_columns(name, Kind.of_sensor(name), stream)
+    for name, stream in imu_streams(columns).items():
+        yield _of_columns(name, Kind.of_sensor(name), stream, columns.log)
 
 
 def _fixes(columns: RecordingColumns) -> Iterator[Stream]:
-    yield _of_columns(LINED_KEYS[0], Kind.GNSS, columns.gnss)
+    for name, (_, stream) in receivers(columns).items():
+        yield _of_columns("gps" if name == RECEIVER else name, Kind.GNSS, stream, columns.log)
 
 
 def _poses(columns: RecordingColumns) -> Iterator[Stream]:
     for (root, name), poses in columns.poses.items():
         told = name if name == root or not root else f"{root} {name}"
-        yield _of_columns(told, Kind.POSES, poses.samples, np.asarray(poses.lines, np.int64))
+        yield _of_columns(told, Kind.POSES, poses.samples, columns.log)
 
 
-def _of_columns(name: str, kind: Kind, columns: Columns, lines: Int64Array | None = None) -> Stream:
+def _of_columns(name: str, kind: Kind, columns: Columns, log: LineLog) -> Stream:
     seconds = np.asarray(columns.seconds, np.float64)
     values = np.asarray(columns.values, np.float64).reshape(len(seconds), columns.width)
-    return Stream(name, kind, seconds, values, lines)
+    return Stream(name, kind, seconds, values, columns.code, log)

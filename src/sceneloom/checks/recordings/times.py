@@ -5,8 +5,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray
-from sceneloom.checks.recordings.streams import Kind, Stream, place, place_in_file, streams_of
+from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.checks.recordings.streams import DATA_FILE, Kind, Stream, place, place_in_file, streams_of
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import Severity
@@ -60,14 +60,23 @@ def _out_of_order(subject: Subject) -> Iterator[Hit]:
                 f"{stream.name} at {stream.file_seconds[row]:.6f} s comes after the one at "
                 f"{stream.file_seconds[row - 1]:.6f} s; such steps go back by up to {-steps.min():.6f} s"
             )
-            yield Hit(place_in_file(subject, stream, row), problem, len(back))
-    for notice in subject.remarks:
-        if notice.code == "lines-sorted" and subject.recording is not None and not is_told:
-            where = notice.place.removeprefix(f"{subject.recording.folder}/")
-            problem = (
-                "the time is earlier than that of the line before, while each stream by itself is in order"
-            )
-            yield Hit(where, problem, notice.count)
+            yield Hit(place_in_file(stream, row), problem, len(back))
+    if subject.recording is not None and not is_told:
+        yield from _lines_out_of_order(subject.recording.columns.line_seconds())
+
+
+def _lines_out_of_order(seconds: Float64Array) -> Iterator[Hit]:
+    """Lines that go back in time, while each stream by itself is in order."""
+    lines = np.flatnonzero(np.isfinite(seconds))
+    steps = np.diff(seconds[lines])
+    back = np.flatnonzero(steps < 0)
+    if len(back):
+        before, line = lines[back[0]], lines[back[0] + 1]
+        problem = (
+            f"{seconds[line]:.6f} s comes after {seconds[before]:.6f} s; such steps go back by up to "
+            f"{-steps.min():.6f} s, while each stream by itself is in order"
+        )
+        yield Hit(f"{DATA_FILE}: line {line + 1}", problem, len(back))
 
 
 def _of_one_time(subject: Subject) -> Iterator[Hit]:
@@ -76,7 +85,7 @@ def _of_one_time(subject: Subject) -> Iterator[Hit]:
         if len(same):
             row = int(same[0]) + 1
             problem = f"{stream.at(row)} has the time of the one before; expected a time of its own"
-            yield Hit(place(subject, stream, row), problem, len(same))
+            yield Hit(place(stream, row), problem, len(same))
 
 
 def _gap_threshold(stream: Stream, period: float) -> float:
@@ -100,7 +109,7 @@ def _gaps(*, irregular: bool) -> Find:
                     f"{stream.at(row)}: {length:.6f} s to the next, {period:.6f} s usually; "
                     f"{missing} {'seems' if missing == 1 else 'seem'} missing"
                 )
-                yield Hit(place(subject, stream, row), problem)
+                yield Hit(place(stream, row), problem)
 
     return find
 

@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.formats.recording.line_order import LineOrder
 from sceneloom.formats.recording.number_texts import exact_seconds
 
 _BLOCK = 2048
@@ -22,13 +23,23 @@ class LineStream(Protocol):
     Attributes:
         timestamps_ns: (N,) int64 [ns], ascending.
         seconds: (N,) float64 [s], the numbers that stand in the lines, or what is known of them.
+        name: of the stream.
     """
 
     @property
-    def timestamps_ns(self) -> Int64Array: ...  # noqa: D102 - said above
+    def name(self) -> str:
+        """As above."""
+        ...
 
     @property
-    def seconds(self) -> Float64Array: ...  # noqa: D102 - said above
+    def timestamps_ns(self) -> Int64Array:
+        """As above."""
+        ...
+
+    @property
+    def seconds(self) -> Float64Array:
+        """As above."""
+        ...
 
     def lines(self, start: int, stop: int) -> Iterator[str]:
         """Make the lines of some rows; called for all rows, in order."""
@@ -46,13 +57,15 @@ class WrittenLine(NamedTuple):
 class OneByOne:
     """A stream of lines that are made one after the other, whose numbers are known then only."""
 
-    def __init__(self, timestamps_ns: Int64Array, lines: Iterable[WrittenLine]) -> None:
+    def __init__(self, timestamps_ns: Int64Array, lines: Iterable[WrittenLine], name: str = "") -> None:
         """Begin.
 
         Args:
             timestamps_ns: (N,) int64 [ns], ascending.
             lines: as many, with these times.
+            name: of the stream.
         """
+        self.name = name
         self.timestamps_ns = timestamps_ns
         self.seconds = exact_seconds(timestamps_ns)
         self._lines = iter(lines)
@@ -65,19 +78,31 @@ class OneByOne:
             yield line.text
 
 
-def merged_lines(streams: Sequence[LineStream]) -> Iterator[list[str]]:
-    """Give the lines of all streams, block after block."""
+def merged_lines(
+    streams: Sequence[LineStream], order_of_ties: LineOrder | None = None
+) -> Iterator[list[str]]:
+    """Give the lines of all streams, block after block.
+
+    Args:
+        streams: in the order of lines of one time, where nothing else is known.
+        order_of_ties: what is known of it.
+    """
     stamps = np.concatenate([stream.timestamps_ns for stream in streams] or [np.zeros(0, np.int64)])
     known = np.concatenate([stream.seconds for stream in streams] or [np.zeros(0)])
     ranks = np.repeat(np.arange(len(streams)), [len(stream.timestamps_ns) for stream in streams])
-    order = np.lexsort((known, stamps))
-    stamps, ranks, known = stamps[order], ranks[order], known[order]
+    found = (order_of_ties or LineOrder()).places(
+        [stream.name for stream in streams], [stream.timestamps_ns for stream in streams]
+    )
+    places = np.concatenate([*found, np.zeros(0, np.int64)])
+    order = np.lexsort((places, known, stamps))
+    stamps, ranks, known, places = stamps[order], ranks[order], known[order], places[order]
     done = np.zeros(len(streams), np.int64)
     start = 0
     while start < len(stamps):
         stop = _end_of_block(stamps, start)
         counts = np.bincount(ranks[start:stop], minlength=len(streams))
-        yield _block(streams, done, counts, stamps[start:stop], ranks[start:stop], known[start:stop])
+        span = slice(start, stop)
+        yield _block(streams, done, counts, stamps[span], ranks[span], known[span], places[span])
         done += counts
         start = stop
 
@@ -95,6 +120,7 @@ def _block(
     stamps: Int64Array,
     ranks: Int64Array,
     known: Float64Array,
+    places: Int64Array,
 ) -> list[str]:
     spans = [slice(begin, begin + count) for begin, count in zip(done.tolist(), counts.tolist(), strict=True)]
     makers = [stream.lines(span.start, span.stop) for stream, span in zip(streams, spans, strict=True)]
@@ -104,4 +130,4 @@ def _block(
         told[ranks == rank] = stream.seconds[span]
     if np.array_equal(told, known):
         return lines
-    return [lines[k] for k in np.lexsort((ranks, told, stamps)).tolist()]
+    return [lines[k] for k in np.lexsort((places, told, stamps)).tolist()]

@@ -72,9 +72,8 @@ def _of_cameras(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Los
 
 
 def _of_repeated(scene: Scene) -> Iterator[Loss]:
-    for kind in (ImuSensor, GnssSensor):
-        for sensor in [sensor for sensor in scene.sensors if isinstance(sensor, kind)][1:]:
-            yield Loss(field=f"sensors[{sensor.id}]", what=f"left out: the format has one {sensor.type} only")
+    for sensor in [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)][1:]:
+        yield Loss(field=f"sensors[{sensor.id}]", what=f"left out: the format has one {sensor.type} only")
 
 
 def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
@@ -84,7 +83,7 @@ def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
         "camera": cameras,
         "lidar": lidars,
         "imu": [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)][:1],
-        "gnss": [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)][:1],
+        "gnss": main_receiver([sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]),
     }
     for name, sensors in names.items():
         for index, sensor in enumerate(sensors):
@@ -92,6 +91,12 @@ def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
             found = f"{name}{index}" if numbered else name
             if sensor.id != found:
                 yield Loss(field=f"sensors[{sensor.id}].id", what=f"read back as {found!r}")
+
+
+def main_receiver(receivers: Sequence[GnssSensor]) -> list[GnssSensor]:
+    """Give the one whose lines are `gps` lines: the one that is called so, else the first that has no other name."""
+    others = [sensor for sensor in receivers if sensor.id != "rtkgps"]
+    return [sensor for sensor in others if sensor.id == "gnss"][:1] or others[:1]
 
 
 def _of_default(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Loss]:

@@ -14,15 +14,18 @@ from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
+from sceneloom.formats.recording.kept_texts import SharedLines, other_lines
+from sceneloom.formats.recording.line_order import FRAMES, OTHER, SHARED
+from sceneloom.formats.recording.line_templates import example_of
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, merged_lines
 from sceneloom.formats.recording.place import DATA_FILE
 from sceneloom.formats.recording.writing_plan import WritingPlan
 from sceneloom.formats.recording.written_calibration import camera_entry, cropped, lidar_entry
 from sceneloom.formats.recording.written_frames import FrameLines, group_pictures, grouping_losses
-from sceneloom.formats.recording.written_lines import NumberLines, other_lines
+from sceneloom.formats.recording.written_lines import NumberLines, receiver_origin
 from sceneloom.formats.recording.written_pictures import PICTURES, PictureSink, open_sink
 from sceneloom.formats.recording.written_shots import shots_of
-from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter
+from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter, sweep_stream
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.scene import GnssSensor, ImuSensor, Scene
 from sceneloom.scene.assumed_lenses import check_lenses
@@ -103,10 +106,15 @@ class _RecordingWriter:
             frames = FrameLines(
                 plan.cameras, sinks, rows, self._times, keep_extras=plan.scene.format == "recording"
             )
-            sweeps = self._sweep_writers()
+            pictures = frames.stream()
+            shared = SharedLines(plan.notes.shared_lines, self._hosts(pictures))
+            self._numbers = NumberLines(
+                self._times, plan.notes.further_keys, forms=plan.notes.line_forms, shared=shared
+            )
+            sweeps = self._sweep_writers(shared)
             # of one time, the small lines come first: a filter then knows all up to a picture when it gets it
             self._write_lines(
-                [*self._number_streams(), *(sweep.stream() for sweep in sweeps), frames.stream()]
+                [*self._number_streams(shared), *(sweep.stream() for sweep in sweeps), pictures]
             )
             for sink in sinks:
                 sink.close()
@@ -124,31 +132,41 @@ class _RecordingWriter:
             stack.callback(sinks[-1].abandon)
         return sinks
 
-    def _sweep_writers(self) -> list[SweepWriter]:
+    def _hosts(self, pictures: LineStream) -> dict[str, Int64Array]:
+        """Times of pictures and sweeps, by the names of their streams."""
+        lidars = self._plan.lidars
+        sweeps = {sweep_stream(lidar, k): lidar.frames.timestamps_ns for k, lidar in enumerate(lidars)}
+        return {FRAMES: pictures.timestamps_ns, **sweeps}
+
+    def _sweep_writers(self, shared: SharedLines) -> list[SweepWriter]:
         plan = self._plan
         writers = []
         for index, lidar in enumerate(plan.lidars):
-            mount = plan.mounts[len(plan.cameras) + index]
-            further = plan.notes.further_keys.get(f"lidars.{lidar.extras.get('lidarInd', index)}", {})
+            mount, name = plan.mounts[len(plan.cameras) + index], sweep_stream(lidar, index)
+            further = {**plan.notes.further_keys.get(name, {}), **shared.texts_for(name)}
+            example = example_of(plan.notes.line_forms.get(name))
             writers.append(
-                SweepWriter(lidar, index, mount, plan.ego_path, self._folder, self._times, further)
+                SweepWriter(lidar, index, mount, plan.ego_path, self._folder, self._times, further, example)
             )
         return writers
 
-    def _number_streams(self) -> list[LineStream]:
-        plan, lines = self._plan, self._numbers
+    def _number_streams(self, shared: SharedLines) -> list[LineStream]:
+        plan, lines, notes = self._plan, self._numbers, self._plan.notes
         imus = [sensor for sensor in plan.scene.sensors if isinstance(sensor, ImuSensor)]
         receivers = [sensor for sensor in plan.scene.sensors if isinstance(sensor, GnssSensor)]
         streams = [lines.trajectory(trajectory, origin) for trajectory, origin in plan.trajectories]
         streams += [stream for sensor in imus[:1] for stream in lines.imu(sensor)]
-        streams += [lines.gnss(sensor) for sensor in receivers[:1]]
-        others = other_lines(plan.notes.other_lines)
-        stamps = np.array([line.timestamp_ns for line in others], np.int64)
-        return [*streams, OneByOne(stamps, others)]
+        for sensor in receivers:
+            streams.append(lines.gnss(sensor, receiver_origin(sensor, notes.receiver_origins, receivers)))
+        texts = {SHARED: shared.lines(), OTHER: other_lines(notes.other_lines, notes.other_seconds)}
+        for name, kept in texts.items():
+            stamps = np.array([line.timestamp_ns for line in kept], np.int64)
+            streams.append(OneByOne(stamps, kept, name))
+        return streams
 
     def _write_lines(self, streams: Sequence[LineStream]) -> None:
         with (self._folder / DATA_FILE).open("wb") as file:
-            for lines in merged_lines(streams):
+            for lines in merged_lines(streams, self._plan.notes.line_order):
                 file.write("\n".join([*lines, ""]).encode())
         if not any(len(stream.timestamps_ns) for stream in streams):
             raise OptionError(f"{self._plan.scene.source}: holds nothing that a recording could hold")

@@ -8,6 +8,8 @@ import msgspec
 
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.kept_texts import SharedText
+from sceneloom.formats.recording.line_order import LineOrder
 from sceneloom.formats.recording.unwritten import unwritten
 from sceneloom.formats.recording.written_calibration import mounting
 from sceneloom.formats.recording.written_shots import ShootingSensor, shooting_sensors, shots_of
@@ -23,15 +25,25 @@ class RecordingNotes(msgspec.Struct):
         calibration: all of `calibration.json`.
         vio_config: the text of `vio_config.yaml`.
         other_lines: lines that a scene has no place for.
-        further_keys: by stream and time [ns], the text of a line that says more than its sample.
+        other_seconds: by index in `other_lines`, the time of the line before [s], for lines without one.
+        further_keys: by stream and key of a row, the text of a line that says more than its sample.
+        shared_lines: lines that several streams have a part in.
         trajectory_origins: root key and name of trajectories that were renamed.
+        receiver_origins: root key and name of satellite receivers that were renamed.
+        line_forms: by stream, a line with the order of keys that it has.
+        line_order: of lines of one time.
     """
 
     calibration: dict[str, Any] = {}
     vio_config: str | None = None
     other_lines: list[str] = []
+    other_seconds: dict[str, float] = {}
     further_keys: dict[str, dict[str, str]] = {}
+    shared_lines: list[SharedText] = []
     trajectory_origins: dict[str, tuple[str, str]] = {}
+    receiver_origins: dict[str, tuple[str, str]] = {}
+    line_forms: dict[str, str] = {}
+    line_order: LineOrder = msgspec.field(default_factory=LineOrder)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

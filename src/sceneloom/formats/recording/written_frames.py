@@ -7,6 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.line_order import FRAMES
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
 from sceneloom.formats.recording.written_calibration import lens_entry, lens_losses, matrix_entry
 from sceneloom.formats.recording.written_lines import make_line
@@ -98,7 +99,7 @@ class FrameLines:
         for column, sensor in enumerate(self._sensors):
             there = self._rows[:, column] >= 0
             stamps[there, column] = shots_of(sensor).timestamps_ns[self._rows[there, column]]
-        return OneByOne(stamps.min(axis=1, initial=np.iinfo(np.int64).max), self._lines())
+        return OneByOne(stamps.min(axis=1, initial=np.iinfo(np.int64).max), self._lines(), FRAMES)
 
     def _lines(self) -> Iterator[WrittenLine]:
         for number, row in enumerate(self._rows.tolist()):

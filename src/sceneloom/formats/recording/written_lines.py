@@ -1,7 +1,7 @@
-"""The lines of sensors that are numbers only: IMU, GNSS, trajectories; and lines that are kept as they were."""
+"""The lines of sensors that are numbers only: IMU, GNSS, trajectories."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -9,29 +9,42 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS
+from sceneloom.formats.recording.kept_texts import SharedLines, completed, rows_of
 from sceneloom.formats.recording.line_shapes import ROOT_KEYS
+from sceneloom.formats.recording.line_templates import (
+    ROW,
+    TIME,
+    LineTemplate,
+    Slot,
+    arranged,
+    example_of,
+    line_template,
+)
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
+from sceneloom.formats.recording.number_sensors import BAROMETER, GPS_ORIGIN, RECEIVER
 from sceneloom.formats.recording.number_texts import number_texts, row_texts, written_seconds
+from sceneloom.formats.recording.unwritten import main_receiver
 from sceneloom.formats.recording.written_times import TimeWriter, writing_order
 from sceneloom.scene import GnssSensor, ImuSensor, Trajectory, VectorSamples
 
 AXES: Mapping[str, int] = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3}
 """Sensors whose samples must have that many values, lest the vendor's software refuses them."""
 
-_BEFORE_ALL = -(2**63)
-
 _encode = msgspec.json.Encoder().encode
-_decode_raw = msgspec.json.Decoder(dict[str, msgspec.Raw]).decode
 
 
 def make_line(
-    fields: Mapping[str, Any], timestamp_ns: int, times: TimeWriter, file_seconds: float | None = None
+    fields: Mapping[str, Any],
+    timestamp_ns: int,
+    times: TimeWriter,
+    file_seconds: float | None = None,
+    *,
+    example: Mapping[str, Any] | None = None,
 ) -> WrittenLine:
-    """Put the time to the fields of a line."""
+    """Put the time to the fields of a line; an example gives the order of its keys."""
     time = times.text(timestamp_ns, file_seconds)
-    text = _encode({**fields, "time": msgspec.Raw(time.encode())}).decode()
-    return WrittenLine(timestamp_ns, float(time), text)
+    line = arranged({**fields, "time": msgspec.Raw(time.encode())}, example)
+    return WrittenLine(timestamp_ns, float(time), _encode(line).decode())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,44 +56,36 @@ class NumberStream:
         seconds: (N,) float64 [s], the numbers that stand in the lines.
         file_seconds: (N,) float64 [s], the numbers that the times were read from, or None.
         values: (N, K) float64, finite.
-        template: a line, with `%s` for each value, or one for all of a row with commas between them, and for the time.
-        joined: whether all of a row stand together.
+        template: a line with gaps for its numbers.
         further: by row, the text of a line that once said more than its sample.
         times: writes the times.
+        name: of the stream.
     """
 
     timestamps_ns: Int64Array
     seconds: Float64Array
     file_seconds: Float64Array | None
     values: Float64Array
-    template: str
-    joined: bool
+    template: LineTemplate
     further: Mapping[int, str]
     times: TimeWriter
+    name: str = ""
 
     def lines(self, start: int, stop: int) -> Iterator[str]:
         """Make the lines of some rows."""
         span = slice(start, stop)
         file_seconds = None if self.file_seconds is None else self.file_seconds[span]
         seconds = self.times.texts(self.timestamps_ns[span], file_seconds)
-        if self.joined:
-            rows = row_texts(self.values[span])
-            lines = [self.template % pair for pair in zip(rows, seconds, strict=True)]
+        if ROW in self.template.slots:
+            texts = {ROW: row_texts(self.values[span]), TIME: seconds}
         else:
-            numbers = iter(number_texts(self.values[span].ravel()))
-            columns = [numbers] * self.values.shape[1]
-            lines = [self.template % row for row in zip(*columns, seconds, strict=True)]
+            width, numbers = self.values.shape[1], number_texts(self.values[span].ravel())
+            texts = {**{k: numbers[k::width] for k in range(width)}, TIME: seconds}
+        rows = zip(*(texts[slot] for slot in self.template.slots), strict=True)
+        lines = [self.template.text % row for row in rows]
         for row in self.further.keys() & set(range(start, stop)) if self.further else ():
-            lines[row - start] = _completed(lines[row - start], self.further[row])
+            lines[row - start] = completed(lines[row - start], self.further[row])
         return iter(lines)
-
-
-def _completed(text: str, before: str) -> str:
-    """A line with what else it once said."""
-    fields: dict[str, msgspec.Raw] = _decode_raw(text)
-    time = fields.pop("time")
-    own = {key: msgspec.json.decode(value) for key, value in fields.items()}
-    return _encode({**with_further_keys(own, before), "time": time}).decode()
 
 
 class NumberLines:
@@ -90,16 +95,27 @@ class NumberLines:
         losses: what could not be written.
     """
 
-    def __init__(self, times: TimeWriter, further_keys: Mapping[str, Mapping[str, str]]) -> None:
+    def __init__(
+        self,
+        times: TimeWriter,
+        further_keys: Mapping[str, Mapping[str, str]],
+        *,
+        forms: Mapping[str, str] | None = None,
+        shared: SharedLines | None = None,
+    ) -> None:
         """Begin.
 
         Args:
             times: writes the times.
-            further_keys: by stream and time [ns], the text of a line that once said more than its sample.
+            further_keys: by stream and key of a row, the text of a line that once said more than its sample.
+            forms: by stream, a line with the order of keys that is wanted.
+            shared: takes the rows that are written in one line with others.
         """
         self.losses: list[Loss] = []
         self._times = times
         self._further_keys = further_keys
+        self._forms = forms or {}
+        self._shared = shared or SharedLines((), {})
 
     def imu(self, sensor: ImuSensor) -> list[LineStream]:
         """One stream of lines per stream of the IMU."""
@@ -113,33 +129,59 @@ class NumberLines:
                 continue
             usable = _finite_rows(samples.values)
             self._lose(place, "left out: a value is not finite", int((~usable).sum()))
-            template = f'{{"sensor":{{"type":{_quoted(name)},"values":[%s]}},"time":%s}}'
-            streams.append(
-                self._stream(f"imu.{name}", samples, samples.values, usable, template, joined=True)
-            )
+            fields = self._sample_fields(name, width)
+            streams.append(self._stream(f"imu.{name}", samples, samples.values, usable, fields))
         return streams
 
-    def gnss(self, sensor: GnssSensor) -> LineStream:
-        """The fixes of a satellite receiver."""
+    def _sample_fields(self, name: str, width: int) -> dict[str, Any]:
+        """The pressure of the air has lines of its own, unless it was read from others."""
+        form = example_of(self._forms.get(f"imu.{name}")) or {}
+        if name == BAROMETER and width == 1 and "sensor" not in form:
+            return {BAROMETER: {"pressureHectopascals": Slot(0)}}
+        return {"sensor": {"type": name.removeprefix("sensor:"), "values": Slot(ROW)}}
+
+    def gnss(self, sensor: GnssSensor, origin: tuple[str, str] = ("gps", "gps")) -> LineStream:
+        """The fixes of a satellite receiver.
+
+        Args:
+            sensor: what to write.
+            origin: root key and name of its lines.
+        """
         usable = _finite_rows(sensor.positions_lla)
         what = "left out: latitude, longitude or altitude is missing, and a fix needs all three"
         self._lose(f"sensors[{sensor.id}]", what, int((~usable).sum()))
         order = writing_order(sensor.timestamps_ns, sensor.file_seconds)
         rows = order[usable[order]]
-        return OneByOne(sensor.timestamps_ns[rows], (self._fix(sensor, row) for row in rows.tolist()))
+        name = receiver_stream(sensor)
+        example = example_of(self._forms.get(name))
+        stamps = sensor.timestamps_ns[rows]
+        texts = self._further_keys.get(name, {})
+        further = {row: texts[key] for key, row in rows_of(texts, stamps).items()}
+        lines = (
+            _and_further(self._fix(sensor, row, origin, example), further.get(place))
+            for place, row in enumerate(rows.tolist())
+        )
+        taken = self._shared.rows(name, stamps)
+        if not taken:
+            return OneByOne(stamps, lines, name)
+        made = list(lines)
+        for row, place in taken.items():
+            self._shared.give(place, made[row].text)
+        kept = [row for row in range(len(made)) if row not in taken]
+        return OneByOne(stamps[kept], (made[row] for row in kept), name)
 
-    def _fix(self, sensor: GnssSensor, row: int) -> WrittenLine:
+    def _fix(
+        self, sensor: GnssSensor, row: int, origin: tuple[str, str], example: dict[str, Any] | None
+    ) -> WrittenLine:
+        root, name = origin
         latitude, longitude, altitude = sensor.positions_lla[row].tolist()
-        fix = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
+        fix: dict[str, Any] = {"name": name} if root == "pose" and name != "pose" else {}
+        fix |= {"latitude": latitude, "longitude": longitude, "altitude": altitude}
         fix |= _given("accuracy", sensor.accuracies[row])
         fix |= _given("verticalAccuracy", sensor.vertical_accuracies[row])
-        fields: dict[str, Any] = {"gps": fix}
-        timestamp_ns = int(sensor.timestamps_ns[row])
-        further = self._further_keys.get("gnss", {}).get(str(timestamp_ns))
-        if further is not None:
-            fields = with_further_keys(fields, further)
         seconds = None if sensor.file_seconds is None else float(sensor.file_seconds[row])
-        return make_line(fields, timestamp_ns, self._times, seconds)
+        timestamp_ns = int(sensor.timestamps_ns[row])
+        return make_line({root: fix}, timestamp_ns, self._times, seconds, example=example)
 
     def trajectory(self, trajectory: Trajectory, origin: tuple[str, str] | None) -> LineStream:
         """The poses of a trajectory.
@@ -149,15 +191,18 @@ class NumberLines:
             origin: root key and name under which it was read, or None.
         """
         root, name = origin or _origin_for(trajectory.name)
-        values, pose = trajectory.positions, '"position":{"x":%s,"y":%s,"z":%s}'
+        values = trajectory.positions
+        pose: dict[str, Any] = {"position": {axis: Slot(k) for k, axis in enumerate("xyz")}}
         if trajectory.quaternions_xyzw is not None:
             values = np.column_stack([values, trajectory.quaternions_xyzw])
-            pose += ',"orientation":{"x":%s,"y":%s,"z":%s,"w":%s}'
+            pose["orientation"] = {axis: Slot(3 + k) for k, axis in enumerate("xyzw")}
         if root == "pose" and name != "pose":
-            pose = f'"name":{_quoted(name)},{pose}'
-        template = f'{{{_quoted(root)}:{{{pose}}},"time":%s}}' if root else f'{{{pose},"time":%s}}'
+            pose = {"name": name, **pose}
+        if root == "gnssEnu" and trajectory.quaternions_xyzw is None:
+            pose = {"mean": [Slot(k) for k in range(3)]}
         every = np.ones(len(values), np.bool_)
-        return self._stream(f"trajectories.{trajectory.name}", trajectory, values, every, template)
+        fields = {root: pose} if root else pose
+        return self._stream(f"trajectories.{trajectory.name}", trajectory, values, every, fields)
 
     def _stream(
         self,
@@ -165,45 +210,61 @@ class NumberLines:
         samples: VectorSamples | Trajectory,
         values: Float64Array,
         usable: BoolArray,
-        template: str,
-        *,
-        joined: bool = False,
+        fields: Mapping[str, Any],
     ) -> LineStream:
         order = writing_order(samples.timestamps_ns, samples.file_seconds)
         rows = order[usable[order]]
+        template = line_template({**fields, "time": Slot(TIME)}, self._forms.get(name))
+        whole = self._rows(name, samples, values, rows, template)
+        taken = self._shared.rows(name, whole.timestamps_ns)
+        if not taken:
+            return whole
+        for row, place in taken.items():
+            self._shared.give(place, next(whole.lines(row, row + 1)))
+        kept = np.setdiff1d(np.arange(len(rows)), list(taken))
+        places = {row: place for place, row in enumerate(kept.tolist())}
+        further = {places[row]: text for row, text in whole.further.items() if row in places}
+        return replace(self._rows(name, samples, values, rows[kept], template), further=further)
+
+    def _rows(
+        self,
+        name: str,
+        samples: VectorSamples | Trajectory,
+        values: Float64Array,
+        rows: Int64Array,
+        template: LineTemplate,
+    ) -> NumberStream:
         stamps = samples.timestamps_ns[rows]
         seconds = None if samples.file_seconds is None else samples.file_seconds[rows]
         texts = self._further_keys.get(name, {})
-        further = (
-            {k: texts[key] for k, key in enumerate(map(str, stamps.tolist())) if key in texts}
-            if texts
-            else {}
-        )
+        further = {row: texts[key] for key, row in rows_of(texts, stamps).items()}
         written = written_seconds(stamps, seconds)
-        return NumberStream(stamps, written, seconds, values[rows], template, joined, further, self._times)
+        return NumberStream(stamps, written, seconds, values[rows], template, further, self._times, name)
 
     def _lose(self, field: str, what: str, count: int) -> None:
         if count:
             self.losses.append(Loss(field=field, what=what, count=count))
 
 
-def other_lines(texts: list[str]) -> list[WrittenLine]:
-    """Lines that hold nothing that a scene has a place for, as they were; those without a time come first."""
-    lines = []
-    for text in texts:
-        seconds = _time_of(text)
-        stamp = _BEFORE_ALL if seconds is None else round(seconds * 1e9)
-        lines.append(WrittenLine(stamp, seconds or 0.0, text.strip()))
-    return sorted(lines, key=lambda line: line[:2])
+def receiver_stream(sensor: GnssSensor) -> str:
+    """The name under which more is kept of a receiver's lines."""
+    return RECEIVER if sensor.id == RECEIVER else f"{RECEIVER}.{sensor.id}"
 
 
-def _time_of(text: str) -> float | None:
-    try:
-        line = msgspec.json.decode(text)
-    except DECODER_FAULTS:
-        return None
-    seconds = line.get("time") if isinstance(line, dict) else None
-    return float(seconds) if isinstance(seconds, int | float) else None
+def receiver_origin(
+    sensor: GnssSensor, origins: Mapping[str, tuple[str, str]], receivers: Sequence[GnssSensor]
+) -> tuple[str, str]:
+    """Root key and name of a receiver's lines: those that it was read under, `gps` for the first one, else its id."""
+    name = str(sensor.id)
+    if name in origins:
+        return origins[name]
+    if sensor in main_receiver([other for other in receivers if str(other.id) not in origins]):
+        return GPS_ORIGIN
+    return ("pose", name) if name in ROOT_KEYS - {"groundTruth"} else (name, name)
+
+
+def _and_further(line: WrittenLine, before: str | None) -> WrittenLine:
+    return line if before is None else line._replace(text=completed(line.text, before))
 
 
 def _finite_rows(values: Float64Array) -> BoolArray:
@@ -214,25 +275,6 @@ def _given(name: str, value: float) -> dict[str, float]:
     return {name: float(value)} if np.isfinite(value) else {}
 
 
-def _quoted(name: str) -> str:
-    """A name as JSON text that can stand in a template."""
-    return _encode(name).decode().replace("%", "%%")
-
-
 def _origin_for(name: str) -> tuple[str, str]:
     """A root key of its own; where the format has another meaning for that key, a `pose` that bears the name."""
     return ("pose", name) if name in ROOT_KEYS - {"groundTruth"} or not name else (name, name)
-
-
-def with_further_keys(fields: dict[str, Any], text: str) -> dict[str, Any]:
-    """Add what the line that a sample was read from said beside it."""
-    line = msgspec.json.decode(text)
-    own = {*ROOT_KEYS, *fields}
-    beside = {key: value for key, value in line.items() if key not in own and not _is_pose(value)}
-    before = {key: line[key] for key in fields if isinstance(line.get(key), dict)}
-    merged = {key: {**before.get(key, {}), **value} for key, value in fields.items()}
-    return {**merged, **beside}
-
-
-def _is_pose(value: object) -> bool:
-    return isinstance(value, dict) and "position" in value

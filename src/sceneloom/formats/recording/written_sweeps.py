@@ -11,9 +11,10 @@ from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.errors import PoseError
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.columns import nanoseconds
+from sceneloom.formats.recording.kept_texts import completed, rows_of
 from sceneloom.formats.recording.lidar_files import LIDAR_MODELS, XYZIRT
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
-from sceneloom.formats.recording.written_lines import make_line, with_further_keys
+from sceneloom.formats.recording.written_lines import make_line
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
@@ -37,6 +38,11 @@ _SAME_PLACE, _SAME_TURN = 1e-3, radians(0.01)
 """How far poses may be from each other and still be the same [m], [rad]: as far as those of thinned paths are."""
 
 
+def sweep_stream(sensor: LidarSensor, index: int) -> str:
+    """The name under which more is kept of a lidar's lines."""
+    return f"lidars.{sensor.extras.get('lidarInd', index)}"
+
+
 class SweepWriter:
     """Writes the sweeps of one lidar.
 
@@ -53,6 +59,7 @@ class SweepWriter:
         folder: Path,
         times: TimeWriter,
         further_keys: Mapping[str, str],
+        example: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin.
 
@@ -63,14 +70,17 @@ class SweepWriter:
             ego_path: `world_from_ego`, or None.
             folder: the recording that is being written.
             times: writes the times.
-            further_keys: by time [ns], the text of a line that once said more than its sweep.
+            further_keys: by key of a sweep, the text of a line that once said more than it.
+            example: a line with the order of keys that is wanted.
 
         Raises:
             PoseError: the points are in the world, and it is not known where the lidar was.
         """
         self.losses: list[Loss] = []
         self._sensor, self._index, self._mount = sensor, index, mount
-        self._folder, self._times, self._further_keys = folder, times, further_keys
+        self._folder, self._times, self._example = folder, times, example
+        rows = rows_of(further_keys, sensor.frames.timestamps_ns)
+        self._further = {row: further_keys[key] for key, row in rows.items()}
         self._subfolder = f"lidar{index + 1 if index else ''}"
         self._world = (
             _world_poses(sensor, mount, ego_path) if sensor.points_frame is PointsFrame.WORLD else None
@@ -78,7 +88,8 @@ class SweepWriter:
 
     def stream(self) -> LineStream:
         """The lines, each made after its file was written."""
-        return OneByOne(self._sensor.frames.timestamps_ns, self._lines())
+        name = sweep_stream(self._sensor, self._index)
+        return OneByOne(self._sensor.frames.timestamps_ns, self._lines(), name)
 
     def _lines(self) -> Iterator[WrittenLine]:
         (self._folder / self._subfolder).mkdir(exist_ok=True)
@@ -89,9 +100,10 @@ class SweepWriter:
             if self._index:
                 sweep["lidarInd"] = self._index
             fields: dict[str, Any] = {"lidar": sweep}
-            if str(frame.timestamp_ns) in self._further_keys:
-                fields = with_further_keys(fields, self._further_keys[str(frame.timestamp_ns)])
-            yield make_line(fields, frame.timestamp_ns, self._times, frame.extras.get("file_seconds"))
+            seconds = frame.extras.get("file_seconds")
+            line = make_line(fields, frame.timestamp_ns, self._times, seconds, example=self._example)
+            further = self._further.get(k)
+            yield line if further is None else line._replace(text=completed(line.text, further))
 
     def _records(self, frame: LidarFrame) -> np.ndarray[tuple[int], np.dtype[np.void]]:
         points = frame.points

@@ -27,6 +27,13 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices, prog
 )
 @click.option("--to", metavar="FORM", help="The form of that file, where its suffix should not decide.")
 @click.option("--to-optical", is_flag=True, help="Write poses as a camera's: z forward, y down.")
+@click.option(
+    "--origin",
+    "origin_lla",
+    type=(float, float, float),
+    metavar="LAT LON ALT",
+    help="Where on earth the world's origin is, for `--to gnss`. [default: that of GNSS, where it is known]",
+)
 @options.trajectories("from", "SOURCE")
 @options.reading
 @options.printing
@@ -40,6 +47,7 @@ def convert(
     trajectory: str | None,
     to: str | None,
     to_optical: bool,
+    origin_lla: tuple[float, float, float] | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -59,7 +67,13 @@ def convert(
             to=to,
             trajectory=trajectory,
             overwrite=overwrite,
-            **options.said(profile=profile, time_unit=time_unit, pictures=pictures, optical=to_optical),
+            **options.said(
+                profile=profile,
+                time_unit=time_unit,
+                pictures=pictures,
+                optical=to_optical,
+                origin_lla=origin_lla,
+            ),
             reading={name.removeprefix("from_"): value for name, value in options.said(**reading).items()},
             progress=progress,
         )

@@ -120,10 +120,12 @@ def evaluate_trajectory(
 
 
 def _both(estimate: Way, reference: Way) -> tuple[Trajectory, Trajectory]:
-    """The two trajectories; the fixes of two receivers are seen from one origin."""
+    """The two trajectories; fixes are seen from the other's origin, where that is known."""
     ours, theirs = _content(estimate), _content(reference)
     if ours.fixes is not None and theirs.origin_lla is not None:
-        ours = of_fixes(ours.fixes, origin_lla=theirs.origin_lla)
+        ours = of_fixes(ours.fixes, origin_lla=theirs.origin_lla, name=ours.trajectory.name)
+    elif theirs.fixes is not None and ours.origin_lla is not None:
+        theirs = of_fixes(theirs.fixes, origin_lla=ours.origin_lla, name=theirs.trajectory.name)
     return checked_trajectory(ours.trajectory), checked_trajectory(theirs.trajectory)
 
 

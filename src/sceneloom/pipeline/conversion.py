@@ -74,7 +74,14 @@ def convert(
     place, options = Path(target), dict(reading or {})
     if to in TRAJECTORY_FORMS or (to is None and is_trajectory_file(place)):
         told = write_trajectory_file(
-            source, place, name=trajectory, to=to, overwrite=overwrite, reading=options, writing=writing
+            source,
+            place,
+            name=trajectory,
+            to=to,
+            overwrite=overwrite,
+            reading=options,
+            writing=writing,
+            progress=progress,
         )
         return _report(source, place, *told)
     writer = format_for_output(place) if to is None else format_named(to)

@@ -17,6 +17,7 @@ from sceneloom.formats.trajectories import (
 )
 from sceneloom.formats.urls import is_url
 from sceneloom.scene import Notice, Scene
+from sceneloom.scene.types import Progress
 
 _WRITING = ("optical", "origin_lla")
 Told = tuple[str, str, tuple[Notice, ...], LossReport]
@@ -47,6 +48,7 @@ def write_trajectory_file(
     overwrite: bool,
     reading: Mapping[str, Any],
     writing: Mapping[str, Any],
+    progress: Progress | None = None,
 ) -> Told:
     """Take a trajectory out of a file or a scene and write it to a file of its own.
 
@@ -61,7 +63,7 @@ def write_trajectory_file(
                 f"{target}: option {option!r}; writing a trajectory takes {', '.join(_WRITING)}"
             )
     form = form_for_output(target).name if to is None else to
-    content = read_trajectory_file(source, name=name, **reading)
+    content = read_trajectory_file(source, name=name, progress=progress, **reading)
     losses = write_trajectory(content, target, form=form, overwrite=overwrite, **writing)
     return content.form, form, content.notices, losses
 

@@ -183,4 +183,45 @@ def test_options_of_scenes_are_refused_for_files_of_trajectories(
 ) -> None:
     outcome = call("convert", ways[1], tmp_path / "a.csv", "--profile", "scale")
     assert outcome.code == 2
-    assert "option 'profile'; writing a trajectory takes optical" in outcome.err
+    assert "option 'profile'; writing a trajectory takes optical, origin_lla" in outcome.err
+
+
+def test_a_way_is_written_as_fixes_around_an_origin(
+    call: Call, ways: tuple[Path, Path], tmp_path: Path
+) -> None:
+    refused = call("convert", ways[1], tmp_path / "fixes.csv", "--to", "gnss")
+    assert refused.code == 2
+    assert "--origin" in refused.err
+    origin = ("--origin", "60.1", "24.9", "12.5")
+    outcome = call("convert", ways[1], tmp_path / "fixes.csv", "--to", "gnss", *origin)
+    assert outcome.code == 0
+    assert "quaternions_xyzw: left out (200 times)" in outcome.err
+    told = json.loads(
+        call("eval", "trajectory", tmp_path / "fixes.csv", ways[1], "--align", "none", "--json").out
+    )
+    # degrees of 64 bits resolve 2e-9 m
+    assert told["absolute"]["translation"]["max"] < 1e-7
+
+
+def test_the_way_of_gnss_and_imu_is_compared_with_the_fixes_from_one_origin(
+    call: Call, recording: Path
+) -> None:
+    drive = recording
+    outcome = call(
+        "eval",
+        "trajectory",
+        drive,
+        drive,
+        "--est-name",
+        "gnss",
+        "--ref-name",
+        "fixes",
+        "--json",
+        "--align",
+        "none",
+    )
+    told = json.loads(outcome.out)
+    assert told["estimate"] == "gnss"
+    assert told["reference"] == "fixes"
+    # fixes of half a metre across and one in height, seen from one origin or kilometres apart
+    assert told["absolute"]["translation"]["max"] < 10

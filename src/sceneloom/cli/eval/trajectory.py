@@ -7,7 +7,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.eval.figures import print_report
-from sceneloom.cli.printing import print_json, print_notices
+from sceneloom.cli.printing import print_json, print_notices, progress_bar
 
 if TYPE_CHECKING:
     from sceneloom.formats.trajectories import TrajectoryFile
@@ -82,7 +82,10 @@ def trajectory(
     """
     from sceneloom.evaluate import RPE_DELTAS, evaluate_trajectory
 
-    sides = {side: _read(path, side, reading) for path, side in ((estimate, "est"), (reference, "ref"))}
+    sides = {}
+    for path, side in ((estimate, "est"), (reference, "ref")):
+        with progress_bar(f"reading {side.upper()}", quiet=quiet) as progress:
+            sides[side] = _read(path, side, {**reading, "progress": progress})
     report = evaluate_trajectory(
         sides["est"],
         sides["ref"],

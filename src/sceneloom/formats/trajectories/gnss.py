@@ -53,11 +53,13 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     return replace(of_fixes(fixes, origin_lla=reading.origin_lla), form=FORM.name)
 
 
-def of_fixes(fixes: GnssSensor, *, origin_lla: Float64Array | None = None) -> TrajectoryFile:
+def of_fixes(
+    fixes: GnssSensor, *, origin_lla: Float64Array | None = None, name: str | None = None
+) -> TrajectoryFile:
     """The way of a satellite receiver: metres east, north and up of an origin, else of its first fix."""
     origin = fixes.positions_lla[0] if origin_lla is None else origin_lla
     positions = read_only(enu_from_geodetic(fixes.positions_lla, origin))
-    way = Trajectory(str(fixes.id), fixes.timestamps_ns, positions)
+    way = Trajectory(name or str(fixes.id), fixes.timestamps_ns, positions)
     return TrajectoryFile(way, fixes=fixes, origin_lla=read_only(origin))
 
 
@@ -107,7 +109,7 @@ def _fixes_of_way(content: TrajectoryFile, target: Path) -> GnssSensor:
     if content.origin_lla is None:
         raise OptionError(
             f"{target}: where on earth the trajectory {content.trajectory.name!r} has its origin is not known; say "
-            "latitude, longitude and altitude of it (`origin_lla`)"
+            "latitude, longitude and altitude of it (`--origin`)"
         )
     way = content.trajectory
     unknown = np.full(len(way.timestamps_ns), np.nan)

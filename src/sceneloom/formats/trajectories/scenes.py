@@ -3,19 +3,23 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from sceneloom.arrays import read_only
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.formats.table import Format
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile
 from sceneloom.formats.trajectories.gnss import of_fixes
 from sceneloom.motion.trajectories import RESERVED
 from sceneloom.scene import GnssSensor, Scene, Trajectory
+from sceneloom.scene.types import Progress
 
 FIXES = "fixes"
 """Name of the positions that the first satellite receiver of a scene told; of others, `fixes:ID`."""
 
 
 def read_scene_trajectory(
-    form: Format, place: Any, reading: Reading, options: Mapping[str, Any]
+    form: Format, place: Any, reading: Reading, options: Mapping[str, Any], progress: Progress | None = None
 ) -> TrajectoryFile:
     """Open a scene and take a trajectory out of it.
 
@@ -25,13 +29,14 @@ def read_scene_trajectory(
         reading: its `name`: a name out of `scene.trajectories`, "lidar" or "gnss" to find the way from the sweeps or
             from GNSS and IMU, "fixes" or "fixes:ID" for what a satellite receiver told; None: the default one.
         options: reading options of the format.
+        progress: told after each sweep, where the way is found from the sweeps.
 
     Raises:
         OptionError: there is none of that name.
         PoseError: there is none at all, or it cannot be found.
     """
     with form.open(place, **options) as scene:
-        found = _named(scene, reading)
+        found = _named(scene, reading, progress)
     return TrajectoryFile(
         found.trajectory,
         form.name,
@@ -42,7 +47,7 @@ def read_scene_trajectory(
     )
 
 
-def _named(scene: Scene, reading: Reading) -> TrajectoryFile:
+def _named(scene: Scene, reading: Reading, progress: Progress | None) -> TrajectoryFile:
     name = reading.name
     if name is None and scene.trajectories:
         return TrajectoryFile(next(iter(scene.trajectories.values())))
@@ -50,26 +55,31 @@ def _named(scene: Scene, reading: Reading) -> TrajectoryFile:
         return TrajectoryFile(scene.trajectories[str(name)])
     receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
     if receivers and (name == FIXES or (name is None and not scene.lidars)):
-        return of_fixes(receivers[0], origin_lla=reading.origin_lla)
+        return _received(receivers[0], FIXES, reading)
     for sensor in receivers:
         if name == f"{FIXES}:{sensor.id}":
-            return of_fixes(sensor, origin_lla=reading.origin_lla)
+            return _received(sensor, name, reading)
     if name is None or name in RESERVED:
-        return _computed(scene, name)
+        return _computed(scene, name, progress)
     raise OptionError(f"{scene.source}: no trajectory {name!r}; there are: {_choices(scene, receivers)}")
 
 
-def _computed(scene: Scene, name: str | None) -> TrajectoryFile:
+def _received(sensor: GnssSensor, name: str, reading: Reading) -> TrajectoryFile:
+    return of_fixes(sensor, origin_lla=reading.origin_lla, name=name)
+
+
+def _computed(scene: Scene, name: str | None, progress: Progress | None) -> TrajectoryFile:
     from sceneloom.motion.ego_motion import find_ego_motion
 
-    ego = find_ego_motion(scene, name=name)
+    ego = find_ego_motion(scene, name=name, progress=progress)
     path = ego.path
     if path.endless:
         raise PoseError(f"{scene.source}: the way {ego.name!r} has no times; nothing can be compared with it")
     way = Trajectory(
         ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
     )
-    return TrajectoryFile(way, notices=ego.notices)
+    origin = None if ego.enu_origin_lla is None else read_only(ego.enu_origin_lla, np.float64)
+    return TrajectoryFile(way, origin_lla=origin, notices=ego.notices)
 
 
 def _choices(scene: Scene, receivers: list[GnssSensor]) -> str:

@@ -21,6 +21,7 @@ from sceneloom.formats.trajectories.first_lines import beginning
 from sceneloom.formats.trajectories.scenes import read_scene_trajectory
 from sceneloom.formats.urls import is_url
 from sceneloom.scene import Trajectory
+from sceneloom.scene.types import Progress
 
 TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = MappingProxyType(
     {module.FORM.name: module.FORM for module in (tum, kitti, euroc, gnss, named_columns, jsonl)}
@@ -56,6 +57,7 @@ def read_trajectory_file(
     origin_lla: Sequence[float] | None = None,
     optical: bool = False,
     lenient: bool = False,
+    progress: Progress | None = None,
     **options: Any,
 ) -> TrajectoryFile:
     """Read a trajectory with all that its file says of it; `read_trajectory` describes the arguments.
@@ -78,7 +80,7 @@ def read_trajectory_file(
     if chosen is None:
         scene_form, place = format_and_place(where, format=form)
         options = {**options, **({"lenient": True} if lenient else {})}
-        content = read_scene_trajectory(scene_form, place, reading, options)
+        content = read_scene_trajectory(scene_form, place, reading, options, progress)
     else:
         ledger = Ledger(lenient=lenient)
         content = chosen.read(Path(where), reading, ledger)
@@ -96,7 +98,8 @@ def read_trajectory(path: str | Path, **options: Any) -> Trajectory:
             KITTI files; `unit` of the times in a text ("seconds" … "nanoseconds"); `origin_lla`, latitude [deg],
             longitude [deg] and altitude [m] that positions of fixes are seen from, else their first; `optical`, whether
             the poses are of a camera's axes, to be turned to x forward, y left, z up; `lenient`, to leave out bad lines
-            and second poses of one time; others go to the format of a scene.
+            and second poses of one time; `progress`, told after each sweep where a way is found from the sweeps; others
+            go to the format of a scene.
 
     Returns:
         Poses of the device in the world, times exact, positions and orientations as the file has them.

@@ -126,7 +126,7 @@ def test_fixes_are_seen_from_an_origin_that_is_named(tmp_path: Path) -> None:
 
 def test_a_way_with_an_origin_is_written_as_fixes(tmp_path: Path) -> None:
     way = Trajectory("way", np.array([0, 10], np.int64), np.array([[0.0, 0, 0], [10.0, 20, 1]]))
-    with pytest.raises(OptionError, match="origin_lla"):
+    with pytest.raises(OptionError, match="--origin"):
         write_trajectory(way, tmp_path / "a.csv", form="gnss")
     write_trajectory(way, tmp_path / "a.csv", form="gnss", origin_lla=(60.0, 25.0, 10.0))
     back = read_trajectory(tmp_path / "a.csv")

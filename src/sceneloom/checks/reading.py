@@ -8,8 +8,11 @@ from sceneloom.scene import NoticeKind, Scene, Severity
 
 _TOLD_BY_RULES_OF_RECORDINGS = frozenset(
     {
+        "lens-scaled",
         "lines-sorted",
+        "missing-bitmaps",
         "repeated-poses",
+        "rotation-normalised",
     }
 )
 """Notices of the recording's reader that rules over its lines tell better."""
@@ -58,7 +61,17 @@ def _within_recording(subject: Subject, place: str) -> str:
     return place.removeprefix(str(subject.recording.folder)).lstrip("/")
 
 
-def _as_read(scene: Scene) -> Scene:
+def notices_of_code(code: str) -> Find:
+    """Tell what the reader remarked under a code."""
+
+    def find(subject: Subject) -> Iterator[Hit]:
+        remarks = (remark for remark in subject.remarks if remark.code == code)
+        return (Hit(_within_recording(subject, r.place), r.message, r.count) for r in remarks)
+
+    return find
+
+
+def as_read(scene: Scene) -> Scene:
     """What the reader brought into order needs only to be written."""
     return scene
 
@@ -115,14 +128,14 @@ FAULT_RULES: tuple[Rule, ...] = (
         "quaternion-norm",
         "Quaternions of poses have length 1, within 0.01.",
         "Normalise them; the direction that they tell stays.",
-        _as_read,
+        as_read,
     ),
     _rule(
         "pose-times-increasing",
         "pose-times-increasing",
         "Poses have strictly increasing times.",
         "Sort the poses by time, and leave out those that stand there twice.",
-        _as_read,
+        as_read,
     ),
     _rule(
         "poses-finite",

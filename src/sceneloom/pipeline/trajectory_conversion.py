@@ -7,6 +7,7 @@ from typing import Any
 
 from sceneloom.errors import OptionError, UnknownFormatError
 from sceneloom.formats.loss import LossReport
+from sceneloom.formats.table import format_named, format_names
 from sceneloom.formats.trajectories import (
     TRAJECTORY_FORMS,
     TrajectoryFile,
@@ -30,13 +31,16 @@ def is_trajectory_file(path: Path) -> bool:
 
 
 def holds_trajectory_only(path: str | Path) -> bool:
-    """Whether what is there is a file of a trajectory, and no scene."""
+    """Whether what is there is a file of a trajectory, and no scene; logs of JSON lines are both, thus scenes."""
     if is_url(path) or not Path(path).is_file():
         return False
     try:
-        return find_form(path) is not None
+        form = find_form(path)
     except UnknownFormatError:
         return False
+    return form is not None and not any(
+        known.recognises(Path(path)) for known in map(format_named, format_names())
+    )
 
 
 def write_trajectory_file(

@@ -225,3 +225,13 @@ def test_the_way_of_gnss_and_imu_is_compared_with_the_fixes_from_one_origin(
     assert told["reference"] == "fixes"
     # fixes of half a metre across and one in height, seen from one origin or kilometres apart
     assert told["absolute"]["translation"]["max"] < 10
+
+
+def test_a_log_of_more_than_poses_becomes_a_drive_with_all_of_it(call: Call, tmp_path: Path) -> None:
+    lines = (
+        '{"sensor":{"type":"gyroscope","values":[0,0,0.1]},"time":1.0}',
+        '{"groundTruth":{"position":{"x":1,"y":2,"z":3},"orientation":{"x":0,"y":0,"z":0,"w":1}},"time":1.0}',
+    )
+    (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n", "utf-8")
+    assert call("convert", tmp_path / "log.jsonl", tmp_path / "drive").code == 0
+    assert "gyroscope" in (tmp_path / "drive" / "data.jsonl").read_text("utf-8")

@@ -18,6 +18,11 @@ FIXES = "fixes"
 """Name of the positions that the first satellite receiver of a scene told; of others, `fixes:ID`."""
 
 
+def is_scene_name(name: str | None) -> bool:
+    """Whether a trajectory of that name is computed from sensors, or told by one."""
+    return name is not None and (name in RESERVED or name.partition(":")[0] == FIXES)
+
+
 def read_scene_trajectory(
     form: Format, place: Any, reading: Reading, options: Mapping[str, Any], progress: Progress | None = None
 ) -> TrajectoryFile:

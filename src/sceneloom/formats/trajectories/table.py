@@ -18,7 +18,7 @@ from sceneloom.formats.trajectories import euroc, gnss, jsonl, kitti, named_colu
 from sceneloom.formats.trajectories.axes import from_optical, to_optical
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import beginning
-from sceneloom.formats.trajectories.scenes import read_scene_trajectory
+from sceneloom.formats.trajectories.scenes import is_scene_name, read_scene_trajectory
 from sceneloom.formats.urls import is_url
 from sceneloom.scene import Trajectory
 from sceneloom.scene.types import Progress
@@ -77,6 +77,8 @@ def read_trajectory_file(
         origin_lla=None if origin_lla is None else _origin(origin_lla),
     )
     chosen = _form_named(form) if form is not None else find_form(where)
+    if form is None and chosen is jsonl.FORM and is_scene_name(reading.name):
+        chosen = None
     if chosen is None:
         scene_form, place = format_and_place(where, format=form)
         options = {**options, **({"lenient": True} if lenient else {})}

@@ -300,3 +300,13 @@ def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path: Path) -> None:
     assert read_trajectory(f"{folder}:fixes").quaternions_xyzw is None
     with pytest.raises(OptionError, match=r"there are: groundTruth.*fixes"):
         read_trajectory(folder, name="slam")
+
+
+def test_fixes_are_taken_out_of_a_log_that_lies_by_itself(tmp_path: Path) -> None:
+    path = put(
+        tmp_path,
+        "log.jsonl",
+        JSONL + '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n',
+    )
+    assert read_trajectory(f"{path}:fixes").timestamps_ns.tolist() == [1403636581 * 10**9]
+    assert read_trajectory(f"{path}:vio").positions[0, 0] == 9.0

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.rule import Hit, Rule, unless_recording
 from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, stamps_of
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.rotations import angle_between
@@ -29,8 +29,8 @@ FASTEST = 150.0
 FASTEST_TURN_DEG = 720.0
 """No vehicle turns faster [deg/s]."""
 
-_STEP_FACTOR, _STEP_MARGIN = 3.0, 1.0
-_TURN_FACTOR, _TURN_MARGIN_DEG = 3.0, 15.0
+STEP_FACTOR, STEP_MARGIN = 3.0, 1.0
+TURN_FACTOR, TURN_MARGIN_DEG = 3.0, 15.0
 
 _FEWEST_STEPS = 4
 """Fewer steps do not tell what is usual."""
@@ -103,9 +103,7 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
     for path, stamps_ns, positions, _ in _paths(subject):
         times = np.diff(stamps_ns) / 1e9
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-        for k in np.flatnonzero(
-            _beyond_neighbours(steps, times, FASTEST, _STEP_FACTOR, _STEP_MARGIN)
-        ).tolist():
+        for k in np.flatnonzero(beyond_neighbours(steps, times, FASTEST, STEP_FACTOR, STEP_MARGIN)).tolist():
             problem = f"{steps[k]:.2f} m in {times[k]:.3f} s, unlike the steps beside it"
             yield Hit(f"{path}.values[{k + 1}]", problem)
 
@@ -116,13 +114,13 @@ def _turns(subject: Subject) -> Iterator[Hit]:
             continue
         times = np.diff(stamps_ns) / 1e9
         turns = np.degrees(angle_between(quaternions_xyzw[:-1], quaternions_xyzw[1:]))
-        wrong = _beyond_neighbours(turns, times, FASTEST_TURN_DEG, _TURN_FACTOR, _TURN_MARGIN_DEG)
+        wrong = beyond_neighbours(turns, times, FASTEST_TURN_DEG, TURN_FACTOR, TURN_MARGIN_DEG)
         for k in np.flatnonzero(wrong).tolist():
             problem = f"turned by {turns[k]:.1f} degrees in {times[k]:.3f} s, unlike the steps beside it"
             yield Hit(f"{path}.values[{k + 1}]", problem)
 
 
-def _beyond_neighbours(
+def beyond_neighbours(
     steps: Float64Array, times: Float64Array, fastest: float, factor: float, margin: float
 ) -> BoolArray:
     """Steps faster than anything moves, or by far larger than the two before and the two after would let expect.
@@ -214,14 +212,14 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         "No pose lies farther from its neighbours than a vehicle can move.",
         "See whether the trajectory was pieced together, or a fix of the satellites was wrong.",
-        find=_jumps,
+        find=unless_recording(_jumps),
     ),
     Rule(
         "poses-turn",
         Severity.WARNING,
         "No pose is turned against its neighbours more than a vehicle can turn.",
         "See whether the order of the quaternion's numbers changes, or an angle wraps.",
-        find=_turns,
+        find=unless_recording(_turns),
     ),
     Rule(
         "trajectory-times-increasing",

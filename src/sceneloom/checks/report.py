@@ -18,7 +18,7 @@ class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source: the file or folder, or where the scene came from.
         format: name of its format.
-        profile: what it was checked against.
+        profile: what it was checked against: "sfs", "scale", or "recording" for the lines and files of one.
         strict: whether warnings count, too.
         passed: no errors, and where strict no warnings either.
         findings: by severity, then by rule.

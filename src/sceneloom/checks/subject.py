@@ -82,6 +82,11 @@ class Subject:
                 object.__setattr__(self, attribute, tuple(f"{name}[{k}]" for k in range(len(things))))
 
     @property
+    def is_recording(self) -> bool:
+        """Whether a recording's files are examined, though none of them may be readable."""
+        return self.recording is not None or (self.scene.format == "recording" and bool(self.faults))
+
+    @property
     def remarks(self) -> Sequence[Notice]:
         """What the reader remarked; of a scene file not what was remarked when it was made."""
         return self.scene.notices if self.notices is None else self.notices

@@ -19,6 +19,7 @@ from sceneloom.checks.subject import Subject
 from sceneloom.checks.walk import Hits, find_all
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.output import check_output
+from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.table import format_for_output, write_scene
 from sceneloom.scene import Finding, Notice, NoticeKind, Scene
 from sceneloom.scene.types import Progress
@@ -26,9 +27,9 @@ from sceneloom.scene.types import Progress
 
 @dataclass(frozen=True, slots=True)
 class _Terms:
-    """How a scene is checked."""
+    """How a scene is checked; `profile` is None where what it is decides."""
 
-    profile: str
+    profile: str | None
     strict: bool
     frames: bool
     rules: tuple[Rule, ...]
@@ -49,7 +50,7 @@ class _Terms:
         return ValidationReport(
             source=subject.scene.source,
             format=subject.scene.format,
-            profile=self.profile,
+            profile=self.profile or (RecordingFormat.name if subject.is_recording else "sfs"),
             strict=self.strict,
             passed=is_passed(counts, strict=self.strict),
             findings=findings,
@@ -62,7 +63,7 @@ class _Terms:
 def validate(
     source: str | Path | Scene,
     *,
-    profile: str = "sfs",
+    profile: str | None = None,
     fix: str | Path | None = None,
     overwrite: bool = False,
     strict: bool = False,
@@ -77,7 +78,8 @@ def validate(
 
     Args:
         source: a file or folder, the URL of a scene file, or a scene that is open.
-        profile: "sfs", or "scale" for what Scale's own library loads and validates.
+        profile: "sfs", or "scale" for what Scale's own library loads and validates; None: "sfs", and of a recording
+            the rules over its lines and files, which the report calls "recording".
         fix: where to write the scene with all safe fixes applied; the findings are then those of what was written.
         overwrite: whether `fix` may be replaced.
         strict: let warnings count, too.
@@ -98,7 +100,7 @@ def validate(
         DataError: a frame that `fix` would need cannot be read.
     """
     terms = _Terms(
-        profile, strict, frames, chosen_rules(profile, only=rules, ignored=ignore), places, progress
+        profile, strict, frames, chosen_rules(profile or "sfs", only=rules, ignored=ignore), places, progress
     )
     if fix is not None:
         check_output(Path(fix), overwrite=overwrite)
@@ -140,8 +142,8 @@ def _remarks(faults: Sequence[PlacedFault]) -> tuple[Notice, ...]:
     )
 
 
-def _write(scene: Scene, path: Path, profile: str, *, overwrite: bool) -> None:
-    options = {"profile": profile} if format_for_output(path).name == "sfs" else {}
+def _write(scene: Scene, path: Path, profile: str | None, *, overwrite: bool) -> None:
+    options = {"profile": profile} if profile is not None and format_for_output(path).name == "sfs" else {}
     write_scene(scene, path, overwrite=overwrite, **options)
 
 

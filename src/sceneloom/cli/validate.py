@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 @click.option(
     "--profile",
     type=click.Choice(["sfs", "scale"]),
-    default="sfs",
-    show_default=True,
-    help="`scale`: also what Scale's own library refuses.",
+    help="`scale`: also what Scale's own library refuses. Default: sfs, of a recording its lines and files.",
 )
 @click.option("--strict", is_flag=True, help="Warnings count as errors do.")
 @click.option("--quick", is_flag=True, help="Read no frames and pictures.")
@@ -44,7 +42,7 @@ def validate(
     context: click.Context,
     /,
     path: Path | str | None,
-    profile: str,
+    profile: str | None,
     strict: bool,
     quick: bool,
     fix: Path | None,
@@ -108,9 +106,9 @@ def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool
     found = ", ".join(several(count, severity) for severity, count in report.counts.items() if count)
     verdict = "passed" if report.passed else "not passed"
     read = "" if report.frames_read else "; frames were not read"
+    against = "" if report.profile == report.format == "recording" else f", profile {report.profile}"
     click.echo(
-        f"{report.output or report.source}: {report.format}, profile {report.profile}: {verdict}, "
-        f"{found or 'nothing found'}{read}"
+        f"{report.output or report.source}: {report.format}{against}: {verdict}, {found or 'nothing found'}{read}"
     )
     _print_findings([f for f in report.findings if not (quiet and f.severity == "hint")])
     if report.output is not None:

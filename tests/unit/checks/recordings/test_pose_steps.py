@@ -1,0 +1,53 @@
+"""Rules about steps from pose to pose."""
+
+import numpy as np
+import pytest
+
+from sceneloom.checks import validate
+
+RULES = ["pose-steps", "pose-turns", "poses-jump", "poses-turn"]
+
+
+@pytest.fixture
+def findings(written):
+    """What rules about steps say of a drive, those of scenes included."""
+
+    def run(drive):
+        return [(f.rule, f.path, f.message) for f in validate(written(drive), rules=RULES).findings]
+
+    return run
+
+
+def turned(line, degrees):
+    half = np.radians(degrees) / 2
+    turn = {"x": 0.0, "y": 0.0, "z": float(np.sin(half)), "w": float(np.cos(half))}
+    return {**line, "groundTruth": {**line["groundTruth"], "orientation": turn}}
+
+
+def test_a_pose_that_is_off_is_told_once_with_its_line(findings, drive, written, line_of):
+    wrong = drive.streams["groundTruth"][50]
+    wrong["groundTruth"]["position"]["y"] = 30.0
+    [(rule, place, message)] = findings(drive)
+    assert (rule, place) == ("pose-steps", line_of(written(drive), wrong))
+    assert message.startswith("groundTruth at 3.500000 s is 30.00 m from the pose 0.050 s before, 600.1 m/s")
+
+
+def test_nothing_moves_at_two_hundred_metres_a_second(findings, drive):
+    for k, line in enumerate(drive.streams["groundTruth"]):
+        line["groundTruth"]["position"]["x"] = 10.0 * k
+    assert {rule for rule, _, _ in findings(drive)} == {"pose-steps"}
+
+
+def test_starting_and_braking_hard_are_no_jumps(findings, drive):
+    for k, line in enumerate(drive.streams["groundTruth"]):
+        line["groundTruth"]["position"]["x"] = 0.5 * 9.0 * max(k / 20 - 4.0, 0.0) ** 2
+    assert findings(drive) == []
+
+
+def test_a_pose_that_is_turned_is_told_once_with_its_line(findings, drive, written, line_of):
+    stream = drive.streams["groundTruth"]
+    stream[:] = [turned(line, 90.0 * np.sin(k / 40)) for k, line in enumerate(stream)]
+    assert findings(drive) == []
+    stream[30] = turned(stream[30], 175.0)
+    [(rule, place, _)] = findings(drive)
+    assert (rule, place) == ("pose-turns", line_of(written(drive), stream[30]))

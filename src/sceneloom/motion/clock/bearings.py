@@ -1,9 +1,16 @@
 """How a camera turned between two pictures, from the directions in which it saw the same things."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array
-from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+from sceneloom.geometry.rotations import (
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+)
 
 LEAST_BEARINGS = 16
 """With fewer directions a turn is not believed."""
@@ -16,7 +23,22 @@ _WIDEST = 0.02
 """Where directions agree no better than this, they are not of one turn [rad]."""
 
 
-def turn_between(first: Float64Array, second: Float64Array) -> tuple[Float64Array, BoolArray] | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class BearingTurn:
+    """A turn that directions tell.
+
+    Attributes:
+        rotation: `second_from_first`, (3, 3).
+        agreeing: (N,), which directions agree with it.
+        influences: (N,), what share each direction has in the turn about its own axis; they sum up to 1.
+    """
+
+    rotation: Float64Array
+    agreeing: BoolArray
+    influences: Float64Array
+
+
+def turn_between(first: Float64Array, second: Float64Array) -> BearingTurn | None:
     """Find the rotation between two sets of directions to the same things, most of which are far away.
 
     What is near moves towards or away from the point to which the camera goes; along that direction differences count
@@ -26,7 +48,7 @@ def turn_between(first: Float64Array, second: Float64Array) -> tuple[Float64Arra
         first, second: (N, 3) unit vectors in the camera's frame.
 
     Returns:
-        `second_from_first` (3, 3), and which directions agree with it (N,); None where too few do.
+        The turn; None where too few directions agree with any.
 
     Source: weights (1 + r²/c²)⁻² are those of Geman and McClure 1985; the direction of the way is the coplanarity
     condition of Longuet-Higgins 1981 for small turns.
@@ -34,37 +56,97 @@ def turn_between(first: Float64Array, second: Float64Array) -> tuple[Float64Arra
     if len(first) < LEAST_BEARINGS:
         return None
     rotation, weights = _turn_alone(first, second)
-    ahead = np.zeros(3)
+    turned = first @ rotation.T
+    ahead = _way(turned, second - turned, weights)
     scales, amounts = np.zeros(2), np.zeros(4)
     for _ in range(_ROUNDS):
-        turned = first @ rotation.T
-        apart = second - turned
-        ahead = _way(turned, apart, weights)
-        along = ahead - (turned @ ahead)[:, None] * turned
-        reach = np.linalg.norm(along, axis=1)
-        along /= np.maximum(reach, 1e-9)[:, None]
-        across = np.cross(turned, along)
-        parts = np.stack([(apart * along).sum(axis=1), (apart * across).sum(axis=1)], axis=1)
-        nearness = reach[:, None] * np.hstack([np.ones((len(turned), 1)), turned])
-        parts[:, 0] -= nearness @ amounts
+        view = _View.of(first @ rotation.T, second, ahead)
+        parts = view.parts.copy()
+        parts[:, 0] -= view.nearness @ amounts
         scales = np.maximum(1.4826 * np.median(np.abs(parts), axis=0), _FINEST)
         scales[0] = max(scales)
         weights = (1.0 + ((parts / (3.0 * scales)) ** 2).sum(axis=1)) ** -2
-        # apart changes by -δ × turned, which is turned × δ
-        slopes = np.zeros((len(turned), 2, 7))
-        slopes[:, 0, :3], slopes[:, 1, :3] = np.cross(turned, along), np.cross(turned, across)
-        slopes[:, 0, 3:] = nearness
         root = np.sqrt(weights)[:, None] / scales
-        rows = (slopes * root[:, :, None]).reshape(-1, 7)
-        solution = np.linalg.lstsq(rows, (parts * root).reshape(-1), rcond=1e-6)[0]
-        step, amounts = solution[:3], amounts + solution[3:]
-        rotation = matrix_from_quaternion(quaternion_from_rotation_vector(step)) @ rotation
-        if np.linalg.norm(step) < 1e-8:
+        rows = np.vstack([(view.slopes * root[:, :, None]).reshape(-1, 9), _HELD])
+        solution = np.linalg.lstsq(rows, np.append(parts * root, np.zeros(2)), rcond=1e-6)[0]
+        rotation = matrix_from_quaternion(quaternion_from_rotation_vector(solution[:3])) @ rotation
+        ahead = view.turned_way(solution[3:5])
+        amounts = amounts + solution[5:]
+        if np.linalg.norm(solution[:3]) < 1e-7:
             break
     agreeing = np.asarray(weights > 0.25, np.bool_)
     if agreeing.sum() < LEAST_BEARINGS or scales[1] > _WIDEST:
         return None
-    return rotation, agreeing
+    return BearingTurn(rotation, agreeing, _influences(rows, rotation))
+
+
+def _influences(rows: Float64Array, rotation: Float64Array) -> Float64Array:
+    """What share each direction has in a turn about the axis of the rotation that was found.
+
+    Were a direction alone to see a larger turn, the solution's turn would grow by its share of that.
+
+    Args:
+        rows: (2 N + 2, 9), of the least squares.
+        rotation: (3, 3).
+    """
+    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotation))
+    axis = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    normal = rows.T @ rows
+    lengths = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(lengths, lengths), rcond=1e-10) / np.outer(lengths, lengths)
+    shares = (rows @ inverse[:, :3] @ axis) * (rows[:, :3] @ axis)
+    of_directions = shares[:-2].reshape(-1, 2).sum(axis=1)
+    total = float(of_directions.sum())
+    if not 0.5 < total < 2.0:
+        return np.full(len(of_directions), 1.0 / len(of_directions))
+    return np.asarray(of_directions / total, np.float64)
+
+
+_HELD = np.zeros((2, 9))
+_HELD[0, 3] = _HELD[1, 4] = 1.0 / 0.3
+"""The direction of the way is held, weakly: where nothing is near, nothing tells it [1/rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """How far directions differ, and what a small turn and another way would change of it.
+
+    Attributes:
+        ahead: (3,), where the camera goes.
+        sideways: (2, 3), two directions across it.
+        parts: (N, 2): along the great circle through `ahead`, and across it.
+        nearness: (N, 4), columns of a plane of nearness: what moves along is near.
+        slopes: (N, 2, 9): by the turn, the way's direction, and the nearness.
+    """
+
+    ahead: Float64Array
+    sideways: Float64Array
+    parts: Float64Array
+    nearness: Float64Array
+    slopes: Float64Array
+
+    @classmethod
+    def of(cls, turned: Float64Array, second: Float64Array, ahead: Float64Array) -> "_View":
+        """Compare directions (N, 3) that were turned with those that were seen."""
+        apart = second - turned
+        along = ahead - (turned @ ahead)[:, None] * turned
+        reach = np.maximum(np.linalg.norm(along, axis=1), 1e-3)[:, None]
+        along /= reach
+        across = np.cross(turned, along)
+        sideways = np.linalg.svd(ahead[None])[2][1:]
+        nearness = reach * np.hstack([np.ones((len(turned), 1)), turned])
+        # apart changes by -δ × turned, across the circle by the way's direction, too
+        slopes = np.zeros((len(turned), 2, 9))
+        slopes[:, 0, :3], slopes[:, 1, :3] = np.cross(turned, along), np.cross(turned, across)
+        slopes[:, 1, 3:5] = np.cross(turned, second) @ sideways.T / reach
+        slopes[:, 0, 5:] = nearness
+        parts = np.stack([(apart * along).sum(axis=1), (apart * across).sum(axis=1)], axis=1)
+        return cls(ahead, sideways, parts, nearness, slopes)
+
+    def turned_way(self, steps: Float64Array) -> Float64Array:
+        """The way's direction after small steps (2,) sideways."""
+        way = self.ahead + np.clip(steps, -0.3, 0.3) @ self.sideways
+        return np.asarray(way / np.linalg.norm(way), np.float64)
 
 
 def _turn_alone(first: Float64Array, second: Float64Array) -> tuple[Float64Array, Float64Array]:

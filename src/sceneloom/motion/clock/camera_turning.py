@@ -38,16 +38,16 @@ class Shutter:
             return cls()
         return cls(float(seconds), entry.get("rollingShutterLeftToRight") is True)
 
-    def delay(self, pixels: Float64Array, picture: Picture) -> float:
-        """When the lines of some pixels (N, 2) are taken on the mean, after the picture's time [s].
+    def delay(self, pixels: Float64Array, shares: Float64Array, picture: Picture) -> float:
+        """When the lines of some pixels (N, 2), of which each has a share (N,), are taken, after the picture's time [s].
 
         Source: "One clock" in docs/CONVENTIONS.md: row r of H is taken at t + ((r + 0.5)/H - 0.5) · roll time.
         """
         if self.seconds == 0.0 or len(pixels) == 0:
             return 0.0
         size = picture.camera.width if self.over_columns else picture.camera.height
-        line = float(pixels[:, 0 if self.over_columns else 1].mean())
-        return ((line + 0.5) / size - 0.5) * self.seconds
+        line = float(pixels[:, 0 if self.over_columns else 1] @ shares)
+        return float(np.clip((line + 0.5) / size - 0.5, -0.5, 0.5)) * self.seconds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,8 +113,7 @@ def _turn(first: _Seen, second: _Seen, shutter: Shutter) -> tuple[Float64Array, 
     turned = turn_between(rays_before[usable], rays_after[usable])
     if turned is None:
         return unknown
-    rotation, agreeing = turned
-    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotation.T))
-    early = shutter.delay(before[usable][agreeing], first.picture)
-    late = shutter.delay(after[usable][agreeing], second.picture)
+    vector = rotation_vector_from_quaternion(quaternion_from_matrix(turned.rotation.T))
+    early = shutter.delay(before[usable], turned.influences, first.picture)
+    late = shutter.delay(after[usable], turned.influences, second.picture)
     return vector, early, late

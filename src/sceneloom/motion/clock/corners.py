@@ -73,8 +73,12 @@ def _shrunk(grey: Float32Array, times: int) -> Float32Array:
 def _halved(grey: Float32Array) -> Float32Array:
     height, width = grey.shape
     wide: Float32Array = np.pad(grey, ((2, 2), (2, 2)), mode="edge")
-    upright: Float32Array = sum((w * wide[k : k + height] for k, w in enumerate(_BLUR)), np.float32(0.0))
-    blurred: Float32Array = sum((w * upright[:, k : k + width] for k, w in enumerate(_BLUR)), np.float32(0.0))
+    upright = np.zeros((height, width + 4), np.float32)
+    blurred = np.zeros((height, width), np.float32)
+    for k, weight in enumerate(_BLUR):
+        upright += weight * wide[k : k + height]
+    for k, weight in enumerate(_BLUR):
+        blurred += weight * upright[:, k : k + width]
     return np.ascontiguousarray(blurred[::2, ::2], np.float32)
 
 
@@ -93,8 +97,8 @@ def find_corners(pyramid: Pyramid) -> Float32Array:
     rows, columns = height // cell, width // cell
     if rows == 0 or columns == 0:
         return np.zeros((0, 2), np.float32)
-    cells = strengths[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
-    cells = cells.transpose(0, 2, 1, 3).reshape(rows * columns, cell * cell)
+    squares = strengths[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
+    cells = squares.transpose(0, 2, 1, 3).reshape(rows * columns, cell * cell)
     best = cells.argmax(axis=1)
     strong = cells[np.arange(len(cells)), best] > _LEAST_STRENGTH
     numbers = np.flatnonzero(strong)

@@ -133,6 +133,20 @@ def steps_of(turning: Turning, origin_ns: int, least: float) -> Steps:
     return Steps(seconds[starting], seconds[starting + stride], turns, grouped, pieces)
 
 
+def rate_noise(turning: Turning) -> Float64Array:
+    """The power of the white noise in the rates of a turning, (3,) [rad²/s]: what samples jump about, at most.
+
+    Source: second differences of white noise have six times its variance.
+    """
+    steps = steps_of(turning, int(turning.timestamps_ns[0]), 0.0)
+    if len(steps) < LEAST_KNOTS:
+        return np.full(3, np.inf)
+    lengths = steps.stops - steps.starts
+    jumps = np.diff(steps.vectors / lengths[:, None], n=2, axis=0)
+    variance = (1.4826 * np.median(np.abs(jumps), axis=0)) ** 2 / 6.0
+    return np.asarray(variance * np.median(lengths), np.float64)
+
+
 class TurningCurve:
     """A turning between its samples: a smooth curve through the orientations of each piece."""
 

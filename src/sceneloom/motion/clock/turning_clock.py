@@ -13,7 +13,7 @@ from sceneloom.motion.clock.drift import Line, robust_line
 from sceneloom.motion.clock.estimate import ClockEstimate
 from sceneloom.motion.clock.fitting import Fit, Linearised, fit, misfit_of
 from sceneloom.motion.clock.outcome import Candidate, Clocks, concluded
-from sceneloom.motion.clock.turning import Steps, Turning, TurningCurve, finite_rows, steps_of
+from sceneloom.motion.clock.turning import Steps, Turning, TurningCurve, finite_rows, rate_noise, steps_of
 
 REACH_NS = 5_000_000_000
 """Offsets up to this are looked for [ns]."""
@@ -95,6 +95,7 @@ class _Pair:
     coarse: Turning
     fine: TurningCurve
     coarse_curve: TurningCurve
+    fine_noise: Float64Array
     expected: Float64Array
     grid: float
     span: tuple[float, float]
@@ -105,7 +106,15 @@ class _Pair:
         grid = max(_GRID, coarse.step_ns * 1e-9)
         curves = TurningCurve(fine, origin_ns), TurningCurve(coarse, origin_ns)
         ends = min(int(coarse.timestamps_ns[-1]), int(fine.timestamps_ns[-1]))
-        return cls(origin_ns, coarse, *curves, coarse_from_fine, grid, (0.0, (ends - origin_ns) * 1e-9))
+        return cls(
+            origin_ns,
+            coarse,
+            *curves,
+            rate_noise(fine),
+            coarse_from_fine,
+            grid,
+            (0.0, (ends - origin_ns) * 1e-9),
+        )
 
     @property
     def common(self) -> float:
@@ -209,7 +218,10 @@ class _TurningModel:
         return np.asarray(turn @ self.rotation, np.float64)
 
     def noise_share(self, found: Fit) -> float:
-        """How much of the rates' changes is noise, at most: all that is left over is laid to the finer stream."""
+        """How much of the rates' changes is noise of the finer stream.
+
+        It is no more than what is left over, and no more than what single samples of the stream jump about.
+        """
         at = self(found.parameters, found.amounts)
         if not found.used.any():
             return 0.0
@@ -217,7 +229,8 @@ class _TurningModel:
         left = at.residuals[found.used] - np.einsum(
             "nkm,nm->nk", at.nuisances[found.used], found.amounts[self.windows[found.used]]
         )
-        noise = 2.0 * np.median(np.abs(left) * 1.4826, axis=0) ** 2 / self.smoothing**2
+        of_residuals = (1.4826 * np.median(np.abs(left), axis=0) / self.smoothing) ** 2
+        noise = 2.0 * np.minimum(of_residuals, self.pair.fine_noise / self.smoothing)
         return float(noise.sum() / max(float((changes**2).mean(axis=0).sum()), 1e-300))
 
     def candidate(self, found: Fit, score: float) -> Candidate:

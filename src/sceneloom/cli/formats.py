@@ -33,6 +33,7 @@ def formats(template: Path | None, folder: Path | None, overwrite: bool, as_json
             f"{'--from' if folder else '--overwrite'} does nothing without --template rig.toml"
         )
     from sceneloom.formats.table import format_named, format_names
+    from sceneloom.formats.trajectories import TRAJECTORY_FORMS
 
     known = {name: list(format_named(name).suffixes) for name in format_names()}
     if as_json:
@@ -40,6 +41,11 @@ def formats(template: Path | None, folder: Path | None, overwrite: bool, as_json
     else:
         print_table(
             (name, " ".join(suffix or "a folder" for suffix in suffixes)) for name, suffixes in known.items()
+        )
+        click.echo("files of trajectories (`sceneloom convert`, `sceneloom eval trajectory`)")
+        print_table(
+            (name, " ".join(form.suffixes) or f"--to {name}", form.looks_like)
+            for name, form in TRAJECTORY_FORMS.items()
         )
 
 

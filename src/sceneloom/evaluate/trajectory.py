@@ -135,6 +135,8 @@ def _content(way: Way) -> TrajectoryFile:
     if isinstance(way, Trajectory):
         return TrajectoryFile(way)
     if isinstance(way, PosePath):
+        if way.endless:
+            raise PoseError("a pose that holds at all times is no way; expected poses with a time each")
         return TrajectoryFile(Trajectory("poses", way.timestamps_ns, way.positions, way.quaternions_xyzw))
     return read_trajectory_file(way)
 

@@ -17,6 +17,7 @@ Call = Callable[..., Any]
 def test_all_formats_are_listed(call: Call) -> None:
     assert set(json.loads(call("formats", "--json").out)) >= set(FORMATS)
     assert "rig" in call("formats").out
+    assert "euroc" in call("formats").out
 
 
 def test_a_template_is_written_once(call: Call, tmp_path: Path) -> None:

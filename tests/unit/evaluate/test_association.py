@@ -140,3 +140,5 @@ def test_options_that_cannot_be_followed_are_refused(options: dict[str, object],
 def test_a_pose_path_can_be_compared() -> None:
     path = PosePath(np.array([0, 10**9], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
     assert evaluate_trajectory(path, path, align="none").absolute.translation.max == 0.0
+    with pytest.raises(PoseError, match="holds at all times"):
+        evaluate_trajectory(PosePath.identity(), path)

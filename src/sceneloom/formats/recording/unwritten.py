@@ -36,6 +36,7 @@ def unwritten(
         *_of_cameras(scene, cameras),
         *_of_repeated(scene),
         *_of_ids(scene, cameras),
+        *_of_antennas(scene),
         *_of_default(scene, trajectories),
     ]
 
@@ -91,6 +92,14 @@ def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
             found = f"{name}{index}" if numbered else name
             if sensor.id != found:
                 yield Loss(field=f"sensors[{sensor.id}].id", what=f"read back as {found!r}")
+
+
+def _of_antennas(scene: Scene) -> Iterator[Loss]:
+    """The places of antennas but that of the one receiver for which the format has a field."""
+    found = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    for sensor in found:
+        if sensor.mount is not None and sensor not in main_receiver(found):
+            yield Loss(field=f"sensors[{sensor.id}].mount", what=_NO_PLACE)
 
 
 def main_receiver(receivers: Sequence[GnssSensor]) -> list[GnssSensor]:

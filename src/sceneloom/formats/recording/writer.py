@@ -20,7 +20,7 @@ from sceneloom.formats.recording.line_templates import example_of
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, merged_lines
 from sceneloom.formats.recording.place import DATA_FILE
 from sceneloom.formats.recording.writing_plan import WritingPlan
-from sceneloom.formats.recording.written_calibration import camera_entry, cropped, lidar_entry
+from sceneloom.formats.recording.written_calibration import antenna_entry, camera_entry, cropped, lidar_entry
 from sceneloom.formats.recording.written_frames import FrameLines, group_pictures, grouping_losses
 from sceneloom.formats.recording.written_lines import NumberLines, receiver_origin
 from sceneloom.formats.recording.written_pictures import PICTURES, PictureSink, open_sink
@@ -183,8 +183,10 @@ class _RecordingWriter:
             lidar_entry(lidar, index, plan.mounts[len(cameras) + index], LIDAR_MODEL)
             for index, lidar in enumerate(plan.lidars)
         ]
-        content = {**plan.notes.calibration, "cameras": cameras, **({"lidars": lidars} if lidars else {})}
-        if cameras or lidars or plan.notes.calibration:
+        antenna = antenna_entry(plan.scene, plan.notes.calibration)
+        further = {**plan.notes.calibration, **antenna}
+        content = {**further, "cameras": cameras, **({"lidars": lidars} if lidars else {})}
+        if cameras or lidars or further:
             text = msgspec.json.format(msgspec.json.encode(content), indent=2)
             (self._folder / CALIBRATION_FILE).write_bytes(text + b"\n")
 

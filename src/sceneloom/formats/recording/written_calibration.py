@@ -12,9 +12,10 @@ from sceneloom.cameras.fitting import nearest
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.unwritten import main_receiver
 from sceneloom.formats.recording.written_shots import ShootingSensor
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Coordinates, LidarSensor, PosePath
+from sceneloom.scene import Coordinates, GnssSensor, LidarSensor, PosePath, Scene
 
 RIGID_WITHIN = 0.01
 """Metres that a sensor may move on the vehicle before it is said that one mounting does not describe it."""
@@ -150,6 +151,18 @@ def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: s
     further = {k: v for k, v in _entry_before(sensor).items() if k not in {"imuToLidarMatrix", "lidarInd"}}
     number = {"lidarInd": index} if index else {}
     return {**further, "model": model, **number, "imuToLidar": matrix_entry(mount.inverse())}
+
+
+def antenna_entry(scene: Scene, before: Mapping[str, Any]) -> dict[str, Any]:
+    """Write where the antenna of the receiver of `gps` lines sits; what a calibration said of it before stays.
+
+    Args:
+        scene: what is written.
+        before: the root of the calibration that the scene was read with.
+    """
+    main = main_receiver([sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)])
+    mount = main[0].mount if main else None
+    return {} if mount is None or "imuToGnss" in before else {"imuToGnss": matrix_entry(mount.inverse())}
 
 
 def _entry_before(sensor: ShootingSensor | LidarSensor) -> dict[str, Any]:

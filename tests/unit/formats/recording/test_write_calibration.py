@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.errors import CalibrationError
+from sceneloom.formats.recording import FORMAT
 from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry, matrix_entry, mounting
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, Coordinates, LazyFrames, PosePath
+from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, PosePath, Scene
 
 
 def camera(model, *coefficients):
@@ -179,3 +180,20 @@ def test_a_matrix_is_four_rows():
     assert [len(row) for row in rows] == [4, 4, 4, 4]
     assert rows[3] == [0.0, 0.0, 0.0, 1.0]
     assert rows[0][3] == 1.5
+
+
+def test_the_place_of_an_antenna_is_written_and_comes_back(tmp_path):
+    mount = RigidTransform.from_quaternion(np.array([0.4, -0.1, 1.2]), np.array([0.0, 0.0, 0.6, 0.8]))
+    times, ones = np.arange(3, dtype=np.int64) * 10**9, np.ones(3)
+    receivers = [
+        GnssSensor(name, times, np.ones((3, 3)), ones, ones, mount=mount) for name in ("gnss", "rtkgps")
+    ]
+    losses = FORMAT.write(Scene(tuple(receivers)), tmp_path / "drive")
+    assert [loss.field for loss in losses] == ["sensors[rtkgps].mount"]
+    with FORMAT.open(tmp_path / "drive") as scene:
+        # a matrix and its inverse, each rounded to float64
+        np.testing.assert_allclose(scene.sensor("gnss").mount.matrix, mount.matrix, atol=1e-15)
+        assert scene.sensor("rtkgps").mount is None
+        text = (tmp_path / "drive" / "calibration.json").read_bytes()
+        FORMAT.write(scene, tmp_path / "again")
+    assert (tmp_path / "again" / "calibration.json").read_bytes() == text

@@ -22,6 +22,7 @@ KITTI_STEP = 10
 """Lengths [m] of the segments, and how many poses after each other they begin. Source: KITTI's development kit."""
 
 _DELTA = re.compile(r"(?P<amount>\d+(?:\.\d+)?)\s*(?P<unit>[a-z]+)")
+_LARGEST = 1e9
 _SLACK = 0.75
 """Share of the median spacing of poses by which a step of time may be off: less than one, so that the last poses are
 not taken for later ones."""
@@ -80,7 +81,7 @@ def parse_delta(text: str) -> tuple[float, str]:
     """
     match = _DELTA.fullmatch(text.strip())
     amount = float(match["amount"]) if match else 0.0
-    if match is None or match["unit"] not in _UNITS or amount <= 0:
+    if match is None or match["unit"] not in _UNITS or not 0 < amount < _LARGEST:
         raise OptionError(f"step {text!r}; expected seconds, metres or poses, such as 1s, 10m, 1f")
     if match["unit"] == "f" and amount != int(amount):
         raise OptionError(f"step {text!r}; expected a whole number of poses")

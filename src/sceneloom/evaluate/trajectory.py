@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError, PoseError
@@ -26,7 +27,7 @@ from sceneloom.geometry.rotations import (
     angle_between,
     quaternion_from_matrix,
 )
-from sceneloom.scene import PosePath, Trajectory
+from sceneloom.scene import GnssSensor, PosePath, Trajectory
 
 RPE_DELTAS = ("1s", "5m", "10m", "50m")
 """Steps over which motions are compared where nothing else is said."""
@@ -102,8 +103,10 @@ def evaluate_trajectory(
     """
     for delta in rpe_deltas:
         parse_delta(delta)
+    ours, theirs = _both(estimate, reference)
     report, errors = _compared(
-        *_both(estimate, reference),
+        checked_trajectory(ours.trajectory),
+        checked_trajectory(theirs.trajectory),
         align=align,
         first=align_first,
         how=associate,
@@ -112,6 +115,7 @@ def evaluate_trajectory(
         part=(start, stop),
         deltas=rpe_deltas,
     )
+    report = structs.replace(report, notices=(*ours.notices, *theirs.notices, *report.notices))
     if plot is not None:
         from sceneloom.evaluate.plot import plot_errors
 
@@ -119,14 +123,19 @@ def evaluate_trajectory(
     return report
 
 
-def _both(estimate: Way, reference: Way) -> tuple[Trajectory, Trajectory]:
+def _both(estimate: Way, reference: Way) -> tuple[TrajectoryFile, TrajectoryFile]:
     """The two trajectories; fixes are seen from the other's origin, where that is known."""
     ours, theirs = _content(estimate), _content(reference)
     if ours.fixes is not None and theirs.origin_lla is not None:
-        ours = of_fixes(ours.fixes, origin_lla=theirs.origin_lla, name=ours.trajectory.name)
+        ours = _seen_from(ours, ours.fixes, theirs.origin_lla)
     elif theirs.fixes is not None and ours.origin_lla is not None:
-        theirs = of_fixes(theirs.fixes, origin_lla=ours.origin_lla, name=theirs.trajectory.name)
-    return checked_trajectory(ours.trajectory), checked_trajectory(theirs.trajectory)
+        theirs = _seen_from(theirs, theirs.fixes, ours.origin_lla)
+    return ours, theirs
+
+
+def _seen_from(content: TrajectoryFile, fixes: GnssSensor, origin_lla: Float64Array) -> TrajectoryFile:
+    there = of_fixes(fixes, origin_lla=origin_lla, name=content.trajectory.name)
+    return replace(there, notices=content.notices)
 
 
 def _content(way: Way) -> TrajectoryFile:

@@ -1,5 +1,7 @@
 """Which poses are compared: by time, within a tolerance, each with at most one other."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -128,6 +130,7 @@ def test_numbers_that_are_none_are_refused(way: Trajectory, problem: str) -> Non
         ({"tolerance": float("nan")}, "tolerance nan s"),
         ({"rpe_deltas": ("10x",)}, "'10x'; expected seconds, metres or poses"),
         ({"rpe_deltas": ("0s",)}, "'0s'"),
+        ({"rpe_deltas": ("9" * 400 + "f",)}, "expected seconds, metres or poses"),
         ({"rpe_deltas": ("1.5f",)}, "whole number of poses"),
         ({"offset_ns": 2**63}, "beyond the year 2261"),
     ],
@@ -142,3 +145,16 @@ def test_a_pose_path_can_be_compared() -> None:
     assert evaluate_trajectory(path, path, align="none").absolute.translation.max == 0.0
     with pytest.raises(PoseError, match="holds at all times"):
         evaluate_trajectory(PosePath.identity(), path)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_fixes_are_seen_from_the_origin_of_the_other_side(tmp_path: Path, swapped: bool) -> None:
+    # two receivers that began 111 m and a second apart
+    for name, rows in (("a", ((0, 49.000), (1, 49.001))), ("b", ((1, 49.001), (2, 49.002)))):
+        lines = "".join(f"{time},{latitude},8.0,100.0\n" for time, latitude in rows)
+        (tmp_path / f"{name}.csv").write_text(f"time,lat,lon,alt\n{lines}", "ascii")
+    sides = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    report = evaluate_trajectory(*(reversed(sides) if swapped else sides), align="none")
+    assert report.pairs == 1
+    assert report.absolute.translation.max < 1e-8
+    assert report.notices[-1].code == "no-steps"

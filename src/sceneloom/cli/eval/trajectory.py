@@ -105,7 +105,7 @@ def trajectory(
         return
     print_report(report)
     if not quiet:
-        print_notices([*sides["est"].notices, *sides["ref"].notices, *report.notices], verbose=verbose)
+        print_notices(report.notices, verbose=verbose)
 
 
 def _read(path: Path | str, side: str, reading: dict[str, Any]) -> "TrajectoryFile":

@@ -1,24 +1,23 @@
 """The errors of a trajectory in one picture: the ways from above, coloured by error, and the errors over time."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sceneloom.errors import MissingExtraError, OptionError
+from sceneloom.evaluate.pair_errors import TrajectoryErrors
 from sceneloom.evaluate.report import TrajectoryReport
 from sceneloom.formats.output import check_output, replacing
-
-if TYPE_CHECKING:
-    from sceneloom.evaluate.trajectory import TrajectoryErrors
 
 SUFFIXES = (".png", ".svg", ".pdf")
 _SIZE_INCHES = (13.0, 6.5)
 _DPI = 120
 
 
-def plot_errors(
-    errors: "TrajectoryErrors", report: TrajectoryReport, path: Path, *, overwrite: bool = False
-) -> None:
-    """Draw errors into a file, without touching what the caller does with matplotlib.
+def check_plot(path: Path, *, overwrite: bool) -> Any:
+    """Refuse a picture that cannot be drawn or written, before anything is computed for it.
+
+    Returns:
+        matplotlib's class of figures.
 
     Raises:
         OptionError: the suffix is none of `SUFFIXES`.
@@ -34,8 +33,22 @@ def plot_errors(
         raise MissingExtraError(
             f"{path}: drawing needs matplotlib: pip install 'sceneloom[report]'"
         ) from None
+    return Figure
+
+
+def plot_errors(
+    errors: TrajectoryErrors, report: TrajectoryReport, path: Path, *, overwrite: bool = False
+) -> None:
+    """Draw errors into a file, without touching what the caller does with matplotlib.
+
+    Raises:
+        OptionError: the suffix is none of `SUFFIXES`.
+        OutputError: the file exists, or cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure_of = check_plot(path, overwrite=overwrite)
     # a figure of its own draws with Agg and is not known to pyplot
-    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout="constrained")
+    figure = figure_of(figsize=_SIZE_INCHES, dpi=_DPI, layout="constrained")
     rows = 1 if errors.rotation_deg is None else 2
     grid = figure.add_gridspec(rows, 2, width_ratios=(1.2, 1.0))
     _draw_map(figure, figure.add_subplot(grid[:, 0]), errors)
@@ -52,7 +65,7 @@ def plot_errors(
         figure.savefig(draft, format=path.suffix[1:].lower())
 
 
-def _draw_map(figure: Any, axes: Any, errors: "TrajectoryErrors") -> None:
+def _draw_map(figure: Any, axes: Any, errors: TrajectoryErrors) -> None:
     axes.plot(*errors.reference_way[:, :2].T, color="0.6", linewidth=3, label=errors.reference_name, zorder=1)
     dots = axes.scatter(
         *errors.aligned.positions[:, :2].T,

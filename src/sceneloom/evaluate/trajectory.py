@@ -1,7 +1,7 @@
 """A trajectory compared with a reference: paired by time, aligned, measured."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,8 @@ from sceneloom.evaluate.association import (
     way_along,
 )
 from sceneloom.evaluate.doubts import doubts_of, unmeasured
+from sceneloom.evaluate.pair_errors import TrajectoryErrors
+from sceneloom.evaluate.plot import check_plot, plot_errors
 from sceneloom.evaluate.relative import kitti_errors, parse_delta, relative_errors
 from sceneloom.evaluate.report import AbsoluteErrors, AlignmentReport, ErrorStatistics, TrajectoryReport
 from sceneloom.formats.trajectories import TrajectoryFile, read_trajectory_file
@@ -36,28 +38,6 @@ Way = Trajectory | TrajectoryFile | PosePath | str | Path
 """What can be compared: a trajectory, or a file or scene that holds one."""
 
 _FARTHEST_NS = 9_200_000_000_000_000_000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrajectoryErrors:
-    """The errors of all pairs, for plots.
-
-    Attributes:
-        estimate_name, reference_name: of what was compared.
-        pairs: poses as they were paired.
-        aligned: (N,) poses of the estimate in the reference's world.
-        reference_way: (M, 3) float64 [m], all of the reference's positions.
-        translation: (N,) float64 [m].
-        rotation_deg: (N,) float64 [deg], or None.
-    """
-
-    estimate_name: str
-    reference_name: str
-    pairs: Pairs
-    aligned: Poses
-    reference_way: Float64Array
-    translation: Float64Array
-    rotation_deg: Float64Array | None
 
 
 def evaluate_trajectory(
@@ -103,6 +83,8 @@ def evaluate_trajectory(
     """
     for delta in rpe_deltas:
         parse_delta(delta)
+    if plot is not None:
+        check_plot(Path(plot), overwrite=overwrite)
     ours, theirs = _both(estimate, reference)
     report, errors = _compared(
         checked_trajectory(ours.trajectory),
@@ -117,8 +99,6 @@ def evaluate_trajectory(
     )
     report = structs.replace(report, notices=(*ours.notices, *theirs.notices, *report.notices))
     if plot is not None:
-        from sceneloom.evaluate.plot import plot_errors
-
         plot_errors(errors, report, Path(plot), overwrite=overwrite)
     return report
 
@@ -163,9 +143,11 @@ def _compared(
     deltas: Sequence[str],
 ) -> tuple[TrajectoryReport, TrajectoryErrors]:
     estimate = _shifted(estimate, offset_ns)
+    # the whole reference is paired with, lest the poses at the part's ends have no neighbours
+    whole = reference
     estimate, reference = _within(estimate, reference, *part)
     tolerance_ns = None if tolerance is None else _nanoseconds("tolerance", tolerance)
-    pairs = associate_poses(estimate, reference, how=how, tolerance_ns=tolerance_ns)
+    pairs = associate_poses(estimate, whole, how=how, tolerance_ns=tolerance_ns)
     alignment = align_pairs(pairs, align, first=first)
     aligned = alignment.apply(pairs.estimate)
     absolute, errors = _absolute(estimate, reference, pairs, aligned)

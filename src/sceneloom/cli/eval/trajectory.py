@@ -81,7 +81,10 @@ def trajectory(
     `--stop` count from the first pose of REF.
     """
     from sceneloom.evaluate import RPE_DELTAS, evaluate_trajectory
+    from sceneloom.evaluate.plot import check_plot
 
+    if plot is not None:
+        check_plot(plot, overwrite=overwrite)
     sides = {}
     for path, side in ((estimate, "est"), (reference, "ref")):
         with progress_bar(f"reading {side.upper()}", quiet=quiet) as progress:

@@ -21,7 +21,10 @@ _RECORDING_EXTRAS = {"calibration", "lidarInd"}
 
 
 def unwritten(
-    scene: Scene, cameras: Sequence[ShootingSensor], trajectories: Sequence[Trajectory]
+    scene: Scene,
+    cameras: Sequence[ShootingSensor],
+    trajectories: Sequence[Trajectory],
+    imu: ImuSensor | None,
 ) -> list[Loss]:
     """Name everything of a scene that its recording will not hold.
 
@@ -29,13 +32,14 @@ def unwritten(
         scene: what is written.
         cameras: those of its cameras that are written.
         trajectories: what is written as trajectories.
+        imu: the inertial unit that is written.
     """
     return [
         *_of_root(scene),
         *(loss for sensor in scene.sensors for loss in _of_sensor(sensor)),
         *_of_cameras(scene, cameras),
-        *_of_repeated(scene),
-        *_of_ids(scene, cameras),
+        *_of_repeated(scene, imu),
+        *_of_ids(scene, cameras, imu),
         *_of_antennas(scene),
         *_of_default(scene, trajectories),
     ]
@@ -72,18 +76,18 @@ def _of_cameras(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Los
             )
 
 
-def _of_repeated(scene: Scene) -> Iterator[Loss]:
-    for sensor in [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)][1:]:
+def _of_repeated(scene: Scene, imu: ImuSensor | None) -> Iterator[Loss]:
+    for sensor in [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor) and sensor is not imu]:
         yield Loss(field=f"sensors[{sensor.id}]", what=f"left out: the format has one {sensor.type} only")
 
 
-def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
+def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor], imu: ImuSensor | None) -> Iterator[Loss]:
     """The ids that reading gives differ from the scene's: the format knows sensors by number only."""
     lidars = scene.lidars
     names: dict[str, Sequence[Sensor]] = {
         "camera": cameras,
         "lidar": lidars,
-        "imu": [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)][:1],
+        "imu": [] if imu is None else [imu],
         "gnss": main_receiver([sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]),
     }
     for name, sensors in names.items():
@@ -116,8 +120,3 @@ def _of_default(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Lo
     for trajectory in trajectories:
         if trajectory.covariances is not None:
             yield Loss(field=f"trajectories.{trajectory.name}.covariances", what=_NO_PLACE)
-    posed = [sensor for sensor in scene.sensors if getattr(sensor, "poses", None) is not None]
-    if not trajectories and posed:
-        yield Loss(
-            field="sensors[].poses", what="left out: there is no trajectory of the ego", count=len(posed)
-        )

@@ -27,7 +27,7 @@ from sceneloom.formats.recording.written_pictures import PICTURES, PictureSink, 
 from sceneloom.formats.recording.written_shots import shots_of
 from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter, sweep_stream
 from sceneloom.formats.recording.written_times import TimeWriter
-from sceneloom.scene import GnssSensor, ImuSensor, Scene
+from sceneloom.scene import GnssSensor, Scene
 from sceneloom.scene.assumed_lenses import check_lenses
 
 _RECORDING_FILES = re.compile(
@@ -152,10 +152,9 @@ class _RecordingWriter:
 
     def _number_streams(self, shared: SharedLines) -> list[LineStream]:
         plan, lines, notes = self._plan, self._numbers, self._plan.notes
-        imus = [sensor for sensor in plan.scene.sensors if isinstance(sensor, ImuSensor)]
         receivers = [sensor for sensor in plan.scene.sensors if isinstance(sensor, GnssSensor)]
         streams = [lines.trajectory(trajectory, origin) for trajectory, origin in plan.trajectories]
-        streams += [stream for sensor in imus[:1] for stream in lines.imu(sensor)]
+        streams += [] if plan.imu is None else lines.imu(plan.imu)
         for sensor in receivers:
             streams.append(lines.gnss(sensor, receiver_origin(sensor, notes.receiver_origins, receivers)))
         texts = {SHARED: shared.lines(), OTHER: other_lines(notes.other_lines, notes.other_seconds)}

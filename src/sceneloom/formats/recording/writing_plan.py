@@ -10,11 +10,14 @@ from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.kept_texts import SharedText
 from sceneloom.formats.recording.line_order import LineOrder
+from sceneloom.formats.recording.trajectories import RANKS
+from sceneloom.formats.recording.unreplayable import unreplayable
 from sceneloom.formats.recording.unwritten import unwritten
-from sceneloom.formats.recording.written_calibration import mounting
+from sceneloom.formats.recording.written_lines import origin_for
+from sceneloom.formats.recording.written_mounts import mounting
 from sceneloom.formats.recording.written_shots import ShootingSensor, shooting_sensors, shots_of
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
+from sceneloom.scene import Coordinates, ImuSensor, LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
 from sceneloom.scene.poses import same_way
 
 
@@ -55,6 +58,7 @@ class WritingPlan:
         lidars: in the order of `lidarInd`.
         mounts: `ego_from_sensor` of the cameras, then of the lidars.
         trajectories: each with the root key and name that it was read under, or None.
+        imu: the inertial unit that is written, or None.
         ego_path: `world_from_ego`, or None.
     """
 
@@ -64,6 +68,7 @@ class WritingPlan:
     lidars: Sequence[LidarSensor]
     mounts: Sequence[RigidTransform]
     trajectories: Sequence[tuple[Trajectory, tuple[str, str] | None]]
+    imu: ImuSensor | None
     ego_path: PosePath | None
     losses: list[Loss] = field(default_factory=list)
 
@@ -79,10 +84,16 @@ class WritingPlan:
         cameras = [camera for camera in found if len(shots_of(camera))] or found
         trajectories = _trajectories(scene, notes)
         ego_path = _ego_path(scene)
-        losses = unwritten(scene, cameras, [trajectory for trajectory, _ in trajectories])
+        losses: list[Loss] = []
+        if ego_path is None and not trajectories:
+            ego_path = _ride_along([*scene.lidars, *cameras], trajectories, losses)
+        imu = _written_imu(scene)
+        losses += unwritten(scene, cameras, [trajectory for trajectory, _ in trajectories], imu)
+        losses += _of_unplaced(scene, trajectories)
+        losses += unreplayable(cameras, scene.lidars, imu, notes.vio_config)
         mounted: list[ShootingSensor | LidarSensor] = [*cameras, *scene.lidars]
         mounts = [_mount(sensor, ego_path, losses) for sensor in mounted]
-        return cls(scene, notes, cameras, scene.lidars, mounts, trajectories, ego_path, losses)
+        return cls(scene, notes, cameras, scene.lidars, mounts, trajectories, imu, ego_path, losses)
 
 
 def _notes(scene: Scene) -> RecordingNotes:
@@ -102,6 +113,51 @@ def _trajectories(scene: Scene, notes: RecordingNotes) -> list[tuple[Trajectory,
                 Trajectory(str(sensor.id), path.timestamps_ns, path.positions, path.quaternions_xyzw)
             )
     return [(trajectory, notes.trajectory_origins.get(trajectory.name)) for trajectory in found]
+
+
+def _ride_along(
+    sensors: Sequence[ShootingSensor | LidarSensor],
+    trajectories: list[tuple[Trajectory, tuple[str, str] | None]],
+    losses: list[Loss],
+) -> PosePath | None:
+    """Take the way of the first sensor that has one for the ego's, so that it and the others' places are not lost."""
+    for sensor in sensors:
+        path = sensor.poses
+        if (
+            path is None
+            or path.endless
+            or sensor.coordinates is not Coordinates.WORLD
+            or sensor.mount is not None
+        ):
+            continue
+        name = str(sensor.id)
+        way = Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
+        trajectories.append((way, ("pose", name)))
+        what = f"written as trajectory {name!r}, which the ego is taken to follow: the scene has no way of the ego"
+        losses.append(Loss(field=f"sensors[{sensor.id}].poses", what=what))
+        return path
+    return None
+
+
+def _of_unplaced(
+    scene: Scene, trajectories: Sequence[tuple[Trajectory, tuple[str, str] | None]]
+) -> list[Loss]:
+    """Say that sensors lose their poses: the trajectory that reading takes for the ego's way has no orientations."""
+    posed = sum(getattr(sensor, "poses", None) is not None for sensor in scene.sensors)
+    ranked = sorted(
+        trajectories, key=lambda pair: RANKS.get((pair[1] or origin_for(pair[0].name))[0], len(RANKS))
+    )
+    if not posed or (ranked and ranked[0][0].quaternions_xyzw is not None):
+        return []
+    what = "left out: there is no trajectory of the ego with orientations that recordings place sensors by"
+    return [Loss(field="sensors[].poses", what=what, count=posed)]
+
+
+def _written_imu(scene: Scene) -> ImuSensor | None:
+    """The inertial unit that is written: the first that measures what the vendor's software needs, else the first."""
+    units = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)]
+    whole = [unit for unit in units if {"accelerometer", "gyroscope"} <= set(unit.streams)]
+    return next(iter([*whole, *units]), None)
 
 
 def _ego_path(scene: Scene) -> PosePath | None:

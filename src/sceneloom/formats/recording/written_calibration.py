@@ -5,20 +5,16 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.unwritten import main_receiver
+from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry
 from sceneloom.formats.recording.written_shots import ShootingSensor
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Coordinates, GnssSensor, LidarSensor, PosePath, Scene
-
-RIGID_WITHIN = 0.01
-"""Metres that a sensor may move on the vehicle before it is said that one mounting does not describe it."""
+from sceneloom.scene import GnssSensor, LidarSensor, Scene
 
 
 class _Writing(NamedTuple):
@@ -119,12 +115,6 @@ def lens_losses(field: str, how_far: str | None) -> list[Loss]:
     return [] if how_far is None else [Loss(field=field, what=how_far)]
 
 
-def matrix_entry(transform: RigidTransform) -> list[list[float]]:
-    """A transform as four rows of four numbers."""
-    rows: list[list[float]] = transform.matrix.tolist()
-    return rows
-
-
 def camera_entry(
     sensor: ShootingSensor, camera: Camera, mount: RigidTransform
 ) -> tuple[dict[str, Any], list[Loss]]:
@@ -140,17 +130,19 @@ def camera_entry(
     """
     lens, how_far = lens_entry(camera)
     losses = lens_losses(f"sensors[{sensor.id}].camera", how_far)
-    further = {
-        k: v for k, v in _entry_before(sensor).items() if k not in {"imuToCameraMatrix", "distortionModel"}
-    }
-    return {**further, **lens, "imuToCamera": matrix_entry(mount.inverse())}, losses
+    before = _entry_before(sensor)
+    further = {k: v for k, v in before.items() if k not in {"imuToCameraMatrix", "distortionModel"}}
+    matrix = mount_entry(mount, before, "imuToCamera", "imuToCameraMatrix")
+    return {**further, **lens, "imuToCamera": matrix}, losses
 
 
 def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: str) -> dict[str, Any]:
     """Write a lidar; `mount` is `ego_from_lidar`."""
-    further = {k: v for k, v in _entry_before(sensor).items() if k not in {"imuToLidarMatrix", "lidarInd"}}
+    before = _entry_before(sensor)
+    further = {k: v for k, v in before.items() if k not in {"imuToLidarMatrix", "lidarInd"}}
     number = {"lidarInd": index} if index else {}
-    return {**further, "model": model, **number, "imuToLidar": matrix_entry(mount.inverse())}
+    matrix = mount_entry(mount, before, "imuToLidar", "imuToLidarMatrix")
+    return {**further, "model": model, **number, "imuToLidar": matrix}
 
 
 def antenna_entry(scene: Scene, before: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,47 +160,6 @@ def antenna_entry(scene: Scene, before: Mapping[str, Any]) -> dict[str, Any]:
 def _entry_before(sensor: ShootingSensor | LidarSensor) -> dict[str, Any]:
     entry = sensor.extras.get("calibration")
     return dict(entry) if isinstance(entry, Mapping) else {}
-
-
-def mounting(
-    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None
-) -> tuple[RigidTransform | None, list[Loss]]:
-    """Find `ego_from_sensor`: what the sensor says, else where its poses put it against the ego.
-
-    Returns:
-        The mounting, None where neither tells it; and what one mounting cannot say.
-    """
-    if sensor.mount is not None:
-        return sensor.mount, []
-    relative = _ego_from_sensor(sensor, ego_path)
-    if relative is None:
-        return None, []
-    mount = RigidTransform.from_quaternion(relative.positions[0], relative.quaternions_xyzw[0])
-    moved = float(np.linalg.norm(relative.positions - relative.positions[0], axis=1).max())
-    if moved <= RIGID_WITHIN:
-        return mount, []
-    what = f"taken to be mounted as at its first pose, from which it moves up to {moved:.2g} m on the vehicle"
-    return mount, [Loss(field=f"sensors[{sensor.id}].poses", what=what)]
-
-
-def _ego_from_sensor(sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None) -> PosePath | None:
-    poses = sensor.poses
-    if poses is None or sensor.coordinates is Coordinates.EGO:
-        return poses
-    if ego_path is None:
-        return None
-    ego = ego_path.interpolate(poses.timestamps_ns)
-    inside = np.flatnonzero(ego.coverage == 0)
-    if len(inside) == 0:
-        return None
-    pairs = [
-        RigidTransform.from_quaternion(ego.positions[k], ego.quaternions_xyzw[k]).inverse()
-        @ RigidTransform.from_quaternion(poses.positions[k], poses.quaternions_xyzw[k])
-        for k in inside
-    ]
-    positions = np.array([pair.translation for pair in pairs])
-    quaternions = np.array([pair.quaternion_xyzw for pair in pairs])
-    return PosePath(poses.timestamps_ns[inside], positions, quaternions)
 
 
 def cropped(camera: Camera, width: int, height: int) -> Camera:

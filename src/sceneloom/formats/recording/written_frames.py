@@ -9,8 +9,9 @@ from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.line_order import FRAMES
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
-from sceneloom.formats.recording.written_calibration import lens_entry, lens_losses, matrix_entry
+from sceneloom.formats.recording.written_calibration import lens_entry, lens_losses
 from sceneloom.formats.recording.written_lines import make_line
+from sceneloom.formats.recording.written_mounts import matrix_entry
 from sceneloom.formats.recording.written_pictures import PictureSink
 from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of, shots_of
 from sceneloom.formats.recording.written_times import TimeWriter

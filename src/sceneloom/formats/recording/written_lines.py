@@ -190,7 +190,7 @@ class NumberLines:
             trajectory: what to write.
             origin: root key and name under which it was read, or None.
         """
-        root, name = origin or _origin_for(trajectory.name)
+        root, name = origin or origin_for(trajectory.name)
         values = trajectory.positions
         pose: dict[str, Any] = {"position": {axis: Slot(k) for k, axis in enumerate("xyz")}}
         if trajectory.quaternions_xyzw is not None:
@@ -275,6 +275,6 @@ def _given(name: str, value: float) -> dict[str, float]:
     return {name: float(value)} if np.isfinite(value) else {}
 
 
-def _origin_for(name: str) -> tuple[str, str]:
+def origin_for(name: str) -> tuple[str, str]:
     """A root key of its own; where the format has another meaning for that key, a `pose` that bears the name."""
     return ("pose", name) if name in ROOT_KEYS - {"groundTruth"} or not name else (name, name)

@@ -115,7 +115,8 @@ class PngPictures:
     def __init__(self, sensor: CameraSensor, folder: Path) -> None:
         """Make the folder."""
         self.width, self.height = sensor.camera.width, sensor.camera.height
-        self.losses: list[Loss] = []
+        rate = Loss(field=f"sensors[{sensor.id}].fps", what="left out: files have no rate")
+        self.losses: list[Loss] = [rate] if sensor.fps else []
         folder.mkdir()
         self._folder = folder
         self._count = 0

@@ -1,6 +1,8 @@
 """The lidars: one binary of packed records per sweep, and the line that names it."""
 
+import re
 from collections.abc import Iterator, Mapping
+from itertools import count
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -76,9 +78,10 @@ class SweepWriter:
         Raises:
             PoseError: the points are in the world, and it is not known where the lidar was.
         """
-        self.losses: list[Loss] = []
+        self.losses = _losses_of_all(sensor)
         self._sensor, self._index, self._mount = sensor, index, mount
         self._folder, self._times, self._example = folder, times, example
+        self._names: set[str] = set()
         rows = rows_of(further_keys, sensor.frames.timestamps_ns)
         self._further = {row: further_keys[key] for key, row in rows.items()}
         self._subfolder = f"lidar{index + 1 if index else ''}"
@@ -94,7 +97,7 @@ class SweepWriter:
     def _lines(self) -> Iterator[WrittenLine]:
         (self._folder / self._subfolder).mkdir(exist_ok=True)
         for k, frame in enumerate(self._sensor.frames):
-            name = f"{self._subfolder}/{k:06d}.bin"
+            name = self._file_name(k, frame)
             (self._folder / name).write_bytes(self._records(frame).tobytes())
             sweep: dict[str, Any] = {"model": LIDAR_MODEL, "dataFile": name}
             if self._index:
@@ -104,6 +107,17 @@ class SweepWriter:
             line = make_line(fields, frame.timestamp_ns, self._times, seconds, example=self._example)
             further = self._further.get(k)
             yield line if further is None else line._replace(text=completed(line.text, further))
+
+    def _file_name(self, k: int, frame: LidarFrame) -> str:
+        """The name that the file had in a recording, where that is free and in the lidar's folder; else a number."""
+        name = frame.extras.get("dataFile")
+        own = re.compile(rf"{self._subfolder}/\w[\w.-]*")
+        if not isinstance(name, str) or not own.fullmatch(name) or name in self._names:
+            name = next(
+                n for n in (f"{self._subfolder}/{i:06d}.bin" for i in count(k)) if n not in self._names
+            )
+        self._names.add(name)
+        return name
 
     def _records(self, frame: LidarFrame) -> np.ndarray[tuple[int], np.dtype[np.void]]:
         points = frame.points
@@ -168,6 +182,21 @@ class SweepWriter:
         if count:
             field = f"sensors[{self._sensor.id}].frames[].points.{name}"
             self.losses.append(Loss(field=field, what=what, count=count))
+
+
+def _losses_of_all(sensor: LidarSensor) -> list[Loss]:
+    """What holds for all sweeps of a lidar."""
+    losses = []
+    if sensor.model not in (None, LIDAR_MODEL):
+        what = f"{sensor.model!r} written as {LIDAR_MODEL!r}, the one layout of files that the format has"
+        losses.append(Loss(field=f"sensors[{sensor.id}].model", what=what))
+    if sensor.points_frame is not PointsFrame.SENSOR:
+        what = f"brought from the {sensor.points_frame} frame into the lidar's own, in which recordings keep points"
+        losses.append(Loss(field=f"sensors[{sensor.id}].points_frame", what=what))
+        what = f"rounded to float32 in the lidar's own frame, from the {sensor.points_frame} frame"
+        count = len(sensor.frames)
+        losses.append(Loss(field=f"sensors[{sensor.id}].frames[].points.positions", what=what, count=count))
+    return losses
 
 
 def _point_times(frame: LidarFrame) -> Int64Array:

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.recording import FORMAT
-from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry, matrix_entry, mounting
+from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry
+from sceneloom.formats.recording.written_mounts import matrix_entry, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, PosePath, Scene
 

@@ -1,0 +1,112 @@
+"""Where a sensor sits on the vehicle, as one transform: what it says itself, or what its poses tell."""
+
+from collections.abc import Mapping
+from math import degrees
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS
+from sceneloom.formats.recording.mounts import rigid_transform
+from sceneloom.formats.recording.written_shots import ShootingSensor
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import (
+    angle_between,
+    conjugate_quaternion,
+    multiply_quaternions,
+    rotate_vectors,
+)
+from sceneloom.scene import Coordinates, LidarSensor, PosePath
+
+RIGID_WITHIN = 0.01
+"""Metres that a sensor may move on the vehicle before it is said that one mounting does not describe it."""
+_TURNED_WITHIN_DEG = 0.1
+"""The same for its turning [deg]."""
+
+
+def mounting(
+    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None
+) -> tuple[RigidTransform | None, list[Loss]]:
+    """Find `ego_from_sensor`: what the sensor says, else where its poses put it against the ego.
+
+    Returns:
+        The mounting, None where neither tells it; and what one mounting cannot say.
+    """
+    relative, outside = _ego_from_sensor(sensor, ego_path)
+    field, losses = f"sensors[{sensor.id}].poses", list[Loss]()
+    if outside:
+        what = "left out: they lie beyond the way of the ego, by which recordings place sensors"
+        losses.append(Loss(field=field, what=what, count=outside))
+    mount = sensor.mount
+    if mount is None and relative is not None:
+        mount = RigidTransform.from_quaternion(relative.positions[0], relative.quaternions_xyzw[0])
+    if mount is None or relative is None:
+        return mount, losses
+    moved = float(np.linalg.norm(relative.positions - mount.translation, axis=1).max())
+    turned = degrees(float(angle_between(relative.quaternions_xyzw, mount.quaternion_xyzw).max()))
+    if moved > RIGID_WITHIN or turned > _TURNED_WITHIN_DEG:
+        held = "as its mounting says" if sensor.mount is not None else "as at its first pose"
+        found = f"up to {moved:.2g} m and {turned:.2g} degrees"
+        what = f"taken to be mounted {held}, from which it moves {found} on the vehicle"
+        losses.append(Loss(field=field, what=what))
+    return mount, losses
+
+
+def _ego_from_sensor(
+    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None
+) -> tuple[PosePath | None, int]:
+    """The poses of a sensor on the ego, None where they are not known; and how many have none of the ego."""
+    poses = sensor.poses
+    if poses is None or sensor.coordinates is Coordinates.EGO:
+        return poses, 0
+    if ego_path is None:
+        return None, 0
+    ego = ego_path.interpolate(poses.timestamps_ns)
+    inside: BoolArray = ego.coverage == 0
+    outside = int((~inside).sum())
+    if not inside.any():
+        return None, outside
+    ego_from_world = conjugate_quaternion(ego.quaternions_xyzw[inside])
+    positions = rotate_vectors(ego_from_world, poses.positions[inside] - ego.positions[inside])
+    quaternions = multiply_quaternions(ego_from_world, poses.quaternions_xyzw[inside])
+    return PosePath(poses.timestamps_ns[inside], positions, quaternions), outside
+
+
+def matrix_entry(transform: RigidTransform) -> list[list[float]]:
+    """A transform as four rows of four numbers."""
+    rows: list[list[float]] = transform.matrix.tolist()
+    return rows
+
+
+def mount_entry(mount: RigidTransform, before: Mapping[str, Any], *keys: str) -> list[list[float]]:
+    """Write a mounting: with the numbers of the entry that it was read from, where they still mean it.
+
+    Args:
+        mount: `ego_from_sensor`.
+        before: the entry.
+        keys: under which of its keys the matrix may stand.
+    """
+    for numbers in (before[key] for key in keys if key in before):
+        if _is_square(numbers) and _means(numbers, mount):
+            return [list(map(float, row)) for row in numbers]
+    return matrix_entry(mount.inverse())
+
+
+def _is_square(numbers: object) -> bool:
+    return (
+        isinstance(numbers, list)
+        and len(numbers) == len(np.eye(4))
+        and all(isinstance(row, list) and len(row) == len(numbers) for row in numbers)
+    )
+
+
+def _means(numbers: Any, mount: RigidTransform) -> bool:
+    try:
+        read = rigid_transform(numbers, "", Ledger(lenient=True)).inverse()
+    except (CalibrationError, *DECODER_FAULTS, TypeError, ValueError):
+        return False
+    return np.array_equal(read.matrix, mount.matrix)

@@ -1,0 +1,102 @@
+"""What the vendor's software would refuse, ignore or suspect is named when a recording is written."""
+
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.formats.recording.writer import write_recording
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CameraSensor,
+    DepthCameraSensor,
+    DepthFrame,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Picture,
+    Scene,
+    VectorSamples,
+)
+
+MS = 1_000_000
+LENS = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+HERE = RigidTransform.identity()
+NO_IMU = "the vendor's software gives no output without accelerometer and gyroscope"
+
+
+def times(count, *, start_ms=0, step_ms=100):
+    return (np.arange(count, dtype=np.int64) * step_ms + start_ms) * MS
+
+
+def a_camera(name="camera0", stamps=None):
+    stamps = times(3) if stamps is None else stamps
+    pictures = [Picture.of(int(t), LENS, np.zeros((16, 32, 3), np.uint8)) for t in stamps]
+    return CameraSensor(name, LENS, LazyFrames.of(pictures, stamps), mount=HERE)
+
+
+def a_depth_camera(name="camera1"):
+    frames = [DepthFrame(int(t), LENS, lambda: np.ones((16, 32), np.float32), 0.001) for t in times(3)]
+    return DepthCameraSensor(name, LENS, LazyFrames.of(frames, times(3)), mount=HERE)
+
+
+def an_imu(*names, start_ms=1):
+    stamps = times(60, start_ms=start_ms, step_ms=5)
+    return ImuSensor("imu", {name: VectorSamples(stamps, np.ones((60, 3))) for name in names})
+
+
+def a_lidar(name):
+    return LidarSensor(
+        name, LazyFrames.of([LidarFrame(0, LidarPoints(np.zeros((1, 3), np.float32)))], [0]), mount=HERE
+    )
+
+
+BOTH = ("accelerometer", "gyroscope")
+CASES = {
+    "nothing wrong": ((a_camera(), a_camera("camera1"), an_imu(*BOTH)), {}),
+    "depth beside pictures": ((a_camera(), a_depth_camera(), an_imu(*BOTH)), {}),
+    "no IMU": ((a_camera(),), {NO_IMU: 1}),
+    "no gyroscope": (
+        (a_camera(), an_imu("accelerometer")),
+        {"the vendor's software gives no output without gyroscope": 1},
+    ),
+    "neither pictures": ((a_lidar("lidar"),), {}),
+    "times of the IMU": (
+        (a_camera(stamps=times(3, start_ms=1)), an_imu(*BOTH)),
+        {
+            "pictures have the very times of IMU samples, which makes the vendor's diagnosis suspect that their times "
+            "were not measured; they are written as they are": 3
+        },
+    ),
+    "three cameras": (
+        (a_camera(), a_camera("camera1"), a_camera("camera2"), an_imu(*BOTH)),
+        {"the vendor's software uses the first two cameras, not camera2": 1},
+    ),
+    "two lidars": (
+        (a_lidar("lidar0"), a_lidar("lidar1")),
+        {"the vendor's software does not tell lidars apart (`lidarInd`)": 2},
+    ),
+    "depth alone": (
+        (a_depth_camera("camera0"), an_imu(*BOTH)),
+        {"the vendor's software tracks in the first camera, and camera0 measures depth": 1},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_will_not_be_replayed_is_named(tmp_path, case):
+    sensors, expected = CASES[case]
+    report = write_recording(Scene(sensors), tmp_path / "drive", pictures="png")
+    assert {loss.what: loss.count for loss in report if loss.field == "replay"} == expected
+
+
+def test_settings_that_are_not_publicly_known_are_named(tmp_path):
+    metadata = MappingProxyType({"recording": {"vio_config": "useStereo: True\nsparkle: 3\n"}})
+    scene = Scene((a_camera(), an_imu(*BOTH)), metadata=metadata, format="recording")
+    report = write_recording(scene, tmp_path / "drive")
+    said = [loss.what for loss in report if loss.field == "replay"]
+    assert said == ["the vendor's software may stop at settings that are not publicly known: sparkle"]
+    assert (tmp_path / "drive" / "vio_config.yaml").read_text() == "useStereo: True\nsparkle: 3\n"

@@ -25,6 +25,7 @@ from sceneloom.evaluate.relative import kitti_errors, parse_delta, relative_erro
 from sceneloom.evaluate.report import AbsoluteErrors, AlignmentReport, ErrorStatistics, TrajectoryReport
 from sceneloom.formats.trajectories import TrajectoryFile, read_trajectory_file
 from sceneloom.formats.trajectories.gnss import of_fixes
+from sceneloom.formats.trajectories.table import content_of
 from sceneloom.geometry.rotations import (
     angle_between,
     quaternion_from_matrix,
@@ -119,15 +120,7 @@ def _seen_from(content: TrajectoryFile, fixes: GnssSensor, origin_lla: Float64Ar
 
 
 def _content(way: Way) -> TrajectoryFile:
-    if isinstance(way, TrajectoryFile):
-        return way
-    if isinstance(way, Trajectory):
-        return TrajectoryFile(way)
-    if isinstance(way, PosePath):
-        if way.endless:
-            raise PoseError("a pose that holds at all times is no way; expected poses with a time each")
-        return TrajectoryFile(Trajectory("poses", way.timestamps_ns, way.positions, way.quaternions_xyzw))
-    return read_trajectory_file(way)
+    return read_trajectory_file(way) if isinstance(way, str | Path) else content_of(way)
 
 
 def _compared(

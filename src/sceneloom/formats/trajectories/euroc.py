@@ -30,6 +30,9 @@ _POSE = (
     *(f"q_RS_{axis} []" for axis in "wxyz"),
 )
 _WIDTHS = tuple(8 + 3 * count for count in range(len(_FURTHER) + 1))
+_POSITIONS_ONLY = 4
+"""Numbers a line of the position tracker's files, which have the same header without orientations."""
+
 _EARLIEST_NS = 1e12
 """Less than this many nanoseconds, a quarter of an hour, is taken for seconds of another form when recognising."""
 
@@ -49,15 +52,16 @@ def _recognises(text: str) -> bool:
 def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     table = read_table(path, named=False)
     width = len(table.rows[0])
-    if width not in _WIDTHS:
-        known = ", ".join(map(str, _WIDTHS))
+    if width not in (_POSITIONS_ONLY, *_WIDTHS):
+        known = ", ".join(map(str, (_POSITIONS_ONLY, *_WIDTHS)))
         problem = (
             f"{width} values; expected {known}: timestamp, position, quaternion w x y z, velocity, biases"
         )
         raise DataError(path, f"line {table.lines[0]}", problem)
     values = table.numbers(range(1, width))
     stamps = table.stamps(0, reading.unit or "nanoseconds")
-    rows = PoseRows(stamps, values[:, :3], values[:, [4, 5, 6, 3]], table.lines)
+    quaternions = None if width == _POSITIONS_ONLY else values[:, [4, 5, 6, 3]]
+    rows = PoseRows(stamps, values[:, :3], quaternions, table.lines)
     way, kept = ordered(path, reading.name or path.stem, rows, ledger)
     columns = {
         name: read_only(values[kept, 7 + 3 * k : 10 + 3 * k])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.errors import OptionError, UnknownFormatError
+from sceneloom.errors import OptionError, PoseError, UnknownFormatError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, replacing
@@ -20,7 +20,7 @@ from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, Traj
 from sceneloom.formats.trajectories.first_lines import beginning
 from sceneloom.formats.trajectories.scenes import is_scene_name, read_scene_trajectory
 from sceneloom.formats.urls import is_url
-from sceneloom.scene import Trajectory
+from sceneloom.scene import PosePath, Trajectory
 from sceneloom.scene.types import Progress
 
 TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = MappingProxyType(
@@ -116,7 +116,7 @@ def read_trajectory(path: str | Path, **options: Any) -> Trajectory:
 
 
 def write_trajectory(
-    trajectory: Trajectory | TrajectoryFile,
+    trajectory: Trajectory | PosePath | TrajectoryFile,
     path: str | Path,
     *,
     form: str | None = None,
@@ -139,13 +139,14 @@ def write_trajectory(
 
     Raises:
         OptionError: no form has that suffix or name, or the trajectory lacks what the form needs.
+        PoseError: a path is one pose for all times.
         OutputError: the file exists, or cannot be written.
     """
     target = Path(path)
     chosen = form_for_output(target) if form is None else _form_named(form)
     if chosen is None:
         raise OptionError(f"form {form!r} is one of scenes; expected one of: {', '.join(FORM_NAMES)}")
-    content = TrajectoryFile(trajectory) if isinstance(trajectory, Trajectory) else trajectory
+    content = content_of(trajectory)
     if origin_lla is not None:
         content = replace(content, origin_lla=_origin(origin_lla))
     content = to_optical(content) if optical else content
@@ -157,6 +158,21 @@ def write_trajectory(
             with replacing(chosen.beside(target), overwrite=overwrite) as second:
                 chosen.beside(draft).replace(second)
     return losses
+
+
+def content_of(way: Trajectory | PosePath | TrajectoryFile) -> TrajectoryFile:
+    """A trajectory or a path of poses with nothing besides; what a file said as it is.
+
+    Raises:
+        PoseError: a path is one pose for all times.
+    """
+    if isinstance(way, TrajectoryFile):
+        return way
+    if isinstance(way, Trajectory):
+        return TrajectoryFile(way)
+    if way.endless:
+        raise PoseError("a pose that holds at all times is no way; expected poses with a time each")
+    return TrajectoryFile(Trajectory("poses", way.timestamps_ns, way.positions, way.quaternions_xyzw))
 
 
 def find_form(path: str | Path) -> TrajectoryForm | None:

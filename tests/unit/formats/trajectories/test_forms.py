@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sceneloom import read_trajectory, write_trajectory
-from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError
+from sceneloom.errors import DataError, OptionError, OutputError, PoseError, UnknownFormatError
 from sceneloom.formats.trajectories import TrajectoryFile, find_form, read_trajectory_file
-from sceneloom.scene import Trajectory
+from sceneloom.scene import PosePath, Trajectory
 
 TUM = """# ground truth trajectory
 # timestamp tx ty tz qx qy qz qw
@@ -56,6 +56,21 @@ def test_a_euroc_file_is_read_with_w_first_velocities_and_biases(tmp_path: Path)
     assert way.quaternions_xyzw[0].tolist() == [-0.153029, -0.827383, -0.082152, 0.534108]
     assert content.columns["velocities"][1].tolist() == [-0.029272, 0.033992, 0.804771]
     assert content.columns["accelerometer_biases"][0].tolist() == [-0.025266, 0.136696, 0.075593]
+
+
+def test_a_file_of_eurocs_position_tracker_has_no_orientations(tmp_path: Path) -> None:
+    text = "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m]\n1403636616613303296,0.1,0.2,0.3\n"
+    way = read_trajectory(put(tmp_path, "leica.csv", text))
+    assert way.positions.tolist() == [[0.1, 0.2, 0.3]]
+    assert way.quaternions_xyzw is None
+
+
+def test_a_path_of_poses_is_written_as_it_is(tmp_path: Path) -> None:
+    path = PosePath(np.array([5], np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
+    write_trajectory(path, tmp_path / "a.tum")
+    assert read_trajectory(tmp_path / "a.tum").positions.tolist() == [[1.0, 1.0, 1.0]]
+    with pytest.raises(PoseError, match="holds at all times"):
+        write_trajectory(PosePath.identity(), tmp_path / "b.tum")
 
 
 def test_a_euroc_file_is_written_with_all_that_was_read(tmp_path: Path) -> None:
@@ -221,7 +236,7 @@ BAD = [
     ("tum", "# nothing\n", "is empty"),
     ("kitti", "1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 1: .*orthonormal right-handed"),
     ("kitti", "1 0 0 0 0 1 0 0 0 0 1\n", "line 1: 11 values; expected 12"),
-    ("euroc", "5,1,2,3,1,0,0\n", "line 1: 7 values; expected 8, 11, 14, 17"),
+    ("euroc", "5,1,2,3,1,0,0\n", "line 1: 7 values; expected 4, 8, 11, 14, 17"),
     ("gnss", "time,lat,lon,alt\n1,95,8,3\n", "line 2: latitude 95.0, .*within ±90"),
     (
         "gnss",

@@ -1,10 +1,11 @@
 """States that fit most fixes: those that jump lose their say, and how good the others are the data tell."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.motion.gnss_imu.chain import (
     Chain,
     Equations,
@@ -21,8 +22,12 @@ _HUBER = 1.5
 _MOST_STEPS = 30
 _SETTLED = 1e-5
 """Change of the cost, relative to it, below which no further step is gone."""
-_NARROWING = 1.6
-"""Factor by which the gate narrows in each step. Source: Yang et al. 2020 take 1.4."""
+_MOST_ROUNDS, _FEW_STEPS, _MOST_CHANGES = 25, 4, 3
+"""Rounds of leaving out and taking back, steps in each, and how often one fix may change."""
+_READMITTED, _AROUND = 0.7, 2
+"""A fix comes back well inside the gate; of so many neighbours on each side only the worst goes at a time."""
+_MEDIAN_FLAT, _MEDIAN_UP, _MEDIAN_ROOT = 1.3863, 0.4549, 0.888
+"""Medians of chi-square with two degrees of freedom, with one, and of the root of a third of it with three."""
 _DECLARED_WORTH = 1.0
 """The accuracy that a receiver tells counts as this many measurements of it."""
 _INERTIAL_WORTH = 6.0
@@ -53,60 +58,98 @@ def squares(fixes: Fixes, residuals: Float64Array) -> Float64Array:
     return distance
 
 
-def gate_square(gate: float) -> float:
-    """The squared distance in three dimensions that is as rare as `gate` standard deviations.
-
-    Source: Wilson and Hilferty 1931, "The Distribution of Chi-Square".
-    """
-    return 3.0 * float(1.0 - 2.0 / 27.0 + gate * (2.0 / 27.0) ** 0.5) ** 3
-
-
 def fit_gently(chain: Chain, states: States, *, steps: int = _MOST_STEPS) -> Fit:
     """Fit with weights that fall off slowly (Huber 1964), so that no start is too far off."""
     return _fitted(chain, states, steps)
 
 
-def fit_sternly(chain: Chain, states: States) -> Fit:
-    """Fit with a gate that narrows until what lies outside has no say at all, and what lies inside all of it.
+def fit_sternly(fit: Fit, *, scaled: bool) -> Fit:
+    """Fit with fixes that have a say or none: those that jump lose it, worst first, and may get it back.
 
-    What was left out first comes back where the states move towards it.
+    Each fix is held against where the others say that it should be, in standard deviations, so that one at an end or in
+    a gap, which bends the way towards itself, is found as well. Until the noise is scaled, the median of these
+    distances tells it, which half of the fixes cannot spoil.
 
-    Source: Yang, Antonante, Tzoumas and Carlone 2020, "Graduated Non-Convexity for Robust Spatial Perception", section
-    IV, truncated least squares.
+    Args:
+        fit: to begin with.
+        scaled: whether the fixes' noise is known from their residuals.
+
+    Source: Baarda 1968, "A Testing Procedure for Use in Geodetic Networks"; for the gate in two dimensions, the
+    distribution of Rayleigh.
     """
-    gate = gate_square(chain.settings.gate)
-    distances = squares(chain.fixes, equations(chain, states, np.ones(len(chain.fixes))).fix_residuals)
-    largest = float(distances.max(initial=0.0))
-    damping, narrow = 0.0, gate / max(2.0 * largest - gate, 1e-9)
-    while largest > gate and narrow < 1e4:
-        weights = _truncated(distances, gate, narrow)
-        gone = step(chain, states, weights, damping)
-        states, damping = gone.states, gone.damping
-        distances = squares(chain.fixes, gone.before.fix_residuals)
-        narrow *= _NARROWING
-    return _settled(chain, states, gate)
+    states, weights = fit.states, fit.weights
+    changes = np.zeros(len(weights), np.int64)
+    for number in range(_MOST_ROUNDS):
+        if number:
+            states = _settled(fit.chain, states, weights, _FEW_STEPS).states
+        ratios = _gate_ratios(Fit(fit.chain, states, weights, 0.0), scaled=scaled)
+        allowed = changes < _MOST_CHANGES
+        dropped = (
+            (ratios > 1.0)
+            & (weights > 0)
+            & _is_worst_around(np.where(weights > 0, ratios, -np.inf))
+            & allowed
+        )
+        taken = (ratios < _READMITTED) & (weights == 0) & allowed
+        full = np.where(dropped, 0.0, np.where(taken | (weights > 0), 1.0, 0.0))
+        if number and (full == weights).all():
+            break
+        changes += (full > 0) != (weights > 0)
+        weights = full
+    return _settled(fit.chain, states, weights, _MOST_STEPS)
 
 
-def _truncated(distances: Float64Array, gate: float, narrow: float) -> Float64Array:
-    inner, outer = narrow / (narrow + 1.0) * gate, (narrow + 1.0) / narrow * gate
-    between = np.sqrt(gate * narrow * (narrow + 1.0) / np.maximum(distances, 1e-30)) - narrow
-    weights: Float64Array = np.where(
-        distances <= inner, 1.0, np.where(distances >= outer, 0.0, np.clip(between, 0, 1))
-    )
-    return weights
+def _gate_ratios(fit: Fit, *, scaled: bool) -> Float64Array:
+    """(F,) squared distances of the fixes from where the others put them, in units of the gate's."""
+    chain, fixes = fit.chain, fit.chain.fixes
+    own, _ = covariances(chain, fit.states, fit.weights)
+    spread = _fix_variances(chain, fit.states, own)
+    residuals = equations(chain, fit.states, fit.weights).fix_residuals
+    known = np.where(fit.weights[:, None] > 0, -fit.weights[:, None] * spread, spread)
+    apart = residuals**2 / np.maximum(fixes.sigmas**2 + known, 0.05 * fixes.sigmas**2)
+    flat, up = apart[:, :2].sum(axis=1), apart[:, 2]
+    rare = math.erfc(chain.settings.gate / math.sqrt(2.0))
+    ratios = np.empty(len(fixes))
+    for receiver in np.unique(fixes.receivers):
+        rows = fixes.receivers == receiver
+        if not scaled:
+            flat[rows] /= max(np.median(flat[rows]) / _MEDIAN_FLAT, _LEAST_SCALE**2)
+            up[rows] /= max(np.median(up[rows]) / _MEDIAN_UP, _LEAST_SCALE**2)
+        taken = np.clip(known[rows] / fixes.sigmas[rows] ** 2, -1.0, 0.0)
+        free = (fit.weights[rows, None] * (1.0 + taken)).sum(axis=0)
+        across = _rarity(flat[rows], float(free[:2].sum()), 2, scaled=scaled)
+        along_up = _rarity(up[rows], float(free[2]), 1, scaled=scaled)
+        ratios[rows] = np.maximum(across, along_up) / -math.log(rare)
+    return ratios
 
 
-def _settled(chain: Chain, states: States, gate: float) -> Fit:
-    """Steps with all or nothing until nothing changes."""
+def _rarity(distances: Float64Array, free: float, axes: int, *, scaled: bool) -> Float64Array:
+    """How rare distances are, as minus the logarithm; for one axis as if it were two, which is nearly the same.
+
+    Where the noise comes from the residuals, one that jumps has its share in it: the fewer there are, the more.
+
+    Source: Pope 1976, "The Statistics of Residuals and the Detection of Outliers", for two axes in closed form.
+    """
+    rarity: Float64Array = 0.5 * distances
+    if scaled and free > axes + 1.0:
+        rarity = -0.5 * (free - axes) * np.log(np.maximum(1.0 - distances / free, 1e-12))
+    return rarity
+
+
+def _is_worst_around(ratios: Float64Array) -> BoolArray:
+    padded = np.pad(ratios, _AROUND, constant_values=-np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1)
+    worst: BoolArray = ratios >= windows.max(axis=1)
+    return worst
+
+
+def _settled(chain: Chain, states: States, weights: Float64Array, steps: int) -> Fit:
+    """Go steps with given weights until nothing changes."""
     damping, cost = 0.0, np.inf
-    weights = np.ones(len(chain.fixes))
-    distances = squares(chain.fixes, equations(chain, states, weights).fix_residuals)
-    for _ in range(_MOST_STEPS):
-        weights = (distances <= gate).astype(np.float64)
+    for _ in range(steps):
         gone = step(chain, states, weights, damping)
         states, damping = gone.states, gone.damping
-        distances = squares(chain.fixes, equations(chain, states, weights).fix_residuals)
-        if abs(cost - gone.cost) <= _SETTLED * gone.cost and ((distances <= gate) == (weights > 0)).all():
+        if abs(cost - gone.cost) <= _SETTLED * gone.cost:
             break
         cost = gone.cost
     return Fit(chain, states, weights, gone.cost)
@@ -118,24 +161,24 @@ def _fitted(chain: Chain, states: States, steps: int) -> Fit:
     here: Equations | None = None
     for _ in range(steps):
         here = here or equations(chain, states, weights)
-        weights = np.minimum(
-            1.0, _HUBER / np.sqrt(np.maximum(squares(chain.fixes, here.fix_residuals) / 3.0, 1e-30))
-        )
+        roots = np.sqrt(np.maximum(squares(chain.fixes, here.fix_residuals) / 3.0, 1e-30))
+        bend = _HUBER * max(float(np.median(roots)) / _MEDIAN_ROOT, _LEAST_SCALE)
+        weights = np.minimum(1.0, bend / roots)
         gone = step(chain, states, weights, damping)
         states, damping = gone.states, gone.damping
         here = equations(chain, states, weights)
-        total = _huber_cost(chain, here, weights)
+        total = _huber_cost(chain, here, weights, bend)
         if abs(cost - total) <= _SETTLED * total:
             break
         cost = total
     return Fit(chain, states, weights, total)
 
 
-def _huber_cost(chain: Chain, here: Equations, weights: Float64Array) -> float:
+def _huber_cost(chain: Chain, here: Equations, weights: Float64Array, bend: float) -> float:
     distances = squares(chain.fixes, here.fix_residuals)
     quadratic = float((weights * distances).sum())
     roots = np.sqrt(distances / 3.0)
-    huber = np.where(roots <= _HUBER, distances, 3.0 * (2.0 * _HUBER * roots - _HUBER**2))
+    huber = np.where(roots <= bend, distances, 3.0 * (2.0 * bend * roots - bend**2))
     return here.cost - quadratic + float(huber.sum())
 
 

@@ -12,7 +12,8 @@ from sceneloom.motion.gnss_imu.fixes import GnssFixes, gnss_fixes
 from sceneloom.motion.gnss_imu.samples import InertialSamples, inertial_samples
 from sceneloom.motion.gnss_imu.settings import DEFAULTS, SmootherSettings
 from sceneloom.motion.gnss_imu.smoother import Measurements, Smoothed, smoothed
-from sceneloom.motion.gnss_imu.way import pose_covariances, way_between, way_times
+from sceneloom.motion.gnss_imu.wander import Wander, wandering
+from sceneloom.motion.gnss_imu.way import Way, pose_covariances, way_between, way_times
 from sceneloom.motion.gnss_receivers import gnss_receivers
 from sceneloom.motion.standing import find_standing
 from sceneloom.scene import Notice, NoticeKind, Scene, Trajectory
@@ -90,11 +91,14 @@ def _run(scene: Scene, drive: Measurements, result: Smoothed) -> GnssImuRun:
     way = way_between(fit.chain, fit.states, samples, way_times(fit.chain, samples))
     poses = pose_covariances(fit.chain, fit.states, result.own, way)
     offset = _common_offset(fixes, fit.chain.fixes.sigmas)
+    positions = way.positions
+    if drive.lidar is None:
+        positions, poses, offset = _with_wander(wandering(fit), way, poses, offset)
     poses[:, 3:, 3:] += np.diag(offset**2)
     trajectory = Trajectory(
         NAME,
         way.timestamps_ns,
-        way.positions,
+        positions,
         None if samples is None and drive.lidar is None else quaternion_from_matrix(way.rotations),
         covariances=poses,
     )
@@ -104,6 +108,23 @@ def _run(scene: Scene, drive: Measurements, result: Smoothed) -> GnssImuRun:
         fit.chain.fixes.sigmas, fixes.notices,
     )  # fmt: skip
     return replace(run, notices=(*fixes.notices, *_remarks(scene, run, drive, offset)))
+
+
+def _with_wander(
+    wander: tuple[Wander | None, Wander | None], way: Way, poses: Float64Array, offset: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Positions as the receiver would tell them, its slow errors included, and what these do to the covariances.
+
+    Errors that are alike count as fewer: of an even correlation ρ, the variance of a mean is larger by (1 + ρ) / (1 - ρ).
+    """
+    positions, offset = way.positions.copy(), offset.copy()
+    for slow, axes in zip(wander, (slice(0, 2), slice(2, 3)), strict=True):
+        if slow is None:
+            continue
+        positions[:, axes] += slow.at(way.timestamps_ns)
+        offset[axes] = np.maximum(offset[axes], slow.sigma)
+        poses = poses * ((1.0 + slow.alike) / (1.0 - slow.alike))
+    return positions, poses, offset
 
 
 def _common_offset(fixes: GnssFixes, sigmas: Float64Array) -> Float64Array:
@@ -128,8 +149,8 @@ def _remarks(scene: Scene, run: GnssImuRun, drive: Measurements, offset: Float64
         told.append(_notice(NoticeKind.SKIPPED, "gnss-jumps", place, message, lost))
     if offset.any():
         message = (
-            f"the fixes agree better with each other than the accuracy that they tell; all of them may be off "
-            f"together by {offset[0]:.2f} m across and {offset[2]:.2f} m in height (one standard deviation), which "
+            f"the fixes agree better with their neighbours than the accuracy that they tell; those of some time may be "
+            f"off together by {offset[0]:.2f} m across and {offset[2]:.2f} m in height (one standard deviation), which "
             "stands in the covariances"
         )
         told.append(_notice(NoticeKind.ASSUMED, "gnss-common-offset", place, message))

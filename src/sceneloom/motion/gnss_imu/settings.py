@@ -32,13 +32,13 @@ class SmootherSettings:
     accelerometer_noise: float = 5e-4
     gyroscope_walk: float = 5e-6
     accelerometer_walk: float = 5e-5
-    gyroscope_bias: float = 0.02
-    accelerometer_bias: float = 0.2
+    gyroscope_bias: float = 0.003
+    accelerometer_bias: float = 0.05
     acceleration: float = 2.0
     turning: float = 0.5
     fix_noise: float = 2.0
     least_fix_noise: float = 0.01
-    gate: float = 4.0
+    gate: float = 3.5
     longest_interval: float = 1.0
     vehicle: bool | None = None
     gravity: float | None = None

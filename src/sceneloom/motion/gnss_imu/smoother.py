@@ -14,10 +14,13 @@ from sceneloom.motion.gnss_imu.robust import Fit, fit_gently, fit_sternly, inert
 from sceneloom.motion.gnss_imu.samples import InertialSamples, noise_densities
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.motion.gnss_imu.start import coasted, oriented, standing_states
+from sceneloom.motion.gnss_imu.vehicle import misfit, vehicle_speeds
 from sceneloom.scene import Trajectory
 
 _ROUNDS = 4
 """So often the noise is told anew from the residuals."""
+_CONTRADICTED = 3.0
+"""Mean square misfit of what is known of wheels, in units of what it may be, from which on it does not hold."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,22 +67,29 @@ def smoothed(drive: Measurements, settings: SmootherSettings) -> Smoothed:
         fit, densities = _refined(oriented(chain, coasting), drive.samples, densities)
     elif drive.lidar is not None:
         rotations = led_by_lidar(drive.lidar, chain.knots_ns, moved)
-        fit = fit_gently(chain, replace(coasting.states, rotations=rotations))
-        for _ in range(_ROUNDS):
-            fit, _ = rescaled(fit)
-            fit = fit_sternly(fit.chain, fit.states)
+        fit = _cleaned(fit_gently(chain, replace(coasting.states, rotations=rotations)))
     else:
-        fit = fit_sternly(coasting.chain, coasting.states)
+        fit = _cleaned(coasting)
     own, _ = covariances(fit.chain, fit.states, fit.weights)
     return Smoothed(fit, own, densities)
 
 
-def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tuple[Fit, Float64Array]:
-    """Fit again with biases and noise as found, fixes that jump left out."""
+def _cleaned(fit: Fit) -> Fit:
+    """Fit again with fixes that jump left out and the noise as found."""
+    fit = fit_sternly(fit, scaled=False)
     for _ in range(_ROUNDS):
-        fit, _ = rescaled(fit)
+        fit = fit_sternly(rescaled(fit)[0], scaled=True)
+    return fit
+
+
+def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tuple[Fit, Float64Array]:
+    """Fit again with biases and noise as found, fixes that jump left out, and what is known of wheels."""
+    fit = fit_sternly(fit, scaled=False)
+    for number in range(_ROUNDS):
         densities = densities * inertial_factors(fit) ** 2
-        chain = fit.chain
+        fit, _ = rescaled(fit)
+        begun = bool(fit.chain.speeds)
+        chain = _on_wheels(fit, samples) if number >= _ROUNDS - 2 else fit.chain
         again = preintegrated(
             samples.timestamps_ns,
             samples.values,
@@ -87,8 +97,22 @@ def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tup
             biases=fit.states.biases[:-1],
             densities=densities,
         )
-        fit = fit_sternly(replace(chain, inertial=again), fit.states)
+        fit = replace(fit, chain=replace(chain, inertial=again))
+        if chain.speeds and not begun:
+            # what bent the way towards itself is seen against stiffer ways
+            fit = fit_sternly(fit_gently(fit.chain, fit.states), scaled=False)
+        else:
+            fit = fit_sternly(fit, scaled=True)
+    if fit.chain.speeds and misfit(fit.chain.speeds[0], fit.states) > _CONTRADICTED:
+        fit = fit_sternly(replace(fit, chain=replace(fit.chain, speeds=())), scaled=True)
     return fit, densities
+
+
+def _on_wheels(fit: Fit, samples: InertialSamples) -> Chain:
+    """The measurements with what is known of an ego on wheels, as long as nothing speaks against it."""
+    own, _ = covariances(fit.chain, fit.states, fit.weights)
+    speeds = vehicle_speeds(fit, own, samples, asked=fit.chain.settings.vehicle)
+    return replace(fit.chain, speeds=() if speeds is None else (speeds,))
 
 
 def _chain(drive: Measurements, settings: SmootherSettings) -> tuple[Chain, Float64Array]:

@@ -1,5 +1,7 @@
 """Recordings from before `calibration.json`: `parameters.txt`, and lines about cameras at the head of `data.jsonl`.
 
+A line of a single camera may tell of its picture under `frame`, as the vendor's diagnosis reads it.
+
 Source: `src/commandline/input_jsonl.cpp`, `src/util/parameter_parser.cpp` and `codegen/parameter_definitions.c` of
 HybVIO, the open part of the vendor's software.
 """
@@ -93,6 +95,17 @@ def _object(text: str) -> dict[str, Any]:
     except DECODER_FAULTS:
         return {}
     return line if isinstance(line, dict) else {}
+
+
+def has_old_frame(line: Mapping[str, Any]) -> bool:
+    """Whether a line tells of the one picture of a recording with one camera, under `frame`."""
+    return "frames" not in line and isinstance(line.get("frame"), dict)
+
+
+def with_frames(line: Mapping[str, Any]) -> dict[str, Any]:
+    """The same line in the words of today: `frames`, with one entry of camera 0."""
+    further = {key: value for key, value in line.items() if key != "frame"}
+    return {**further, "frames": [{**line["frame"], "cameraInd": 0}]}
 
 
 def read_parameters_file(path: Path) -> dict[str, str]:

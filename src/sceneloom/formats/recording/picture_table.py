@@ -16,6 +16,7 @@ from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.recording.columns import CameraColumns, FrameColumns, nanoseconds, time_order, view
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.line_shapes import FrameEntry
+from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
 from sceneloom.formats.recording.picture_files import PictureFiles
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Picture
@@ -112,6 +113,7 @@ def further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> d
         with data_file.path.open("rb") as file:
             file.seek(offset)
             line = msgspec.json.decode(file.readline())
+        line = with_frames(line) if has_old_frame(line) else line
         entry = next(entry for entry in line["frames"] if entry["cameraInd"] == camera_index)
     except (OSError, *DECODER_FAULTS, KeyError, TypeError, StopIteration) as error:
         raise DataError(data_file.name, f"byte {offset}", "was changed after it was opened") from error

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -13,7 +14,7 @@ from sceneloom.formats.recording.zipped import is_zip, unpack
 
 DATA_FILE = "data.jsonl"
 
-_LONGEST_FIRST_LINE = 1 << 20
+_LONGEST_FIRST_LINE = 1 << 18
 _LEADING_LINES = 20
 
 
@@ -75,19 +76,27 @@ def is_log(path: Path) -> bool:
     """Whether a file is lines of JSON as a recording or the output of a method has them: one of the first is known."""
     try:
         with path.open("rb") as file:
-            first = [file.readline(_LONGEST_FIRST_LINE) for _ in range(_LEADING_LINES)]
+            for _ in range(_LEADING_LINES):
+                line = _object(file.readline(_LONGEST_FIRST_LINE))
+                if line is None or _is_known(line):
+                    return line is not None
     except OSError:
-        return False
-    return any(map(_is_line, first))
+        pass
+    return False
 
 
-def _is_line(text: bytes) -> bool:
-    if not text.lstrip().startswith(b"{"):
-        return False
+def _object(text: bytes) -> dict[str, Any] | None:
+    """A line's object, {} for a blank one; None where it is none, so that files of other kinds are not read on."""
+    if not text.startswith((b"{", b" ", b"\t", b"\r", b"\n")):
+        return None
     try:
-        line = msgspec.json.decode(text)
+        line = msgspec.json.decode(text) if text.strip() else {}
     except DECODER_FAULTS:
-        return False
+        return None
+    return line if isinstance(line, dict) else None
+
+
+def _is_known(line: dict[str, Any]) -> bool:
     if "time" not in line:
         return False
     values = (line, *line.values())

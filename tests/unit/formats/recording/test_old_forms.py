@@ -144,3 +144,20 @@ def test_lines_that_only_look_like_old_ones_say_nothing(recording):
     recording.lines([*header, '{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'])
     with FORMAT.open(recording.path) as scene:
         assert "calibration" not in scene.metadata["recording"]
+
+
+def test_a_line_may_tell_of_the_one_camera_under_frame(recording, pinhole):
+    lines = [
+        {
+            "frame": {"time": 0.1 * k, "cameraParameters": {"focalLength": 25.0}, "shown": k},
+            "number": k,
+            "time": 0.1 * k,
+        }
+        for k in range(3)
+    ]
+    recording.lines(lines).calibration([pinhole]).video("data.mkv", 3)
+    with FORMAT.open(recording.path) as scene:
+        pictures = scene.cameras[0].pictures
+        assert [picture.rgb[0, 0, 0] for picture in pictures] == [0, 10, 20]
+        assert [(picture.camera.fx, picture.camera.fy) for picture in pictures] == [(25.0, 25.0)] * 3
+        assert [picture.extras["shown"] for picture in pictures] == [0, 1, 2]

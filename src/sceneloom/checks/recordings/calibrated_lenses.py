@@ -56,9 +56,10 @@ def _lenses(subject: Subject) -> Iterator[_Lens]:
 
 
 def _size(parameters: CameraParameters) -> tuple[int, int] | None:
-    if parameters.imageWidth is None or parameters.imageHeight is None:
+    width, height = parameters.imageWidth, parameters.imageHeight
+    if width is None or height is None or min(width, height) < 1:
         return None
-    return int(parameters.imageWidth), int(parameters.imageHeight)
+    return int(width), int(height)
 
 
 def _focal_lengths(subject: Subject) -> Iterator[Hit]:

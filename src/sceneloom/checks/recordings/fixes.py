@@ -52,8 +52,7 @@ def _tell(
     rows = np.flatnonzero(wrong)
     if len(rows):
         row = int(rows[0])
-        many = f" ({len(rows)} of {len(stream)} fixes)" if len(rows) > 1 else ""
-        problem = f"{stream.at(row)}: {column} {_shown(values[row])}{many}; expected {expected}"
+        problem = f"{stream.at(row)}: {column} {_shown(values[row])}; expected {expected}"
         yield Hit(place(stream, row), problem, len(rows))
 
 

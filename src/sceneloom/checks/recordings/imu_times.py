@@ -48,10 +48,10 @@ def _far_from_imu(subject: Subject) -> Iterator[Hit]:
         if len(far):
             row, worst = int(far[0]), float(distances.max())
             problem = (
-                f"{camera.at(row)} is {distances[row]:.3f} s from the nearest sample of the {imu.name}, others up to "
-                f"{worst:.3f} s ({len(far)} of {len(camera)} pictures); expected at most {limit:.3f} s"
+                f"{camera.at(row)} is {distances[row]:.3f} s from the nearest sample of the {imu.name}; expected at most "
+                f"{limit:.3f} s, found up to {worst:.3f} s in {len(far)} of {len(camera)} pictures"
             )
-            yield Hit(place(camera, row), problem, len(far))
+            yield Hit(place(camera, row), problem)
 
 
 def _at_samples(subject: Subject) -> Iterator[Hit]:
@@ -65,7 +65,7 @@ def _at_samples(subject: Subject) -> Iterator[Hit]:
                     f"{share:.0%} of the pictures have the very time of a sample of the {imu.name}, "
                     f"the first is {camera.at(row)}"
                 )
-                yield Hit(place(camera, row), problem, int(same.sum()))
+                yield Hit(place(camera, row), problem)
                 break
 
 

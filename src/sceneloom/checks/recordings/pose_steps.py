@@ -15,6 +15,7 @@ from sceneloom.checks.poses import (
     beyond_neighbours,
 )
 from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_kind
+from sceneloom.checks.recordings.turning import finite_rows
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.trajectories import GREATEST_NORM_ERROR
@@ -38,8 +39,7 @@ def _first_of_each(wrong: BoolArray) -> Iterator[int]:
 def _jumps(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.POSES):
         positions = stream.values[:, :3]
-        is_finite: BoolArray = np.isfinite(positions).all(axis=1)
-        rows = _of_own_time(stream, is_finite)
+        rows = _of_own_time(stream, finite_rows(positions))
         times = np.diff(stream.seconds[rows])
         steps = np.linalg.norm(np.diff(positions[rows], axis=0), axis=1)
         wrong = beyond_neighbours(steps, times, FASTEST, STEP_FACTOR, STEP_MARGIN)

@@ -86,7 +86,7 @@ def _out_of_range(kind: Kind) -> Find:
             if len(wrong):
                 row = int(wrong[0])
                 problem = (
-                    f"{stream.at(row)} is {values[row]:.6g} ({len(wrong)} of {len(stream)} samples); expected "
+                    f"{stream.at(row)} is {values[row]:.6g}; expected "
                     f"{limits.lowest:g} to {limits.highest:g} {limits.unit}"
                 )
                 guess = _other_unit(float(np.median(values)), limits.others)
@@ -120,7 +120,7 @@ def _hanging(subject: Subject) -> Iterator[Hit]:
                 f"{stream.at(row)} has the very values of the sample before, as have {share:.1%} of all; "
                 f"expected at most {_REPEATING[stream.kind]:.0%}"
             )
-            yield Hit(place(stream, row), problem, same.size)
+            yield Hit(place(stream, row), problem)
 
 
 def _repeated(stream: Stream) -> np.ndarray:

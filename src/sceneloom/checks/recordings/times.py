@@ -128,7 +128,7 @@ def _uneven(*, irregular: bool) -> Find:
                     f"{share:.1%} of the intervals are off the usual {period * 1e3:.3f} ms by more than "
                     f"{JITTER_PERIODS:.0%}, the first after {stream.at(row)}: {stream.intervals[row] * 1e3:.3f} ms"
                 )
-                yield Hit(stream.whole, problem, int(off.sum()))
+                yield Hit(stream.whole, problem)
 
     return find
 

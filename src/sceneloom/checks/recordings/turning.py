@@ -98,8 +98,7 @@ class PoseIntervals:
             none = np.zeros(0)
             return cls(none, none, none.astype(np.int64), none.astype(np.int64))
         step = max(INTERVAL, float(np.median(np.diff(seconds))))
-        knots = np.unique(np.searchsorted(seconds, np.arange(0.0, seconds[-1] + 1e-6, step) - 1e-6))
-        knots = knots[knots < len(seconds)]
+        knots = np.flatnonzero(np.diff(np.floor((seconds + 1e-6) / step), prepend=-1.0))
         lengths = np.diff(seconds[knots])
         usable = np.flatnonzero((lengths > 0.5 * step) & (lengths < min(2.0 * step, LONGEST_INTERVAL + 1e-6)))
         usable = usable[:: len(usable) // _MOST_INTERVALS + 1]

@@ -78,9 +78,8 @@ def _check_orientations(
         if np.isnan(error[row]):
             problem = f"{name}.orientation: missing, while other lines of {name!r} have one"
         else:
-            problem = (
-                f"{name}.orientation: {quaternions[row].tolist()} (x, y, z, w); expected length 1 within 0.01"
-            )
+            shown = ", ".join(f"{number:.6g}" for number in quaternions[row].tolist())
+            problem = f"{name}.orientation: {shown} (x, y, z, w); expected length 1 within 0.01"
         ledger.fault("unusable-orientations", DataError(path, f"line {lines[row]}", problem))
     return usable
 

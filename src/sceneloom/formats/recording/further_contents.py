@@ -54,7 +54,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
         shared_lines: lines that several streams have a part in: `text`, and `records`, stream and time of each part.
         trajectory_origins: by name of a trajectory, the root key of its lines ("" for poses at the root itself) and the
             name there, where these are not both the trajectory's name.
-        receiver_origins: the same of satellite receivers.
+        receiver_origins: the same of all satellite receivers but that of `gps` lines.
         line_forms: by stream, a line as it stands in the file: the order of its keys.
         line_order: of lines of one time; `LineOrder` describes it.
     """
@@ -82,9 +82,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
             if origin != (trajectory.name, trajectory.name)
         },
         "receiver_origins": {
-            name: list(origin)
-            for name, (origin, _) in receivers(columns).items()
-            if origin not in {(name, name), GPS_ORIGIN}
+            name: list(origin) for name, (origin, _) in receivers(columns).items() if origin != GPS_ORIGIN
         },
         "line_forms": {name: stream.form for name, stream in streams.items() if stream.form is not None},
         "line_order": line_order(columns, names, as_text, seconds),

@@ -8,7 +8,14 @@ from typing import Any
 import msgspec
 from msgspec import UNSET
 
-from sceneloom.formats.recording.columns import SEVERAL, TEXT, PoseColumns, RecordingColumns, SharedLine
+from sceneloom.formats.recording.columns import (
+    SEVERAL,
+    TEXT,
+    Columns,
+    PoseColumns,
+    RecordingColumns,
+    SharedLine,
+)
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
 from sceneloom.formats.recording.line_shapes import (
     RECORD_KEYS,
@@ -22,6 +29,7 @@ from sceneloom.formats.recording.line_shapes import (
     Pose,
 )
 from sceneloom.formats.recording.line_taking import Origin, Takings, UnfitLineError, take_frames, take_line
+from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
 
 OUTPUT_TRAJECTORY = "output"
 """Name of the trajectory of lines with a position at their root, as the vendor's software puts out."""
@@ -181,6 +189,9 @@ class LineReader:
             self._fault("broken-lines", json_problem(error, text))
 
     def _take_open(self, text: bytes, content: dict[str, Any]) -> None:
+        if has_old_frame(content):
+            content = with_frames(content)
+            text = msgspec.json.encode(content)
         poses, fixes = _other_poses(content), _other_fixes(content)
         own = {origin[0] for origin, _, _ in fixes} & ROOT_KEYS
         if not _is_pressure(content.get("barometer")):
@@ -205,6 +216,8 @@ class LineReader:
     def _note(self, takings: Takings, *, says_more: bool) -> None:
         """Note which streams took a line, and keep its text where it says more than one of them holds."""
         log, streams = self.columns.log, takings.streams
+        if any(stream.form is None for stream in streams):
+            self._note_forms(streams)
         if not streams and not takings.frames:
             self._keep_text(takings.seconds, "" if not takings.leftover else "sensor")
         elif len(streams) + takings.frames > 1:
@@ -217,18 +230,15 @@ class LineReader:
             stream = streams[0]
             if says_more:
                 stream.further[len(stream) - 1] = self._text.decode()
-            elif stream.form is None:
-                stream.form = self._text.decode()
-                self._bind()
             log.codes.append(stream.code)
 
-    def _bind(self) -> None:
+    def _note_forms(self, streams: Sequence[Columns]) -> None:
+        """Note how the first line of each stream is written, and let the next ones be taken fast."""
+        for stream in streams:
+            stream.form = stream.form or self._text.decode()
         for name, stream in self.columns.sensors.items():
-            if stream.form is not None:
-                self._bound[name] = (stream.seconds, stream.values, stream.width, stream.code)
-        truth = self.columns.poses.get(_GROUND_TRUTH)
-        if truth is not None and truth.samples.form is not None:
-            self._truth = truth
+            self._bound[name] = (stream.seconds, stream.values, stream.width, stream.code)
+        self._truth = self.columns.poses.get(_GROUND_TRUTH)
 
     def _keep_text(self, seconds: float | None, key: str) -> None:
         columns = self.columns

@@ -136,7 +136,7 @@ class NumberLines:
     def _sample_fields(self, name: str, width: int) -> dict[str, Any]:
         """The pressure of the air has lines of its own, unless it was read from others."""
         form = example_of(self._forms.get(f"imu.{name}")) or {}
-        if name == BAROMETER and width == 1 and "sensor" not in form:
+        if name == BAROMETER and width == 1 and (BAROMETER in form or "sensor" not in form):
             return {BAROMETER: {"pressureHectopascals": Slot(0)}}
         return {"sensor": {"type": name.removeprefix("sensor:"), "values": Slot(ROW)}}
 

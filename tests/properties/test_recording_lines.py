@@ -1,0 +1,168 @@
+"""Any lines of a recording, opened and written, say the same again: sorted by time, and else as they were."""
+
+import json
+import struct
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from sceneloom.formats import open_scene, write_scene
+
+ROWS = [[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.75], [0.0, 0.0, 0.0, 1.0]]
+LENS = {
+    "model": "pinhole",
+    "focalLengthX": 9.0,
+    "focalLengthY": 9.0,
+    "principalPointX": 3.5,
+    "principalPointY": 3.5,
+    "imuToCamera": ROWS,
+}
+TURN = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
+TIMES = (0, 0.1 + 0.2, 1.5, 1.5000000000000002, 1.4497692636718750, 7, -3.25, 1e-10, 1e-9, 123456.789012345)
+"""Few, so that many lines have one; some closer than a nanosecond."""
+
+numbers = st.one_of(st.floats(-1e6, 1e6), st.integers(-5, 5))
+beside = st.dictionaries(
+    st.sampled_from(["temperature", "status", "note", "ünïcode %s"]),
+    st.one_of(st.none(), st.booleans(), numbers, st.text(max_size=3), st.lists(numbers, max_size=2)),
+    max_size=2,
+)
+
+
+def axes(names: str) -> st.SearchStrategy[dict[str, Any]]:
+    return st.fixed_dictionaries(dict.fromkeys(names, numbers))
+
+
+@st.composite
+def samples(draw: st.DrawFn) -> dict[str, Any]:
+    width = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3, "imuTemperature": 1}
+    name = draw(st.sampled_from([*width, "barometer", "odd"]))
+    count = width.get(name) or draw(st.integers(1, 3))
+    values = draw(st.lists(numbers, min_size=count, max_size=count))
+    return {"sensor": {"type": name, "values": values} | draw(beside)}
+
+
+@st.composite
+def fixes(draw: st.DrawFn) -> dict[str, Any]:
+    accuracy = st.dictionaries(
+        st.sampled_from(["accuracy", "verticalAccuracy"]), st.one_of(st.none(), st.floats(0, 99))
+    )
+    fix = draw(axes("abc"))
+    fix = {"latitude": fix["a"], "longitude": fix["b"], "altitude": fix["c"]} | draw(accuracy) | draw(beside)
+    root = draw(st.sampled_from(["gps", "gps", "rtkgps", "groundTruth", "pose"]))
+    return {root: {"name": "gps"} | fix if root == "pose" else fix}
+
+
+@st.composite
+def poses(draw: st.DrawFn) -> dict[str, Any]:
+    root = draw(st.sampled_from(["groundTruth", "pose", "ARKit", "arengine", "output", "externalPose", ""]))
+    pose: dict[str, Any] = {"position": draw(axes("xyz")) | draw(beside)}
+    # a trajectory has an orientation with each pose, or with none
+    if root in {"groundTruth", "ARKit", ""}:
+        pose["orientation"] = TURN
+    if root == "pose" and draw(st.booleans()):
+        pose["name"] = "slam"
+    pose |= draw(beside)
+    return {root: pose} if root else pose
+
+
+@st.composite
+def others(draw: st.DrawFn) -> dict[str, Any]:
+    root = draw(
+        st.sampled_from(["systemMetrics", "droppedFrame", "trigger", "externalVelocity", "barometer"])
+    )
+    return {root: draw(st.one_of(st.none(), st.booleans(), numbers, beside))}
+
+
+pressures = st.builds(
+    lambda value, more: {"barometer": {"pressureHectopascals": value} | more}, numbers, beside
+)
+enus = st.builds(
+    lambda mean, more: {"gnssEnu": {"mean": mean} | more}, st.lists(numbers, min_size=3, max_size=3), beside
+)
+records = st.one_of(samples(), samples(), fixes(), poses(), pressures, enus, others())
+
+
+@st.composite
+def lines(draw: st.DrawFn) -> dict[str, Any]:
+    """A line: one record or two, further keys, a time, in any order."""
+    line: dict[str, Any] = {}
+    for record in draw(st.lists(records, min_size=1, max_size=2)):
+        line |= record
+    line |= draw(beside)
+    line["time"] = draw(st.sampled_from(TIMES))
+    return {key: line[key] for key in draw(st.permutations(list(line)))}
+
+
+@st.composite
+def drives(draw: st.DrawFn) -> list[dict[str, Any]]:
+    """All lines of a recording: of records, of pictures, of sweeps, without time or subject; in any order."""
+    found = draw(st.lists(lines(), max_size=8))
+    times = sorted(draw(st.lists(st.sampled_from(TIMES), max_size=3, unique=True)))
+    for number, time in enumerate(times):
+        entry = {"cameraInd": 0, "time": time} | draw(beside)
+        if draw(st.booleans()):
+            entry |= {"features": [{"id": 1}], "exposureTimeSeconds": 0.01}
+        found.append({"frames": [entry], "number": number, "time": time} | draw(beside))
+    for time in draw(st.lists(st.sampled_from(TIMES), max_size=2)):
+        sweep = {"model": "RoboSense M1 XYZIRT", "dataFile": "points.bin"} | draw(beside)
+        found.append({"lidar": sweep, "time": time} | draw(beside))
+    found += draw(st.lists(st.sampled_from([{"sdkVersion": "1.5"}, {"status": None}, {}]), max_size=2))
+    return draw(st.permutations(found))
+
+
+def write_drive(folder: Path, drive: list[dict[str, Any]]) -> None:
+    count = sum("frames" in line for line in drive)
+    (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in drive), "utf-8")
+    (folder / "calibration.json").write_text(
+        json.dumps({"cameras": [LENS] if count else [], "lidars": [{"imuToLidar": ROWS}]})
+    )
+    (folder / "points.bin").write_bytes(struct.pack("<fffBHd", 1, 2, 3, 4, 5, 0.5))
+    if count:
+        (folder / "frames1").mkdir()
+    for number in range(count):
+        Image.new("RGB", (8, 8)).save(folder / "frames1" / f"{number:08d}.png")
+
+
+def in_order(drive: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Sorted by time, lines without one behind the line that they stood behind."""
+    keys, last = [], -float("inf")
+    for line in drive:
+        last = line.get("time", last)
+        keys.append(last)
+    return [drive[k] for k in sorted(range(len(drive)), key=lambda k: keys[k])]
+
+
+def without_names(line: dict[str, Any]) -> dict[str, Any]:
+    """Files of sweeps get new names."""
+    if "lidar" not in line:
+        return line
+    return {**line, "lidar": {**line["lidar"], "dataFile": ""}}
+
+
+def read_lines(folder: Path) -> list[dict[str, Any]]:
+    text = (folder / "data.jsonl").read_text("utf-8")
+    return [json.loads(line) for line in text.split("\n")[:-1]]
+
+
+def check(drive: list[dict[str, Any]], target: Path) -> None:
+    expected = [without_names(line) for line in in_order(drive)]
+    found = [without_names(line) for line in read_lines(target)]
+    assert found == expected
+
+
+@given(drives())
+def test_lines_are_written_as_they_were(drive):
+    with TemporaryDirectory() as temporary:
+        folder, target = Path(temporary, "drive"), Path(temporary, "again")
+        folder.mkdir()
+        write_drive(folder, drive)
+        if not drive:
+            return
+        with open_scene(folder) as scene:
+            write_scene(scene, target, pictures="png")
+        check(drive, target)

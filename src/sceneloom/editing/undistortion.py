@@ -11,7 +11,7 @@ from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
 from sceneloom.editing.chosen_cameras import chosen_cameras, lens_record
 from sceneloom.editing.drawn import LensChange, redrawn
 from sceneloom.editing.record import ours_of, skipped, with_notices, with_ours
-from sceneloom.scene import CameraSensor, Identifier, LazyFrames, Picture, Scene
+from sceneloom.scene import CameraSensor, DepthCameraSensor, Identifier, LazyFrames, Picture, Scene
 from sceneloom.scene.types import Key, key_of
 
 _LENSES_KEPT = 4
@@ -62,8 +62,15 @@ def undistort_scene(
         [
             skipped("drawn-beyond-picture", "annotations", message, count=lost),
             skipped("nothing-to-undistort", "sensors", nothing, count=int(not changes)),
+            skipped("depth-not-undistorted", "sensors", "depth images stay as they are", count=_bent(scene)),
         ],
     )
+
+
+def _bent(scene: Scene) -> int:
+    """How many depth cameras have a lens that is no pinhole: a depth between two others is no depth of anything."""
+    found = [sensor for sensor in scene.sensors if isinstance(sensor, DepthCameraSensor)]
+    return sum(sensor.camera.model != "pinhole" for sensor in found)
 
 
 def _undistorted_camera_sensor(sensor: CameraSensor, target: Camera) -> CameraSensor:

@@ -8,7 +8,7 @@ import pytest
 
 from sceneloom import diff
 from sceneloom.checks import validate
-from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_world
+from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_world, undistort_scene
 from sceneloom.errors import DataError
 from sceneloom.formats.recording import FORMAT
 from sceneloom.formats.sfs import write_scene as write_sfs
@@ -234,3 +234,14 @@ def test_nobody_is_told_of_depth_images(scene):
     for frame in watched(scene, lambda *what: told.append(what)).sensor("camera1").frames:
         assert frame.depth.shape == (16, 32)
     assert told == []
+
+
+def test_undistorting_leaves_depth_images_and_says_so(recording, pinhole, images):
+    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.001}).depth_video("data2.mkv", images)
+    bent = {**pinhole, "distortionCoefficients": [-0.1, 0.01, 0.0]}
+    recording.calibration([bent, bent])
+    with FORMAT.open(recording.path) as scene:
+        plain = undistort_scene(scene)
+        assert plain.sensor("camera0").camera.model == "pinhole"
+        assert plain.sensor("camera1").camera == scene.sensor("camera1").camera
+        assert {"depth-not-undistorted"} == {notice.code for notice in plain.notices}

@@ -37,9 +37,11 @@ def unwritten(
     return [
         *_of_root(scene),
         *(loss for sensor in scene.sensors for loss in _of_sensor(sensor)),
+        *_of_odometry(scene, trajectories),
         *_of_cameras(scene, cameras),
         *_of_repeated(scene, imu),
         *_of_ids(scene, cameras, imu),
+        *_of_order(scene, cameras, imu),
         *_of_antennas(scene),
         *_of_default(scene, trajectories),
     ]
@@ -64,8 +66,19 @@ def _of_sensor(sensor: Sensor) -> Iterator[Loss]:
             yield Loss(field=f"sensors[{sensor.id}].{name}", what=_NO_PLACE)
     if sensor.parent_id is not None:
         yield Loss(field=f"sensors[{sensor.id}].parent_id", what=_NO_PLACE)
-    if isinstance(sensor, OdometrySensor) and sensor.poses.endless:
-        yield Loss(field=f"sensors[{sensor.id}]", what="left out: the format has no path without end")
+
+
+def _of_odometry(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Loss]:
+    """The format knows no sensors of the ego's own motion, but trajectories."""
+    names = {trajectory.name for trajectory in trajectories} - set(scene.trajectories)
+    for sensor in scene.sensors:
+        if isinstance(sensor, OdometrySensor):
+            written = f"written as trajectory {str(sensor.id)!r}"
+            if sensor.poses.endless:
+                written = "left out: the format has no path without end"
+            elif str(sensor.id) not in names:
+                written = "left out: a trajectory says the same"
+            yield Loss(field=f"sensors[{sensor.id}]", what=written)
 
 
 def _of_cameras(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
@@ -96,6 +109,14 @@ def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor], imu: ImuSensor | No
             found = f"{name}{index}" if numbered else name
             if sensor.id != found:
                 yield Loss(field=f"sensors[{sensor.id}].id", what=f"read back as {found!r}")
+
+
+def _of_order(scene: Scene, cameras: Sequence[ShootingSensor], imu: ImuSensor | None) -> Iterator[Loss]:
+    receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    found = [sensor.id for sensor in (*scene.lidars, *cameras, *([] if imu is None else [imu]), *receivers)]
+    if found != [sensor.id for sensor in scene.sensors if sensor.id in found]:
+        what = "read back in another order: lidars, cameras, those of depth last, IMU, satellite receivers"
+        yield Loss(field="sensors", what=what)
 
 
 def _of_antennas(scene: Scene) -> Iterator[Loss]:

@@ -139,8 +139,9 @@ def camera_entry(
 def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: str) -> dict[str, Any]:
     """Write a lidar; `mount` is `ego_from_lidar`."""
     before = _entry_before(sensor)
-    further = {k: v for k, v in before.items() if k not in {"imuToLidarMatrix", "lidarInd"}}
     number = {"lidarInd": index} if index else {}
+    unwanted = {"imuToLidarMatrix", "lidarInd"} - number.keys()
+    further = {k: v for k, v in before.items() if k not in unwanted}
     matrix = mount_entry(mount, before, "imuToLidar", "imuToLidarMatrix")
     return {**further, "model": model, **number, "imuToLidar": matrix}
 

@@ -1,5 +1,6 @@
 """Where a camera's pictures go: into a video, a folder of PNG pictures, or nowhere where its video is copied."""
 
+import shutil
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,15 +13,20 @@ from sceneloom.errors import SceneloomError
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.written_depth import DepthScales, DepthVideo
 from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, frame_rate, shots_of
-from sceneloom.formats.video import VideoWriter, copy_to_matroska
+from sceneloom.formats.video import VideoReader, VideoWriter, copy_to_matroska
 from sceneloom.formats.video.png_folder import picture_name
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Picture
+from sceneloom.scene import CameraSensor, DepthCameraSensor, Picture, VideoContent
 
 PICTURES = ("copy", "h264", "ffv1", "png")
 """Ways to keep pictures."""
 
 _PNG_EFFORT = 1
 """Pictures of scenes shrink little more with more effort, at many times the time."""
+
+
+_EBML = b"\x1a\x45\xdf\xa3"
+"""How a Matroska file begins. Source: RFC 8794, section 11.2.1."""
+_COPIED_AT_ONCE = 1 << 20
 
 
 class PictureSink(Protocol):
@@ -48,7 +54,7 @@ class PictureSink(Protocol):
 
 
 class CopiedVideo:
-    """The camera's own video, copied packet by packet before the first line is written."""
+    """The camera's own video, copied as it is or packet by packet, before the first line is written."""
 
     def __init__(self, sensor: ShootingSensor) -> None:
         self.width, self.height = sensor.camera.width, sensor.camera.height
@@ -183,7 +189,21 @@ def _copied(sensor: ShootingSensor, path: Path, rows: Int64Array, *, codecs: tup
     in_step = np.array_equal(rows, np.arange(count))
     if not in_step or (video.frame_indices is not None and video.frame_indices != tuple(range(count))):
         return False
-    return copy_to_matroska(video.open, path, pictures=count, name=f"video of {sensor.id}") is not None
+    name = f"video of {sensor.id}"
+    if _is_matroska(video, count, name):
+        with video.open() as source, path.open("wb") as target:
+            shutil.copyfileobj(source, target, _COPIED_AT_ONCE)
+        return True
+    return copy_to_matroska(video.open, path, pictures=count, name=name) is not None
+
+
+def _is_matroska(video: VideoContent, count: int, name: str) -> bool:
+    """Whether a video is as we would write it, so that its file can be copied byte by byte."""
+    with video.open() as file:
+        if file.read(len(_EBML)) != _EBML:
+            return False
+    with VideoReader(video.open, name=name) as reader:
+        return reader.index.timed and reader.index.hidden == 0 and reader.count == count
 
 
 def _all_stepped(sensor: DepthCameraSensor) -> bool:

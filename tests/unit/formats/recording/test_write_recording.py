@@ -503,6 +503,7 @@ def test_ids_that_the_format_forgets_are_named(tmp_path):
     assert losses_of(report) == {
         "sensors[front].id": "read back as 'camera0'",
         "sensors[roof].id": "read back as 'lidar'",
+        "sensors": "read back in another order: lidars, cameras, those of depth last, IMU, satellite receivers",
     }
 
 

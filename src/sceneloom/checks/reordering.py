@@ -1,4 +1,4 @@
-"""Frames of a sensor in another order, for fixes."""
+"""Frames of a sensor in another order, or some of them, for fixes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sceneloom.arrays import Int64Array
 from sceneloom.scene import (
     CameraSensor,
     DepthCameraSensor,
@@ -30,9 +31,13 @@ class _Reordered:
 
 def sorted_frames(frames: LazyFrames[Any]) -> LazyFrames[Any]:
     """The same frames in the order of their times; those of one time stay as they are among each other."""
-    order = np.argsort(frames.timestamps_ns, kind="stable")
-    read = _Reordered(frames.__getitem__, tuple(order.tolist()))
-    return LazyFrames(frames.timestamps_ns[order], read)
+    return chosen_frames(frames, np.argsort(frames.timestamps_ns, kind="stable").astype(np.int64))
+
+
+def chosen_frames(frames: LazyFrames[Any], rows: Int64Array) -> LazyFrames[Any]:
+    """Some of the frames, (M,) numbers of them, in that order."""
+    read = _Reordered(frames.__getitem__, tuple(rows.tolist()))
+    return LazyFrames(frames.timestamps_ns[rows], read)
 
 
 def is_sorted(frames: LazyFrames[Any]) -> bool:

@@ -48,8 +48,8 @@ def _far_from_imu(subject: Subject) -> Iterator[Hit]:
         if len(far):
             row, worst = int(far[0]), float(distances.max())
             problem = (
-                f"{camera.at(row)} is {distances[row]:.3f} s from the nearest sample of the {imu.name}; expected at most "
-                f"{limit:.3f} s, found up to {worst:.3f} s in {len(far)} of {len(camera)} pictures"
+                f"{camera.at(row)} is {distances[row]:.3f} s from the nearest sample of the {imu.name}; expected at "
+                f"most {limit:.3f} s, found up to {worst:.3f} s in {len(far)} of {len(camera)} pictures"
             )
             yield Hit(place(camera, row), problem)
 

@@ -6,6 +6,8 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.checks.reading import as_read
+from sceneloom.checks.recordings.repeated_times import without_repeated_times
 from sceneloom.checks.recordings.streams import DATA_FILE, Kind, Stream, place, place_in_file, streams_of
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
@@ -194,13 +196,15 @@ RULES: tuple[Rule, ...] = (
         "The lines of a recording stand in the order of their times.",
         "Sort the lines by time; software that replays them in the order of the file drops what comes late.",
         find=_out_of_order,
+        fix=as_read,
     ),
     Rule(
         "stream-times-unique",
         Severity.WARNING,
         "No two samples, pictures or poses of a stream have one time.",
-        "Leave one of them out, or write times with all their digits.",
+        "Write times with all their digits; `--fix` keeps the first, of videos all.",
         find=_of_one_time,
+        fix=without_repeated_times,
     ),
     Rule(
         "stream-gaps",

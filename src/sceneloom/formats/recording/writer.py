@@ -1,6 +1,7 @@
 """A scene as a recording's folder: sorted lines, calibration, videos or PNG pictures, lidar binaries."""
 
 import re
+import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -44,7 +45,8 @@ def write_recording(
     Args:
         scene: what to write.
         path: the folder that is made.
-        overwrite: replace the folder if it is a recording, or empty; nobody else's folder is ever replaced.
+        overwrite: replace the folder if it is a recording, or empty, but for a README; nobody else's folder is ever
+            replaced.
         pictures: "copy" copies a camera's own video packet by packet where that can be done and encodes H.264 else;
             "h264" copies only what is H.264 already; "ffv1" (video) and "png" (files) lose nothing.
 
@@ -65,6 +67,8 @@ def write_recording(
     check_lenses(scene, plan.cameras)
     with replacing(path, overwrite=overwrite, folder=True) as draft:
         losses = _RecordingWriter(plan, draft, pictures).write()
+        for note in path.glob("README*"):
+            shutil.copy2(note, draft)
     return LossReport.of(losses)
 
 

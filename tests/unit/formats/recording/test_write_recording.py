@@ -675,6 +675,14 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, pictures):
     assert [path.name for path in tmp_path.iterdir()] == ["drive"]
 
 
+def test_a_readme_survives_the_recording_that_it_was_written_for(tmp_path):
+    write_recording(whole_scene(), tmp_path / "drive")
+    (tmp_path / "drive" / "README.md").write_text("from the attic")
+    write_recording(a_scene(a_camera()), tmp_path / "drive", overwrite=True)
+    assert (tmp_path / "drive" / "README.md").read_text() == "from the attic"
+    assert not (tmp_path / "drive" / "lidar").exists()
+
+
 def test_the_same_scene_gives_the_same_files(tmp_path):
     for name in ("first", "second"):
         write_recording(whole_scene(), tmp_path / name)

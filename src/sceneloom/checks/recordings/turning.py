@@ -18,6 +18,8 @@ INTERVAL = 0.2
 LONGEST_INTERVAL = 1.0
 """Poses farther apart [s] do not tell how the device turned between them."""
 _MOST_INTERVALS = 4_000
+_TORN_FACTOR, _TORN_LENGTH = 5.0, 20.0
+"""Samples beyond so many times what 99 % keep to, and longer than this, are blows or broken lines."""
 _GAP_FACTOR = 5.5
 """So many usual intervals without a sample are a gap: what the IMU felt then is not known."""
 
@@ -43,7 +45,7 @@ class CleanSamples:
         """Take the usable samples of a stream of three axes; None for fewer than three."""
         if samples is None or samples.values.shape[1] != 3:
             return None
-        usable = np.flatnonzero(np.isfinite(samples.values).all(axis=1))
+        usable = np.flatnonzero(_untorn(samples.values))
         times_ns, first = np.unique(samples.timestamps_ns[usable], return_index=True)
         if len(times_ns) < 3:
             return None
@@ -74,6 +76,16 @@ class CleanSamples:
         before = self.sums[first]
         sums: Float64Array = before + share[:, None] * (self.sums[first + 1] - before)
         return sums
+
+
+def _untorn(values: Float64Array) -> BoolArray:
+    """Which samples are finite, and not far beyond what nearly all others are, (N,) bool."""
+    lengths = np.sqrt((values * values).sum(axis=1))
+    finite: BoolArray = np.asarray(np.isfinite(lengths))
+    if not finite.any():
+        return finite
+    farthest = max(_TORN_FACTOR * float(np.percentile(lengths[finite], 99.0)), _TORN_LENGTH)
+    return np.asarray(finite & (lengths <= farthest))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

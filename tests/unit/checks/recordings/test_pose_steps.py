@@ -51,3 +51,14 @@ def test_a_pose_that_is_turned_is_told_once_with_its_line(findings, drive, writt
     stream[30] = turned(stream[30], 175.0)
     [(rule, place, _)] = findings(drive)
     assert (rule, place) == ("pose-turns", line_of(written(drive), stream[30]))
+
+
+def test_a_single_torn_turn_rate_does_not_speak_against_the_poses(written, drive):
+    angles = np.degrees(0.8 * np.sin(0.9 * np.array(drive.times(20.0))))
+    stream = drive.streams["groundTruth"]
+    stream[:] = [turned(line, angle) for line, angle in zip(stream, angles.tolist(), strict=True)]
+    for line in drive.streams["gyroscope"]:
+        line["sensor"]["values"] = [0.0, 0.0, 0.8 * 0.9 * float(np.cos(0.9 * line["time"]))]
+    drive.streams["gyroscope"][400]["sensor"]["values"] = [99.0, 0.0, 0.0]
+    rules = ["gyroscope-scale", "poses-clock", "poses-against-gyroscope", "gyroscope-range"]
+    assert [f.rule for f in validate(written(drive), rules=rules).findings] == ["gyroscope-range"]

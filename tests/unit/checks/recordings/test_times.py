@@ -65,6 +65,14 @@ def test_shorter_breaks_are_no_gaps(told, drive, name, lost):
     assert told(drive, "stream-gaps") == []
 
 
+def test_a_camera_that_slows_down_in_the_dark_is_uneven_and_has_no_gaps(told, drive):
+    frames = drive.streams["frames"]
+    drive.streams["frames"] = [*frames[:70], *frames[70::2]]
+    assert told(drive, "stream-gaps") == []
+    [(place, _)] = told(drive, "stream-jitter")
+    assert place == "data.jsonl: camera0"
+
+
 def test_an_outage_of_the_satellites_is_a_hint(told, drive):
     del drive.streams["gps"][20:35]
     [(_, message)] = told(drive, "stream-outages")

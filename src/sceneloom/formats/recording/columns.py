@@ -234,7 +234,8 @@ class LineLog:
     def lines_of(self, code: int) -> Int64Array:
         """Give the number of the line that each row of a stream was read from, (N,) int64, counted from 1."""
         codes = np.frombuffer(self.codes, np.uint16) if self.codes else np.zeros(0, np.uint16)
-        lines: Int64Array = np.flatnonzero(codes == code) + 1
+        lines: Int64Array = np.flatnonzero(codes == code)
+        lines += 1
         beside = [
             (row, line) for line, shared in self.shared.items() for own, row in shared.rows if own == code
         ]
@@ -289,9 +290,12 @@ class RecordingColumns:
         """Give the time of each line in the order of the file, (N,) float64 [s], NaN for lines without one."""
         codes = np.frombuffer(self.log.codes, np.uint16) if self.log.codes else np.zeros(0, np.uint16)
         seconds = np.full(len(codes), np.nan)
+        in_several = {code for shared in self.log.shared.values() for code, _ in shared.rows}
         for stream in self.streams().values():
-            if len(stream):
+            if stream.code in in_several:
                 seconds[self.log.lines_of(stream.code) - 1] = view(stream.seconds)
+            elif len(stream):
+                seconds[codes == stream.code] = view(stream.seconds)
         if len(self.frames.seconds):
             seconds[np.frombuffer(self.frames.lines, np.int64) - 1] = view(self.frames.seconds)
         if self.other_lines:

@@ -72,6 +72,8 @@ class LineReader:
             lines: without their line feeds.
             offset: byte at which the first one begins.
         """
+        if len(self._bound) != len(self.columns.sensors):
+            self._bind()
         codes = self.columns.log.codes
         self._lines, self._first, self._reached, self._offset = lines, len(codes), 0, offset
         decoded = map(_decode_frequent, lines)
@@ -236,6 +238,9 @@ class LineReader:
         """Note how the first line of each stream is written, and let the next ones be taken fast."""
         for stream in streams:
             stream.form = stream.form or self._text.decode()
+        self._bind()
+
+    def _bind(self) -> None:
         for name, stream in self.columns.sensors.items():
             self._bound[name] = (stream.seconds, stream.values, stream.width, stream.code)
         self._truth = self.columns.poses.get(_GROUND_TRUTH)

@@ -1,6 +1,7 @@
 """`data.jsonl` read line by line into columns; the file is never in memory as a whole."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import BinaryIO
 
@@ -9,18 +10,19 @@ import numpy as np
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.columns import RecordingColumns
+from sceneloom.formats.recording.columns_joining import can_join, join
+from sceneloom.formats.recording.line_blocks import blocks_of_lines
+from sceneloom.formats.recording.line_parts import LineParts, reading_processes
 from sceneloom.formats.recording.line_reading import OUTPUT_TRAJECTORY, LineReader
 from sceneloom.scene import NoticeKind
 
 __all__ = ["OUTPUT_TRAJECTORY", "iter_lines", "read_lines"]
 
-_BLOCK = 1 << 16
-_LONGEST_LINE = 1 << 26
 _KEYS_SHOWN = 10
 
 
 def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
-    """Read all lines.
+    """Read all lines; of a large file, with several processes (`reading_processes`).
 
     Args:
         path: `data.jsonl`.
@@ -28,13 +30,16 @@ def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
 
     Raises:
         DataError: the file cannot be read or is empty; or a line is wrong and the reading is not lenient.
+        OptionError: the environment names no number of processes.
     """
     reader = LineReader()
     try:
-        with path.open("rb") as file:
-            for lines, offset in _blocks_of_lines(file, path):
-                reader.read(lines, offset)
-                _pass_faults(reader.faults, path, ledger)
+        size = path.stat().st_size
+        processes = reading_processes(size)
+        if processes > 1:
+            _read_parts(reader, path, size, processes, ledger)
+        else:
+            _read_serially(reader, path, ledger)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error.strerror}") from error
     columns = reader.columns
@@ -45,33 +50,34 @@ def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
     return columns
 
 
+def _read_serially(
+    reader: LineReader, path: Path, ledger: Ledger, start: int = 0, stop: int | None = None
+) -> None:
+    with path.open("rb") as file:
+        for lines, offset in blocks_of_lines(file, path, start, stop):
+            reader.read(lines, offset)
+            _pass_faults(reader.faults, path, ledger)
+
+
+def _read_parts(reader: LineReader, path: Path, size: int, processes: int, ledger: Ledger) -> None:
+    with closing(LineParts(path, size, processes)) as parts:
+        for bounds, part in parts:
+            if part is None or not can_join(reader.columns, part.columns):
+                _read_serially(reader, path, ledger, *bounds)
+                continue
+            before = len(reader.columns.log.codes)
+            join(reader.columns, part.columns)
+            _pass_faults([(code, before + line, why) for code, line, why in part.faults], path, ledger)
+
+
 def iter_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
     """Give the lines of a file without their line feeds, block by block.
 
     Raises:
         DataError: a line is longer than 64 MiB, so this is no file of lines.
     """
-    for lines, _ in _blocks_of_lines(file, path):
+    for lines, _ in blocks_of_lines(file, path):
         yield from lines
-
-
-def _blocks_of_lines(file: BinaryIO, path: Path) -> Iterator[tuple[list[bytes], int]]:
-    """Give the lines of a file, some at a time, and the byte at which the first of them begins."""
-    parts: list[bytes] = []
-    length, offset = 0, 0
-    while block := file.read(_BLOCK):
-        end = block.rfind(b"\n") + 1
-        if end:
-            text = b"".join([*parts, block[:end]])
-            yield text.split(b"\n")[:-1], offset
-            offset += len(text)
-            parts, length = [], 0
-        parts.append(block[end:])
-        length += len(block) - end
-        if length > _LONGEST_LINE:
-            raise DataError(path, "", f"a line is longer than {_LONGEST_LINE} bytes; expected JSON lines")
-    if length:
-        yield [b"".join(parts)], offset
 
 
 def _pass_faults(faults: list[tuple[str, int, str]], path: Path, ledger: Ledger) -> None:
@@ -82,8 +88,13 @@ def _pass_faults(faults: list[tuple[str, int, str]], path: Path, ledger: Ledger)
 
 def _note_order(columns: RecordingColumns, path: Path, ledger: Ledger) -> None:
     seconds = columns.line_seconds()
-    timed = np.flatnonzero(~np.isnan(seconds))
-    backwards = timed[1:][np.diff(seconds[timed]) < 0]
+    numbers = None
+    if np.isnan(seconds).any():
+        numbers = np.flatnonzero(~np.isnan(seconds))
+        seconds = seconds[numbers]
+    backwards = np.flatnonzero(seconds[1:] < seconds[:-1]) + 1
+    if numbers is not None:
+        backwards = numbers[backwards]
     if len(backwards):
         ledger.note(
             NoticeKind.REPAIRED,

@@ -348,7 +348,7 @@ def test_samples_of_another_width_than_the_first_of_an_unknown_sensor_are_kept_a
 
 
 def test_a_line_longer_than_any_is_a_fault(recording, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.recording.lines._LONGEST_LINE", 1 << 21)
+    monkeypatch.setattr("sceneloom.formats.recording.line_blocks.LONGEST_LINE", 1 << 21)
     (recording.path / "data.jsonl").write_bytes(b" " * (1 << 22))
     with pytest.raises(DataError, match="longer than 2097152 bytes"):
         FORMAT.open(recording.path, lenient=True)

@@ -29,6 +29,7 @@ RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.poses",
     "sceneloom.checks.recordings.poses_and_imu",
     "sceneloom.checks.recordings.poses_and_gnss",
+    "sceneloom.checks.recordings.mended_streams",
     "sceneloom.checks.sensors",
     "sceneloom.checks.cameras",
     "sceneloom.checks.points",

@@ -6,6 +6,7 @@ import msgspec
 
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.walk import Hits
+from sceneloom.formats.loss import Loss
 from sceneloom.scene import Finding, Severity
 
 PLACES = 20
@@ -27,6 +28,7 @@ class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
         frames_read: whether frames and pictures were read.
         fixed: what was found at first and is mended in `output`.
         left_out: what stood in the source and could not be taken into `output`.
+        losses: what `output` could not hold, though nothing was wrong with it.
         output: the file that the mended scene was written to, or None; the findings are then those of it.
     """
 
@@ -41,6 +43,7 @@ class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
     frames_read: bool = True
     fixed: tuple[Finding, ...] = ()
     left_out: tuple[Finding, ...] = ()
+    losses: tuple[Loss, ...] = ()
     output: str | None = None
 
 

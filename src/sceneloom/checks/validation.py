@@ -18,6 +18,7 @@ from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.checks.walk import Hits, find_all
 from sceneloom.formats.faults import PlacedFault
+from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.table import format_for_output, write_scene
@@ -112,11 +113,11 @@ def validate(
             return report
         scene, applied = mended(subject.scene, terms.rules, hits)
         told = replace(scene, notices=(*scene.notices, *_remarks(subject.faults)))
-        _write(told, Path(fix), profile, overwrite=overwrite)
+        losses = _write(told, Path(fix), profile, overwrite=overwrite)
     finally:
         if subject.scene is not source:
             subject.scene.close()
-    return _after_fixing(report, applied, Path(fix), terms)
+    return msgspec.structs.replace(_after_fixing(report, applied, Path(fix), terms), losses=losses.losses)
 
 
 def _can_be_written(subject: Subject) -> bool:
@@ -142,9 +143,9 @@ def _remarks(faults: Sequence[PlacedFault]) -> tuple[Notice, ...]:
     )
 
 
-def _write(scene: Scene, path: Path, profile: str | None, *, overwrite: bool) -> None:
-    options = {"profile": profile} if profile is not None and format_for_output(path).name == "sfs" else {}
-    write_scene(scene, path, overwrite=overwrite, **options)
+def _write(scene: Scene, path: Path, profile: str | None, *, overwrite: bool) -> LossReport:
+    options = {"recording": {"pictures": "lossless"}, "sfs": {} if profile is None else {"profile": profile}}
+    return write_scene(scene, path, overwrite=overwrite, **options.get(format_for_output(path).name, {}))
 
 
 def _after_fixing(

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from sceneloom.checks import ValidationReport
+    from sceneloom.formats.loss import Loss
     from sceneloom.scene import Finding
 
 
@@ -114,6 +115,7 @@ def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool
     if report.output is not None:
         _print_changes("fixed", report.fixed)
         _print_changes("left out", report.left_out)
+        _print_losses(report.losses)
         click.echo(f"written: {report.output}")
     elif asked_to_fix:
         click.echo("nothing was written: what is at fault decides what the rest means", err=True)
@@ -139,6 +141,16 @@ def _print_changes(title: str, findings: "Sequence[Finding]") -> None:
         click.echo(f"  {finding.rule}: {_line(finding)}")
 
 
+def _print_losses(losses: "Sequence[Loss]") -> None:
+    if losses:
+        click.echo("lost")
+    for loss in losses:
+        click.echo(f"  {loss.field}: {loss.what}{_times(loss.count)}")
+
+
+def _times(count: int) -> str:
+    return f" ({count} times)" if count > 1 else ""
+
+
 def _line(finding: "Finding") -> str:
-    times = f" ({finding.count} times)" if finding.count > 1 else ""
-    return ": ".join(filter(None, (finding.path, finding.message))) + times
+    return ": ".join(filter(None, (finding.path, finding.message))) + _times(finding.count)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from sceneloom.checks.reading import notices_of_code
+from sceneloom.checks.reading import as_read, notices_of_code
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.lenses import CameraParameters
@@ -134,7 +134,8 @@ RULES: tuple[Rule, ...] = (
         "calibration-size",
         Severity.WARNING,
         "Pictures have the `imageWidth` and `imageHeight` that their lens is calibrated for.",
-        "Write the numbers for the pictures as they are; of pictures that were cut, scaling does not do.",
+        "Write the numbers for the pictures as they are; `--fix` scales them, which is wrong for cut pictures.",
         find=notices_of_code("lens-scaled"),
+        fix=as_read,
     ),
 )

@@ -1,19 +1,28 @@
 """Rules about where cameras and lidars sit on the vehicle: matrices that are inverted, in millimetres or exchanged."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import combinations
 from types import MappingProxyType
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.checks.reading import as_read, notices_of_code
+from sceneloom.checks.reading import notices_of_code
 from sceneloom.checks.recordings.camera_pairs import stereo_pairs
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import ImuSensor, Severity
+from sceneloom.geometry.rotations import SILENT_ERROR, nearest_rotation
+from sceneloom.scene import (
+    CameraSensor,
+    DepthCameraSensor,
+    ImuSensor,
+    LidarSensor,
+    Scene,
+    Sensor,
+    Severity,
+)
 
 FARTHEST = 5.0
 """A sensor is no farther from the IMU [m]."""
@@ -25,6 +34,7 @@ _SAME_PLACE, _SAME_TURN = 1e-4, 1e-6
 _UPRIGHT_DEG, _ROLLED_DEG = 20.0, 45.0
 _STEEP_DEG = 65.0
 _SAMPLES = 20_000
+_MATRICES = ("imuToCamera", "imuToCameraMatrix", "imuToLidar", "imuToLidarMatrix")
 
 
 def _mounts(subject: Subject) -> Iterator[tuple[str, str, RigidTransform]]:
@@ -152,6 +162,34 @@ def _left_and_right(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"calibration.json: cameras[{pair.second}].imuToCamera", told)
 
 
+def _with_rotations(scene: Scene) -> Scene:
+    """Let entries of the calibration say the rotations that were taken in place of theirs."""
+    sensors = tuple(map(_with_rotation, scene.sensors))
+    changed = any(new is not old for new, old in zip(sensors, scene.sensors, strict=True))
+    return replace(scene, sensors=sensors) if changed else scene
+
+
+def _with_rotation(sensor: Sensor) -> Sensor:
+    if not isinstance(sensor, CameraSensor | DepthCameraSensor | LidarSensor) or sensor.mount is None:
+        return sensor
+    entry = sensor.extras.get("calibration")
+    stale = [key for key in _MATRICES if isinstance(entry, Mapping) and _is_off(entry.get(key))]
+    if not stale or not isinstance(entry, Mapping):
+        return sensor
+    matrix = sensor.mount.inverse().matrix.tolist()
+    mended = MappingProxyType({**entry, **dict.fromkeys(stale, matrix)})
+    return replace(sensor, extras=MappingProxyType({**sensor.extras, "calibration": mended}))
+
+
+def _is_off(numbers: object) -> bool:
+    """Whether a matrix as JSON has it holds a rotation that is off by more than is passed over in silence."""
+    if not isinstance(numbers, list) or len(numbers) not in {3, 4, 9, 16}:
+        return False
+    matrix = np.array(numbers, np.float64)
+    matrix = matrix.reshape(round(matrix.size**0.5), -1)[:3, :3]
+    return nearest_rotation(matrix)[1] > SILENT_ERROR
+
+
 RULES: tuple[Rule, ...] = (
     Rule(
         "mounting-rotation",
@@ -159,7 +197,7 @@ RULES: tuple[Rule, ...] = (
         "Rotations of mountings are orthonormal within 0.001; beyond 0.01 they are refused.",
         "Write rotations with more digits; `--fix` writes the nearest rotation.",
         find=notices_of_code("rotation-normalised"),
-        fix=as_read,
+        fix=_with_rotations,
     ),
     Rule(
         "mounting-far",

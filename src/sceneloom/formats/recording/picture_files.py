@@ -133,8 +133,9 @@ def choose_pictures(numbers: Int64Array, picture_count: int) -> PictureChoice:
     """Match `frames` lines with pictures.
 
     A line's picture is `number` minus the first number where the pictures are as many as the numbers span; else
-    pictures and lines are counted in parallel, if they are equally many. Lines that do not fit still get the pictures
-    that their numbers mean, as far as there are any.
+    pictures and lines are counted in parallel, if they are equally many. A number that stands in several lines means
+    one picture, unless pictures and lines are equally many. Lines that do not fit still get the pictures that their
+    numbers mean, as far as there are any.
 
     Args:
         numbers: (N,) int64, `number` of all frames lines, in the order of the file.
@@ -151,6 +152,8 @@ def choose_pictures(numbers: Int64Array, picture_count: int) -> PictureChoice:
         return PictureChoice(numbers - first)
     if picture_count == count:
         return PictureChoice(ranks if distinct else np.arange(count), by_line=True)
+    if picture_count == last - first + 1:
+        return PictureChoice(numbers - first)
     indices = numbers - first if distinct else np.arange(count)
     problem = (
         f"{picture_count} pictures, but data.jsonl has {count} frames lines with numbers from {first} to {last}; "

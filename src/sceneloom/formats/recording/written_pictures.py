@@ -17,8 +17,11 @@ from sceneloom.formats.video import VideoReader, VideoWriter, copy_to_matroska
 from sceneloom.formats.video.png_folder import picture_name
 from sceneloom.scene import CameraSensor, DepthCameraSensor, Picture, VideoContent
 
-PICTURES = ("copy", "h264", "ffv1", "png")
+PICTURES = ("copy", "lossless", "h264", "ffv1", "png")
 """Ways to keep pictures."""
+
+_ENCODED_AS = {"copy": "h264", "lossless": "ffv1"}
+"""Codecs for videos that should have been copied and cannot be."""
 
 _PNG_EFFORT = 1
 """Pictures of scenes shrink little more with more effort, at many times the time."""
@@ -159,8 +162,9 @@ def open_sink(
         folder: the recording that is being written.
         index: `cameraInd`.
         rows: (N,) int64, which of its pictures each line has, -1 for none.
-        pictures: "copy": the camera's own video where it can be copied, else H.264; "h264" and "ffv1": the own video
-            only if it is that already; "png": PNG pictures. Depth is kept as its own video, or as FFV1, in any case.
+        pictures: "copy": the camera's own video where it can be copied, else H.264; "lossless": the same, else FFV1;
+            "h264" and "ffv1": the own video only if it is that already; "png": PNG pictures. Depth is kept as its own
+            video, or as FFV1, in any case.
     """
     path = folder / f"data{index + 1 if index else ''}.mkv"
     if isinstance(sensor, DepthCameraSensor):
@@ -168,9 +172,15 @@ def open_sink(
         return CopiedVideo(sensor) if copied else DepthVideo(sensor, path)
     if pictures == "png":
         return PngPictures(sensor, folder / f"frames{index + 1}")
-    if _copied(sensor, path, rows, codecs=None if pictures == "copy" else (pictures,)):
+    if _copied(sensor, path, rows, codecs=None if pictures in _ENCODED_AS else (pictures,)):
         return CopiedVideo(sensor)
-    return EncodedVideo(sensor, path, "h264" if pictures == "copy" else pictures)
+    encoded = EncodedVideo(sensor, path, _ENCODED_AS.get(pictures, pictures))
+    if pictures == "lossless" and sensor.video is not None:
+        what = (
+            "encoded anew as FFV1: cut where it was, the video could not be copied; the pictures are the same"
+        )
+        encoded.losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what))
+    return encoded
 
 
 def _encoding_losses(sensor: CameraSensor, size: tuple[int, int]) -> list[Loss]:
@@ -183,12 +193,16 @@ def _encoding_losses(sensor: CameraSensor, size: tuple[int, int]) -> list[Loss]:
 
 
 def _copied(sensor: ShootingSensor, path: Path, rows: Int64Array, *, codecs: tuple[str, ...] | None) -> bool:
+    """Copy the camera's own video, cut to the pictures of the lines, where that needs no decoding."""
     video, count = sensor.video, len(shots_of(sensor))
-    if video is None or (codecs is not None and video.codec not in codecs):
+    if video is None or (codecs is not None and video.codec not in codecs) or count == 0:
         return False
-    in_step = np.array_equal(rows, np.arange(count))
-    if not in_step or (video.frame_indices is not None and video.frame_indices != tuple(range(count))):
+    whole = video.frame_indices is None
+    indices = np.arange(count) if video.frame_indices is None else np.asarray(video.frame_indices, np.int64)
+    taken = _pictures_of_lines(indices, rows)
+    if taken is None:
         return False
+<<<<<<< HEAD
     name = f"video of {sensor.id}"
     if _is_matroska(video, count, name):
         with video.open() as source, path.open("wb") as target:
@@ -204,6 +218,34 @@ def _is_matroska(video: VideoContent, count: int, name: str) -> bool:
             return False
     with VideoReader(video.open, name=name) as reader:
         return reader.index.timed and reader.index.hidden == 0 and reader.count == count
+=======
+    pictures = count if whole else None
+    name = f"video of {sensor.id}"
+    return copy_to_matroska(video.open, path, pictures=pictures, frame_indices=taken, name=name) is not None
+
+
+def _pictures_of_lines(indices: Int64Array, rows: Int64Array) -> Int64Array | None:
+    """Choose a picture of the video for each line.
+
+    Args:
+        indices: (N,) the picture in the video of each of the camera's pictures.
+        rows: (L,) which of the camera's pictures each line has, -1 for none; such a line takes one of those between
+            its neighbours', which nobody looks at, since there has to be one for each line.
+
+    Returns:
+        (L,) int64, ascending; None where the video has none for a line.
+    """
+    known = np.flatnonzero(rows >= 0)
+    if len(known) == 0:
+        return None
+    chosen = indices[rows[known]]
+    if (np.diff(chosen) < np.diff(known)).any() or chosen[0] < known[0]:
+        return None
+    lines = np.arange(len(rows))
+    before = np.maximum(np.searchsorted(known, lines, side="right") - 1, 0)
+    taken: Int64Array = chosen[before] + lines - known[before]
+    return taken
+>>>>>>> 846dc8f (wip)
 
 
 def _all_stepped(sensor: DepthCameraSensor) -> bool:

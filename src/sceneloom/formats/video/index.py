@@ -56,6 +56,14 @@ class VideoIndex:
         """(N,) float64 [s], presentation time of each picture."""
         return self.pts.astype(np.float64) * (self.time_base.numerator / self.time_base.denominator)
 
+    def part(self, taken: Int64Array) -> "VideoIndex":
+        """The list of some of the pictures, (M,) ascending, as if the others had never been stored."""
+        order = np.argsort(np.argsort(self.positions[taken])).astype(np.int64)
+        entries = np.maximum(np.searchsorted(taken, self.entries[taken], side="right") - 1, 0).astype(
+            np.int64
+        )
+        return VideoIndex(self.time_base, self.pts[taken], order, entries, timed=self.timed, hidden=0)
+
     def find(self, pts: int | None) -> int | None:
         """The picture that has this presentation time, or None."""
         if pts is None:

@@ -10,7 +10,7 @@ from av.container import OutputContainer
 from av.packet import Packet
 from av.video.stream import VideoStream
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.video.index import VideoIndex
 from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults
@@ -72,9 +72,23 @@ def check_count(stamps: int, pictures: int) -> None:
 
 
 def copy_packets(
-    source: VideoSource, target: VideoTarget, container: str, times: PacketTimes, name: str
+    source: VideoSource,
+    target: VideoTarget,
+    container: str,
+    times: PacketTimes,
+    name: str,
+    *,
+    taken: BoolArray | None = None,
 ) -> None:
-    """Copy all packets that hold pictures into a new container, one at a time.
+    """Copy packets that hold pictures into a new container, one at a time.
+
+    Args:
+        source: the video.
+        target: where to.
+        container: of what kind.
+        times: of the packets that are copied.
+        name: what messages call the source.
+        taken: (N,) bool, which packets to copy, in the order of storage; None for all.
 
     Raises:
         DataError: the source is damaged.
@@ -88,7 +102,7 @@ def copy_packets(
         try:
             with writing_faults(called):
                 stream = _same_stream(output, opened.stream, times.tick)
-            for position, packet in enumerate(_pictures(opened, name)):
+            for position, packet in enumerate(_taken(_pictures(opened, name), taken)):
                 _set_times(packet, times, position, name)
                 packet.stream = stream
                 with writing_faults(called):
@@ -105,6 +119,9 @@ def copy_packets(
 def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction) -> VideoStream:
     stream = output.add_stream_from_template(original, opaque=True)
     stream.time_base = tick
+    if "matroska" in output.format.name and original.average_rate:
+        # else readers take the ticks for the rate
+        stream.codec_context.framerate = original.average_rate
     if output.format.name == "mp4" and original.codec_context.codec.canonical_name == "hevc":
         # of the two names of HEVC in mp4, Apple's players know this one only
         stream.codec_context.codec_tag = "hvc1"
@@ -120,6 +137,15 @@ def _pictures(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
             return
         if packet.size and not packet.is_discard:
             yield packet
+
+
+def _taken(
+    packets: "Iterator[Packet[VideoStream]]", taken: BoolArray | None
+) -> "Iterator[Packet[VideoStream]]":
+    if taken is None:
+        return packets
+    # packets beyond those that were there before are handed on, and refused there
+    return (packet for k, packet in enumerate(packets) if k >= len(taken) or taken[k])
 
 
 def _set_times(packet: "Packet[VideoStream]", times: PacketTimes, position: int, name: str) -> None:

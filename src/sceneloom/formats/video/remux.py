@@ -7,8 +7,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, UInt8Array
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import DataError, OutputError
+from sceneloom.formats.video.index import VideoIndex
 from sceneloom.formats.video.packet_copy import PacketTimes, check_count, copy_packets
 from sceneloom.formats.video.reader import VideoReader
 from sceneloom.formats.video.source import VideoSource, source_name
@@ -83,7 +84,12 @@ def remux_to_mp4(
 
 
 def copy_to_matroska(
-    source: VideoSource, target: VideoTarget, *, pictures: int | None = None, name: str | None = None
+    source: VideoSource,
+    target: VideoTarget,
+    *,
+    pictures: int | None = None,
+    frame_indices: Sequence[int] | Int64Array | None = None,
+    name: str | None = None,
 ) -> RemuxResult | None:
     """Put a video into Matroska packet by packet, whatever its codec, at its own times from 0 on.
 
@@ -91,11 +97,13 @@ def copy_to_matroska(
         source: read twice or more: the packets' times have to be known before the first is written.
         target: a path or a seekable binary file.
         pictures: how many pictures there must be; None for any number.
+        frame_indices: which pictures to take, ascending, by the order in which they are shown; None for all.
         name: what messages call the source.
 
     Returns:
         What was written; None, and nothing written, where the packets cannot be copied: their times are unknown,
-        some are not to be shown, or they are not as many as they must be.
+        some are not to be shown, they are not as many as they must be, or pictures that are taken cannot be decoded
+        without others that are not.
 
     Raises:
         DataError: the source is damaged.
@@ -107,8 +115,32 @@ def copy_to_matroska(
         if _obstacle(reader, wanted, frozenset({reader.codec})) is not None:
             return None
         codec, index = reader.codec, reader.index
-    copy_packets(source, target, "matroska", PacketTimes.of(index, None), called)
-    return RemuxResult(len(index), codec, copied=True)
+    taken = np.arange(len(index)) if frame_indices is None else np.asarray(frame_indices, np.int64)
+    if not can_be_cut(index, taken):
+        return None
+    times = PacketTimes.of(index.part(taken), None)
+    is_taken = np.zeros(len(index), np.bool_)
+    is_taken[index.positions[taken]] = True
+    copy_packets(source, target, "matroska", times, called, taken=is_taken)
+    return RemuxResult(len(taken), codec, copied=True)
+
+
+def can_be_cut(index: VideoIndex, taken: Int64Array) -> bool:
+    """Whether some pictures of a video can be decoded without the others.
+
+    A picture needs what is stored from its key frame up to it, and nothing else.
+
+    Args:
+        index: the list of the video's pictures.
+        taken: which pictures, by the order in which they are shown.
+    """
+    if len(taken) == 0 or (np.diff(taken) <= 0).any() or taken[0] < 0 or taken[-1] >= len(index):
+        return False
+    stored = np.zeros(len(index) + 1, np.int64)
+    stored[index.positions[taken] + 1] = 1
+    before = np.cumsum(stored)
+    starts, stops = index.positions[index.entries[taken]], index.positions[taken] + 1
+    return bool((before[stops] - before[starts] == stops - starts).all())
 
 
 def encode_to_mp4(

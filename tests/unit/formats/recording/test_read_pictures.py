@@ -47,6 +47,12 @@ def test_pictures_are_counted_by_number_from_the_first(numbers, count, indices):
     assert not choice.by_line
 
 
+def test_a_number_that_stands_in_two_lines_means_one_picture():
+    choice = choose_pictures(np.array([5, 6, 6, 7]), 3)
+    assert choice.indices.tolist() == [0, 1, 1, 2]
+    assert choice.problem is None
+
+
 @pytest.mark.parametrize(
     ("numbers", "count", "indices"),
     [([5, 7, 8], 3, [0, 1, 2]), ([0, 1, 0, 1], 4, [0, 1, 2, 3]), ([9, 5, 7], 3, [2, 0, 1])],
@@ -64,7 +70,7 @@ def test_pictures_are_counted_by_line_where_numbers_have_gaps_and_the_counts_agr
         ([0, 1, 2, 3], 3, [0, 1, 2, -1]),
         ([0, 1, 2, 3], 5, [0, 1, 2, 3]),
         ([5, 7, 9], 4, [0, 2, -1]),
-        ([0, 0, 1], 2, [0, 1, -1]),
+        ([0, 0, 1], 4, [0, 1, 2]),
         ([], 2, []),
     ],
 )

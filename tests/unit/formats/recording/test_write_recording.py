@@ -626,7 +626,7 @@ def test_a_camera_without_pictures_is_calibrated_alone_and_left_out_beside_other
 
 @pytest.mark.parametrize("pictures", ["jpeg", ""])
 def test_an_unknown_way_of_keeping_pictures_is_refused(tmp_path, pictures):
-    with pytest.raises(OptionError, match="expected one of: copy, h264, ffv1, png"):
+    with pytest.raises(OptionError, match="expected one of: copy, lossless, h264, ffv1, png"):
         write_recording(whole_scene(), tmp_path / "drive", pictures=pictures)
 
 

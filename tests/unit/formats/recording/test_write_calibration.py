@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras import Camera, project_unbounded, unproject
+from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.recording import FORMAT
 from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry
@@ -74,7 +75,18 @@ STRANGERS = {
     "Fisheye624": camera("fisheye_rad_tan_prism", 0.05, -0.01, 0, 0, 0, 0, 1e-3, 0, 1e-3, 0, 0, 0),
     "Mei": Camera("omnidirectional", 640, 480, 900.0, 900.0, 320.0, 240.0, (-0.1, 0.02, 0, 0, 0, 0, 1.1)),
     "modified": camera("mod_kannala", 0.02),
+    "modified, equidistant": camera("mod_equi_fish", 0.0, -0.02, 0.01, -0.003),
+    "f-theta": Camera("ftheta", 640, 480, 1.0, 1.0, 320.0, 240.0, (0.0, 500.0, 0.0, -12.0, 2.0)),
+    "custom": camera("fisheye_radial_custom", 0.05, -0.01, 0, 0, 0, 0, 1e-4, 0, 0.5, -0.3),
+    "a piece of a cylinder": Camera("cylindrical", 640, 480, 1500.0, 1500.0, 320.0, 240.0),
+    "a piece of a globe": Camera("equirectangular", 640, 480, 1500.0, 1500.0, 320.0, 240.0),
 }
+
+
+def test_every_model_is_either_written_or_fitted():
+    assert {lens.model for lens, _, _ in LENSES.values()} | {
+        lens.model for lens in STRANGERS.values()
+    } == set(MODELS)
 
 
 @pytest.mark.parametrize("kind", STRANGERS)

@@ -1,7 +1,9 @@
 """Scenes become recordings whose files hold what the description of the format says, and nothing else is touched."""
 
+import gc
 import json
 import struct
+import weakref
 from decimal import Decimal
 from itertools import pairwise
 from types import MappingProxyType
@@ -675,6 +677,22 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, pictures):
     assert [path.name for path in tmp_path.iterdir()] == ["drive"]
 
 
+@pytest.mark.parametrize("pictures", ["copy", "png", "ffv1"])
+def test_who_stops_in_the_middle_finds_nothing_new(tmp_path, pictures):
+    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+
+    def decode(k):
+        if k == 2:
+            raise KeyboardInterrupt
+        return picture_rgb(k)
+
+    shots = [Picture(k * 100 * MS, lens, lambda k=k: decode(k)) for k in range(4)]
+    camera = CameraSensor("camera0", lens, LazyFrames.of(shots, times(4)), mount=MOUNT)
+    with pytest.raises(KeyboardInterrupt):
+        write_recording(a_scene(camera, a_lidar()), tmp_path / "drive", pictures=pictures)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_readme_survives_the_recording_that_it_was_written_for(tmp_path):
     write_recording(whole_scene(), tmp_path / "drive")
     (tmp_path / "drive" / "README.md").write_text("from the attic")
@@ -692,6 +710,36 @@ def test_the_same_scene_gives_the_same_files(tmp_path):
     assert len(files) == 7
     for file in files:
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
+
+
+@pytest.mark.parametrize("pictures", ["copy", "png", "ffv1"])
+def test_no_more_than_a_frame_of_each_sensor_is_held(tmp_path, pictures):
+    alive, most = {"lidar": 0, "picture": 0}, {"lidar": 0, "picture": 0}
+
+    def born(kind, array):
+        alive[kind] += 1
+        most[kind] = max(most[kind], alive[kind])
+        weakref.finalize(array, lambda: alive.__setitem__(kind, alive[kind] - 1))
+        return array
+
+    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+    stamps = times(40)
+
+    def sweep(k):
+        points = some_points(k, int(stamps[k]))
+        born("lidar", points.positions)
+        return LidarFrame(int(stamps[k]), points)
+
+    def shot(k):
+        return Picture(int(stamps[k]), lens, lambda: born("picture", picture_rgb(k)))
+
+    camera = CameraSensor("camera0", lens, LazyFrames(stamps, shot), mount=MOUNT)
+    lidar = LidarSensor("lidar", LazyFrames(stamps, sweep), mount=MOUNT)
+    write_recording(a_scene(lidar, camera), tmp_path / "drive", pictures=pictures)
+    gc.collect()
+    # the one before is let go when the next is there; a camera keeps its last picture for lines without one
+    assert most == {"lidar": 2, "picture": 2}
+    assert alive == {"lidar": 0, "picture": 0}
 
 
 def test_frames_and_pictures_are_asked_for_one_by_one_in_the_order_of_time(tmp_path):

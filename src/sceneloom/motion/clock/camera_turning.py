@@ -39,7 +39,7 @@ class Shutter:
         return cls(float(seconds), entry.get("rollingShutterLeftToRight") is True)
 
     def delay(self, pixels: Float64Array, shares: Float64Array, picture: Picture) -> float:
-        """When the lines of some pixels (N, 2), of which each has a share (N,), are taken, after the picture's time [s].
+        """When the lines of pixels (N, 2) are taken, each with its share (N,), after the picture's time [s].
 
         Source: "One clock" in docs/CONVENTIONS.md: row r of H is taken at t + ((r + 0.5)/H - 0.5) · roll time.
         """

@@ -4,11 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.motion.clock.turning import finite_rows
 
 LEAST_OVERLAP = 0.3
 """Lags count where this share of the most samples that any lag compares lie over each other."""
+
+
+_LONGEST = 3.0
+"""Vectors are shortened to so many times the length that nine of ten do not reach."""
+
+_ALIKE = 0.7
+"""Autocorrelation from which a stream counts as like itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,11 +25,13 @@ class Peak:
     Attributes:
         lag: steps of the grid by which the second stream is later.
         score: correlation, 0 to 1.
+        margin: how far that lies above the best one at another lag, in standard deviations of what chance gives.
         rotation: (3, 3) that takes the second stream's vectors into the first's.
     """
 
     lag: float
     score: float
+    margin: float
     rotation: Float64Array
 
 
@@ -31,6 +40,7 @@ def correlation_peaks(
     second: Float64Array,
     reach: int,
     *,
+    centre: int = 0,
     expected: Float64Array | None = None,
     most: int = 4,
 ) -> list[Peak]:
@@ -41,7 +51,8 @@ def correlation_peaks(
 
     Args:
         first, second: (N, 3) and (M, 3), on grids of one step; rows with NaN are not known.
-        reach: the farthest lag, in steps.
+        reach: the farthest lag from `centre`, in steps.
+        centre: the lag in the middle of those that are tried, in steps.
         expected: (3, 3) rotation to take where the motion does not tell one.
         most: how many peaks at most.
 
@@ -51,7 +62,8 @@ def correlation_peaks(
     Source: the correlation of masked signals is Padfield 2012, "Masked Object Registration in the Fourier Domain",
     eq. 24; the best rotation is Wahba 1965, solved by the singular values as in Markley 1988.
     """
-    products, counts = _masked_correlation(first, second, reach)
+    first, second = _tamed(first), _tamed(second)
+    products, counts = _masked_correlation(first, second, centre + np.arange(-reach, reach + 1))
     usable = counts >= max(8.0, LEAST_OVERLAP * counts.max(initial=0.0))
     if not usable.any():
         return []
@@ -60,25 +72,95 @@ def correlation_peaks(
     handed = np.where(np.linalg.det(products) < 0, -1.0, 1.0)
     scores = singular[:, 0] + singular[:, 1] + handed * singular[:, 2]
     tops = [k for k in _tops(scores) if scores[k] > 0][:most]
+    chance = _chance(first, second)
     return [
-        Peak(k + _between(scores, k) - reach, float(min(scores[k], 1.0)), _rotation(products[k], expected))
+        Peak(
+            k + _between(scores, k) - reach + centre,
+            float(min(scores[k], 1.0)),
+            _margin(scores, k, chance),
+            _rotation(products[k], expected),
+        )
         for k in tops
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class _Chance:
+    """How large correlations of streams are that have nothing in common.
+
+    Attributes:
+        sigma: standard deviation of the inverse hyperbolic tangent of a correlation.
+        lobe: so many steps from a peak lags are still alike.
+    """
+
+    sigma: float
+    lobe: int
+
+
+def _chance(first: Float64Array, second: Float64Array) -> _Chance:
+    """Tell from how alike each stream is to itself a while later.
+
+    Source: Bartlett 1946, "On the Theoretical Specification and Sampling Properties of Autocorrelated Time-Series":
+    the variance of a correlation is the sum of the products of both autocorrelations, by the number; the inverse
+    hyperbolic tangent is Fisher 1915.
+    """
+    own = [_autocorrelation(values) for values in (first, second)]
+    size = min(map(len, own)) // 2
+    product = own[0][:size] * own[1][:size]
+    total = max(product[0] + 2.0 * float(product[1:].sum()), 1.0)
+    count = max(min(_count(first), _count(second)) / total, 4.5)
+    smooth = np.maximum(own[0][:size], own[1][:size])
+    apart = np.flatnonzero(smooth < _ALIKE)
+    return _Chance(float(1.0 / np.sqrt(count - 3.0)), int(apart[0]) if len(apart) else size)
+
+
+def _autocorrelation(values: Float64Array) -> Float64Array:
+    mask, known = _known(values)
+    known = (known - known.sum(axis=0) / max(float(mask.sum()), 1.0)) * mask[:, None]
+    size = 1 << int(np.ceil(np.log2(2 * len(known) + 1)))
+    spectrum = np.abs(np.fft.rfft(known, size, axis=0)) ** 2
+    lagged = np.fft.irfft(spectrum.sum(axis=1), size)[: len(known)]
+    return np.asarray(lagged / max(float(lagged[0]), 1e-300), np.float64)
+
+
+def _count(values: Float64Array) -> int:
+    return int(finite_rows(values).sum())
+
+
+def _margin(scores: Float64Array, k: int, chance: _Chance) -> float:
+    """How far a score lies above the best one beyond its lobe."""
+    lags = np.abs(np.arange(len(scores)) - k)
+    others = scores[lags > 2 * chance.lobe]
+    heights = np.arctanh(np.clip([scores[k], others.max(initial=0.0)], 0.0, 1 - 1e-9))
+    return float((heights[0] - heights[1]) / chance.sigma)
+
+
+def _tamed(values: Float64Array) -> Float64Array:
+    """Vectors with those shortened that are far longer than most: single wild samples tell of no motion."""
+    known = values[finite_rows(values)]
+    if len(known) == 0:
+        return values
+    middle = np.median(known, axis=0)
+    longest = _LONGEST * max(float(np.quantile(np.linalg.norm(known - middle, axis=1), 0.9)), 1e-12)
+    lengths = np.linalg.norm(values - middle, axis=1)
+    tamed: Float64Array = (
+        middle + (values - middle) * np.minimum(1.0, longest / np.maximum(lengths, 1e-12))[:, None]
+    )
+    return tamed
+
+
 def _masked_correlation(
-    first: Float64Array, second: Float64Array, reach: int
+    first: Float64Array, second: Float64Array, lags: Int64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Give the 3x3 correlations at the lags -reach … reach, over what is known in both there, and how much that is."""
+    """Give the 3x3 correlations at some lags, over what is known in both there, and how much that is."""
     mask_a, a = _known(first)
     mask_b, b = _known(second)
     size = 1 << int(np.ceil(np.log2(len(a) + len(b) + 2)))
     spectra = [np.fft.rfft(x, size, axis=0) for x in (mask_a, a, (a * a).sum(1), mask_b, b, (b * b).sum(1))]
     ones_a, sums_a, squares_a, ones_b, sums_b, squares_b = spectra
-    lags = np.arange(-reach, reach + 1) % size
 
     def over(x: AnyArray, y: AnyArray) -> Float64Array:
-        return np.asarray(np.fft.irfft(np.conj(x) * y, size, axis=0)[lags], np.float64)
+        return np.asarray(np.fft.irfft(np.conj(x) * y, size, axis=0)[lags % size], np.float64)
 
     counts = np.rint(over(ones_a, ones_b))
     safe = np.maximum(counts, 1.0)

@@ -257,13 +257,28 @@ def _colour(residuals: Float64Array, used: BoolArray, windows: Int64Array) -> Fl
         pairs = used[lag:] & used[: len(used) - lag] & (windows[lag:] == windows[: len(windows) - lag])
         products = clipped[lag:] * clipped[: len(clipped) - lag]
         moments[:, lag] = (products * pairs[:, None]).sum(axis=0) / len(used)
-    rows = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
-    colour = np.zeros((components, order))
-    for k in range(components):
-        if moments[k, 0] > 0:
-            matrix = moments[k][rows] + 1e-6 * moments[k, 0] * np.eye(order)
-            colour[k] = np.linalg.solve(matrix, moments[k, 1:])
+    chosen = [_autoregression(row, int(used.sum())) for row in moments]
+    colour = np.zeros((components, max(map(len, chosen))))
+    for k, factors in enumerate(chosen):
+        colour[k, : len(factors)] = factors
     return colour
+
+
+def _autoregression(moments: Float64Array, count: int) -> Float64Array:
+    """The autoregression of moments at lags 0 … L, of the order that the number of samples warrants.
+
+    Source: Levinson 1947 and Durbin 1960; the order is that of Schwarz 1978, "Estimating the Dimension of a Model".
+    """
+    factors = np.zeros(0)
+    if moments[0] <= 0:
+        return factors
+    left, best = float(moments[0]), (count * np.log(moments[0]), factors)
+    for order in range(1, len(moments)):
+        reflection = float((moments[order] - factors @ moments[order - 1 : 0 : -1]) / left)
+        factors = np.append(factors - reflection * factors[::-1], reflection)
+        left *= max(1.0 - reflection**2, 1e-9)
+        best = min(best, (count * np.log(left) + order * np.log(count), factors), key=lambda found: found[0])
+    return best[1]
 
 
 def _scales(residuals: Float64Array, used: BoolArray) -> Float64Array:

@@ -12,7 +12,7 @@ from sceneloom.motion.clock.correlation import Peak, correlation_peaks
 from sceneloom.motion.clock.drift import Line, robust_line
 from sceneloom.motion.clock.estimate import ClockEstimate
 from sceneloom.motion.clock.fitting import Fit, Linearised, fit, misfit_of
-from sceneloom.motion.clock.outcome import Candidate, Clocks, concluded
+from sceneloom.motion.clock.outcome import LEAST_MARGIN, Candidate, Clocks, ambiguous, concluded
 from sceneloom.motion.clock.turning import Steps, Turning, TurningCurve, finite_rows, rate_noise, steps_of
 
 REACH_NS = 5_000_000_000
@@ -83,6 +83,9 @@ def compare_turnings(
     starts = list(pair.starts(reach_ns * 1e-9))
     if not starts:
         return ClockEstimate.unknown("nothing turns in both at once")
+    if max(peak.margin for _, peak in starts) < LEAST_MARGIN:
+        lags = [clocks.sign * line.offset for line, _ in starts]
+        return ClockEstimate.unknown(ambiguous(lags), span_ns=round(pair.common * 1e9))
     candidates = [candidate for line, peak in starts if (candidate := pair.fitted(line, peak)) is not None]
     return concluded(candidates, clocks)
 
@@ -142,7 +145,7 @@ class _Pair:
         if len(found) >= 2:
             times = np.array([time for time, _ in found]) - 0.5 * self.common
             lags = np.array([peak.lag * self.grid for _, peak in found])
-            best = max((peak for _, peak in found), key=lambda peak: peak.score)
+            best = max((peak for _, peak in found), key=lambda peak: peak.margin)
             yield robust_line(times, lags), best
 
     def _peaks(self, begin: float, end: float, reach: float) -> list[Peak]:
@@ -152,8 +155,8 @@ class _Pair:
         second = self.fine.turns(wide[:-1], wide[1:]) / self.grid
         shift = round((begin - wide[0]) / self.grid)
         steps = int(reach / self.grid)
-        peaks = correlation_peaks(first, second, shift + steps, expected=self.expected)
-        return [replace(peak, lag=peak.lag - shift) for peak in peaks if abs(peak.lag - shift) <= steps + 1]
+        peaks = correlation_peaks(first, second, steps, centre=shift, expected=self.expected)
+        return [replace(peak, lag=peak.lag - shift) for peak in peaks]
 
     def fitted(self, line: Line, peak: Peak) -> Candidate | None:
         """Refine an offset over turns that are as short as the noise allows."""
@@ -177,7 +180,7 @@ class _Pair:
             return None
         model, found = chosen
         whitened = fit(model, found.parameters, _PRIORS, model.windows)
-        return None if whitened is None else model.candidate(whitened, peak.score)
+        return None if whitened is None else model.candidate(whitened, peak)
 
 
 class _TurningModel:
@@ -233,7 +236,7 @@ class _TurningModel:
         noise = 2.0 * np.minimum(of_residuals, self.pair.fine_noise / self.smoothing)
         return float(noise.sum() / max(float((changes**2).mean(axis=0).sum()), 1e-300))
 
-    def candidate(self, found: Fit, score: float) -> Candidate:
+    def candidate(self, found: Fit, peak: Peak) -> Candidate:
         """The fit with what is needed to judge it."""
         still = misfit_of(
             _Still(self, found.parameters),
@@ -248,7 +251,8 @@ class _TurningModel:
             middle=self.middle,
             span=self.pair.common,
             without_motion=still,
-            score=score,
+            score=peak.score,
+            margin=peak.margin,
             rotation=self.turned(found.parameters),
         )
 

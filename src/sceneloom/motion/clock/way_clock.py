@@ -68,9 +68,10 @@ def compare_ways(
         )
     priors = np.array([*_PRIORS, *[max(lever_sigma, 1e-6)] * 3])
     candidates = []
-    for lag in _lags(model, min(reach_ns * 1e-9, common / 2)):
+    reach = min(reach_ns * 1e-9, common / 2)
+    for lag in _lags(model, reach):
         found = fit(model, np.array([lag, 0.0, 0.0, 0.0, 0.0]), priors, model.windows)
-        if found is not None:
+        if found is not None and abs(found.parameters[0]) <= reach + 2 * _LAG:
             candidates.append(_candidate(model, found, common))
     return concluded(candidates, clocks)
 
@@ -196,11 +197,12 @@ def _candidate(model: _WayModel, found: Fit, common: float) -> Candidate:
     )
     return Candidate(
         fit=found,
-        times=model.times - model.times[0],
+        times=model.times,
         middle=model.middle,
         span=common,
         without_motion=still,
         score=None,
+        model_sigma=model.way.model_sigma,
     )
 
 

@@ -67,6 +67,8 @@ class Way(Protocol):
     """What it does not know of the motion in a window: a polynomial of this degree."""
     window: float
     """For so many seconds that holds."""
+    model_sigma: float
+    """What the way's own errors make of an offset [s]."""
 
     def at(self, window: tuple[float, float], seconds: Float64Array) -> WaySamples:
         """Give the way at (N,) times [s] in and around a window."""
@@ -76,7 +78,7 @@ class Way(Protocol):
 class TrajectoryWay:
     """A trajectory, which may drift slowly."""
 
-    degree, window = 1, 30.0
+    degree, window, model_sigma = 1, 30.0, 0.0
 
     def __init__(self, trajectory: Trajectory, origin_ns: int) -> None:
         """Lay cubic splines through positions and orientations; times are seconds after `origin_ns`."""
@@ -119,6 +121,8 @@ class ReckonedWay:
     """
 
     degree, window = 3, 20.0
+    model_sigma = 0.004
+    # measured on made-up streets with fixes of a centimetre, where nothing else is left
 
     def __init__(self, rates: VectorSamples, forces: VectorSamples, origin_ns: int) -> None:
         """Integrate the turn rates; times are seconds after `origin_ns`."""

@@ -1,0 +1,194 @@
+"""How well offsets and skews between clocks are found on made-up streets, and whether their uncertainty is true.
+
+Run with `python -m benchmarks.clock [--seeds 20] [--only NAME]`. In every drive the clock of one stream is set off by
+-1 to 1 s (a third of them by nothing) and made up to 200 ppm too fast or slow. Errors are those of the offset in the
+middle of the drive. z: root mean square of the errors in standard deviations as told, 1 where they are true. alarms:
+streams in step that were called off, of those that were. The peer is plain cross-correlation of turn rates' magnitude
+(of speeds for ways) at the slower stream's samples, its peak between samples by a parabola, without any skew.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sceneloom.cameras import Camera
+from sceneloom.editing.retiming import ClockCorrection, retimed_scene
+from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from sceneloom.motion.clock.scene_clocks import compare_streams
+from sceneloom.motion.clock.streams import Stream, StreamKind, streams_of
+from sceneloom.motion.clock.turning import TurningCurve
+from sceneloom.scene import Scene
+from sceneloom.scene.types import key_of
+from sceneloom.simulate import CameraSpec, GnssSpec, LidarSpec, PathSpec, simulate_street
+
+
+@dataclass(frozen=True)
+class Row:
+    """One pair of streams on one kind of drive."""
+
+    name: str
+    reference: str
+    stream: str
+    make: Callable[[int], Scene]
+    lever: float = 1.0
+
+
+def plain(
+    seed: int, *, seconds: int = 60, sigma: float = 0.4, rate_hz: float = 10.0, **more: object
+) -> Scene:
+    """A drive without sweeps worth to look at."""
+    small = LidarSpec(beams=1, steps=4, elevations_deg=(-1.0, 1.0))
+    gnss = GnssSpec(horizontal_sigma=sigma, rate_hz=rate_hz)
+    return simulate_street(seed, frames=10 * seconds, lidar=small, gnss=gnss, **more).scene
+
+
+def shaken(seed: int, sigma: float, hz: float) -> Scene:
+    """A drive whose trajectory has white errors of rotation [rad] at a rate."""
+    scene = plain(seed, trajectory_hz=hz)
+    way = scene.trajectories["groundTruth"]
+    turns = sigma * np.random.default_rng(seed).standard_normal((len(way.timestamps_ns), 3))
+    turned = multiply_quaternions(way.quaternions_xyzw, quaternion_from_rotation_vector(turns))
+    return replace(scene, trajectories={"groundTruth": replace(way, quaternions_xyzw=turned)})
+
+
+def seen(seed: int, readout_ns: int) -> Scene:
+    """A drive with pictures."""
+    lens = Camera(
+        "brown_conrady", 480, 300, 300.0, 300.0, 239.5, 149.5, (-0.1, 0.03, 0.0004, -0.0003, -0.004)
+    )
+    camera = CameraSpec(lens, supersampling=2, readout_ns=readout_ns)
+    return plain(seed, seconds=12, cameras=(camera,), path=PathSpec(turn_rate=0.4))
+
+
+def swept(seed: int) -> Scene:
+    """A drive with sweeps of 32 beams."""
+    return simulate_street(seed, frames=150, lidar=LidarSpec(beams=32, steps=900)).scene
+
+
+ROWS = (
+    Row("gyroscope, trajectory 100 Hz", "imu", "groundTruth", plain),
+    Row("gyroscope, trajectory 10 Hz", "imu", "groundTruth", lambda seed: plain(seed, trajectory_hz=10.0)),
+    Row(
+        "gyroscope, trajectory 20 Hz, 0.1 deg", "imu", "groundTruth", lambda seed: shaken(seed, 0.0017, 20.0)
+    ),
+    Row("trajectory, GNSS 10 Hz, 0.4 m", "groundTruth", "gnss", plain),
+    Row("the same, antenna at the origin", "groundTruth", "gnss", plain, lever=0.0),
+    Row("trajectory, GNSS 10 Hz, 2 cm", "groundTruth", "gnss", lambda seed: plain(seed, sigma=0.02)),
+    Row(
+        "trajectory, GNSS 1 Hz, 2 cm",
+        "groundTruth",
+        "gnss",
+        lambda seed: plain(seed, sigma=0.02, rate_hz=1.0),
+    ),
+    Row("IMU, GNSS 10 Hz, 0.4 m", "imu", "gnss", plain),
+    Row("IMU, GNSS 10 Hz, 2 cm", "imu", "gnss", lambda seed: plain(seed, sigma=0.02)),
+    Row("gyroscope, lidar", "imu", "lidar", swept),
+    Row("gyroscope, camera 10 Hz", "imu", "camera0", lambda seed: seen(seed, 0)),
+    Row("gyroscope, rolling shutter 30 ms", "imu", "camera0", lambda seed: seen(seed, 30_000_000)),
+)
+
+
+def set_off(scene: Scene, name: str, correction: ClockCorrection) -> Scene:
+    """The scene with a stream's clock off by what the correction would take away."""
+    stream = next(stream for stream in streams_of(scene) if stream.name == name)
+    if stream.kind is StreamKind.TRAJECTORY:
+        return retimed_scene(scene, trajectories={name: correction})
+    return retimed_scene(scene, sensors={key_of(stream.source.id): correction})
+
+
+def peer(reference: Stream, stream: Stream) -> float:
+    """The offset by plain cross-correlation [s]."""
+    told = reference.told(), stream.told()
+    steps = [
+        np.median(np.diff(t.turning.timestamps_ns if t.turning else t.fixes.timestamps_ns)) for t in told
+    ]
+    step = max(steps) * 1e-9
+    origin_ns = max(s.span_ns[0] for s in (reference, stream))
+    length = min(s.span_ns[1] for s in (reference, stream)) - origin_ns
+    edges = np.arange(0.0, length * 1e-9, step)
+    by_turning = told[0].turning is not None and told[1].turning is not None
+    a, b = (_turning(t, origin_ns, edges) if by_turning else _speeds(t, origin_ns, edges) for t in told)
+    known = np.isfinite(a) & np.isfinite(b)
+    a, b = (np.where(known, x - x[known].mean(), 0.0) for x in (a, b))
+    products = np.correlate(b, a, "full")
+    reach = int(2.0 / step)
+    middle = len(a) - 1
+    k = middle - reach + int(np.argmax(products[middle - reach : middle + reach + 1]))
+    before, at, after = products[k - 1 : k + 2]
+    return (k - middle + 0.5 * (before - after) / (before - 2 * at + after)) * step
+
+
+def _turning(told: object, origin_ns: int, edges: np.ndarray) -> np.ndarray:
+    turns = TurningCurve(told.turning, origin_ns).turns(edges[:-1], edges[1:])
+    return np.linalg.norm(turns, axis=1)
+
+
+def _speeds(told: object, origin_ns: int, edges: np.ndarray) -> np.ndarray:
+    if told.fixes is None:
+        way = told.way(origin_ns)
+        return np.abs(way.at((float(edges[0]), float(edges[-1])), edges[:-1]).velocities)
+    places = np.interp(edges, (told.fixes.timestamps_ns - origin_ns) * 1e-9, told.fixes.places)
+    return np.abs(np.diff(places)) / np.diff(edges)
+
+
+def row_of(row: Row, seeds: int) -> str:
+    """One line of the table."""
+    errors, peers, sigmas, z, skews, clocked = [], [], [], [], [], []
+    unknown = alarms = steady = 0
+    for seed in range(seeds):
+        draw = np.random.default_rng(1000 + seed)
+        scene = row.make(seed)
+        offset_ns, skew = (0.0, 0.0) if seed % 3 == 0 else (draw.uniform(-1e9, 1e9), draw.uniform(-200, 200))
+        middle_ns = int(np.mean(next(s for s in streams_of(scene) if s.name == row.stream).span_ns))
+        wrong = set_off(scene, row.stream, ClockCorrection(-offset_ns, -skew, middle_ns))
+        found = {stream.name: stream for stream in streams_of(wrong)}
+        begun = time.perf_counter()
+        _, estimate = compare_streams(found[row.reference], found[row.stream], lever_sigma=row.lever)
+        clocked.append(time.perf_counter() - begun)
+        if estimate.offset_ns is None:
+            unknown += 1
+            continue
+        truth_ns = offset_ns + skew * 1e-6 * (estimate.at_ns - middle_ns)
+        errors.append(abs(estimate.offset_ns - truth_ns) / 1e6)
+        sigmas.append(estimate.offset_sigma_ns / 1e6)
+        z.append((estimate.offset_ns - truth_ns) / estimate.offset_sigma_ns)
+        if estimate.skew_ppm is not None:
+            skews.append((estimate.skew_ppm - skew) / estimate.skew_sigma_ppm)
+        peers.append(abs(peer(found[row.reference], found[row.stream]) - truth_ns * 1e-9) * 1e3)
+        steady += seed % 3 == 0
+        alarms += seed % 3 == 0 and estimate.is_off
+    cells = (
+        row.name,
+        f"{np.median(errors):.2f}",
+        f"{max(errors):.2f}",
+        f"{np.median(sigmas):.2f}",
+        f"{np.sqrt(np.mean(np.square(z))):.2f}",
+        f"{np.sqrt(np.mean(np.square(skews))):.2f}" if skews else "",
+        f"{alarms} of {steady}",
+        f"{unknown}",
+        f"{np.median(peers):.1f}",
+        f"{np.median(clocked):.2f}",
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    """Print the table."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--seeds", type=int, default=20)
+    arguments.add_argument("--only", default="", help="rows whose name holds this")
+    chosen = arguments.parse_args()
+    print(
+        "| pair | median error [ms] | largest | sigma | z | z of the skew | alarms | unknown | peer [ms] | time [s] |"
+    )
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    for row in ROWS:
+        if chosen.only in row.name:
+            print(row_of(row, chosen.seeds), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -29,7 +29,6 @@ class _Reordered:
         return self.read(self.order[k])
 
 
-<<<<<<< HEAD
 def sorted_frames(frames: LazyFrames[Any]) -> LazyFrames[Any]:
     """The same frames in the order of their times; those of one time stay as they are among each other."""
     return chosen_frames(frames, np.argsort(frames.timestamps_ns, kind="stable").astype(np.int64))
@@ -39,17 +38,6 @@ def chosen_frames(frames: LazyFrames[Any], rows: Int64Array) -> LazyFrames[Any]:
     """Some of the frames, (M,) numbers of them, in that order."""
     read = _Reordered(frames.__getitem__, tuple(rows.tolist()))
     return LazyFrames(frames.timestamps_ns[rows], read)
-=======
-def chosen_frames(frames: LazyFrames[Any], order: Int64Array) -> LazyFrames[Any]:
-    """Some frames, (M,), in this order."""
-    read = _Reordered(frames.__getitem__, tuple(order.tolist()))
-    return LazyFrames(frames.timestamps_ns[order], read)
->>>>>>> 846dc8f (wip)
-
-
-def sorted_frames(frames: LazyFrames[Any]) -> LazyFrames[Any]:
-    """The same frames in the order of their times; those of one time stay as they are among each other."""
-    return chosen_frames(frames, np.argsort(frames.timestamps_ns, kind="stable").astype(np.int64))
 
 
 def is_sorted(frames: LazyFrames[Any]) -> bool:

@@ -45,15 +45,10 @@ def write_recording(
     Args:
         scene: what to write.
         path: the folder that is made.
-<<<<<<< HEAD
         overwrite: replace the folder if it is a recording, or empty, but for a README; nobody else's folder is ever
             replaced.
-        pictures: "copy" copies a camera's own video packet by packet where that can be done and encodes H.264 else;
-=======
-        overwrite: replace the folder if it is a recording, or empty; nobody else's folder is ever replaced.
         pictures: "copy" copies a camera's own video packet by packet, cut to the pictures that are left, where that can
             be done, and encodes H.264 else; "lossless" encodes FFV1 then;
->>>>>>> 846dc8f (wip)
             "h264" copies only what is H.264 already; "ffv1" (video) and "png" (files) lose nothing.
 
     Returns:

@@ -202,25 +202,12 @@ def _copied(sensor: ShootingSensor, path: Path, rows: Int64Array, *, codecs: tup
     taken = _pictures_of_lines(indices, rows)
     if taken is None:
         return False
-<<<<<<< HEAD
     name = f"video of {sensor.id}"
-    if _is_matroska(video, count, name):
+    if whole and len(taken) == count and _is_matroska(video, count, name):
         with video.open() as source, path.open("wb") as target:
             shutil.copyfileobj(source, target, _COPIED_AT_ONCE)
         return True
-    return copy_to_matroska(video.open, path, pictures=count, name=name) is not None
-
-
-def _is_matroska(video: VideoContent, count: int, name: str) -> bool:
-    """Whether a video is as we would write it, so that its file can be copied byte by byte."""
-    with video.open() as file:
-        if file.read(len(_EBML)) != _EBML:
-            return False
-    with VideoReader(video.open, name=name) as reader:
-        return reader.index.timed and reader.index.hidden == 0 and reader.count == count
-=======
     pictures = count if whole else None
-    name = f"video of {sensor.id}"
     return copy_to_matroska(video.open, path, pictures=pictures, frame_indices=taken, name=name) is not None
 
 
@@ -245,7 +232,15 @@ def _pictures_of_lines(indices: Int64Array, rows: Int64Array) -> Int64Array | No
     before = np.maximum(np.searchsorted(known, lines, side="right") - 1, 0)
     taken: Int64Array = chosen[before] + lines - known[before]
     return taken
->>>>>>> 846dc8f (wip)
+
+
+def _is_matroska(video: VideoContent, count: int, name: str) -> bool:
+    """Whether a video is as we would write it, so that its file can be copied byte by byte."""
+    with video.open() as file:
+        if file.read(len(_EBML)) != _EBML:
+            return False
+    with VideoReader(video.open, name=name) as reader:
+        return reader.index.timed and reader.index.hidden == 0 and reader.count == count
 
 
 def _all_stepped(sensor: DepthCameraSensor) -> bool:

@@ -125,6 +125,10 @@ def _empty(subject: Subject) -> Iterator[Hit]:
 
 def _bounds(subject: Subject) -> tuple[int, int] | None:
     """When annotations may begin and end [ns]: within the sensors' times and one sweep more at each end."""
+    return subject.table("the scene's time with a sweep around it", _make_bounds)
+
+
+def _make_bounds(subject: Subject) -> tuple[int, int] | None:
     span = time_span(subject.scene)
     if span is None:
         return None

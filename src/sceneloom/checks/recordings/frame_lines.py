@@ -75,7 +75,9 @@ def _without_cameras(subject: Subject) -> Iterator[Hit]:
             _at(frames.lines[0]), "frames: no line names a camera; expected one entry each", len(frames.lines)
         )
     for index, camera in sorted(frames.cameras.items()):
-        lacking = np.setdiff1d(np.arange(len(frames.lines)), np.asarray(camera.rows, np.int64))
+        has_it = np.zeros(len(frames.lines), np.bool_)
+        has_it[np.asarray(camera.rows, np.int64)] = True
+        lacking = np.flatnonzero(~has_it)
         if len(lacking):
             told = f"frames: cameraInd {index} is missing in {len(lacking)} of {len(frames.lines)} lines"
             yield Hit(_at(frames.lines[int(lacking[0])]), told, len(lacking))

@@ -40,7 +40,7 @@ class Turning:
     @classmethod
     def of(cls, intervals: PoseIntervals, rates: CleanSamples | None) -> "Turning | None":
         """Measure; None where there are too few samples, or the device hardly turned."""
-        if rates is None:
+        if rates is None or not _may_turn(rates.means(intervals.starts, intervals.stops)):
             return None
         overlap = min(rates.seconds[-1], intervals.stops[-1]) - max(rates.seconds[0], intervals.starts[0])
         count = int(min(GREATEST_SHIFT, max(0.0, _SHIFTS_SHARE * overlap)) / _SHIFT_STEP)
@@ -73,6 +73,12 @@ class Turning:
         products = np.einsum("smk,mk->s", measured, told)
         lengths = np.sqrt((measured * measured).sum(axis=(1, 2)) * (told * told).sum())
         return np.asarray(np.divide(products, lengths, out=np.zeros(len(products)), where=lengths > 0))
+
+
+def _may_turn(measured: Float64Array) -> bool:
+    """Whether a device may have turned enough: a first look, before rates are measured for every shift."""
+    known = centred(measured[finite_rows(measured)])
+    return len(known) > 0 and float(np.sqrt((known * known).sum(axis=1).mean())) >= 0.5 * LEAST_TURNING
 
 
 @dataclass(frozen=True, slots=True, eq=False)

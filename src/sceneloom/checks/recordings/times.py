@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.checks.reading import as_read
-from sceneloom.checks.recordings.repeated_times import without_repeated_times
+from sceneloom.checks.recordings.mended_streams import without_repetitions
 from sceneloom.checks.recordings.streams import DATA_FILE, Kind, Stream, place, place_in_file, streams_of
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
@@ -210,9 +210,9 @@ RULES: tuple[Rule, ...] = (
         "stream-times-unique",
         Severity.WARNING,
         "No two samples, pictures or poses of a stream have one time.",
-        "Write times with all their digits; `--fix` keeps the first, of videos all.",
+        "Leave one of them out, or write times with all their digits; `--fix` leaves out what stands there twice.",
         find=_of_one_time,
-        fix=without_repeated_times,
+        fix=without_repetitions,
     ),
     Rule(
         "stream-gaps",

@@ -17,7 +17,7 @@ INTERVAL = 0.2
 """Rates are compared over so long [s], or over the time from pose to pose where that is longer."""
 LONGEST_INTERVAL = 1.0
 """Poses farther apart [s] do not tell how the device turned between them."""
-_MOST_INTERVALS = 4_000
+_MOST_INTERVALS = 2_000
 _TORN_FACTOR, _TORN_LENGTH = 5.0, 20.0
 """Samples beyond so many times what 99 % keep to, and longer than this, are blows or broken lines."""
 _GAP_FACTOR = 5.5
@@ -46,10 +46,12 @@ class CleanSamples:
         if samples is None or samples.values.shape[1] != 3:
             return None
         usable = np.flatnonzero(_untorn(samples.values))
-        times_ns, first = np.unique(samples.timestamps_ns[usable], return_index=True)
-        if len(times_ns) < 3:
+        times_ns = samples.timestamps_ns[usable]
+        if not (np.diff(times_ns) > 0).all():
+            usable = usable[np.unique(times_ns, return_index=True)[1]]
+        if len(usable) < 3:
             return None
-        seconds, values = (times_ns - origin_ns) / 1e9, samples.values[usable[first]]
+        seconds, values = (samples.timestamps_ns[usable] - origin_ns) / 1e9, samples.values[usable]
         steps = np.diff(seconds)
         areas = 0.5 * (values[1:] + values[:-1]) * steps[:, None]
         sums = np.vstack([np.zeros((1, 3)), np.cumsum(areas, axis=0)])

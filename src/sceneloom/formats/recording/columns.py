@@ -14,7 +14,8 @@ FARTHEST_TIME = 9.2e9
 
 def nanoseconds(seconds: Float64Array) -> Int64Array:
     """Bring seconds to the scene's clock: round(t · 1e9), halves to even."""
-    return np.rint(seconds * 1e9).astype(np.int64)
+    scaled = seconds * 1e9
+    return np.rint(scaled, out=scaled).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -119,11 +119,9 @@ def print_kitti(folder: Path, seeds: int) -> None:
             table = np.array(found)
             ours, lines = np.sqrt(table[:, :2].mean(axis=0))
             worst = float(np.sqrt(table[:, 1] / table[:, 0]).min())
-            print(
-                f"| {path.stem} | {name} | {len(found)} | {ours:.3f} | {lines:.3f} | {lines / ours:.2f} | {worst:.2f} | "
-                f"{np.median(table[:, 2]):.2f} |",
-                flush=True,
-            )
+            cells = [f"{ours:.3f}", f"{lines:.3f}", f"{lines / ours:.2f}", f"{worst:.2f}"]
+            cells.append(f"{np.median(table[:, 2]):.2f}")
+            print(f"| {path.stem} | {name} | {len(found)} | " + " | ".join(cells) + " |", flush=True)
 
 
 DRIVES: dict[str, tuple[ImuSpec, GnssSpec, PathSpec]] = {

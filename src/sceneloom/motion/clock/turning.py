@@ -203,8 +203,8 @@ class TurningCurve:
 
 
 def finite_rows(values: Float64Array) -> BoolArray:
-    """Which rows of (N, …) hold numbers only."""
-    return np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1), np.bool_)
+    """Which rows of (N, K) hold numbers only."""
+    return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
 
 
 def _turn(first: Float64Array, last: Float64Array) -> Float64Array:

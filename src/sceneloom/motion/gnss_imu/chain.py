@@ -36,11 +36,15 @@ class States:
     velocities: Float64Array
     biases: Float64Array
 
+    def __post_init__(self) -> None:
+        for name in ("rotations", "positions", "velocities", "biases"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
+
     def stepped(self, step: Float64Array) -> "States":
         """Go a step, (K, 15) in the order of `kernels.motion_chain`."""
         turns = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, TURN]))
         return States(
-            np.ascontiguousarray(self.rotations @ turns),
+            self.rotations @ turns,
             self.positions + step[:, POSITION],
             self.velocities + step[:, VELOCITY],
             self.biases + step[:, 9:],
@@ -260,10 +264,11 @@ def _add_priors(chain: Chain, states: States, blocks: Float64Array, right: Float
         cost += float(value @ value) * sigma**-2
     blocks[0, TURN, TURN] += np.eye(3) * _UNKNOWN_TURN**-2
     if not chain.measured.any():
-        slope = np.cross(states.rotations[0], [0.0, 0.0, -1.0])[:2]
-        tilt = states.rotations[0][:2, 2]
-        blocks[0, TURN, TURN] += slope.T @ slope * _TILT**-2
-        right[0, TURN] -= slope.T @ tilt * _TILT**-2
+        k = next((int(one.places[0]) for one in chain.relative if len(one.places)), 0)
+        slope = np.cross(states.rotations[k], [0.0, 0.0, -1.0])[:2]
+        tilt = states.rotations[k][:2, 2]
+        blocks[k, TURN, TURN] += slope.T @ slope * _TILT**-2
+        right[k, TURN] -= slope.T @ tilt * _TILT**-2
         cost += float(tilt @ tilt) * _TILT**-2
     return cost
 
@@ -303,34 +308,37 @@ class Step:
 
     Attributes:
         states: after the step.
-        before: equations around the states before it.
-        cost: after the step, with the weights of before.
+        equations: around these, with the weights of the step.
         damping: with which the step was found, to begin the next with.
     """
 
     states: States
-    before: Equations
-    cost: float
+    equations: Equations
     damping: float
 
 
-def step(chain: Chain, states: States, weights: Float64Array, damping: float) -> Step:
+def step(
+    chain: Chain, states: States, weights: Float64Array, damping: float, *, here: Equations | None = None
+) -> Step:
     """Go one step of Levenberg and Marquardt; where no step helps, none is gone.
+
+    Args:
+        here: equations around the states with these weights, where they are known already.
 
     Source: Madsen, Nielsen and Tingleff 2004, "Methods for Non-Linear Least Squares Problems", 3.2.
     """
-    here = equations(chain, states, weights)
+    here = equations(chain, states, weights) if here is None else here
     factors, gains = np.empty_like(here.blocks), np.empty_like(here.couplings)
     solution = np.empty_like(here.right)
     for _ in range(_MAX_DAMPINGS):
         failed = solve_chain(here.blocks, here.couplings, here.right, damping, factors, gains, solution)
         if failed < 0 and np.isfinite(solution).all():
-            there = states.stepped(solution)
-            cost = equations(chain, there, weights).cost
-            if cost <= here.cost * (1.0 + 1e-12) + 1e-12:
-                return Step(there, here, cost, 0.0 if damping < 1e-8 else damping / 10.0)
+            stepped = states.stepped(solution)
+            there = equations(chain, stepped, weights)
+            if there.cost <= here.cost * (1.0 + 1e-12) + 1e-12:
+                return Step(stepped, there, 0.0 if damping < 1e-8 else damping / 10.0)
         damping = max(10.0 * damping, 1e-6)
-    return Step(states, here, here.cost, damping)
+    return Step(states, here, damping)
 
 
 def covariances(chain: Chain, states: States, weights: Float64Array) -> tuple[Float64Array, Float64Array]:

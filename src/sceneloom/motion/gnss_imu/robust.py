@@ -20,7 +20,7 @@ from sceneloom.motion.gnss_imu.chain import (
 _HUBER = 1.5
 """Standard deviations from which on a fix loses weight while the states are still far off."""
 _MOST_STEPS = 30
-_SETTLED = 1e-5
+_SETTLED = 1e-4
 """Change of the cost, relative to it, below which no further step is gone."""
 _MOST_ROUNDS, _FEW_STEPS, _MOST_CHANGES = 25, 4, 3
 """Rounds of leaving out and taking back, steps in each, and how often one fix may change."""
@@ -145,28 +145,28 @@ def _is_worst_around(ratios: Float64Array) -> BoolArray:
 
 def _settled(chain: Chain, states: States, weights: Float64Array, steps: int) -> Fit:
     """Go steps with given weights until nothing changes."""
-    damping, cost = 0.0, np.inf
+    damping = 0.0
+    here = equations(chain, states, weights)
     for _ in range(steps):
-        gone = step(chain, states, weights, damping)
-        states, damping = gone.states, gone.damping
-        if abs(cost - gone.cost) <= _SETTLED * gone.cost:
+        gone = step(chain, states, weights, damping, here=here)
+        settled = here.cost - gone.equations.cost <= _SETTLED * here.cost
+        states, damping, here = gone.states, gone.damping, gone.equations
+        if settled:
             break
-        cost = gone.cost
-    return Fit(chain, states, weights, gone.cost)
+    return Fit(chain, states, weights, here.cost)
 
 
 def _fitted(chain: Chain, states: States, steps: int) -> Fit:
     damping, cost = 1e-4, np.inf
     weights = np.ones(len(chain.fixes))
-    here: Equations | None = None
+    here = equations(chain, states, weights)
     for _ in range(steps):
-        here = here or equations(chain, states, weights)
         roots = np.sqrt(np.maximum(squares(chain.fixes, here.fix_residuals) / 3.0, 1e-30))
-        bend = _HUBER * max(float(np.median(roots)) / _MEDIAN_ROOT, _LEAST_SCALE)
+        middle = float(np.median(roots)) if len(roots) else _MEDIAN_ROOT
+        bend = _HUBER * max(middle / _MEDIAN_ROOT, _LEAST_SCALE)
         weights = np.minimum(1.0, bend / roots)
         gone = step(chain, states, weights, damping)
-        states, damping = gone.states, gone.damping
-        here = equations(chain, states, weights)
+        states, damping, here = gone.states, gone.damping, gone.equations
         total = _huber_cost(chain, here, weights, bend)
         if abs(cost - total) <= _SETTLED * total:
             break

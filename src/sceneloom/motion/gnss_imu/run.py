@@ -115,7 +115,8 @@ def _with_wander(
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Positions as the receiver would tell them, its slow errors included, and what these do to the covariances.
 
-    Errors that are alike count as fewer: of an even correlation ρ, the variance of a mean is larger by (1 + ρ) / (1 - ρ).
+    Errors that are alike count as fewer: with a correlation ρ of neighbours, the variance of a mean is larger by
+    (1 + ρ) / (1 - ρ).
     """
     positions, offset = way.positions.copy(), offset.copy()
     for slow, axes in zip(wander, (slice(0, 2), slice(2, 3)), strict=True):

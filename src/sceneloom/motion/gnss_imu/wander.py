@@ -1,4 +1,4 @@
-"""Slow errors of fixes: what satellites and air do to all fixes of some seconds alike, so that no smoothing takes it off."""
+"""Slow errors of fixes: what satellites and air do to all fixes of some seconds alike."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ from sceneloom.motion.gnss_imu.robust import Fit
 
 _LEAST_FIXES = 8
 _ALIKE, _LEAST_ALIKE = 1.3, 0.3
-"""Residuals of neighbours are alike where their correlation is above so many standard deviations of that of white noise,
-1/√n, and above the second number; those of a smoother with white noise are rather unlike."""
+"""Residuals of neighbours are alike where their correlation is above so many standard deviations of that of white
+noise, 1/√n, and above the second number; those of a smoother with white noise are rather unlike."""
 _MOST_ALIKE = 0.98
 _FARTHEST = 3.0
 """Fixes further apart in time [s] are no neighbours."""
@@ -51,10 +51,12 @@ class Wander:
         inside = times_ns <= self.times_ns[-1]
         weights = np.stack([one - both * other, other - both * one]) / left
         weights[:, before == after] = np.stack([one, 0.0 * one])[:, before == after]
-        weights[:, ~inside] = np.stack([0.0 * one, np.exp(-np.abs(times_ns - self.times_ns[-1]) * 1e-9 / self.seconds)])[
-            :, ~inside
-        ]
-        found: Float64Array = weights[0][:, None] * self.values[before] + weights[1][:, None] * self.values[after]
+        weights[:, ~inside] = np.stack(
+            [0.0 * one, np.exp(-np.abs(times_ns - self.times_ns[-1]) * 1e-9 / self.seconds)]
+        )[:, ~inside]
+        found: Float64Array = (
+            weights[0][:, None] * self.values[before] + weights[1][:, None] * self.values[after]
+        )
         return found
 
 

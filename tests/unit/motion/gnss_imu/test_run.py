@@ -1,0 +1,313 @@
+"""The way from satellite fixes and IMU against the exact motion of made-up drives."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import (
+    conjugate_quaternion,
+    matrix_from_quaternion,
+    multiply_quaternions,
+    quaternion_from_matrix,
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+)
+from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.motion.gnss_imu import GnssImuRun, SmootherSettings, gnss_imu_motion
+from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Scene, Trajectory, VectorSamples
+from sceneloom.simulate.inertial import GRAVITY, ImuSpec, ImuTruth, imu_sensor, imu_truth
+from sceneloom.simulate.path import EgoPath, PathSpec, plan_path
+from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
+from sceneloom.simulate.warp import Stop
+
+SETTINGS = SmootherSettings(gravity=GRAVITY)  # the made-up world has the same gravity everywhere
+ORIGIN = GnssSpec().origin_lla
+SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Drive:
+    path: EgoPath
+    truth: ImuTruth
+    imu: ImuSensor
+    gnss: GnssSensor
+
+    def scene(self, imu: ImuSensor | None = None, gnss: GnssSensor | None = None) -> Scene:
+        return Scene((imu or self.imu, gnss or self.gnss), source="made up")
+
+    def run(self, imu: ImuSensor | None = None, gnss: GnssSensor | None = None) -> GnssImuRun:
+        return gnss_imu_motion(self.scene(imu, gnss), settings=SETTINGS)
+
+
+def drive(
+    seed: int,
+    *,
+    seconds: float = 40.0,
+    rate: float = 2.0,
+    imu: ImuSpec | None = None,
+    path: PathSpec | None = None,
+) -> Drive:
+    imu, gnss = imu or ImuSpec(rate_hz=100.0), GnssSpec(rate_hz=rate)
+    way = plan_path(np.random.default_rng(seed), start_ns=0, duration=seconds, spec=path)
+    samples = np.arange(int(seconds * imu.rate_hz)) * round(SECOND / imu.rate_hz) + 1_300_000
+    fixes = np.arange(int(seconds * rate)) * round(SECOND / rate)
+    truth = imu_truth(imu, way, samples, seed=seed)
+    return Drive(way, truth, imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, way, fixes, seed=seed))
+
+
+def errors(run: GnssImuRun, path: EgoPath) -> np.ndarray:
+    """(N, 6) turn [rad] and shift [m] about the world's axes, away from the truth."""
+    states = path.at(run.trajectory.timestamps_ns)
+    turns = multiply_quaternions(
+        run.trajectory.quaternions_xyzw, conjugate_quaternion(states.quaternions_xyzw)
+    )
+    shift = enu_from_geodetic(run.origin_lla, ORIGIN)
+    return np.hstack(
+        [rotation_vector_from_quaternion(turns), run.trajectory.positions + shift - states.positions]
+    )
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).sum(axis=1).mean()))
+
+
+def in_deviations(run: GnssImuRun, path: EgoPath, part: slice = slice(0, 6)) -> float:
+    """Squared error in units of the covariance, per degree of freedom."""
+    away = errors(run, path)[:, part]
+    covariances = run.trajectory.covariances[:, part, part]
+    return float(
+        (away * np.linalg.solve(covariances, away[:, :, None])[:, :, 0]).sum(axis=1).mean() / away.shape[1]
+    )
+
+
+def enu(gnss: GnssSensor) -> np.ndarray:
+    return enu_from_geodetic(gnss.positions_lla, ORIGIN)
+
+
+def moved(gnss: GnssSensor, positions: np.ndarray, **others: object) -> GnssSensor:
+    return replace(gnss, positions_lla=geodetic_from_enu(positions, ORIGIN), **others)
+
+
+def some_fixes(gnss: GnssSensor, rows: np.ndarray) -> GnssSensor:
+    return GnssSensor(
+        gnss.id, gnss.timestamps_ns[rows], gnss.positions_lla[rows], gnss.accuracies[rows],
+        gnss.vertical_accuracies[rows],
+    )  # fmt: skip
+
+
+def some_samples(imu: ImuSensor, rows: np.ndarray) -> ImuSensor:
+    streams = {name: VectorSamples(s.timestamps_ns[rows], s.values[rows]) for name, s in imu.streams.items()}
+    return ImuSensor(imu.id, streams)
+
+
+@pytest.fixture(scope="module")
+def town() -> Drive:
+    return drive(5)
+
+
+def test_errors_are_small_and_as_large_as_the_covariances_say():
+    squares, away, biases = [], [], []
+    for seed in range(6):
+        one = drive(seed)
+        run = one.run()
+        squares.append(in_deviations(run, one.path))
+        away.append(errors(run, one.path))
+        middle = run.biases[len(run.biases) // 2]
+        spread = np.sqrt(np.einsum("kii->ki", run.covariances)[len(run.covariances) // 2, 9:])
+        true = np.concatenate([one.truth.gyroscope_bias, one.truth.accelerometer_bias])
+        biases.append((middle - true) / spread)
+    all_away = np.vstack(away)
+    assert rms(all_away[:, 3:5]) < 0.2  # fixes of 0.4 m an axis
+    assert rms(all_away[:, 5:]) < 0.3
+    assert np.degrees(rms(all_away[:, 2:3])) < 1.0
+    assert np.degrees(rms(all_away[:, :2])) < 0.2
+    # neighbouring errors are alike: a drive counts as some five independent states of six numbers, so that the mean
+    # over six has a deviation of √(2 / 180) = 0.1, and chi-square bounds of four deviations are 0.6 and 1.4
+    assert 0.6 < np.mean(squares) < 1.4
+    # 36 squares of one: mean 1 ± 0.24
+    assert 0.4 < np.mean(np.square(biases)) < 1.6
+
+
+def test_the_way_is_given_at_the_rate_of_the_imu_in_the_world_of_the_first_fix(town):
+    run = town.run()
+    assert run.trajectory.name == "gnss"
+    samples = town.imu.streams["gyroscope"].timestamps_ns
+    assert np.isin(samples, run.trajectory.timestamps_ns).all()
+    assert run.trajectory.covariances.shape == (len(run.trajectory.timestamps_ns), 6, 6)
+    assert np.allclose(run.origin_lla, town.gnss.positions_lla[0])
+    assert len(run.velocities) == len(run.biases) == len(run.trajectory.timestamps_ns)
+    speeds = run.velocities - town.path.at(run.trajectory.timestamps_ns).velocities
+    assert rms(speeds) < 0.2
+
+
+def test_between_samples_of_low_rate_the_way_is_as_good():
+    one = drive(6, imu=ImuSpec(rate_hz=10.0))
+    run = one.run()
+    assert rms(errors(run, one.path)[:, 3:5]) < 0.25
+    assert in_deviations(run, one.path) < 2.0
+
+
+def test_the_antenna_may_sit_elsewhere(town):
+    lever = np.array([0.8, -0.4, 1.2])
+    states = town.path.at(town.gnss.timestamps_ns)
+    fixes = moved(
+        town.gnss, enu(town.gnss) + states.rotations @ lever, mount=RigidTransform(np.eye(3), lever)
+    )
+    assert (
+        rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
+    )
+
+
+def test_fixes_that_jump_are_left_out_alone_and_in_a_row(town):
+    rng = np.random.default_rng(0)
+    positions = enu(town.gnss)
+    jumped = rng.uniform(size=len(positions)) < 0.08
+    positions[jumped, :2] += 15.0 * np.array([0.6, 0.8])
+    positions[40:46, 0] += 30.0
+    jumped[40:46] = True
+    run = town.run(gnss=moved(town.gnss, positions))
+    assert not run.used[jumped].any()
+    assert run.used[~jumped].mean() > 0.95
+    assert rms(errors(run, town.path)[:, 3:5]) < 0.25
+    assert "gnss-jumps" in [notice.code for notice in run.notices]
+
+
+def test_without_fixes_for_ten_seconds_the_imu_leads_on(town):
+    seconds = town.gnss.timestamps_ns / SECOND
+    rows = (seconds < 15) | (seconds > 25)
+    run = town.run(gnss=some_fixes(town.gnss, rows))
+    assert rms(errors(run, town.path)[:, 3:5]) < 0.3
+    assert in_deviations(run, town.path, slice(3, 6)) < 2.5
+    out = (run.trajectory.timestamps_ns > 19 * SECOND) & (run.trajectory.timestamps_ns < 21 * SECOND)
+    east = run.trajectory.covariances[:, 3, 3]
+    assert east[out].mean() > 1.2 * np.median(east)
+
+
+def test_without_imu_for_five_seconds_the_fixes_lead_on(town):
+    seconds = town.imu.streams["gyroscope"].timestamps_ns / SECOND
+    run = town.run(imu=some_samples(town.imu, (seconds < 15) | (seconds > 20)))
+    assert rms(errors(run, town.path)[:, 3:5]) < 0.4
+    assert np.degrees(rms(errors(run, town.path)[:, 2:3])) < 4.0
+    assert "imu-gaps" in [notice.code for notice in run.notices]
+
+
+def test_the_noise_of_fixes_is_found_whatever_they_tell(town):
+    nothing = np.full(len(town.gnss.timestamps_ns), np.nan)
+    for accuracy in (nothing, np.full(len(nothing), 0.05)):
+        run = town.run(gnss=replace(town.gnss, accuracies=accuracy, vertical_accuracies=nothing))
+        # 240 residuals tell a deviation to 5 %
+        assert np.median(run.fix_sigmas[:, 0]) == pytest.approx(0.4, rel=0.25)
+        assert np.median(run.fix_sigmas[:, 2]) == pytest.approx(0.8, rel=0.25)
+
+
+def test_an_accuracy_worse_than_the_noise_stands_for_what_all_fixes_have_in_common(town):
+    told = replace(town.gnss, accuracies=np.full(len(town.gnss.timestamps_ns), 3.0))
+    run = town.run(gnss=told)
+    assert "gnss-common-offset" in [notice.code for notice in run.notices]
+    assert np.sqrt(run.trajectory.covariances[:, 3, 3]).min() > 2.5
+
+
+@pytest.mark.parametrize("mounting", [(0.0, 0.0, 3.0), (0.0, 1.2, 0.5)])
+def test_an_imu_that_looks_elsewhere_is_found_to(mounting, town):
+    turn = matrix_from_quaternion(quaternion_from_rotation_vector(np.array(mounting)))
+    streams = {
+        name: VectorSamples(s.timestamps_ns, s.values @ turn.T) for name, s in town.imu.streams.items()
+    }
+    run = town.run(imu=ImuSensor("imu", streams))
+    back = quaternion_from_matrix(matrix_from_quaternion(run.trajectory.quaternions_xyzw) @ turn)
+    looked = replace(run, trajectory=replace(run.trajectory, quaternions_xyzw=back))
+    away = errors(looked, town.path)
+    heading = np.sqrt(run.trajectory.covariances[:, 2, 2])
+    assert (np.abs(away[:, 2]) < 4.0 * heading + 0.02).all()
+    assert np.degrees(rms(away[:, :2])) < 1.0
+    assert np.degrees(rms(away[:, 2:3])) < 10.0
+
+
+def test_a_drive_that_begins_with_a_stand_is_followed():
+    one = drive(6, path=PathSpec(stops=(Stop(0.5, 12.0),)))
+    run = one.run()
+    assert rms(errors(run, one.path)[:, 3:5]) < 0.25
+    assert np.degrees(rms(errors(run, one.path)[:, 2:3])) < 2.0
+
+
+def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_said():
+    rng = np.random.default_rng(0)
+    times = np.arange(2000) * 10_000_000
+    streams = {
+        "gyroscope": VectorSamples(times, 0.001 * rng.standard_normal((2000, 3))),
+        "accelerometer": VectorSamples(times, [0, 0, GRAVITY] + 0.01 * rng.standard_normal((2000, 3))),
+    }
+    fixes = np.arange(20) * SECOND
+    unknown = np.full(20, np.nan)
+    gnss = GnssSensor(
+        "gnss", fixes, geodetic_from_enu(rng.standard_normal((20, 3)), ORIGIN), unknown, unknown
+    )
+    run = gnss_imu_motion(Scene((ImuSensor("imu", streams), gnss)))
+    assert "heading-unknown" in [notice.code for notice in run.notices]
+    spread = np.linalg.norm(run.trajectory.positions - run.trajectory.positions.mean(axis=0), axis=1)
+    assert spread.max() < 2.0
+
+
+def test_fixes_alone_make_a_smooth_way_whose_heading_is_that_of_the_motion(town):
+    scene = Scene((town.gnss,), source="made up")
+    run = gnss_imu_motion(scene, settings=SETTINGS)
+    assert run.trajectory.quaternions_xyzw is None
+    states = town.path.at(run.trajectory.timestamps_ns)
+    away = run.trajectory.positions + enu_from_geodetic(run.origin_lla, ORIGIN) - states.positions
+    assert rms(away[:, :2]) < 0.5
+    with pytest.raises(PoseError, match="--heading motion"):
+        find_ego_motion(scene, name="gnss")
+    ego = find_ego_motion(scene, name="gnss", heading="motion")
+    assert ego.heading == "motion"
+    ahead = matrix_from_quaternion(ego.path.quaternions_xyzw)[:, :2, 0]
+    cosine = (ahead * states.velocities[:, :2]).sum(axis=1) / np.linalg.norm(states.velocities[:, :2], axis=1)
+    assert np.median(cosine) > np.cos(np.radians(8.0))  # fixes of 0.4 m every half second
+
+
+def test_it_is_the_default_after_recorded_ways_and_says_where_its_world_is(town):
+    scene = town.scene()
+    ego = find_ego_motion(scene)
+    assert ego.name == "gnss"
+    assert ego.enu_origin_lla == tuple(town.gnss.positions_lla[0])
+    assert ego.covariances is not None
+    told = [notice for notice in ego.notices if notice.code == "trajectory-from-gnss"]
+    assert [notice.kind for notice in told] == [NoticeKind.ASSUMED]
+    recorded = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
+    with_pose = replace(scene, trajectories={"pose": recorded})
+    assert find_ego_motion(with_pose).name == "pose"
+    assert find_ego_motion(with_pose, name="gnss").name == "gnss"
+
+
+def test_fixes_that_are_none_are_left_out(town):
+    gnss = town.gnss
+    times = np.concatenate([gnss.timestamps_ns, [7, 8, 9]])
+    places = np.vstack([gnss.positions_lla, [[0, 0, 0], [np.nan, 25, 0], [200, 25, 0]]])
+    more = np.ones(3)
+    wrong = GnssSensor(
+        "gnss", times, places, np.append(gnss.accuracies, more), np.append(gnss.vertical_accuracies, more)
+    )
+    run = town.run(gnss=wrong)
+    assert {notice.code: notice.count for notice in run.notices}["gnss-fixes-left-out"] == 3
+    assert len(run.used) == len(gnss.timestamps_ns)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_without_two_fixes_there_is_no_way(count, town):
+    scene = town.scene(gnss=some_fixes(town.gnss, np.arange(count)))
+    with pytest.raises(PoseError, match="GNSS"):
+        find_ego_motion(scene, name="gnss")
+
+
+def test_two_fixes_are_enough_for_a_way(town):
+    run = town.run(gnss=some_fixes(town.gnss, np.array([0, 40])))
+    assert np.isfinite(run.trajectory.positions).all()
+    assert np.isfinite(run.trajectory.covariances).all()
+
+
+def test_settings_that_mean_nothing_are_refused():
+    with pytest.raises(OptionError, match="gate"):
+        SmootherSettings(gate=0.0)

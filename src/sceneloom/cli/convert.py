@@ -15,9 +15,10 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices, prog
 @options.writing_scenes
 @click.option(
     "--pictures",
-    type=click.Choice(["copy", "h264", "ffv1", "png"]),
+    type=click.Choice(["copy", "lossless", "h264", "ffv1", "png"]),
     help="How a recording's folder keeps pictures: `copy` a camera's own video packet by packet, and encode H.264 "
-    "where there is none; `h264`: the own video only if it is that; `ffv1` (video) and `png` (files) lose nothing. "
+    "where there is none (`lossless`: FFV1); `h264`: the own video only if it is that; `ffv1` (video) and "
+    "`png` (files) lose nothing. "
     "[default: copy]",
 )
 @click.option(

@@ -1,5 +1,6 @@
 """The page about the checks lists every rule as it is."""
 
+import re
 from pathlib import Path
 
 from sceneloom.checks import catalogue
@@ -28,4 +29,13 @@ def test_rules_that_the_page_names_for_a_check_of_scales_are_there():
     cells = [cell for line in lines for cell in line.split("|")[2:4]]
     named = {name.strip("` ") for cell in cells for name in cell.split(",") if "`" in name}
     assert named
+    assert named <= known
+
+
+def test_rules_that_the_page_names_for_recordings_are_there():
+    text = PAGE.read_text("utf-8").split("\n## Recordings")[1].split("\n## ")[0]
+    known = {rule.id for rule in catalogue()}
+    lines = [line for line in text.splitlines() if line.startswith("| ") and "`" in line]
+    named = {name for line in lines for name in re.findall(r"`([a-z0-9-]+)`", line.split("|")[3])}
+    assert named > {"lines-in-order", "fixes-jump"}
     assert named <= known

@@ -16,8 +16,8 @@ from sceneloom.cli.printing import print_json, progress_bar
 @click.option(
     "--trajectory",
     metavar="NAME",
-    help="The ego's way to use; `lidar`: found from the sweeps; `identity`: it stood still. "
-    "[default: the drive's first, else `lidar`]",
+    help="The ego's way to use; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the sweeps; "
+    "`identity`: it stood still. [default: the drive's first, else `gnss`, else `lidar`]",
 )
 @options.heading
 @click.option("--depth", type=options.target, help="Folder for depth images.")

@@ -1,5 +1,6 @@
 """The way of the ego that a scene is placed by: recorded, or found from satellite fixes, IMU and lidar."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from sceneloom.errors import OptionError, PoseError
@@ -66,13 +67,23 @@ def computed_name(scene: Scene, name: str | None) -> str | None:
 
 
 def with_way_found(scene: Scene, ego: EgoMotion) -> Scene:
-    """The scene with the way that was found in it as its default trajectory, and with what is to be said of it."""
+    """The scene with the way that was found in it as its default trajectory, and with what is to be said of it.
+
+    Where the world's axes are east, north and up at a known place, `metadata.sceneloom.enu_origin` tells it. A fusion
+    shifts the world; `world_from_file`, which it adds, leads back into this one.
+    """
     path = ego.path
     way = Trajectory(
         ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
     )
     others = {name: other for name, other in scene.trajectories.items() if name != ego.name}
-    return replace(scene, trajectories={ego.name: way, **others}, notices=(*scene.notices, *ego.notices))
+    found = replace(scene, trajectories={ego.name: way, **others}, notices=(*scene.notices, *ego.notices))
+    if ego.enu_origin_lla is None:
+        return found
+    origin = dict(zip(("latitude", "longitude", "altitude"), ego.enu_origin_lla, strict=True))
+    ours = scene.metadata.get("sceneloom")
+    told = {**(ours if isinstance(ours, Mapping) else {}), "enu_origin": origin}
+    return replace(found, metadata={**scene.metadata, "sceneloom": told})
 
 
 def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:

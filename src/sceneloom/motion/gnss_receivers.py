@@ -16,4 +16,5 @@ def usable_fixes(receiver: GnssSensor) -> BoolArray:
     latitude, longitude = receiver.positions_lla[:, 0], receiver.positions_lla[:, 1]
     with np.errstate(invalid="ignore"):
         usable: BoolArray = (np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 360.0)
-    return usable & ((latitude != 0.0) | (longitude != 0.0))
+    usable &= (latitude != 0.0) | (longitude != 0.0)
+    return usable

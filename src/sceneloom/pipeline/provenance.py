@@ -15,9 +15,6 @@ from sceneloom.scene import Scene
 def provenance(woven: Woven) -> Mapping[str, Any]:
     """How the fused scene came about, for its metadata; what an earlier fusion said there is kept below `earlier`.
 
-    Where the ego's way comes from satellite fixes, `enu_origin` is the place whose east, north and up are the
-    axes of the world into which `world_from_file` leads.
-
     The cameras stand in the order that `camera_index` counts, since a profile may have no place for some of them.
     """
     world_from_file = _earlier_world(woven.scene)
@@ -31,9 +28,6 @@ def provenance(woven: Woven) -> Mapping[str, Any]:
         "cameras": [camera.id for camera in woven.scene.cameras],
         "earlier": _ours(woven.scene).get("fusion"),
     }
-    if woven.ego is not None and woven.ego.enu_origin_lla is not None:
-        names = ("latitude", "longitude", "altitude")
-        fusion["enu_origin"] = dict(zip(names, woven.ego.enu_origin_lla, strict=True))
     return {"sceneloom": {"world_from_file": world_from_file.tolist(), "fusion": fusion}}
 
 

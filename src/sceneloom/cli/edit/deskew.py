@@ -26,8 +26,8 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.option(
     "--trajectory",
     metavar="NAME",
-    help="The ego's way to deskew by; `lidar`: found from the sweeps; `imu`: only the turning that the IMU tells. "
-    "[default: the drive's first, else `lidar`]",
+    help="The ego's way to deskew by; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the "
+    "sweeps; `imu`: only the turning that the IMU tells. [default: the drive's first, else `gnss`, else `lidar`]",
 )
 @options.heading
 @click.option(

@@ -37,7 +37,8 @@ def way(command: Callable[..., None]) -> Callable[..., None]:
     trajectory = click.option(
         "--trajectory",
         metavar="NAME",
-        help="The ego's way; `lidar`: found from the sweeps. [default: the drive's first, else `lidar`]",
+        help="The ego's way; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the sweeps. "
+        "[default: the drive's first, else `gnss`, else `lidar`]",
     )
     return trajectory(options.heading(command))
 

@@ -175,7 +175,7 @@ def _how(place: str, run: GnssImuRun, drive: Measurements) -> Notice:
     sigma = np.median(run.fix_sigmas[run.used], axis=0) if run.used.any() else run.fix_sigmas[0]
     latitude, longitude, height = run.origin_lla
     message = (
-        f"{len(run.used)} fixes {_WITH[drive.samples is not None, drive.lidar is not None]} gave the way of "
+        f"{len(run.used)} fixes{_WITH[drive.samples is not None, drive.lidar is not None]} gave the way of "
         f"the ego; noise of the fixes as found {sigma[0]:.2f} m across, {sigma[2]:.2f} m in height; the world's axes "
         f"are east, north and up at the first fix, {latitude:.7f}, {longitude:.7f}, {height:.2f} m"
     )
@@ -183,10 +183,10 @@ def _how(place: str, run: GnssImuRun, drive: Measurements) -> Notice:
 
 
 _WITH = {
-    (False, False): "alone, without an IMU,",
-    (True, False): "and the IMU",
-    (False, True): "and the lidar's sweeps",
-    (True, True): "the IMU and the lidar's sweeps",
+    (False, False): " alone, without an IMU,",
+    (True, False): " and the IMU",
+    (False, True): " and the lidar's sweeps",
+    (True, True): ", the IMU and the lidar's sweeps",
 }
 
 

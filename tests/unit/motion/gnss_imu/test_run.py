@@ -16,7 +16,7 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.motion.ego_motion import find_ego_motion, with_way_found
 from sceneloom.motion.gnss_imu import GnssImuRun, SmootherSettings, gnss_imu_motion
 from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Scene, Trajectory, VectorSamples
 from sceneloom.simulate.inertial import GRAVITY, ImuSpec, ImuTruth, imu_sensor, imu_truth
@@ -274,6 +274,9 @@ def test_it_is_the_default_after_recorded_ways_and_says_where_its_world_is(town)
     assert ego.name == "gnss"
     assert ego.enu_origin_lla == tuple(town.gnss.positions_lla[0])
     assert ego.covariances is not None
+    placed = with_way_found(replace(scene, metadata={"sceneloom": {"seed": 1}}), ego)
+    assert placed.metadata["sceneloom"]["seed"] == 1
+    assert placed.metadata["sceneloom"]["enu_origin"]["latitude"] == town.gnss.positions_lla[0, 0]
     told = [notice for notice in ego.notices if notice.code == "trajectory-from-gnss"]
     assert [notice.kind for notice in told] == [NoticeKind.ASSUMED]
     recorded = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))

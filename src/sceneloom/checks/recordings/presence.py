@@ -40,7 +40,7 @@ RULES: tuple[Rule, ...] = (
         "calibration-there",
         Severity.WARNING,
         "A recording has a `calibration.json`.",
-        "Write one, though its list of cameras be empty: without it the vendor's software refuses the recording.",
+        "Write one, though its list of cameras be empty: the format asks for it.",
         find=_without_calibration,
     ),
 )

@@ -1,0 +1,82 @@
+"""Simulated drives, written as recordings: nothing is found in sound ones, and what is planted is."""
+
+from dataclasses import replace
+
+import pytest
+
+import sceneloom
+from sceneloom.checks import validate
+from sceneloom.scene import GnssSensor, ImuSensor
+from sceneloom.simulate import (
+    Faults,
+    GnssSpec,
+    ImuSpec,
+    LidarSpec,
+    PathSpec,
+    SensorFaults,
+    Stop,
+    plant,
+    simulate_street,
+)
+
+SECOND = 1_000_000_000
+FRAMES = 120  # of 10 Hz: streams that end 5 s apart can be told
+
+
+def make(seed=1, **options):
+    return simulate_street(seed, frames=FRAMES, lidar=LidarSpec(beams=2, steps=16), cameras=(), **options)
+
+
+def written(scene, folder):
+    """Only what gives numbers: sweeps take their time to be measured, and no rule here looks at them."""
+    sensors = tuple(sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor | GnssSensor))
+    sceneloom.write(replace(scene, sensors=sensors, annotations=()), folder)
+    return folder
+
+
+SOUND = {
+    "stop": {"path": PathSpec(stops=(Stop(5.0, 4.0),))},
+    "standing": {"path": PathSpec(stops=(Stop(0.0, 40.0),))},
+    "fast": {"path": PathSpec(speeds=(20.0, 40.0), turn_rate=0.3)},
+    "turns": {"path": PathSpec(speeds=(2.0, 12.0), turn_rate=1.2)},
+    "precise fixes": {"gnss": GnssSpec(rate_hz=20.0, horizontal_sigma=0.02, vertical_sigma=0.04)},
+    "poor fixes": {"gnss": GnssSpec(rate_hz=5.0, horizontal_sigma=5.0, vertical_sigma=8.0)},
+    "noisy and quick IMU": {"imu": ImuSpec(rate_hz=500.0, accelerometer_noise=0.05, gyroscope_noise=0.005)},
+}
+
+
+@pytest.mark.parametrize("case", SOUND)
+def test_nothing_is_found_in_a_sound_drive(tmp_path, case):
+    folder = written(make(len(case), **SOUND[case]).scene, tmp_path / "drive")
+    report = validate(folder, ignore=["calibration-there"])  # there is nothing to calibrate
+    assert [finding for finding in report.findings if finding.severity != "hint"] == []
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """One drive for all that is planted."""
+    return make()
+
+
+def span(first_s, last_s):
+    return ((round((1 + first_s) * SECOND), round((1 + last_s) * SECOND)),)
+
+
+PLANTED = {
+    "an IMU that drops out": ("imu", {"drop_outs": span(4, 5)}, "stream-gaps"),
+    "an IMU that loses samples": ("imu", {"lost_share": 0.2}, "stream-jitter"),
+    "an IMU that hangs": ("imu", {"stuck": span(4, 5)}, "values-repeated"),
+    "an IMU that ends early": ("imu", {"drop_outs": span(5, 60)}, "streams-together"),
+    "an IMU of another clock": ("imu", {"time_offset_ns": 7 * SECOND}, "streams-together"),
+    "an outage of the satellites": ("gnss", {"drop_outs": span(4, 7)}, "stream-outages"),
+    "a receiver that holds a place": ("gnss", {"stuck": span(4, 6)}, "values-repeated"),
+}
+
+
+@pytest.mark.parametrize("case", PLANTED)
+def test_what_is_planted_is_found(tmp_path, drive, case):
+    sensor, wrong, rule = PLANTED[case]
+    faulty = plant(drive, Faults({sensor: SensorFaults(**wrong)}))
+    report = validate(written(faulty.scene, tmp_path / "drive"))
+    assert rule in {finding.rule for finding in report.findings}
+    assert report.passed

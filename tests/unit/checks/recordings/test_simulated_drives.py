@@ -38,7 +38,7 @@ SOUND = {
     "stop": {"path": PathSpec(stops=(Stop(5.0, 4.0),))},
     "standing": {"path": PathSpec(stops=(Stop(0.0, 40.0),))},
     "fast": {"path": PathSpec(speeds=(20.0, 40.0), turn_rate=0.3)},
-    "turns": {"path": PathSpec(speeds=(2.0, 12.0), turn_rate=1.2)},
+    "turns": {"path": PathSpec(speeds=(2.0, 6.0), turn_rate=1.0)},
     "precise fixes": {"gnss": GnssSpec(rate_hz=20.0, horizontal_sigma=0.02, vertical_sigma=0.04)},
     "poor fixes": {"gnss": GnssSpec(rate_hz=5.0, horizontal_sigma=5.0, vertical_sigma=8.0)},
     "noisy and quick IMU": {"imu": ImuSpec(rate_hz=500.0, accelerometer_noise=0.05, gyroscope_noise=0.005)},

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.motion.gnss_imu.chain import Chain, Fixes, covariances
+from sceneloom.motion.gnss_imu.chain import Chain, Fixes, RelativePoses, covariances
 from sceneloom.motion.gnss_imu.fixes import GnssFixes
 from sceneloom.motion.gnss_imu.knots import knot_times, nearest_knots
 from sceneloom.motion.gnss_imu.lidar_steps import led_by_lidar, lidar_steps
@@ -14,6 +14,7 @@ from sceneloom.motion.gnss_imu.robust import Fit, fit_gently, fit_sternly, inert
 from sceneloom.motion.gnss_imu.samples import InertialSamples, noise_densities
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.motion.gnss_imu.start import coasted, oriented, standing_states
+from sceneloom.motion.gnss_imu.stops import stops
 from sceneloom.motion.gnss_imu.vehicle import misfit, vehicle_speeds
 from sceneloom.scene import Trajectory
 
@@ -83,13 +84,14 @@ def _cleaned(fit: Fit) -> Fit:
 
 
 def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tuple[Fit, Float64Array]:
-    """Fit again with biases and noise as found, fixes that jump left out, and what is known of wheels."""
+    """Fit again with biases and noise as found, fixes that jump left out, and what is known of wheels and stands."""
+    lidar = fit.chain.relative
     fit = fit_sternly(fit, scaled=False)
     for number in range(_ROUNDS):
         densities = densities * inertial_factors(fit) ** 2
         fit, _ = rescaled(fit)
         begun = bool(fit.chain.speeds)
-        chain = _on_wheels(fit, samples) if number >= _ROUNDS - 2 else fit.chain
+        chain = _knowing(fit, samples, lidar) if number >= _ROUNDS - 2 else fit.chain
         again = preintegrated(
             samples.timestamps_ns,
             samples.values,
@@ -103,16 +105,21 @@ def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tup
             fit = fit_sternly(fit_gently(fit.chain, fit.states), scaled=False)
         else:
             fit = fit_sternly(fit, scaled=True)
-    if fit.chain.speeds and misfit(fit.chain.speeds[0], fit.states) > _CONTRADICTED:
-        fit = fit_sternly(replace(fit, chain=replace(fit.chain, speeds=())), scaled=True)
+    believed = tuple(one for one in fit.chain.speeds if misfit(one, fit.states) <= _CONTRADICTED)
+    if len(believed) < len(fit.chain.speeds):
+        fit = fit_sternly(
+            replace(fit, chain=replace(fit.chain, speeds=believed, relative=lidar)), scaled=True
+        )
     return fit, densities
 
 
-def _on_wheels(fit: Fit, samples: InertialSamples) -> Chain:
-    """The measurements with what is known of an ego on wheels, as long as nothing speaks against it."""
+def _knowing(fit: Fit, samples: InertialSamples, lidar: tuple[RelativePoses, ...]) -> Chain:
+    """The measurements with what is known of an ego on wheels and of one that stands, where the states show it."""
     own, _ = covariances(fit.chain, fit.states, fit.weights)
-    speeds = vehicle_speeds(fit, own, samples, asked=fit.chain.settings.vehicle)
-    return replace(fit.chain, speeds=() if speeds is None else (speeds,))
+    wheels = vehicle_speeds(fit, own, samples, asked=fit.chain.settings.vehicle)
+    still, unmoved = stops(fit, own, samples)
+    speeds = still if wheels is None else (wheels, *still)
+    return replace(fit.chain, speeds=speeds, relative=(*lidar, *unmoved))
 
 
 def _chain(drive: Measurements, settings: SmootherSettings) -> tuple[Chain, Float64Array]:

@@ -249,7 +249,8 @@ def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_said():
     run = gnss_imu_motion(Scene((ImuSensor("imu", streams), gnss)))
     assert "heading-unknown" in [notice.code for notice in run.notices]
     spread = np.linalg.norm(run.trajectory.positions - run.trajectory.positions.mean(axis=0), axis=1)
-    assert spread.max() < 2.0
+    # fixes of a metre would let a moving ego wander by some decimetres; a stand is one place
+    assert spread.max() < 0.05
 
 
 def test_fixes_alone_make_a_smooth_way_whose_heading_is_that_of_the_motion(town):

@@ -10,6 +10,8 @@ from sceneloom.scene import Trajectory
 
 LEAST_TURNING = 0.03
 """The gyroscope's means over intervals have to vary so much (rms) before anything is said of turning [rad/s]."""
+TURNING_PER_NOISE = 2.0
+"""And so many times what the noise of the gyroscope leaves in the means."""
 FEWEST_INTERVALS = 10
 """Fewer tell nothing."""
 GREATEST_SHIFT = 1.0
@@ -52,7 +54,15 @@ class Turning:
         interval = float(np.median(np.diff(rates.seconds)))
         turning = cls(intervals, shifts, measured[:, known], known, interval)
         now = centred(turning.measured[count])
-        return turning if np.sqrt((now * now).sum(axis=1).mean()) >= LEAST_TURNING else None
+        noise = rates.noise(float(np.median(intervals.lengths)))
+        turned = float(np.sqrt((now * now).sum(axis=1).mean()))
+        return turning if turned >= max(LEAST_TURNING, TURNING_PER_NOISE * noise) else None
+
+    def is_above(self, orientation_noise: float) -> bool:
+        """Whether the device turned clearly more than orientations with so much noise [rad] seem to."""
+        now = centred(self.measured[len(self.shifts) // 2])
+        noise = np.sqrt(2.0) * orientation_noise / float(np.median(self.intervals.lengths))
+        return bool(np.sqrt((now * now).sum(axis=1).mean()) >= TURNING_PER_NOISE * noise)
 
     def tolerance(self, way: Trajectory) -> float:
         """How far apart samples and poses are [s]: they do not tell shorter shifts."""

@@ -14,7 +14,7 @@ from sceneloom.checks.recordings.orientation_readings import (
     orientation_readings,
     read_orientations,
 )
-from sceneloom.checks.recordings.turning import CleanSamples, PoseIntervals
+from sceneloom.checks.recordings.turning import CleanSamples, PoseIntervals, orientation_noise
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import ImuSensor, Trajectory, VectorSamples
 
@@ -127,6 +127,9 @@ class _Case:
             return None
         origin_ns = int(way.timestamps_ns[0])
         turning = Turning.of(intervals, CleanSamples.of(rates, origin_ns))
+        quaternions = read_orientations(AS_GIVEN, way.poses.quaternions_xyzw)
+        if turning is not None and not turning.is_above(orientation_noise(quaternions)):
+            turning = None
         gravity = Gravity.of(intervals, CleanSamples.of(forces, origin_ns))
         if turning is None and gravity is None:
             return None

@@ -20,6 +20,9 @@ LONGEST_INTERVAL = 1.0
 _MOST_INTERVALS = 2_000
 _TORN_FACTOR, _TORN_LENGTH = 5.0, 20.0
 """Samples beyond so many times what 99 % keep to, and longer than this, are blows or broken lines."""
+_ENOUGH_FOR_NOISE = 20_000
+_FROM_MEDIAN = 1.4826
+"""The deviation of a normal distribution is so many times the median of its absolute values."""
 _GAP_FACTOR = 5.5
 """So many usual intervals without a sample are a gap: what the IMU felt then is not known."""
 
@@ -66,6 +69,16 @@ class CleanSamples:
         known &= self.gaps[np.minimum(after + 1, len(self.gaps) - 1)] == self.gaps[before]
         means: Float64Array = np.where(known[:, None], integral / (stops - starts)[:, None], np.nan)
         return means
+
+    def noise(self, length: float) -> float:
+        """Deviation of means over so long [s] that comes from noise, all axes together.
+
+        Second differences of independent errors have six times their variance; what moves smoothly has none.
+        """
+        some = self.values[:_ENOUGH_FOR_NOISE]
+        each = _FROM_MEDIAN * np.median(np.abs(np.diff(some, 2, axis=0)), axis=0) / np.sqrt(6.0)
+        samples = max(1.0, length / float(np.median(np.diff(self.seconds[:_ENOUGH_FOR_NOISE]))))
+        return float(np.linalg.norm(each)) / float(np.sqrt(samples))
 
     def _place(self, seconds: Float64Array) -> Int64Array:
         found = np.searchsorted(self.seconds, seconds, side="right") - 1
@@ -143,6 +156,16 @@ class PoseIntervals:
         """Turn vectors, one per interval, by the orientation in its middle."""
         middle = (self.first + self.last) // 2
         return rotate_vectors(quaternions_xyzw[middle], vectors)
+
+
+def orientation_noise(quaternions_xyzw: Float64Array) -> float:
+    """Deviation of each orientation from those beside it, all axes together [rad]; see `CleanSamples.noise`."""
+    some = quaternions_xyzw[:_ENOUGH_FOR_NOISE]
+    steps = rotation_vector_from_quaternion(multiply_quaternions(conjugate_quaternion(some[:-1]), some[1:]))
+    if len(steps) < 2:
+        return 0.0
+    each = _FROM_MEDIAN * np.median(np.abs(np.diff(steps, axis=0)), axis=0) / np.sqrt(6.0)
+    return float(np.linalg.norm(each))
 
 
 def finite_rows(*arrays: Float64Array) -> BoolArray:

@@ -209,3 +209,46 @@ def test_a_wrong_convention_is_found_and_named(found, name):
     assert set(messages) == set(expected)
     for rule, words in expected.items():
         assert words in messages[rule]
+
+
+NOISE = np.random.default_rng(5)
+DEVICE = Rotation.from_euler("xyz", [90, 20, 50], degrees=True)
+WORLD = Rotation.from_euler("z", 130, degrees=True)
+
+
+def turned_device(line):
+    """Mount the whole device another way: its poses and its IMU turn together."""
+    line = poses(lambda p, r: (p, (r * DEVICE).as_quat()))(line)
+    for kind in ("gyroscope", "accelerometer"):
+        line = samples(kind, lambda v: DEVICE.inv().apply(v))(line)
+    return line
+
+
+SOUND = {
+    "another mounting": turned_device,
+    "a world turned about z": poses(lambda p, r: (WORLD.apply(p) + [90, -4, 7], (WORLD * r).as_quat())),
+    "a gyroscope full of noise": samples("gyroscope", lambda v: v + NOISE.standard_normal(3)),
+    "orientations full of noise": poses(
+        lambda p, r: (p, (r * Rotation.from_rotvec(0.03 * NOISE.standard_normal(3))).as_quat())
+    ),
+    "a biased IMU": samples("gyroscope", lambda v: v + [0.05, -0.05, 0.1]),
+    "positions with noise": poses(lambda p, r: (p + 0.5 * NOISE.standard_normal(3), r.as_quat())),
+}
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_nothing_is_said_of_what_is_allowed_or_only_noisy(found, name):
+    assert found(SOUND[name]) == {}
+
+
+def test_nothing_is_said_of_a_vehicle_that_stands(found):
+    standing = poses(lambda p, r: (0.0 * p, [0.0, 0.0, 0.0, 1.0]))
+    still = samples("gyroscope", lambda v: 0.002 * NOISE.standard_normal(3))
+    level = samples("accelerometer", lambda v: [0.1, 0.0, 9.81])
+
+    def planted(line):
+        if "gps" in line:
+            line["gps"].update(latitude=60.17, longitude=24.94, altitude=14.0)
+        return level(still(standing(line)))
+
+    assert found(planted) == {}

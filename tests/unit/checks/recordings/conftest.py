@@ -1,6 +1,7 @@
 """A sound recording, changed by each test in one thing, and what rules say about it."""
 
 import json
+import pickle
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -78,10 +79,18 @@ class SoundLines:
         return sorted(every, key=lambda line: line["time"])
 
 
+@pytest.fixture(scope="session")
+def sound_lines() -> bytes:
+    """A sound drive, to be copied."""
+    return pickle.dumps(SoundLines())
+
+
 @pytest.fixture
-def drive() -> SoundLines:
-    """The lines of a sound drive."""
-    return SoundLines()
+def drive(sound_lines: bytes) -> SoundLines:
+    """The lines of a sound drive, of the test's own."""
+    made = pickle.loads(sound_lines)
+    assert isinstance(made, SoundLines)
+    return made
 
 
 Write = Callable[..., Path]

@@ -122,3 +122,16 @@ def test_a_place_that_is_held_for_a_while_counts_though_its_accuracy_changes(tol
         line["gps"] = {**drive.streams["gps"][20]["gps"], "accuracy": 0.5 + 0.1 * k}
     [(_, message)] = told(drive, "values-repeated")
     assert "gps at 5.2" in message
+
+
+def test_lines_of_barometers_and_further_receivers_are_judged_too(written, drive, line_of):
+    pressure = {"barometer": {"pressureHectopascals": 101_325.0}, "time": 3.0}
+    place = {"latitude": 0.0, "longitude": 0.0, "altitude": 1.0, "accuracy": 0.02}
+    fix = {"rtkgps": place, "time": 4.0}
+    folder = written(sorted([*drive.lines(), pressure, fix], key=lambda line: line["time"]))
+    report = validate(folder, rules=["barometer-unit", "fixes-somewhere"])
+    assert [(f.rule, f.path) for f in report.findings] == [
+        ("barometer-unit", line_of(folder, pressure)),
+        ("fixes-somewhere", line_of(folder, fix)),
+    ]
+    assert "rtkgps at 4.000000 s" in report.findings[1].message

@@ -1,0 +1,66 @@
+"""`sceneloom sync`: its results for people and for machines."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sceneloom
+from sceneloom.simulate import LidarSpec, simulate_street
+
+Call = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of twenty seconds whose trajectory is 30 ms late."""
+    folder = tmp_path_factory.mktemp("clocks") / "late"
+    blind = LidarSpec(beams=1, steps=4, elevations_deg=(-1.0, 1.0))
+    scene = simulate_street(4, frames=200, lidar=blind, cameras=()).scene
+    way = scene.trajectories["groundTruth"]
+    moved = replace(way, timestamps_ns=way.timestamps_ns + 30_000_000)
+    sensors = tuple(s for s in scene.sensors if s.id == "imu")
+    sceneloom.write(
+        replace(scene, sensors=sensors, annotations=(), trajectories={"groundTruth": moved}), folder
+    )
+    return folder
+
+
+def test_sync_prints_a_table(call: Call, late: Path) -> None:
+    outcome = call("sync", late)
+    assert outcome.code == 0
+    assert "1 stream off, against imu" in outcome.out
+    row = next(line for line in outcome.out.splitlines() if "groundTruth" in line)
+    assert row.split()[1:3] == ["imu", "turning"]
+    assert row.endswith("off")
+
+
+def test_sync_tells_machines(call: Call, late: Path) -> None:
+    outcome = call("sync", late, "--json", "--reference", "groundTruth")
+    report = json.loads(outcome.out)
+    estimate = report["comparisons"][0]["estimate"]
+    assert (report["off"], estimate["verdict"]) == (["imu"], "off")
+    assert abs(estimate["offset_ns"] + 3e7) < 2e6
+
+
+def test_sync_apply_writes_a_drive_in_step(call: Call, late: Path, tmp_path: Path) -> None:
+    outcome = call("sync", late, "--apply", tmp_path / "right")
+    assert outcome.code == 0
+    assert "corrected: groundTruth: -" in outcome.out
+    again = json.loads(call("sync", tmp_path / "right", "--json").out)
+    assert again["off"] == []
+
+
+def test_sync_never_replaces_unasked_and_knows_its_streams(call: Call, late: Path, tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    assert call("sync", late, "--apply", tmp_path / "there").code == 1
+    wrong = call("sync", late, "--streams", "imu,sonar")
+    assert (wrong.code, "sonar" in wrong.err, "groundTruth" in wrong.err) == (2, True, True)
+
+
+def test_sync_of_a_part_says_what_cannot_be_known(call: Call, late: Path) -> None:
+    outcome = call("sync", late, "--start", "3", "--stop", "3.5")
+    assert outcome.code in {0, 2}

@@ -1,0 +1,143 @@
+"""Streams on corrected clocks: all times of a stream move, nothing else does."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.editing.retiming import ClockCorrection, retimed_scene
+from sceneloom.errors import OptionError
+from sceneloom.scene import Box2DAnnotation, BoxPath, EventAnnotation
+from sceneloom.scene.types import key_of
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+LATE = ClockCorrection(30_000_000.0, 100.0, 1_000_000_000)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Four sweeps, a camera, an IMU, a receiver, boxes in space and in pictures."""
+    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
+    drive = simulate_street(1, frames=4, lidar=LidarSpec(beams=8, steps=60), cameras=(camera,)).scene
+    times = drive.sensor("camera0").pictures.timestamps_ns.copy()
+    boxes = Box2DAnnotation("box", "camera0", BoxPath(times, np.tile([1.0, 1.0, 5.0, 5.0], (len(times), 1))))
+    event = EventAnnotation("event", 1_100_000_000, sensor_id="lidar")
+    return replace(drive, annotations=(*drive.annotations, boxes, event))
+
+
+def by_hand(times):
+    """The formula of the docstring in whole numbers of a nanosecond."""
+    return np.array([t - 30_000_000 - round(1e-4 * (t - 30_000_000 - 1_000_000_000)) for t in times.tolist()])
+
+
+def corrected(scene, *ids):
+    return retimed_scene(scene, sensors={key_of(i): LATE for i in ids})
+
+
+def test_sweeps_move_with_their_points(scene):
+    before, after = scene.sensor("lidar").frames, corrected(scene, "lidar").sensor("lidar").frames
+    assert after.timestamps_ns.tolist() == by_hand(before.timestamps_ns).tolist()
+    for old, new in zip(before, after, strict=True):
+        assert new.timestamp_ns == by_hand(np.array([old.timestamp_ns]))[0]
+        assert new.points.timestamps_ns.tolist() == by_hand(old.points.timestamps_ns).tolist()
+        assert np.array_equal(new.points.positions, old.points.positions)
+
+
+def test_point_times_of_another_clock_stay(scene):
+    lidar = scene.sensor("lidar")
+    points = replace(lidar.frames[0].points, timestamps_ns=lidar.frames[0].points.timestamps_ns + 10**15)
+    frames = type(lidar.frames).of([replace(lidar.frames[0], points=points)], [lidar.frames[0].timestamp_ns])
+    strange = replace(scene, sensors=(replace(lidar, frames=frames),), annotations=())
+    moved = corrected(strange, "lidar").sensor("lidar").frames[0]
+    assert np.array_equal(moved.points.timestamps_ns, points.timestamps_ns)
+
+
+def test_pictures_samples_and_fixes_move(scene):
+    moved = corrected(scene, "camera0", "imu", "gnss")
+    for pick in (
+        lambda s: s.sensor("camera0").pictures.timestamps_ns,
+        lambda s: s.sensor("imu").streams["gyroscope"].timestamps_ns,
+        lambda s: s.sensor("imu").streams["accelerometer"].timestamps_ns,
+        lambda s: s.sensor("gnss").timestamps_ns,
+    ):
+        assert pick(moved).tolist() == by_hand(pick(scene)).tolist()
+    picture = moved.sensor("camera0").pictures[1]
+    assert picture.timestamp_ns == moved.sensor("camera0").pictures.timestamps_ns[1]
+    assert np.array_equal(picture.rgb, scene.sensor("camera0").pictures[1].rgb)
+
+
+def test_what_is_not_named_stays(scene):
+    moved = corrected(scene, "camera0")
+    assert moved.sensor("lidar") is scene.sensor("lidar")
+    assert moved.sensor("imu") is scene.sensor("imu")
+    assert moved.trajectories == scene.trajectories
+
+
+def test_annotations_go_with_what_they_were_drawn_in(scene):
+    cuboid = next(a for a in scene.annotations if a.type == "cuboid")
+    for ids, moves in ((("lidar",), ["cuboid", "event"]), (("camera0",), ["box_2d"]), (("imu",), [])):
+        moved = {a.id: a for a in corrected(scene, *ids).annotations}
+        for name, pick in (
+            ("cuboid", lambda a: a[cuboid.id].path.timestamps_ns),
+            ("box_2d", lambda a: a["box"].path.timestamps_ns),
+            ("event", lambda a: np.array([a["event"].start_ns])),
+        ):
+            was = pick({a.id: a for a in scene.annotations})
+            assert pick(moved).tolist() == (by_hand(was) if name in moves else was).tolist(), (ids, name)
+
+
+def test_poses_of_a_mounted_sensor_are_the_ways_at_its_right_times(scene):
+    moved = corrected(scene, "lidar")
+    lidar, way = moved.sensor("lidar"), scene.trajectories["groundTruth"].poses
+    times = lidar.frames.timestamps_ns[1:3]
+    ego, sensor = way.interpolate(times), lidar.poses.interpolate(times)
+    for k in range(2):
+        expected = ego.positions[k] + rotated(ego.quaternions_xyzw[k], lidar.mount.translation)
+        # poses are thinned to a millimetre
+        assert np.allclose(sensor.positions[k], expected, atol=2e-3)
+
+
+def rotated(quaternion_xyzw, vector):
+    return Rotation.from_quat(quaternion_xyzw).apply(np.array(vector))
+
+
+def test_a_trajectory_moves_and_takes_mounted_sensors_along(scene):
+    moved = retimed_scene(scene, trajectories={"groundTruth": ClockCorrection(50_000_000.0)})
+    before, after = scene.trajectories["groundTruth"], moved.trajectories["groundTruth"]
+    assert np.array_equal(after.timestamps_ns, before.timestamps_ns - 50_000_000)
+    time = scene.sensor("lidar").frames.timestamps_ns[1:2]
+    was = scene.sensor("lidar").poses.interpolate(time + 50_000_000).positions
+    # the path keeps within a millimetre of the way
+    assert np.allclose(moved.sensor("lidar").poses.interpolate(time).positions, was, atol=3e-3)
+
+
+def test_there_and_back_is_where_it_was():
+    times = np.arange(0, 10**12, 10**9)
+    there = ClockCorrection(-5e8, -120.0, 10**11).right(times)
+    back = ClockCorrection(5e8, 120.0, 10**11).right(there)
+    # (120 ppm)² of a thousand seconds is 15 µs, and offset times skew 60 µs
+    assert np.abs(back - times).max() < 80_000
+
+
+@pytest.mark.parametrize("suffix", ["drive", "drive.sfs"])
+def test_corrected_scenes_can_be_written_and_read_back(scene, tmp_path: Path, suffix):
+    moved = corrected(scene, "lidar", "camera0")
+    sceneloom.write(moved, tmp_path / suffix, **({"pictures": "png"} if suffix == "drive" else {}))
+    with sceneloom.open(tmp_path / suffix) as again:
+        for old, new in (
+            (moved.lidars[0].frames.timestamps_ns, again.lidars[0].frames.timestamps_ns),
+            (moved.cameras[0].pictures.timestamps_ns, again.cameras[0].pictures.timestamps_ns),
+        ):
+            # scene files count microseconds, and floor the stamps of sweeps
+            assert np.abs(old - new).max() <= 1_000
+
+
+def test_unknown_streams_are_refused(scene):
+    with pytest.raises(OptionError, match="nobody"):
+        corrected(scene, "nobody")
+    with pytest.raises(OptionError, match="nowhere"):
+        retimed_scene(scene, trajectories={"nowhere": LATE})

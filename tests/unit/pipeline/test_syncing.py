@@ -1,0 +1,121 @@
+"""The clocks of a whole drive: found, told, corrected, and in step afterwards."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.errors import OptionError, OutputError
+from sceneloom.motion.clock import ClockVerdict
+from sceneloom.pipeline import sync
+from sceneloom.pipeline.syncing import AppliedCorrection, corrected_scene
+from sceneloom.scene import Scene
+from sceneloom.simulate import Faults, GnssSpec, LidarSpec, SensorFaults, plant, simulate_street
+
+BLIND = LidarSpec(beams=1, steps=4, elevations_deg=(-1.0, 1.0))
+CHEAP = ("imu", "groundTruth", "gnss")
+"""Streams whose motion needs no sweeps."""
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return simulate_street(5, frames=300, lidar=BLIND, cameras=(), gnss=GnssSpec(horizontal_sigma=0.02))
+
+
+@pytest.fixture(scope="module")
+def wrong(drive) -> Scene:
+    """The trajectory 30 ms late, the receiver 400 ms early and 150 ppm too fast."""
+    faults = {"gnss": SensorFaults(time_offset_ns=-400_000_000, clock_skew_ppm=150.0)}
+    scene = plant(drive, Faults(faults)).scene
+    way = scene.trajectories["groundTruth"]
+    late = replace(way, timestamps_ns=way.timestamps_ns + 30_000_000)
+    return replace(scene, trajectories={"groundTruth": late})
+
+
+@pytest.fixture(scope="module")
+def report(wrong):
+    return sync(wrong, streams=CHEAP)
+
+
+def test_planted_offsets_are_told_against_the_imu(report):
+    assert report.reference == "imu"
+    assert set(report.off) == {"groundTruth", "gnss"}
+    way, receiver = (report.comparison(name).estimate for name in ("groundTruth", "gnss"))
+    # asked for are 5 ms
+    assert way.offset_ns == pytest.approx(3e7, abs=2e6)
+    assert abs(receiver.offset_ns + 4e8) < 4 * receiver.offset_sigma_ns
+
+
+def test_a_receiver_is_compared_with_the_trajectory_besides(report):
+    besides = [c for c in report.comparisons if c.reference == "groundTruth"]
+    assert [c.stream for c in besides] == ["gnss"]
+    # against a trajectory that is 30 ms late
+    assert besides[0].estimate.offset_ns == pytest.approx(-4.3e8 + 150e-6 * 1.5e10, abs=5e6)
+
+
+def test_the_corrected_drive_is_in_step_and_says_what_was_done(wrong, drive, tmp_path):
+    report = sync(wrong, tmp_path / "right", streams=CHEAP)
+    assert [c.stream for c in report.applied] == ["groundTruth", "gnss"]
+    assert report.applied[1].through == "groundTruth"
+    with sceneloom.open(tmp_path / "right") as right:
+        again = sync(right, streams=CHEAP)
+        assert again.off == ()
+        truth = drive.scene.sensor("gnss").timestamps_ns
+        # the receiver is known to a millisecond through the trajectory, its skew to some tens of ppm over 30 s
+        assert np.abs(right.sensor("gnss").timestamps_ns - truth).max() < 6_000_000
+        assert (
+            np.abs(
+                right.trajectories["groundTruth"].timestamps_ns
+                - drive.scene.trajectories["groundTruth"].timestamps_ns
+            ).max()
+            < 3_000_000
+        )
+
+
+def test_corrections_stand_in_notices_and_metadata(wrong):
+    correction = AppliedCorrection(stream="groundTruth", offset_ns=3e7, skew_ppm=0.0, at_ns=0)
+    changed = corrected_scene(wrong, [correction], reference="imu")
+    notice = changed.notices[-1]
+    assert (notice.code, notice.place) == ("clock-corrected", "groundTruth")
+    assert "-30.000 ms" in notice.message
+    assert changed.metadata["sceneloom"]["clocks"][0]["offset_ns"] == 3e7
+    assert corrected_scene(wrong, []) is wrong
+
+
+def test_another_reference_turns_the_signs(wrong):
+    report = sync(wrong, reference="groundTruth", streams=("imu",))
+    assert report.reference == "groundTruth"
+    assert report.comparison("imu").estimate.offset_ns == pytest.approx(-3e7, abs=2e6)
+
+
+def test_streams_that_are_not_there_are_named(wrong):
+    for more in ({"reference": "radar"}, {"streams": ("imu", "radar")}):
+        with pytest.raises(OptionError, match=r"radar.*groundTruth"):
+            sync(wrong, **more)
+    with pytest.raises(OptionError, match="no stream 'x'"):
+        corrected_scene(wrong, [AppliedCorrection(stream="x", offset_ns=0.0, skew_ppm=0.0, at_ns=0)])
+
+
+def test_an_output_that_exists_is_refused_before_anything_is_looked_at(wrong, tmp_path):
+    (tmp_path / "there.sfs").touch()
+    with pytest.raises(OutputError, match="exists"):
+        sync(wrong, tmp_path / "there.sfs", streams=CHEAP)
+
+
+def test_a_drive_without_streams_is_no_error():
+    report = sync(Scene(()))
+    assert (report.reference, report.comparisons) == (None, ())
+
+
+def test_a_lidar_is_compared_by_its_odometry():
+    faults = Faults({"lidar": SensorFaults(time_offset_ns=30_000_000)})
+    lidar = LidarSpec(beams=24, steps=360)
+    scene = simulate_street(2, frames=70, lidar=lidar, cameras=(), faults=faults).scene
+    told = []
+    report = sync(scene, streams=("lidar",), progress=lambda done, total: told.append((done, total)))
+    found = report.comparison("lidar").estimate
+    assert found.verdict is ClockVerdict.OFF
+    # asked for are 5 ms
+    assert found.offset_ns == pytest.approx(3e7, abs=5e6)
+    assert told[-1] == (70, 70)

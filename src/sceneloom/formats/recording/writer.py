@@ -69,7 +69,8 @@ def write_recording(
     with replacing(path, overwrite=overwrite, folder=True) as draft:
         losses = _RecordingWriter(plan, draft, pictures).write()
         for note in path.glob("README*"):
-            shutil.copy2(note, draft)
+            if note.is_file():
+                shutil.copy2(note, draft)
     return LossReport.of(losses)
 
 

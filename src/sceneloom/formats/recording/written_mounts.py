@@ -50,7 +50,7 @@ def mounting(
     turned = degrees(float(angle_between(relative.quaternions_xyzw, mount.quaternion_xyzw).max()))
     if moved > RIGID_WITHIN or turned > _TURNED_WITHIN_DEG:
         held = "as its mounting says" if sensor.mount is not None else "as at its first pose"
-        found = f"up to {moved:.2g} m and {turned:.2g} degrees"
+        found = f"up to {round(moved, 3):g} m and {round(turned, 3):g} degrees"
         what = f"taken to be mounted {held}, from which it moves {found} on the vehicle"
         losses.append(Loss(field=field, what=what))
     return mount, losses

@@ -10,9 +10,11 @@ from scipy.spatial.transform import Rotation
 from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.mounts import rigid_transform
 from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry
-from sceneloom.formats.recording.written_mounts import matrix_entry, mounting
+from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, PosePath, Scene
 
@@ -181,6 +183,33 @@ def test_a_sensor_that_moves_on_the_vehicle_is_reported():
     mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT, move=0.5)), ego_path())
     np.testing.assert_allclose(mount.matrix, MOUNT.matrix, atol=1e-12)
     assert "moves up to 0.5 m" in losses[0].what
+
+
+def test_poses_that_contradict_a_mounting_or_go_beyond_the_ego_s_way_are_reported():
+    raised = RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0, 0, 0.3]))
+    mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=raised), ego_path())
+    assert mount is raised
+    assert "up to 0.3 m and 0 degrees" in losses[0].what
+    turned = RigidTransform(
+        MOUNT.rotation @ Rotation.from_rotvec([0.01, 0, 0]).as_matrix(), MOUNT.translation
+    )
+    _, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=turned), ego_path())
+    assert "0.573 degrees" in losses[0].what
+    assert mounting(posed_camera(poses=sensor_path(MOUNT), mount=MOUNT), ego_path()) == (MOUNT, [])
+    short = PosePath(ego_path().timestamps_ns[:3], ego_path().positions[:3], ego_path().quaternions_xyzw[:3])
+    _, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=MOUNT), short)
+    assert [(loss.count, loss.what.split(":")[0]) for loss in losses] == [(2, "left out")]
+
+
+def test_the_numbers_of_a_mounting_that_was_read_are_kept_while_they_mean_it():
+    rows = MOUNT.inverse().matrix.tolist()
+    rows[0][3] = np.nextafter(rows[0][3], 9.0)
+    read = rigid_transform(rows, "", Ledger(lenient=False)).inverse()
+    assert mount_entry(read, {"imuToCameraMatrix": rows}, "imuToCamera", "imuToCameraMatrix") == rows
+    moved = RigidTransform(read.rotation, read.translation + 1.0)
+    assert mount_entry(moved, {"imuToCamera": rows}, "imuToCamera") == matrix_entry(moved.inverse())
+    for wrong in (None, "there", [1, 2], [[1.0] * 4] * 3, [["a"] * 4] * 4, [[float("nan")] * 4] * 4):
+        assert mount_entry(read, {"imuToCamera": wrong}, "imuToCamera") == matrix_entry(read.inverse())
 
 
 def test_without_any_poses_there_is_no_mounting():

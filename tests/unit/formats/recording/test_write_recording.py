@@ -1,6 +1,7 @@
 """Scenes become recordings whose files hold what the description of the format says, and nothing else is touched."""
 
 import gc
+import io
 import json
 import struct
 import weakref
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, OptionError, OutputError, PoseError
+from sceneloom.formats.recording.scene_from_recording import open_recording
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
@@ -259,8 +261,8 @@ def test_odd_pictures_lose_a_line_in_h264_and_say_so(tmp_path):
     assert read_video(tmp_path / "drive" / "data.mkv")[0].shape == (16, 32, 3)
 
 
-def encoded(tmp_path, codec="libx264", count=4):
-    path = tmp_path / f"{codec}.mkv"
+def encoded(tmp_path, codec="libx264", count=4, container="mkv"):
+    path = tmp_path / f"{codec}.{container}"
     with av.open(str(path), "w") as output:
         stream = output.add_stream(codec, rate=10)
         stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
@@ -286,6 +288,34 @@ def test_a_camera_s_own_video_is_copied_packet_by_packet(tmp_path, codec, pictur
     assert (packets_of(tmp_path / "drive" / "data.mkv") == packets_of(path)) == copied
     assert (not losses_of(report)) == copied
     assert len(read_video(tmp_path / "drive" / "data.mkv")) == 4
+
+
+@pytest.mark.parametrize("codec", ["libx264", "libx265"])
+def test_a_video_out_of_a_scene_file_is_copied_into_another_container(tmp_path, codec):
+    path = encoded(tmp_path, codec, container="mp4")
+    content = path.read_bytes()
+    video = VideoContent(lambda: io.BytesIO(content), "h264" if codec == "libx264" else "hevc")
+    report = write_recording(a_scene(a_camera(video=video)), tmp_path / "drive")
+    written = tmp_path / "drive" / "data.mkv"
+    assert packets_of(written) == packets_of(path)
+    assert written.read_bytes()[:4] == bytes.fromhex("1a45dfa3")
+    assert losses_of(report) == {}
+
+
+def test_a_matroska_file_is_copied_byte_by_byte(tmp_path):
+    path = encoded(tmp_path)
+    video = VideoContent(lambda: path.open("rb"), "h264")
+    write_recording(a_scene(a_camera(video=video)), tmp_path / "drive")
+    assert (tmp_path / "drive" / "data.mkv").read_bytes() == path.read_bytes()
+
+
+def test_a_recording_can_take_its_own_place(tmp_path):
+    write_recording(whole_scene(), tmp_path / "drive")
+    before = {path: path.read_bytes() for path in (tmp_path / "drive").rglob("*") if path.is_file()}
+    with open_recording(tmp_path / "drive") as scene:
+        write_recording(scene, tmp_path / "drive", overwrite=True)
+    after = {path: path.read_bytes() for path in (tmp_path / "drive").rglob("*") if path.is_file()}
+    assert after == before
 
 
 def test_a_video_of_which_not_all_pictures_belong_to_the_camera_is_encoded(tmp_path):

@@ -17,6 +17,7 @@ RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.recordings.imu_values",
     "sceneloom.checks.recordings.sensor_values",
     "sceneloom.checks.recordings.fixes",
+    "sceneloom.checks.recordings.fixes_turning",
     "sceneloom.checks.recordings.pose_steps",
     "sceneloom.checks.recordings.configuration",
     "sceneloom.checks.recordings.frame_lines",

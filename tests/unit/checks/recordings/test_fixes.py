@@ -1,5 +1,7 @@
 """Rules about fixes of satellite receivers."""
 
+import math
+
 import pytest
 
 from sceneloom.checks import validate
@@ -94,3 +96,32 @@ def test_swerving_as_hard_as_tyres_allow_is_no_jump(findings, drive):
     for k, line in enumerate(drive.streams["gps"]):
         line["gps"]["longitude"] = 24.94 + 0.5 * 8.0 * (k / 5) ** 2 / 55_500
     assert findings(drive) == ()
+
+
+def winding(drive, *, exchanged=False, down=False):
+    """A way that winds 50 degrees to the left and to the right, at 10 m/s."""
+    for line in drive.streams["gyroscope"]:
+        line["sensor"]["values"] = [0.0, 0.0, 0.87 * math.cos(line["time"])]
+    east = north = 0.0
+    for line in drive.streams["gps"]:
+        course = 0.87 * math.sin(line["time"])
+        east, north = east + 2.0 * math.cos(course), north + 2.0 * math.sin(course)
+        latitude, longitude = 48.0 + north / 111_200, 11.0 + east / 74_600
+        places = (longitude, latitude) if exchanged else (latitude, longitude)
+        line["gps"].update(latitude=places[0], longitude=places[1], accuracy=0.1)
+    for line in drive.streams["accelerometer"] if down else []:
+        line["sensor"]["values"] = [-value for value in line["sensor"]["values"]]
+    return drive
+
+
+@pytest.mark.parametrize(
+    ("wrong", "is_told"), [({}, False), ({"exchanged": True}, True), ({"down": True}, True)]
+)
+def test_a_way_that_turns_to_the_other_side_is_told(told, drive, wrong, is_told):
+    found = told(winding(drive, **wrong), "fixes-mirrored")
+    assert [place for place, _ in found] == (["data.jsonl: gps"] if is_told else [])
+    assert all("are latitude and longitude exchanged" in message for _, message in found)
+
+
+def test_a_straight_way_tells_no_side(told, drive):
+    assert told(drive, "fixes-mirrored") == []

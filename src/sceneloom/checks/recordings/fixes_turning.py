@@ -1,0 +1,109 @@
+"""A rule about the way that fixes turn: to the side to which the gyroscope does, or something is mirrored.
+
+Latitude and longitude that are exchanged lie on the earth, too, and so do the places that they make; but a way that is
+mirrored turns left where the vehicle turned right.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.checks.recordings.streams import Kind, Stream, streams_of_kind
+from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.subject import Subject
+from sceneloom.geometry.geodesy import enu_from_geodetic
+from sceneloom.scene import Severity
+
+LEAST_CORRELATION = -0.8
+"""Turns that correlate worse were taken to the other side."""
+
+_FEWEST_TURNS = 6
+_LEAST_TURN = 0.1
+"""Root mean square of the turns from leg to leg [rad] that tell a side."""
+
+_SHORTEST_LEG = 5.0
+_LEG_SIGMAS = 10.0
+"""Legs are longer than this [m], and than so many accuracies of the fixes that bound them."""
+
+_SHARPEST_TURN = 1.0
+"""Between legs that differ by more [rad] the way is not known: it may have turned to either side."""
+
+_MOST_FIXES = 4_000
+
+
+def _mirrored(subject: Subject) -> Iterator[Hit]:
+    streams = {stream.kind: stream for stream in streams_of_kind(subject, Kind.GYROSCOPE, Kind.ACCELEROMETER)}
+    if len(streams) < 2:
+        return
+    seconds, turned = _turned_left(streams[Kind.GYROSCOPE], streams[Kind.ACCELEROMETER])
+    for fixes in streams_of_kind(subject, Kind.GNSS):
+        told = _turns_of(fixes)
+        if len(seconds) < 2 or told is None:
+            continue
+        times, turns = told
+        measured = np.diff(np.interp(times, seconds, turned))
+        known = (np.abs(turns) < _SHARPEST_TURN) & (times[:-1] >= seconds[0]) & (times[1:] <= seconds[-1])
+        turns, measured = turns[known], measured[known]
+        if len(turns) < _FEWEST_TURNS or np.sqrt((measured * measured).mean()) < _LEAST_TURN:
+            continue
+        length = float(np.sqrt((turns * turns).sum() * (measured * measured).sum()))
+        found = float((turns * measured).sum()) / length if length > 0 else 0.0
+        if found < LEAST_CORRELATION:
+            problem = (
+                f"{len(turns)} turns of the way correlate by {found:.2f} with those that the gyroscope measured about "
+                "the accelerometer's up: are latitude and longitude exchanged, or do accelerations point down at rest?"
+            )
+            yield Hit(fixes.whole, problem)
+
+
+def _turned_left(gyroscope: Stream, accelerometer: Stream) -> tuple[Float64Array, Float64Array]:
+    """How far the device had turned about its up at each sample of the gyroscope [rad]."""
+    up = accelerometer.values.mean(axis=0)
+    length = float(np.linalg.norm(up))
+    if not 0 < length < np.inf:
+        return np.zeros(0), np.zeros(0)
+    rates = gyroscope.values @ (up / length)
+    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(gyroscope.seconds)
+    return gyroscope.seconds, np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _turns_of(fixes: Stream) -> tuple[Float64Array, Float64Array] | None:
+    """The times in the middle of each leg, (L,) [s], and the turns between them to the left, (L - 1,) [rad]."""
+    latitudes, longitudes = fixes.values[:, 0], fixes.values[:, 1]
+    usable = np.flatnonzero((np.abs(latitudes) <= 90) & (np.abs(longitudes) <= 180))
+    usable = usable[np.diff(fixes.seconds[usable], prepend=-np.inf) > 0]
+    usable = usable[:: len(usable) // _MOST_FIXES + 1]
+    if len(usable) <= _FEWEST_TURNS:
+        return None
+    lla = np.column_stack([fixes.values[usable, :2], np.zeros(len(usable))])
+    places, seconds = enu_from_geodetic(lla, lla[0])[:, :2], fixes.seconds[usable]
+    accuracies = fixes.values[usable, 3]
+    said = accuracies[accuracies > 0]
+    ends = _ends_of_legs(
+        places, max(_SHORTEST_LEG, _LEG_SIGMAS * float(np.median(said)) if len(said) else 0.0)
+    )
+    legs = np.diff(places[ends], axis=0)
+    courses = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
+    return 0.5 * (seconds[ends[1:]] + seconds[ends[:-1]]), np.diff(courses)
+
+
+def _ends_of_legs(places: Float64Array, shortest: float) -> Int64Array:
+    """Fixes that each lie so far from the one before, (L + 1,) int64."""
+    ends, (east, north) = [0], places[0].tolist()
+    for row, (x, y) in enumerate(places.tolist()):
+        if (x - east) ** 2 + (y - north) ** 2 >= shortest * shortest:
+            ends.append(row)
+            east, north = x, y
+    return np.array(ends, np.int64)
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "fixes-mirrored",
+        Severity.WARNING,
+        "The way of the fixes turns to the side to which the gyroscope turns: they do not correlate by less than -0.8.",
+        "See whether latitude and longitude are exchanged, and whether the accelerometer points up at rest.",
+        find=_mirrored,
+    ),
+)

@@ -22,8 +22,9 @@ LEAST_CORRELATION = 0.8
 """Turn rates of orientations and of the gyroscope that correlate less do not tell the same motion."""
 GREATEST_TILT_DEG = 25.0
 """So far off up the mean of the accelerometer may be: a vehicle that brakes all the time leaves 20°."""
-LEAST_COHERENCE = 0.8
-"""The accelerometer's mean in the world has to be this part of its mean length: gravity does not turn with a device."""
+LEAST_COHERENCE = 0.6
+"""The accelerometer's mean in the world has to be this part of its mean length: gravity does not turn with a device,
+and hard turns all the time leave 0.8."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ import numpy as np
 from sceneloom.checks.recordings.exchanged_axes import axes_in_words, best_axes
 from sceneloom.checks.recordings.pose_verdicts import (
     GREATEST_TILT_DEG,
+    LEAST_COHERENCE,
     LEAST_CORRELATION,
     PoseVerdict,
     pose_verdicts,
@@ -32,7 +33,8 @@ def _gravity(subject: Subject) -> Iterator[Hit]:
         x, y, z = given.up / given.coherence
         told = (
             f"the accelerometer's mean, turned into the world, points to {x:.2f}, {y:.2f}, {z:.2f}, "
-            f"{given.tilt_deg:.0f}° off up; expected 0, 0, 1 within {GREATEST_TILT_DEG:.0f}°"
+            f"{given.tilt_deg:.0f}° off up, and is {given.coherence:.0%} as long as in the device; expected 0, 0, 1 "
+            f"within {GREATEST_TILT_DEG:.0f}°, and {LEAST_COHERENCE:.0%} or more"
         )
         yield Hit(_place(verdict), f"{told}{_reason(verdict) or _reason_of_tilt(verdict)}")
 

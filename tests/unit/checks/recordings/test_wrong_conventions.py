@@ -226,12 +226,14 @@ def turned_device(line):
 
 SOUND = {
     "another mounting": turned_device,
-    "a world turned about z": poses(lambda p, r: (WORLD.apply(p) + [90, -4, 7], (WORLD * r).as_quat())),
+    "a world turned about z": poses(
+        lambda p, r: (WORLD.apply(p) + np.array([90, -4, 7]), (WORLD * r).as_quat())
+    ),
     "a gyroscope full of noise": samples("gyroscope", lambda v: v + NOISE.standard_normal(3)),
     "orientations full of noise": poses(
         lambda p, r: (p, (r * Rotation.from_rotvec(0.03 * NOISE.standard_normal(3))).as_quat())
     ),
-    "a biased IMU": samples("gyroscope", lambda v: v + [0.05, -0.05, 0.1]),
+    "a biased IMU": samples("gyroscope", lambda v: v + np.array([0.05, -0.05, 0.1])),
     "positions with noise": poses(lambda p, r: (p + 0.5 * NOISE.standard_normal(3), r.as_quat())),
 }
 

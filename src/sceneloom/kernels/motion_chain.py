@@ -112,28 +112,37 @@ def _turn_residual(
             )
 
 
-@numba.njit(float64(_V, _READ_1D, _T, _T, _M, int64), **INNER)
-def _add_walk(
-    residual: Float64Array, walk: Float64Array, blocks: Float64Array, couplings: Float64Array,
-    right: Float64Array, i: int,
-) -> float:  # fmt: skip
-    """Add that the biases of neighbouring states are alike: changes in rows 9-14 of the residual."""
+@numba.njit(float64(_READ_2D, _READ_2D, _T, _T, _M), **_COMPILED)
+def add_walk(
+    biases: Float64Array,
+    walk: Float64Array,
+    blocks: Float64Array,
+    couplings: Float64Array,
+    right: Float64Array,
+) -> float:
+    """Add that the biases of neighbouring states are alike.
+
+    Args:
+        biases: (K, 6); walk: (K - 1, 6) inverse variances of their changes.
+        blocks, couplings, right: normal equations, added to.
+    """
     cost = 0.0
-    for at in range(9, 15):
-        drift, w = residual[at], walk[at - 9]
-        cost += w * drift * drift
-        blocks[i, at, at] += w
-        blocks[i + 1, at, at] += w
-        couplings[i, at, at] -= w
-        right[i, at] += w * drift
-        right[i + 1, at] -= w * drift
+    for i in range(walk.shape[0]):
+        for k in range(6):
+            at, w, drift = 9 + k, walk[i, k], biases[i + 1, k] - biases[i, k]
+            cost += w * drift * drift
+            blocks[i, at, at] += w
+            blocks[i + 1, at, at] += w
+            couplings[i, at, at] -= w
+            right[i, at] += w * drift
+            right[i + 1, at] -= w * drift
     return cost
 
 
 @numba.njit(
     float64(
         _READ_3D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, float64, _PLACES, _READ_3D, _READ_2D, _READ_2D, _READ_3D,
-        _READ_3D, _READ_2D, _READ_2D, _T, _T, _M, _M,
+        _READ_3D, _READ_2D, _T, _T, _M,
     ),
     **_COMPILED,
 )  # fmt: skip
@@ -141,8 +150,7 @@ def add_inertial(
     rotations: Float64Array, positions: Float64Array, velocities: Float64Array, biases: Float64Array,
     seconds: Float64Array, gravity: float, places: Int64Array, turns: Float64Array, gains: Float64Array,
     ways: Float64Array, slopes: Float64Array, information: Float64Array, linearised: Float64Array,
-    walk: Float64Array, blocks: Float64Array, couplings: Float64Array, right: Float64Array,
-    residuals: Float64Array,
+    blocks: Float64Array, couplings: Float64Array, right: Float64Array,
 ) -> float:  # fmt: skip
     """Add what an IMU measured between neighbouring states.
 
@@ -150,10 +158,9 @@ def add_inertial(
         rotations: (K, 3, 3) `world_from_body`; positions, velocities: (K, 3); biases: (K, 6).
         seconds: (K - 1,) between the states; gravity: down the world's z axis [m/s²].
         places: (F,) numbers of the states at which measured intervals begin.
-        turns, gains, ways, slopes: (F, …) as `preintegrate` gives them for biases `linearised`, (F, 6).
-        information: (F, 9, 9) of turn, velocity, position; walk: (F, 6) inverse variance of the biases' changes.
+        turns, gains, ways, slopes: (K - 1, …) as `preintegrate` gives them for biases `linearised`, (K - 1, 6).
+        information: (K - 1, 9, 9) of turn, velocity, position.
         blocks, couplings, right: normal equations, added to.
-        residuals: (F, 15), written here: turn, velocity, position, changes of the biases.
 
     Returns:
         The sum of squares of the residuals, weighted.
@@ -169,8 +176,8 @@ def add_inertial(
         first[:, :] = 0.0
         second[:, :] = 0.0
         for k in range(6):
-            change[k] = biases[i, k] - linearised[f, k]
-        _turn_residual(rotation, rotations[i + 1], turns[f], slopes[f, 0:3], change, residual, first, second)
+            change[k] = biases[i, k] - linearised[i, k]
+        _turn_residual(rotation, rotations[i + 1], turns[i], slopes[i, 0:3], change, residual, first, second)
         for a in range(3):
             speed, way = 0.0, 0.0
             for k in range(3):
@@ -192,21 +199,17 @@ def add_inertial(
             first[row + 1, 0], first[row + 1, 2] = z, -x
             first[row + 2, 0], first[row + 2, 1] = -y, x
         for a in range(3):
-            residual[3 + a] -= gains[f, a]
-            residual[6 + a] -= ways[f, a]
+            residual[3 + a] -= gains[i, a]
+            residual[6 + a] -= ways[i, a]
             for k in range(6):
-                residual[3 + a] -= slopes[f, 3 + a, k] * change[k]
-                residual[6 + a] -= slopes[f, 6 + a, k] * change[k]
-                first[3 + a, 9 + k] = -slopes[f, 3 + a, k]
-                first[6 + a, 9 + k] = -slopes[f, 6 + a, k]
-        _add_pair(first, second, information[f], residual, blocks, couplings, right, i)
+                residual[3 + a] -= slopes[i, 3 + a, k] * change[k]
+                residual[6 + a] -= slopes[i, 6 + a, k] * change[k]
+                first[3 + a, 9 + k] = -slopes[i, 3 + a, k]
+                first[6 + a, 9 + k] = -slopes[i, 6 + a, k]
+        _add_pair(first, second, information[i], residual, blocks, couplings, right, i)
         for a in range(9):
-            residuals[f, a] = residual[a]
             for b in range(9):
-                cost += residual[a] * information[f, a, b] * residual[b]
-        for k in range(6):
-            residuals[f, 9 + k] = biases[i + 1, k] - biases[i, k]
-        cost += _add_walk(residuals[f], walk[f], blocks, couplings, right, i)
+                cost += residual[a] * information[i, a, b] * residual[b]
     return cost
 
 

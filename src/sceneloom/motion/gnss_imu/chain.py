@@ -277,14 +277,13 @@ def _add_motion(
     chain: Chain, states: States, normal: tuple[Float64Array, Float64Array, Float64Array]
 ) -> float:
     settings, seconds, inertial = chain.settings, chain.seconds, chain.inertial
-    everywhere = np.arange(len(seconds))
     walks = np.repeat([settings.gyroscope_walk, settings.accelerometer_walk], 3)
     walk = 1.0 / (seconds[:, None] * walks**2)
-    residuals = np.empty((len(seconds), SIZE))
-    cost = kernels.add_inertial(
-        states.rotations, states.positions, states.velocities, states.biases, seconds, chain.gravity, everywhere,
-        inertial.turns, inertial.gains, inertial.ways, inertial.slopes, chain.information, inertial.biases, walk,
-        *normal, residuals,
+    cost = kernels.add_walk(states.biases, walk, *normal)
+    cost += kernels.add_inertial(
+        states.rotations, states.positions, states.velocities, states.biases, seconds, chain.gravity,
+        np.flatnonzero(chain.measured), inertial.turns, inertial.gains, inertial.ways, inertial.slopes,
+        chain.information, inertial.biases, *normal,
     )  # fmt: skip
     coasting = np.flatnonzero(~chain.measured)
     if len(coasting) == 0:

@@ -13,6 +13,9 @@ from sceneloom.motion.clock.way_clock import LEVER_SIGMA, compare_ways
 from sceneloom.scene import Trajectory, VectorSamples
 from sceneloom.scene.types import Progress
 
+_KNOWN_LEVER_SIGMA = 0.05
+"""How well a stated mounting of an antenna is known on each axis [m]."""
+
 
 class Method(StrEnum):
     """By what two streams were compared."""
@@ -36,7 +39,8 @@ def compare_streams(
 
     Args:
         reach_ns: offsets up to this are looked for [ns].
-        lever_sigma: how far from the ego's origin a receiver's antenna may be on each axis [m].
+        lever_sigma: how far from the ego's origin a receiver's antenna may be on each axis, where no mounting is
+            stated [m].
         progress: told while pictures or sweeps are looked at.
     """
     if not stream.meets(reference, reach_ns):
@@ -72,10 +76,8 @@ def _by_way(
     reference: MotionTold, stream: MotionTold, *, reach_ns: int, lever_sigma: float
 ) -> ClockEstimate | None:
     """Compare fixes with a way, where one has the one and the other the other."""
-    for fixes, way, fixes_are_reference in (
-        (stream.fixes, reference.way, False),
-        (reference.fixes, stream.way, True),
-    ):
+    for told, way, fixes_are_reference in ((stream, reference.way, False), (reference, stream.way, True)):
+        fixes = told.fixes
         if fixes is not None and way is not None and len(fixes):
             origin_ns = int(fixes.timestamps_ns[0])
             return compare_ways(
@@ -84,7 +86,8 @@ def _by_way(
                 origin_ns=origin_ns,
                 fixes_are_reference=fixes_are_reference,
                 reach_ns=reach_ns,
-                lever_sigma=lever_sigma,
+                lever=told.place,
+                lever_sigma=lever_sigma if told.place is None else min(lever_sigma, _KNOWN_LEVER_SIGMA),
             )
     return None
 

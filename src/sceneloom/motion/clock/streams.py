@@ -44,6 +44,7 @@ class MotionTold:
         fixes: where it was, or None.
         way: makes the way from the time that its seconds count from, or None.
         ego_from_body: (3, 3), the rotation from the body that turns into the ego's frame, as far as it is known.
+        place: (3,) [m], where on the ego the fixes are of, where that is known.
         why_not: why it tells nothing.
     """
 
@@ -51,6 +52,7 @@ class MotionTold:
     fixes: Fixes | None = None
     way: Callable[[int], Way] | None = None
     ego_from_body: Float64Array | None = None
+    place: Float64Array | None = None
     why_not: str = ""
 
 
@@ -163,7 +165,11 @@ def _of_camera(stream: Stream, progress: Progress | None) -> MotionTold:
 
 def _of_receiver(stream: Stream, progress: Progress | None) -> MotionTold:
     del progress
-    return MotionTold(fixes=Fixes.of_receiver(stream.source))
+    receiver: GnssSensor = stream.source
+    return MotionTold(
+        fixes=Fixes.of_receiver(receiver),
+        place=None if receiver.mount is None else receiver.mount.translation,
+    )
 
 
 _TELLERS: Mapping[StreamKind, Callable[[Stream, Progress | None], MotionTold]] = MappingProxyType(

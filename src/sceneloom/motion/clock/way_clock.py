@@ -35,6 +35,7 @@ def compare_ways(
     origin_ns: int,
     fixes_are_reference: bool,
     reach_ns: int,
+    lever: Float64Array | None = None,
     lever_sigma: float = LEVER_SIGMA,
 ) -> ClockEstimate:
     """Find the offset and the skew between fixes and a way of the same body.
@@ -50,7 +51,8 @@ def compare_ways(
         origin_ns: where the way's seconds count from.
         fixes_are_reference: which of both clocks is taken for the right one.
         reach_ns: offsets up to this are looked for [ns].
-        lever_sigma: how far from the way's body the fixes' body may be on each axis [m].
+        lever: (3,) where on the body of the way the fixes are of [m]; None for its origin.
+        lever_sigma: how far from there they may be on each axis [m].
 
     Source: linear amounts are eliminated as in Golub and Pereyra 1973, "The Differentiation of Pseudo-Inverses and
     Nonlinear Least Squares Problems Whose Variables Separate".
@@ -68,9 +70,10 @@ def compare_ways(
         )
     priors = np.array([*_PRIORS, *[max(lever_sigma, 1e-6)] * 3])
     candidates = []
+    place = np.zeros(3) if lever is None else lever
     reach = min(reach_ns * 1e-9, common / 2)
     for lag in _lags(model, reach):
-        found = fit(model, np.array([lag, 0.0, 0.0, 0.0, 0.0]), priors, model.windows)
+        found = fit(model, np.array([lag, 0.0, *place]), priors, model.windows)
         if found is not None and abs(found.parameters[0]) <= reach + 2 * _LAG:
             candidates.append(_candidate(model, found, common))
     return concluded(candidates, clocks)

@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.clock import ClockVerdict
 from sceneloom.motion.clock.scene_clocks import Method, compare_streams
 from sceneloom.motion.clock.streams import streams_of
@@ -118,3 +121,17 @@ def test_too_few_fixes_are_named(scene, kept):
     found = compared(with_receiver(scene, few), "groundTruth")[1]
     assert found.verdict is ClockVerdict.NOT_OBSERVABLE
     assert "fixes" in found.reason or "in common" in found.reason
+
+
+def test_a_stated_antenna_is_believed(scene):
+    receiver, way = scene.sensor("gnss"), scene.trajectories["groundTruth"].poses
+    arm, origin = np.array([1.5, -0.4, 1.2]), receiver.positions_lla[0]
+    turns = Rotation.from_quat(way.held(receiver.timestamps_ns).quaternions_xyzw)
+    moved = enu_from_geodetic(receiver.positions_lla, origin) + turns.apply(arm)
+    mount = RigidTransform(np.eye(3), arm)
+    away = replace(receiver, positions_lla=geodetic_from_enu(moved, origin), mount=mount)
+    stated = compared(with_receiver(scene, away), "groundTruth")[1]
+    # 1.5 m ahead is a fifth of a second at the drive's speed
+    assert stated.offset_ns == pytest.approx(0, abs=4e6)
+    silent = compared(with_receiver(scene, replace(away, mount=None)), "groundTruth", lever_sigma=0.0)[1]
+    assert abs(silent.offset_ns) > 5e7

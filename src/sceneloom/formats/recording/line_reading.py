@@ -6,7 +6,7 @@ from math import nan
 from typing import Any
 
 import msgspec
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
 from sceneloom.formats.recording.columns import (
     SEVERAL,
@@ -23,6 +23,7 @@ from sceneloom.formats.recording.line_shapes import (
     ExactGnssFix,
     ExactLine,
     ExactPose,
+    ExactQuaternion,
     FrequentLine,
     GnssFix,
     Line,
@@ -44,6 +45,8 @@ _GROUND_TRUTH = ("groundTruth", "groundTruth")
 _NO_SUBJECT = {"time", "number"}
 _FIXED_KEYS = frozenset({"rtkgps", "groundTruth", "pose"})
 """Root keys that hold poses or fixes, beside `gps`."""
+
+_NO_TURN = ExactQuaternion(nan, nan, nan, nan)
 
 _Bound = tuple["array[float]", "array[float]", int, int]
 
@@ -117,12 +120,11 @@ class LineReader:
             self._take_exact(line)
             return
         position, turn = pose.position, pose.orientation
-        values = [position.x, position.y, position.z, nan, nan, nan, nan]
-        if turn is not UNSET:
-            values[3:] = turn.x, turn.y, turn.z, turn.w
+        if isinstance(turn, UnsetType):
+            turn = _NO_TURN
         samples, codes = trajectory.samples, self.columns.log.codes
         samples.seconds.append(line.time)
-        samples.values.fromlist(values)
+        samples.values.fromlist([position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w])
         codes.append(samples.code)
         trajectory.lines.append(len(codes))
 

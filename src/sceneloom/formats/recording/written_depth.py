@@ -48,9 +48,9 @@ def to_steps(depth: Float32Array, scale: float) -> SteppedDepth:
     whole = np.rint(exact)
     whole[(exact > 0) & (whole == 0)] = 1
     holdable = (whole >= 0) & (whole <= _LARGEST)
-    rounded = holdable & (np.abs(exact - whole) > _OFF_STEP)
-    steps = np.where(holdable, whole, 0).astype(np.uint16)
-    return SteppedDepth(steps, int(rounded.sum()), int((~holdable).sum()))
+    exact, whole = np.where(holdable, exact, 0.0), np.where(holdable, whole, 0.0)
+    rounded = int(np.count_nonzero(np.abs(exact - whole) > _OFF_STEP))
+    return SteppedDepth(whole.astype(np.uint16), rounded, int((~holdable).sum()))
 
 
 def common_scale(sensor: DepthCameraSensor) -> float:
@@ -63,7 +63,7 @@ def common_scale(sensor: DepthCameraSensor) -> float:
         if frame.scale is None:
             depth = frame.depth
             largest = max(largest, float(depth[np.isfinite(depth)].max(initial=0.0)))
-    return next((scale for scale in DEPTH_STEPS if largest <= scale * _LARGEST), DEPTH_STEPS[-1])
+    return next((scale for scale in DEPTH_STEPS if round(largest / scale) <= _LARGEST), DEPTH_STEPS[-1])
 
 
 class DepthVideo:

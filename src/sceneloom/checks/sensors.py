@@ -27,8 +27,8 @@ Key = tuple[type, Identifier]
 
 
 def _nothing(subject: Subject) -> Iterator[Hit]:
-    if not (subject.scene.sensors or subject.scene.annotations):
-        yield Hit("sensors", "neither a sensor nor an annotation")
+    if subject.holds_nothing:
+        yield Hit("sensors", "neither a sensor nor an annotation nor a trajectory")
 
 
 def _count(sensor: Sensor) -> int | None:
@@ -134,7 +134,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "scene-not-empty",
         Severity.WARNING,
-        "A scene has a sensor or an annotation.",
+        "A scene has a sensor, an annotation or a trajectory.",
         "See whether the sensors stand where the format wants them.",
         find=_nothing,
     ),

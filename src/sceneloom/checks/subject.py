@@ -87,6 +87,11 @@ class Subject:
         return self.recording is not None or (self.scene.format == "recording" and bool(self.faults))
 
     @property
+    def holds_nothing(self) -> bool:
+        """Whether the scene has nothing in it that a rule could look at."""
+        return not (self.scene.sensors or self.scene.annotations or self.scene.trajectories)
+
+    @property
     def remarks(self) -> Sequence[Notice]:
         """What the reader remarked; of a scene file not what was remarked when it was made."""
         return self.scene.notices if self.notices is None else self.notices

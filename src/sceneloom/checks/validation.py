@@ -39,7 +39,7 @@ class _Terms:
 
     def hits(self, subject: Subject) -> Hits:
         """Run the rules; of what could not be read at all, only those that say why."""
-        if subject.faults and not (subject.scene.sensors or subject.scene.annotations):
+        if subject.faults and subject.holds_nothing:
             told = {rule.id for rule in (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)}
             return find_all(subject, [rule for rule in self.rules if rule.id in told], frames=False)
         return find_all(subject, self.rules, frames=self.frames, progress=self.progress)
@@ -122,8 +122,7 @@ def validate(
 
 def _can_be_written(subject: Subject) -> bool:
     """Whether the scene means what its file means: not if its clock, say, had to be guessed."""
-    is_empty = not (subject.scene.sensors or subject.scene.annotations)
-    return not any(fault.vital for fault in subject.faults) and not (subject.faults and is_empty)
+    return not any(fault.vital for fault in subject.faults) and not (subject.faults and subject.holds_nothing)
 
 
 def _remarks(faults: Sequence[PlacedFault]) -> tuple[Notice, ...]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sceneloom.checks.recordings.streams import DATA_FILE, Kind, streams_of, streams_of_kind
+from sceneloom.checks.recordings.streams import Kind, streams_of, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
@@ -12,17 +12,17 @@ _IMU = (Kind.ACCELEROMETER, Kind.GYROSCOPE)
 
 
 def _without_imu(subject: Subject) -> Iterator[Hit]:
-    if not streams_of(subject):
+    if subject.recording is None or subject.recording.alone or not streams_of(subject):
         return
     there = {stream.kind for stream in streams_of_kind(subject, *_IMU)}
     lacking = [kind.value for kind in _IMU if kind not in there]
     if lacking:
-        yield Hit(DATA_FILE, f"no {' and no '.join(lacking)} lines")
+        yield Hit(subject.recording.data_name, f"no {' and no '.join(lacking)} lines")
 
 
 def _without_calibration(subject: Subject) -> Iterator[Hit]:
     """A recording without the file; where that leaves cameras out, these are told instead."""
-    if subject.recording is None or subject.recording.calibration.path.exists():
+    if subject.recording is None or subject.recording.alone or subject.recording.calibration.path.exists():
         return
     if not any(fault.code == "cameras-without-calibration" for fault in subject.faults):
         yield Hit(CALIBRATION_FILE, "there is none")

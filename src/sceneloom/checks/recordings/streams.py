@@ -1,7 +1,7 @@
 """The streams of a recording as rules look at them: times and values in order of time, and where each stands."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 
@@ -11,8 +11,6 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.columns import Columns, LineLog, RecordingColumns, is_sorted, time_order
 from sceneloom.formats.recording.number_sensors import RECEIVER, imu_streams, receivers
-
-DATA_FILE = "data.jsonl"
 
 FEWEST_FOR_A_RATE = 4
 """Fewer samples do not tell what is usual."""
@@ -56,6 +54,7 @@ class Stream:
         code: of the stream in `log`.
         log: which line each sample was read from.
         known_lines: (N,) int64, line of each in the order of the file, where that is known beforehand.
+        file: name of the file that it stands in.
     """
 
     name: str
@@ -65,6 +64,7 @@ class Stream:
     code: int = 0
     log: LineLog | None = None
     known_lines: Int64Array | None = None
+    file: str = "data.jsonl"
 
     def __len__(self) -> int:
         return len(self.file_seconds)
@@ -112,7 +112,7 @@ class Stream:
     @property
     def whole(self) -> str:
         """Where findings about all of it are told."""
-        return f"{DATA_FILE}: {self.name}"
+        return f"{self.file}: {self.name}"
 
     def at(self, row: int) -> str:
         """A sample in words; `row` counts in the order of `seconds`."""
@@ -137,15 +137,15 @@ def place(stream: Stream, row: int) -> str:
 def place_in_file(stream: Stream, row: int) -> str:
     """As `place`; `row` counts in the order of the file."""
     lines = stream.file_lines
-    return stream.whole if lines is None else f"{DATA_FILE}: line {lines[row]}"
+    return stream.whole if lines is None else f"{stream.file}: line {lines[row]}"
 
 
 def _make_streams(subject: Subject) -> tuple[Stream, ...]:
     if subject.recording is None:
         return ()
-    columns = subject.recording.columns
+    columns, file = subject.recording.columns, subject.recording.data_name
     found = (*_frames(columns), *_lidars(columns), *_sensors(columns), *_fixes(columns), *_poses(columns))
-    return tuple(stream for stream in found if len(stream))
+    return tuple(replace(stream, file=file) for stream in found if len(stream))
 
 
 def _frames(columns: RecordingColumns) -> Iterator[Stream]:

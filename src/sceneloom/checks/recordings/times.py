@@ -8,7 +8,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.checks.reading import as_read
 from sceneloom.checks.recordings.mended_streams import without_repetitions
-from sceneloom.checks.recordings.streams import DATA_FILE, Kind, Stream, place, place_in_file, streams_of
+from sceneloom.checks.recordings.streams import Kind, Stream, place, place_in_file, streams_of
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import Severity
@@ -67,10 +67,10 @@ def _out_of_order(subject: Subject) -> Iterator[Hit]:
             )
             yield Hit(place_in_file(stream, row), problem, len(back))
     if subject.recording is not None and not is_told:
-        yield from _lines_out_of_order(subject.recording.columns.line_seconds())
+        yield from _lines_out_of_order(subject.recording.data_name, subject.recording.columns.line_seconds())
 
 
-def _lines_out_of_order(seconds: Float64Array) -> Iterator[Hit]:
+def _lines_out_of_order(file: str, seconds: Float64Array) -> Iterator[Hit]:
     """Lines that go back in time, while each stream by itself is in order."""
     lines = np.flatnonzero(np.isfinite(seconds))
     steps = np.diff(seconds[lines])
@@ -81,7 +81,7 @@ def _lines_out_of_order(seconds: Float64Array) -> Iterator[Hit]:
             f"{seconds[line]:.6f} s comes after {seconds[before]:.6f} s; such steps go back by up to "
             f"{-steps.min():.6f} s, while each stream by itself is in order"
         )
-        yield Hit(f"{DATA_FILE}: line {line + 1}", problem, len(back))
+        yield Hit(f"{file}: line {line + 1}", problem, len(back))
 
 
 def _of_one_time(subject: Subject) -> Iterator[Hit]:

@@ -30,12 +30,16 @@ class RecordingContents:
         columns: its lines.
         calibration: its `calibration.json`.
         trajectories: by root key and name of their lines.
+        data_name: name of the file of the lines.
+        alone: whether that file is all there is, and nothing beside it belongs to it.
     """
 
     folder: Path
     columns: RecordingColumns
     calibration: Calibration
     trajectories: Mapping[tuple[str, str], Trajectory]
+    data_name: str = "data.jsonl"
+    alone: bool = False
 
 
 def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool = False) -> dict[str, Any]:

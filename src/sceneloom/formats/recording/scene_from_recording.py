@@ -100,7 +100,7 @@ def _read(
         lidars = build_lidars(folder, data_path, columns.lidars, calibration, ego_path, ledger)
         cameras = [] if alone else build_cameras(sources)
         ego_sensors = build_number_sensors(columns, calibration)
-        contents = RecordingContents(folder, columns, calibration, trajectories)
+        contents = RecordingContents(folder, columns, calibration, trajectories, data_path.name, alone)
         metadata = {
             "altitude": altitude,
             **applied_shifts(calibration, camera_shift),

@@ -1,5 +1,7 @@
 """Rules about order, rates, gaps and ends of streams."""
 
+import json
+
 import pytest
 
 from sceneloom.checks import validate
@@ -181,3 +183,14 @@ def test_a_recording_without_imu_or_calibration_gets_warnings(written, drive):
     report = validate(folder, rules=["calibration-there"])
     assert [f.path for f in report.findings] == ["calibration.json"]
     assert report.passed
+
+
+def test_a_file_of_lines_alone_is_told_by_its_name_and_needs_nothing_beside_it(tmp_path, drive):
+    lines = [line["groundTruth"] | {"time": line["time"]} for line in drive.streams["groundTruth"]]
+    lines[7]["time"] = lines[6]["time"]
+    path = tmp_path / "vio.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines) + "{torn\n")
+    assert [(f.rule, f.path) for f in validate(path).findings] == [
+        ("broken-lines", "vio.jsonl: line 241"),
+        ("stream-times-unique", "vio.jsonl: line 8"),
+    ]

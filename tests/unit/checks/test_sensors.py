@@ -46,7 +46,9 @@ def test_a_sound_scene_keeps_all_of_them(sound, found):
 
 
 def test_an_empty_scene_is_found(found):
-    assert found(Scene(()), "scene-not-empty") == [("sensors", "neither a sensor nor an annotation")]
+    assert found(Scene(()), "scene-not-empty") == [
+        ("sensors", "neither a sensor nor an annotation nor a trajectory")
+    ]
 
 
 def test_sensors_without_content_are_found(sound, found):

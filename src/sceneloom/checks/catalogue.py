@@ -24,6 +24,7 @@ RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.recordings.calibration_entries",
     "sceneloom.checks.recordings.calibrated_lenses",
     "sceneloom.checks.recordings.mountings",
+    "sceneloom.checks.recordings.stereo_pictures",
     "sceneloom.checks.recordings.lidar_lines",
     "sceneloom.checks.times",
     "sceneloom.checks.point_times",

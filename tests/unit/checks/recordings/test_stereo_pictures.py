@@ -1,0 +1,108 @@
+"""Cameras whose pictures contradict their mountings are found by where near things are."""
+
+import json
+
+import av
+import numpy as np
+import pytest
+
+from sceneloom.checks import validate
+
+WIDTH, HEIGHT, FRAMES = 384, 192, 5
+RULE = "stereo-pictures"
+
+
+def camera(y):
+    """A camera that looks along x of a vehicle whose z points up, `y` to the left."""
+    return {
+        "model": "pinhole",
+        "focalLengthX": 300.0,
+        "focalLengthY": 300.0,
+        "principalPointX": 191.5,
+        "principalPointY": 95.5,
+        "imageWidth": WIDTH,
+        "imageHeight": HEIGHT,
+        "imuToCamera": [
+            [0.0, -1.0, 0.0, y],
+            [0.0, 0.0, -1.0, 0.0],
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ],
+    }
+
+
+SOUND = (camera(0.0), camera(-0.5))
+
+
+def textures():
+    """Pictures of a wall with blots of 6 pixels, another part of it each time."""
+    random = np.random.default_rng(3)
+    blots = random.integers(20, 235, (FRAMES, HEIGHT // 6, WIDTH // 6), np.uint8)
+    return np.repeat(np.repeat(blots, 6, axis=1), 6, axis=2)
+
+
+def write_video(path, pictures):
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=10, options={"threads": "1"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "bgr0"
+        for grey in pictures:
+            pixels = np.repeat(grey[:, :, None], 3, axis=2)
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+            container.mux(stream.encode(frame.reformat(format="bgr0")))
+        container.mux(stream.encode())
+
+
+@pytest.fixture
+def found(tmp_path):
+    """What the rule says of a stereo pair, the second camera half a metre to the right of the first."""
+
+    def run(first, second, *, cameras=SOUND):
+        write_video(tmp_path / "data.mkv", first)
+        write_video(tmp_path / "data2.mkv", second)
+        lines = [
+            {"frames": [{"cameraInd": 0}, {"cameraInd": 1}], "number": k, "time": 0.1 * k}
+            for k in range(FRAMES)
+        ]
+        (tmp_path / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+        (tmp_path / "calibration.json").write_text(json.dumps({"cameras": list(cameras)}))
+        return [finding.message for finding in validate(tmp_path, rules=[RULE]).findings]
+
+    return run
+
+
+# a wall 10 m away: focal length 300 px times 0.5 m over 10 m
+SHIFT = 15
+
+
+def test_a_wall_that_the_right_camera_sees_farther_left_is_sound(found):
+    pictures = textures()
+    assert found(pictures, np.roll(pictures, -SHIFT, axis=2)) == []
+
+
+def test_exchanged_videos_are_found(found):
+    pictures = textures()
+    messages = found(np.roll(pictures, -SHIFT, axis=2), pictures)
+    assert len(messages) == 1
+    assert "against the side on which their mountings put them" in messages[0]
+
+
+def test_exchanged_entries_are_found(found):
+    pictures = textures()
+    shifted = np.roll(pictures, -SHIFT, axis=2)
+    assert len(found(pictures, shifted, cameras=(camera(-0.5), camera(0.0)))) == 1
+
+
+@pytest.mark.parametrize("shift", [0, -1])
+def test_nothing_is_said_where_all_is_far_away(found, shift):
+    pictures = textures()
+    assert found(pictures, np.roll(pictures, shift, axis=2)) == []
+
+
+def test_nothing_is_said_of_pictures_that_show_nothing_or_do_not_match(found):
+    flat = np.full((FRAMES, HEIGHT, WIDTH), 90, np.uint8)
+    assert found(flat, flat) == []
+
+
+def test_nothing_is_said_of_pictures_that_have_nothing_in_common(found):
+    pictures = textures()
+    assert found(pictures, pictures[::-1, ::-1]) == []

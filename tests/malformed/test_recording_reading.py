@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.recording import FORMAT
@@ -157,3 +159,62 @@ def with_each_value_replaced(content: object, value: str) -> Iterator[str]:
 
     for changed in replaced(content):
         yield json.dumps(changed).replace(f'"{marker}"', value)
+
+
+PIECES = [
+    *(
+        b"",
+        b"\n",
+        b"\r\n",
+        b"\x00",
+        b"\xff",
+        b"\xe2\x82",
+        b"NaN",
+        b"-Infinity",
+        b"1e999",
+        b"null",
+        b"true",
+        b'""',
+    ),
+    *(
+        b"{",
+        b"}",
+        b"[",
+        b"]",
+        b",",
+        b":",
+        b'"',
+        b"[" * 2000,
+        b"9" * 400,
+        b'"\\ud800"',
+        b"-0",
+        b" ",
+        b'"time":1,',
+    ),
+    *(line for line in map(str.encode, map(json.dumps, LINES))),
+]
+"""What is put into a log in place of a part of it."""
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_whatever_is_put_into_a_log_it_is_read_or_refused_and_each_line_is_accounted_for(folder, data):
+    path = folder / "data.jsonl"
+    content = "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in LINES).encode()
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(content)))
+        stop = data.draw(st.integers(start, min(start + 40, len(content))))
+        content = content[:start] + data.draw(st.sampled_from(PIECES)) + content[stop:]
+    path.write_bytes(content)
+    if read_everything(folder, lenient=False):
+        assert read_everything(folder, lenient=True)
+    found = FORMAT.examine(folder)
+    if found.contents is not None:
+        lines = content.count(b"\n") + (not content.endswith(b"\n"))
+        codes = found.contents.columns.log.codes
+        assert len(codes) == lines
+        wrong = {int(fault.path.rsplit("line ", 1)[1]) for fault in found.faults if fault.code in LINE_CODES}
+        assert {number for number, code in enumerate(codes, start=1) if code == 0} == wrong
+
+
+LINE_CODES = {"broken-lines", "unfit-lines"}

@@ -294,7 +294,53 @@ FAULTS = {
         "'../a.bin'",
     ],
     '{"lidar":{"model":"RoboSense M1 XYZIRT"},"time":1}': ["lidar", "dataFile", "missing"],
+    '{"barometer":{"pressureHectopascals":"1013"},"time":1}': ["barometer.pressureHectopascals", '"1013"'],
+    '{"rtkgps":{"latitude":60,"longitude":25},"time":1}': ["rtkgps", "altitude", "missing"],
+    '{"rtkgps":{"latitude":60,"longitude":25,"altitude":null},"time":1}': ["rtkgps.altitude", "null"],
+    '{"gnssEnu":{"mean":[1,2]},"time":1}': ["gnssEnu.mean", "[1, 2]", "3 numbers"],
+    '{"gnssEnu":{"mean":[1,2,"up"]},"time":1}': ["gnssEnu.position.z", '"up"'],
+    '{"pose":{"name":"gps","latitude":60,"longitude":25},"time":1}': ["pose", "altitude"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":1}\0': ["not a JSON object"],
+    '\0{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":1}': ["not a JSON object"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":1} {"time":2}': ["not a JSON object"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"gps":{"latitude":60},"time":1}': ["gps", "longitude"],
 }
+"""Wrong lines, and what is said of each."""
+
+SOUND = [
+    '{"sensor":{"type":"magnetometer","values":[1,2,3]},"time":1}',
+    '  {"sensor":{"type":"odd","values":[1]},"time":-0.0}\t',
+    '{"time":1,"gps":{"longitude":25,"latitude":60,"altitude":-1,"accuracy":null}}',
+    '{"groundTruth":{"position":{"x":1,"y":2,"z":1e12}},"time":1}',
+    '{"arcore":{"position":{"x":1,"y":2,"z":-3}},"time":9.2e9}',
+    '{"barometer":{"pressureHectopascals":1013},"time":1}',
+    '{"rtkgps":{"latitude":60,"longitude":25,"altitude":1},"time":1}',
+    '{"gnssEnu":{"mean":[1,2,-3]},"time":1}',
+    '{"pose":{"name":"gps","latitude":60,"longitude":25,"altitude":0},"time":1}',
+    '{"unknown":[1,{"NaN":"Infinity"}]}',
+    "{}",
+]
+"""Lines near to the wrong ones that nothing is wrong with."""
+
+
+@pytest.mark.parametrize("line", SOUND)
+def test_a_sound_line_is_taken_whole(recording, line):
+    recording.lines([line])
+    scene = FORMAT.open(recording.path)
+    assert {notice.code for notice in scene.notices} <= {
+        "lines-kept-as-text",
+        "further-keys-kept",
+        "orientations-missing",
+    }
+
+
+def test_of_a_line_with_a_wrong_part_nothing_is_taken(recording):
+    half = (
+        '{"sensor":{"type":"gyroscope","values":[1,2,3]},"lidar":{"model":"other","dataFile":"a"},"time":1}'
+    )
+    recording.lines([imu_line(0.0), half])
+    scene = FORMAT.open(recording.path, lenient=True)
+    assert len(imu_of(scene).streams["gyroscope"]) == 1
 
 
 @pytest.mark.parametrize("line", FAULTS)

@@ -188,9 +188,10 @@ class RetimedClouds(Generic[Cloud]):
         points: Any = frame.points
         if points.timestamps_ns is not None:
             points = replace(points, timestamps_ns=self._right(points.timestamps_ns, frame.timestamp_ns))
-        if _MEASURED in points.extras:
-            measured = self._right(np.asarray(points.extras[_MEASURED]), frame.timestamp_ns)
-            points = replace(points, extras=MappingProxyType({**points.extras, _MEASURED: measured}))
+        extras = dict(_without_own_times(points.extras))
+        if _MEASURED in extras:
+            extras[_MEASURED] = self._right(np.asarray(extras[_MEASURED]), frame.timestamp_ns)
+        points = replace(points, extras=MappingProxyType(extras))
         stamp_ns = self.correction.right_ns(frame.timestamp_ns)
         changed: Any = replace(
             frame, timestamp_ns=stamp_ns, points=points, extras=_without_own_times(frame.extras)

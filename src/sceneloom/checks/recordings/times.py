@@ -124,6 +124,30 @@ def _gaps(*, irregular: bool) -> Find:
     return find
 
 
+def _single_losses(subject: Subject) -> Iterator[Hit]:
+    """Samples that are missing one by one; where they are many, the stream is uneven, and of pictures all are told."""
+    for stream in streams_of(subject):
+        period = stream.period
+        if (
+            period is None
+            or stream.kind in _IRREGULAR | _FRAMES
+            or _off(stream, period).mean() > JITTER_SHARE
+        ):
+            continue
+        more = stream.intervals - period
+        lacking = np.flatnonzero(
+            (more > FRAME_GAP_PERIODS * period) & (more <= _gap_threshold(stream, period))
+        )
+        if len(lacking):
+            row = int(lacking[0])
+            count = int(np.rint(stream.intervals[lacking] / period - 1).sum())
+            problem = (
+                f"{stream.at(row)}: {stream.intervals[row]:.6f} s to the next, {period:.6f} s usually; in all, "
+                f"{count} {'seems' if count == 1 else 'seem'} missing at {len(lacking)} places"
+            )
+            yield Hit(place(stream, row), problem)
+
+
 def _uneven(*, irregular: bool) -> Find:
     def find(subject: Subject) -> Iterator[Hit]:
         for stream in streams_of(subject):
@@ -221,6 +245,13 @@ RULES: tuple[Rule, ...] = (
         "and sweeps, by 0.75 intervals where at most 5 % do.",
         "See whether samples were lost: a full disk, a full buffer, a loose cable.",
         find=_gaps(irregular=False),
+    ),
+    Rule(
+        "samples-lost",
+        Severity.HINT,
+        "No interval of the IMU, of a magnetometer or of a barometer is longer than 1.75 usual ones.",
+        "See whether single samples were lost; what integrates them has to go by their times.",
+        find=_single_losses,
     ),
     Rule(
         "stream-outages",

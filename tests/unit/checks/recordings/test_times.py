@@ -67,6 +67,17 @@ def test_shorter_breaks_are_no_gaps(told, drive, name, lost):
     assert told(drive, "stream-gaps") == []
 
 
+def test_samples_that_are_missing_one_by_one_are_a_hint(written, drive, line_of):
+    lost = [line for k, line in enumerate(drive.streams["gyroscope"]) if k in {300, 301, 500, 700}]
+    before = drive.streams["gyroscope"][299]
+    drive.streams["gyroscope"] = [line for line in drive.streams["gyroscope"] if line not in lost]
+    folder = written(drive)
+    [finding] = validate(folder, rules=["samples-lost", "stream-gaps", "stream-jitter"]).findings
+    assert (finding.rule, finding.severity) == ("samples-lost", "hint")
+    assert finding.path == line_of(folder, before)
+    assert finding.message.endswith("in all, 4 seem missing at 3 places")
+
+
 def test_a_camera_that_slows_down_in_the_dark_is_uneven_and_has_no_gaps(told, drive):
     frames = drive.streams["frames"]
     drive.streams["frames"] = [*frames[:70], *frames[70::2]]

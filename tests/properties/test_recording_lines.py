@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -166,3 +167,61 @@ def test_lines_are_written_as_they_were(drive):
         with open_scene(folder) as scene:
             write_scene(scene, target, pictures="png")
         check(drive, target)
+
+
+EVERY_KIND: list[dict[str, Any]] = [
+    {"sdkVersion": "1.5"},
+    {"sensor": {"type": "gyroscope", "values": [1, 2.5, -3]}, "time": 0.30000000000000004},
+    {
+        "time": 0.30000000000000004,
+        "sensor": {"type": "accelerometer", "values": [1, 2, 3], "temperature": 40},
+    },
+    {"sensor": {"type": "gyroscope", "values": [1, 2.5, 4]}, "time": 0.30000000000000004, "note": None},
+    {"gps": {"longitude": 25, "latitude": 60, "altitude": 14.2, "accuracy": None}, "time": 0.5},
+    {"rtkgps": {"latitude": 60, "longitude": 25, "altitude": 14.1, "accuracy": 0.02}, "time": 0.5},
+    {"barometer": {"pressureHectopascals": 1013.25}, "time": 0.5},
+    {"status": "TRACKING"},
+    {"groundTruth": {"orientation": TURN, "position": {"x": 1, "y": 2, "z": 3}}, "time": 0.75},
+    {"groundTruth": {"orientation": TURN, "position": {"x": 1, "y": 2, "z": 4}}, "time": 0.75},
+    {"pose": {"name": "slam", "position": {"x": 1, "y": 2, "z": 3}}, "time": 1.25},
+    {"gnssEnu": {"mean": [1, 2, 3], "covariance": [0.5]}, "time": 1.25},
+    {"time": 1.5, "position": {"x": 1, "y": 2, "z": 3}, "orientation": TURN, "status": "TRACKING"},
+    {"droppedFrame": True, "time": 1.5},
+    {
+        "sensor": {"type": "gyroscope", "values": [9, 9, 9]},
+        "gps": {"latitude": 1, "longitude": 2, "altitude": 3},
+    }
+    | {"time": 1.5},
+]
+
+
+def test_lines_of_every_kind_come_back_key_by_key_and_through_a_scene_file(tmp_path):
+    (tmp_path / "drive").mkdir()
+    write_drive(tmp_path / "drive", EVERY_KIND)
+    with open_scene(tmp_path / "drive") as scene:
+        write_scene(scene, tmp_path / "again")
+        write_scene(scene, tmp_path / "scene.sfs")
+    with open_scene(tmp_path / "scene.sfs") as scene:
+        write_scene(scene, tmp_path / "from_scene")
+    for target in ("again", "from_scene"):
+        found = read_lines(tmp_path / target)
+        assert found == EVERY_KIND
+        assert [list(line) for line in found] == [list(line) for line in EVERY_KIND]
+
+
+def test_what_was_changed_is_written_and_the_rest_of_its_line_stays(tmp_path):
+    (tmp_path / "drive").mkdir()
+    write_drive(tmp_path / "drive", EVERY_KIND)
+    with open_scene(tmp_path / "drive") as scene:
+        imu = scene.sensor("imu")
+        gyroscope = imu.streams["gyroscope"]
+        turned = {**imu.streams, "gyroscope": replace(gyroscope, values=gyroscope.values + 1)}
+        others = tuple(sensor for sensor in scene.sensors if sensor.id != "imu")
+        write_scene(replace(scene, sensors=(*others, replace(imu, streams=turned))), tmp_path / "again")
+    expected = [
+        {**line, "sensor": {**line["sensor"], "values": [value + 1 for value in line["sensor"]["values"]]}}
+        if line.get("sensor", {}).get("type") == "gyroscope"
+        else line
+        for line in EVERY_KIND
+    ]
+    assert read_lines(tmp_path / "again") == expected

@@ -12,6 +12,7 @@ from sceneloom.checks.reading import notices_of_code
 from sceneloom.checks.recordings.camera_pairs import stereo_pairs
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
+from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import SILENT_ERROR, nearest_rotation
 from sceneloom.scene import (
@@ -183,11 +184,12 @@ def _with_rotation(sensor: Sensor) -> Sensor:
 
 def _is_off(numbers: object) -> bool:
     """Whether a matrix as JSON has it holds a rotation that is off by more than is passed over in silence."""
-    if not isinstance(numbers, list) or len(numbers) not in {3, 4, 9, 16}:
+    try:
+        matrix = np.array(numbers, np.float64)
+        matrix = matrix.reshape(round(matrix.size**0.5), -1)[:3, :3]
+        return nearest_rotation(matrix)[1] > SILENT_ERROR
+    except (TypeError, ValueError, CalibrationError):
         return False
-    matrix = np.array(numbers, np.float64)
-    matrix = matrix.reshape(round(matrix.size**0.5), -1)[:3, :3]
-    return nearest_rotation(matrix)[1] > SILENT_ERROR
 
 
 RULES: tuple[Rule, ...] = (

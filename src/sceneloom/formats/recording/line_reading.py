@@ -20,20 +20,14 @@ from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem
 from sceneloom.formats.recording.line_shapes import (
     RECORD_KEYS,
     ROOT_KEYS,
-    ExactGnssFix,
     ExactLine,
-    ExactPose,
     ExactQuaternion,
     FrequentLine,
-    GnssFix,
     Line,
-    Pose,
 )
-from sceneloom.formats.recording.line_taking import Origin, Takings, UnfitLineError, take_frames, take_line
+from sceneloom.formats.recording.line_taking import Takings, UnfitLineError, take_frames, take_line
 from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
-
-OUTPUT_TRAJECTORY = "output"
-"""Name of the trajectory of lines with a position at their root, as the vendor's software puts out."""
+from sceneloom.formats.recording.other_records import is_pressure, other_fixes, other_poses
 
 _decode_frequent = msgspec.json.Decoder(FrequentLine).decode
 _decode_exact = msgspec.json.Decoder(ExactLine).decode
@@ -43,8 +37,7 @@ _decode_any = msgspec.json.Decoder().decode
 _GROUND_TRUTH = ("groundTruth", "groundTruth")
 
 _NO_SUBJECT = {"time", "number"}
-_FIXED_KEYS = frozenset({"rtkgps", "groundTruth", "pose"})
-"""Root keys that hold poses or fixes, beside `gps`."""
+
 
 _NO_TURN = ExactQuaternion(nan, nan, nan, nan)
 
@@ -196,9 +189,9 @@ class LineReader:
         if has_old_frame(content):
             content = with_frames(content)
             text = msgspec.json.encode(content)
-        poses, fixes = _other_poses(content), _other_fixes(content)
+        poses, fixes = other_poses(content), other_fixes(content)
         own = {origin[0] for origin, _, _ in fixes} & ROOT_KEYS
-        if not _is_pressure(content.get("barometer")):
+        if not is_pressure(content.get("barometer")):
             own |= {"barometer"} & content.keys()
         if own:
             text = msgspec.json.encode({key: value for key, value in content.items() if key not in own})
@@ -281,84 +274,3 @@ def _decode_object(text: bytes) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise UnfitLineError(f"{quote(text)}: expected a JSON object")
     return content
-
-
-def _is_pressure(value: object) -> bool:
-    return isinstance(value, dict) and "pressureHectopascals" in value
-
-
-def _other_poses(content: dict[str, Any]) -> list[tuple[Origin, Pose, bool]]:
-    """Find the poses of a line under any root key without a shape of its own, or at the root itself.
-
-    Returns:
-        Of each its origin, and whether the line holds nothing else.
-
-    Raises:
-        UnfitLineError: a position or an orientation is incomplete.
-    """
-    poses = [
-        _pose(value, (key, key), says_all=set(content) == {"time", key})
-        for key, value in content.items()
-        if key not in ROOT_KEYS and isinstance(value, dict) and isinstance(value.get("position"), dict)
-    ]
-    if isinstance(content.get("position"), dict):
-        fields = {key: value for key, value in content.items() if key != "time"}
-        poses.append(_pose(fields, ("", OUTPUT_TRAJECTORY), says_all="time" in content))
-    mean = content["gnssEnu"].get("mean") if isinstance(content.get("gnssEnu"), dict) else None
-    if isinstance(mean, list):
-        says_all = set(content) == {"time", "gnssEnu"} and len(content["gnssEnu"]) == 1
-        poses.append(_east_north_up(mean, says_all=says_all))
-    return poses
-
-
-def _pose(value: dict[str, Any], origin: Origin, *, says_all: bool) -> tuple[Origin, Pose, bool]:
-    try:
-        return origin, msgspec.convert(value, ExactPose), says_all
-    except msgspec.ValidationError:
-        pass
-    try:
-        return origin, msgspec.convert(value, Pose), False
-    except msgspec.ValidationError as error:
-        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=origin[0])) from error
-
-
-def _east_north_up(mean: list[Any], *, says_all: bool) -> tuple[Origin, Pose, bool]:
-    """`gnssEnu`: where a receiver was, metres to the east, north and up of a point that the log does not tell."""
-    if len(mean) != 3:
-        raise UnfitLineError(f"gnssEnu.mean: {mean}; expected 3 numbers (east, north, up)")
-    position = dict(zip("xyz", mean, strict=True))
-    origin, pose, _ = _pose({"position": position}, ("gnssEnu", "gnssEnu"), says_all=True)
-    return origin, pose, says_all
-
-
-def _other_fixes(content: dict[str, Any]) -> list[tuple[Origin, GnssFix, bool]]:
-    """Find the fixes of satellite receivers under root keys other than `gps`.
-
-    Raises:
-        UnfitLineError: a fix is incomplete, under a key of the format; others may mean something else.
-    """
-    return [
-        _fix(key, value, says_all=set(content) == {"time", key})
-        for key, value in content.items()
-        if isinstance(value, dict) and "position" not in value and _may_be_fix(key, value)
-    ]
-
-
-def _may_be_fix(key: str, value: dict[str, Any]) -> bool:
-    if key in _FIXED_KEYS:
-        return {"latitude", "longitude"} <= value.keys()
-    numbers = [value.get(name) for name in ("latitude", "longitude", "altitude")]
-    return key not in ROOT_KEYS and all(isinstance(number, int | float) for number in numbers)
-
-
-def _fix(key: str, value: dict[str, Any], *, says_all: bool) -> tuple[Origin, GnssFix, bool]:
-    name = value.get("name") if key == "pose" else None
-    origin = (key, name if isinstance(name, str) and name else key)
-    try:
-        return origin, msgspec.convert(value, ExactGnssFix), says_all
-    except msgspec.ValidationError:
-        pass
-    try:
-        return origin, msgspec.convert(value, GnssFix), False
-    except msgspec.ValidationError as error:
-        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=key)) from error

@@ -13,7 +13,8 @@ from sceneloom.formats.recording.columns import RecordingColumns
 from sceneloom.formats.recording.columns_joining import can_join, join
 from sceneloom.formats.recording.line_blocks import blocks_of_lines
 from sceneloom.formats.recording.line_parts import LineParts, reading_processes
-from sceneloom.formats.recording.line_reading import OUTPUT_TRAJECTORY, LineReader
+from sceneloom.formats.recording.line_reading import LineReader
+from sceneloom.formats.recording.other_records import OUTPUT_TRAJECTORY
 from sceneloom.scene import NoticeKind
 
 __all__ = ["OUTPUT_TRAJECTORY", "iter_lines", "read_lines"]

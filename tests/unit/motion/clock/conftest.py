@@ -35,9 +35,9 @@ class Sway:
         return (self.amplitudes * np.sin(self.frequencies * seconds[:, None, None] + self.phases)).sum(axis=1)
 
     def orientations(self, seconds: np.ndarray) -> np.ndarray:
-        """(N, 4) at ascending times: products of the turns of a thousandth of a second each."""
-        edges = np.arange(seconds[0] - 0.5, seconds[-1] + 0.5, 1e-3)
-        steps = quaternion_from_rotation_vector(self.rates(edges[:-1] + 5e-4) * 1e-3)
+        """(N, 4) at ascending times: products of the turns of two thousandths of a second each."""
+        edges = np.arange(seconds[0] - 0.5, seconds[-1] + 0.5, 2e-3)
+        steps = quaternion_from_rotation_vector(self.rates(edges[:-1] + 1e-3) * 2e-3)
         turns = [np.array([0.0, 0.0, 0.0, 1.0])]
         for x, y, z, w in steps.tolist():
             a, b, c, d = turns[-1]

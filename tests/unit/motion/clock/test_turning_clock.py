@@ -94,11 +94,11 @@ def test_ten_samples_a_second_of_both_are_enough(sway, stamps):
 
 def test_a_long_drive_with_a_fast_clock_is_followed(sway, stamps):
     at, rates, posed, turns = pair(
-        sway, stamps, offset=0.4, skew=200.0, seconds=400.0, poses_hz=10.0, rates_hz=25.0
+        sway, stamps, offset=0.4, skew=200.0, seconds=320.0, poses_hz=10.0, rates_hz=25.0
     )
     found = compare_turnings(Turning.of_rates(at, rates), Turning.of_poses(posed, turns))
     assert found.skew_ppm == pytest.approx(200.0, abs=5.0)
-    assert len(found.pieces) == 6
+    assert len(found.pieces) == 5
     for piece in found.pieces:
         truth = 0.4e9 + 200e-6 * (piece.at_ns - at[0])
         # a minute alone knows it to a tenth of a millisecond
@@ -118,7 +118,7 @@ def test_what_stands_still_tells_nothing(stamps):
 
 
 def test_motions_of_two_different_bodies_have_nothing_in_common(sway, stamps):
-    for seed in range(3):
+    for seed in range(2):
         at, rates, _, _ = pair(sway, stamps, seed=seed)
         _, _, posed, turns = pair(sway, stamps, seed=seed + 50)
         found = compare_turnings(Turning.of_rates(at, rates), Turning.of_poses(posed, turns))

@@ -18,7 +18,7 @@ from sceneloom.motion.gnss_imu.stops import stops
 from sceneloom.motion.gnss_imu.vehicle import misfit, vehicle_speeds
 from sceneloom.scene import Trajectory
 
-_ROUNDS = 3
+_ROUNDS = 4
 """So often the noise is told anew from the residuals."""
 _CONTRADICTED = 3.0
 """Mean square misfit of what is known of wheels, in units of what it may be, from which on it does not hold."""

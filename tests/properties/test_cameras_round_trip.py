@@ -61,6 +61,11 @@ def in_reach(pixels: np.ndarray) -> np.ndarray:
     return np.isfinite(pixels).all(axis=1) & (np.abs(pixels) < 1e6).all(axis=1)
 
 
+def least_angle(camera: Camera) -> float:
+    """A lens that shows the axis as a ring of pixels shows nothing right ahead: no number is as near the ring."""
+    return 1e-7 if camera.model == "ftheta" and camera.coefficients[0] != 0 else 0.0
+
+
 @each_model
 @a_third
 @given(st.data(), places, st.booleans())
@@ -68,7 +73,7 @@ def test_pixels_look_along_the_rays_that_reach_them(model, data, places, nasty):
     camera = data.draw(lenses(model, nasty=nasty))
     rays = rays_in_domain(camera, places, part=0.999)
     pixels = project_unbounded(camera, rays)
-    seen = in_reach(pixels)
+    seen = in_reach(pixels) & (np.arccos(rays[:, 2].clip(-1, 1)) >= least_angle(camera))
     back = project_unbounded(camera, unproject(camera, pixels[seen]))
     # 1e-12 of the distance from the centre is what the searches promise, times what a lens magnifies near a pole
     allowed = 1e-6 * (1 + np.linalg.norm(pixels[seen] - (camera.cx, camera.cy), axis=1, keepdims=True) / 1e3)

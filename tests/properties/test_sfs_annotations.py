@@ -1,5 +1,7 @@
 """Every annotation that the model can hold is the same after writing and reading, unknown fields included."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -312,10 +314,19 @@ def everything(annotations):
     return {(type(annotation.id), annotation.id): annotation for annotation in annotations}
 
 
+def as_scale_holds(annotation):
+    """Its library loads no lens of a model that it does not know; such a one becomes a pinhole, as the report tells."""
+    lens = getattr(annotation, "intrinsics", None)
+    if lens is None or lens.model == "pinhole" or lens.model in COEFFICIENT_COUNTS:
+        return annotation
+    return replace(annotation, intrinsics=replace(lens, model="pinhole", coefficients=()))
+
+
 @given(scenes())
 def test_the_profile_of_scale_loses_no_annotation(target, assert_same, scene):
     """What its library cannot load stands aside, in another order; times become whole microseconds."""
     in_microseconds = written(scene, target, time_offset_ns=START_NS)
     read = written(in_microseconds, target.with_name("scale.sfs"), profile="scale")
-    assert_same(everything(read.annotations), everything(in_microseconds.annotations))
+    expected = {key: as_scale_holds(a) for key, a in everything(in_microseconds.annotations).items()}
+    assert_same(everything(read.annotations), expected)
     assert len(read.attributes) == len(scene.attributes)

@@ -146,7 +146,8 @@ def beyond_neighbours(
 
 def _times_of_ways(subject: Subject) -> Iterator[Hit]:
     for name, way in subject.scene.trajectories.items():
-        for k in np.flatnonzero(np.diff(way.timestamps_ns) <= 0).tolist():
+        stamps_ns = way.timestamps_ns
+        for k in np.flatnonzero(stamps_ns[1:] <= stamps_ns[:-1]).tolist():
             stamp, before = way.timestamps_ns[k + 1], way.timestamps_ns[k]
             yield Hit(
                 f"trajectories[{name}][{k + 1}]", f"{stamp} ns after {before} ns; expected a later time"

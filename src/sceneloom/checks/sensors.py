@@ -102,7 +102,7 @@ def _streams(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array]]
 
 def _disordered_samples(subject: Subject) -> Iterator[Hit]:
     for path, stamps_ns, _ in _streams(subject):
-        wrong = np.flatnonzero(np.diff(stamps_ns) <= 0)
+        wrong = np.flatnonzero(stamps_ns[1:] <= stamps_ns[:-1])
         if len(wrong):
             k = int(wrong[0]) + 1
             problem = f"{stamps_ns[k]} ns after {stamps_ns[k - 1]} ns; expected a later time than that before"

@@ -27,9 +27,10 @@ def first_positive_root(polynomial: ArrayLike) -> float:
     coefficients = np.asarray(polynomial, np.float64)
     # Nearly vanished ones have no root within reach, but would overflow the division by the leading one.
     kept = np.where(np.abs(coefficients) < _VANISHED * np.abs(coefficients).max(), 0.0, coefficients)
-    roots = np.roots(kept)
-    real = roots.real[roots.imag == 0]
-    return float(real[real > 0].min(initial=math.inf))
+    # Found as the largest inverse root: a root far out, of a small leading number, then spoils nothing near zero.
+    inverses = np.roots(kept[::-1])
+    largest = inverses.real[inverses.imag == 0].max(initial=0.0)
+    return float(1.0 / largest) if largest > 0.0 else math.inf
 
 
 @njit(**PART)

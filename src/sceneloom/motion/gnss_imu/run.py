@@ -146,7 +146,7 @@ def _remarks(scene: Scene, run: GnssImuRun, drive: Measurements, offset: Float64
     told = [_how(place, run, drive)]
     lost = int((~run.used).sum())
     if lost:
-        message = f"fixes that jump by more than the rest allows were left out ({len(run.used)} in all)"
+        message = f"{lost} of {len(run.used)} fixes left out, off the way by more than the rest allows"
         told.append(_notice(NoticeKind.SKIPPED, "gnss-jumps", place, message, lost))
     if offset.any():
         message = (

@@ -173,7 +173,9 @@ def test_fixes_that_jump_are_left_out_alone_and_in_a_row(town):
     assert not run.used[jumped].any()
     assert run.used[~jumped].mean() > 0.95
     assert rms(errors(run, town.path)[:, 3:5]) < 0.25
-    assert "gnss-jumps" in [notice.code for notice in run.notices]
+    [told] = [notice for notice in run.notices if notice.code == "gnss-jumps"]
+    assert told.count == (~run.used).sum()
+    assert told.message.startswith(f"{told.count} of {len(positions)} fixes left out")
 
 
 def test_without_fixes_for_ten_seconds_the_imu_leads_on(town):

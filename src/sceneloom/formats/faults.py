@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.ledger import Ledger
@@ -94,7 +95,7 @@ class FaultLedger(Ledger):
 def placed(error: SceneloomError, code: str, folder: str) -> PlacedFault:
     """An error as a fault, its file told from the folder on."""
     if isinstance(error, DataError):
-        file = error.file.removeprefix(folder).lstrip("/")
+        file = _from(folder, error.file)
         return PlacedFault(": ".join(filter(None, (file, error.place))), error.problem, code)
     text = str(error)
     if not text.startswith(f"{folder}/"):
@@ -103,6 +104,12 @@ def placed(error: SceneloomError, code: str, folder: str) -> PlacedFault:
     if place is None:
         return PlacedFault("", text.removeprefix(f"{folder}/"), code)
     return PlacedFault(place[0].removesuffix(": "), text.removeprefix(f"{folder}/{place[0]}"), code)
+
+
+def _from(folder: str, file: str) -> str:
+    """A file told from the folder on; lidar files are known by where links lead."""
+    links_resolved = f"{Path(folder).resolve()}/"
+    return file.removeprefix(folder if file.startswith(folder) else links_resolved).lstrip("/")
 
 
 _PLACE = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")

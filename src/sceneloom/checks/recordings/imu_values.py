@@ -33,7 +33,7 @@ _FEWEST_FOR_NOISE = 20
 
 _UNITS_OF_PULL: tuple[tuple[float, float, str], ...] = (
     (0.0, 0.7, "is gravity taken off? The format wants it in"),
-    (0.7, 1.5, "are these units of g? The format wants m/s²"),
+    (0.7, 1.5, "are these units of g, or is gravity taken off? The format wants m/s² with it"),
     (1.5, LEAST_MEAN_PULL, "is gravity taken off, or is this another unit than m/s²?"),
     (GREATEST_MEAN_PULL, 45.0, "are these feet per second squared? The format wants m/s²"),
     (700.0, 1500.0, "are these thousandths of g, or cm/s²? The format wants m/s²"),

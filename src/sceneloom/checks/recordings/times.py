@@ -143,7 +143,7 @@ def _single_losses(subject: Subject) -> Iterator[Hit]:
             count = int(np.rint(stream.intervals[lacking] / period - 1).sum())
             problem = (
                 f"{stream.at(row)}: {stream.intervals[row]:.6f} s to the next, {period:.6f} s usually; in all, "
-                f"{count} {'seems' if count == 1 else 'seem'} missing at {len(lacking)} places"
+                f"{count} {'seems' if count == 1 else 'seem'} missing at {len(lacking)} place{'s' * (len(lacking) > 1)}"
             )
             yield Hit(place(stream, row), problem)
 

@@ -13,6 +13,27 @@ _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 _NO_NUMBER = re.compile(rb"\bnan\b|\binf", re.IGNORECASE)
 _LONGEST_QUOTE = 60
 
+_TYPE_COMPLAINT = re.compile(
+    r"Expected `(?P<wanted>[a-z |]+)`(?: (?P<bound>[<>]=?) (?P<number>\S+)|, got `(?P<got>\w+)`)"
+)
+_TYPES = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "object": "an object",
+    "array": "a list",
+}
+_BOUNDS = {"<=": " of at most ", ">=": " of at least ", "<": " below ", ">": " above "}
+
+_OTHER_BEGINNINGS = {
+    b"\xef\xbb\xbf": "begins with a byte order mark",
+    b"\xff\xfe": "is text in UTF-16",
+    b"\xfe\xff": "is text in UTF-16",
+    b"\x1f\x8b": "is compressed by gzip",
+    b"PK\x03\x04": "is a zip archive",
+}
+
 
 def json_problem(error: Exception, text: bytes, *, prefix: str = "") -> str:
     """Describe why a text is not the JSON that was expected, path first; `json_fault` describes the arguments."""
@@ -34,11 +55,33 @@ def json_fault(error: Exception, text: bytes, *, prefix: str = "") -> tuple[str,
     if isinstance(error, RecursionError):
         return prefix, f"{quote(text)}: nested too deeply"
     if not isinstance(error, msgspec.ValidationError):
-        hint = "; NaN and Infinity are no JSON numbers" if _NO_NUMBER.search(text) else ""
-        return prefix, f"{quote(text)}: not a JSON object: {error}{hint}"
+        return prefix, _no_json(error, text)
     match = _PATH.fullmatch(str(error))
     what, path = (match["what"], match["path"]) if match else (str(error), "")
-    return f"{prefix}{path}".lstrip("."), f"{_value_at(path, text)}: {what}"
+    return f"{prefix}{path}".lstrip("."), f"{_value_at(path, text)}: {_in_words(what)}"
+
+
+def _no_json(error: Exception, text: bytes) -> str:
+    if not text.strip():
+        return "empty; expected a JSON object"
+    for beginning, told in _OTHER_BEGINNINGS.items():
+        if text.startswith(beginning):
+            return f"{told}; expected plain JSON in UTF-8"
+    hint = "; NaN and Infinity are no JSON numbers" if _NO_NUMBER.search(text) else ""
+    return f"{quote(text)}: not a JSON object: {error}{hint}"
+
+
+def _in_words(complaint: str) -> str:
+    """The decoder's complaint, types by their names in everyday words and not in a programming language's."""
+    match = _TYPE_COMPLAINT.fullmatch(complaint)
+    if match is None:
+        return complaint
+    types = [_TYPES.get(name, name) for name in match["wanted"].split(" | ") if name != "null"]
+    return f"expected {' or '.join(types)}{_BOUNDS.get(match['bound'], '')}{match['number'] or ''}{_got(match['got'])}"
+
+
+def _got(name: str | None) -> str:
+    return "" if name is None else f", not {_TYPES.get(name, name)}"
 
 
 def _value_at(path: str, text: bytes) -> str:

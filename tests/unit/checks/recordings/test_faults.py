@@ -121,6 +121,17 @@ def test_a_sound_recording_has_none(write):
     assert told(write()) == []
 
 
+def test_a_lidar_file_is_told_from_the_folder_on_also_where_that_is_named_relatively(
+    write, tmp_path, monkeypatch
+):
+    write([*SOUND], torn__bin=b"\0" * 24)
+    with (tmp_path / "data.jsonl").open("a") as log:
+        log.write('{"lidar":{"model":"RoboSense M1 XYZIRT","dataFile":"torn.bin"},"time":2}\n')
+    monkeypatch.chdir(tmp_path.parent)
+    report = validate(tmp_path.name, rules=["unusable-lidar-files"])
+    assert [finding.path for finding in report.findings] == ["torn.bin: byte 23"]
+
+
 def test_all_faults_are_told_at_once(write):
     lines = ["{torn", *SOUND, "", {"groundTruth": BAD_POSE, "time": 2}]
     calibration = {"cameras": [{**LENS, "focalLengthX": "wide"}]}

@@ -179,7 +179,7 @@ def test_matrices_that_are_not_rigid_are_refused(recording, matrix, words):
         ({"model": None}, ["cameras[0].model: missing"]),
         ({"distortionCoefficients": [0.1]}, ["1 numbers; expected 0 or 3 for 'pinhole'"]),
         ({"focalLengthX": None}, ["cameras[0].focalLengthX: missing"]),
-        ({"focalLengthX": "wide"}, ["cameras[0].focalLengthX", '"wide"', "float"]),
+        ({"focalLengthX": "wide"}, ["cameras[0].focalLengthX", '"wide"', "a number"]),
         ({"focalLengthX": 0.0}, ["cameras[0]: focal lengths 0.0"]),
         ({"imageWidth": -640}, ["cameras[0]: imageWidth, imageHeight (-640, 480)"]),
         ({"imageWidth": 640.5}, ["(640.5, 480)", "whole numbers"]),

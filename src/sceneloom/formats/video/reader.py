@@ -7,18 +7,15 @@ from typing import Any, Self
 
 import numpy as np
 from av.video.frame import VideoFrame
-from av.video.reformatter import Interpolation, VideoReformatter
 
 from sceneloom.arrays import Float64Array, UInt8Array, UInt16Array
 from sceneloom.errors import DataError
 from sceneloom.formats.identity import FileIdentity
+from sceneloom.formats.video.colours import Colours
 from sceneloom.formats.video.cursor import Cursor
 from sceneloom.formats.video.forking import rest_while_forking
 from sceneloom.formats.video.index import VideoIndex, read_index
 from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults, source_name
-
-_TO_RGB = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
-"""Chroma interpolated, results rounded: half a level off the formulas, where the fast way is 1 to 3 dark."""
 
 _STEPS = ("gray16le", "gray16be")
 """FFmpeg's names of pixels that are one 16-bit number each."""
@@ -78,7 +75,7 @@ class VideoReader:
     def _begin(self) -> None:
         """Make what no other process can have a part in."""
         self._cursor: Cursor | None = None
-        self._reformatter = VideoReformatter()
+        self._colours = Colours()
         self._lock = Lock()
         rest_while_forking(self)
 
@@ -253,8 +250,7 @@ class VideoReader:
 
     def _convert(self, frame: VideoFrame, index: int) -> UInt8Array:
         with decoder_faults(self.name, f"picture {index}"):
-            image = self._reformatter.reformat(frame, format="rgb24", interpolation=_TO_RGB, threads=1)
-            return np.ascontiguousarray(image.to_ndarray())
+            return self._colours.rgb(frame)
 
 
 def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = False) -> VideoReader:

@@ -44,7 +44,7 @@ def _recognises(text: str) -> bool:
     return (
         values is not None
         and len(values) in _WIDTHS
-        and values[0] == int(values[0])
+        and values[0].is_integer()
         and values[0] > _EARLIEST_NS
     )
 

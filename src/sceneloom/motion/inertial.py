@@ -11,15 +11,16 @@ from sceneloom.geometry.rotations import (
     normalise_quaternion,
     quaternion_from_rotation_vector,
 )
+from sceneloom.motion.imu_samples import (
+    ACCELEROMETER,
+    GYROSCOPE,
+    MISSING_SAMPLES,
+    gaps_between,
+    usable_samples,
+)
 from sceneloom.motion.standing import Standing, find_standing
 from sceneloom.scene import ImuSensor, Notice, NoticeKind, PosePath, Scene, VectorSamples
 from sceneloom.scene.ego import EgoMotion
-
-GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
-"""Streams of an IMU, in the words of the recording format."""
-
-MISSING_SAMPLES = 5
-"""So many sample intervals without a sample are a gap: what the ego did then is not known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ def imu_motion(scene: Scene) -> InertialMotion:
         PoseError: there is no IMU, or none with two turn rates or more.
     """
     imu, rates = _rates_of(scene)
-    times, values, left_out = _usable(rates)
+    times, values, left_out = usable_samples(rates)
     place = f"{scene.source}: sensors[{imu.id}].streams.{GYROSCOPE}"
     if len(times) < 2:
         raise PoseError(
@@ -58,7 +59,7 @@ def imu_motion(scene: Scene) -> InertialMotion:
     standing = _standing(imu, times, values)
     bias = None if standing is None else standing.rate
     turning = integrate_rates(times, values if bias is None else values - bias)
-    gaps_ns = _gaps(times)
+    gaps_ns = gaps_between(times)
     notices = [_rotation_only(place), _bias_notice(place, standing)]
     if left_out:
         message = "samples that are no numbers, or not later than the one before, were left out"
@@ -119,23 +120,10 @@ def _rates_of(scene: Scene) -> tuple[ImuSensor, VectorSamples]:
     raise PoseError(f"{scene.source}: the IMU has no {GYROSCOPE}; it has: {', '.join(streams) or 'nothing'}")
 
 
-def _usable(samples: VectorSamples) -> tuple[Int64Array, Float64Array, int]:
-    """Samples in the order of their times, without those that are no numbers or of a time that was there before."""
-    usable = np.flatnonzero(np.isfinite(samples.values[:, :3]).all(axis=1))
-    times, first = np.unique(samples.timestamps_ns[usable], return_index=True)
-    return times, samples.values[usable[first], :3], len(samples) - len(times)
-
-
-def _gaps(times_ns: Int64Array) -> Int64Array:
-    steps = np.diff(times_ns)
-    holes = np.flatnonzero(steps > (MISSING_SAMPLES + 0.5) * np.median(steps))
-    return np.stack([times_ns[holes], times_ns[holes + 1]], axis=1)
-
-
 def _standing(imu: ImuSensor, times_ns: Int64Array, rates: Float64Array) -> Standing | None:
     if ACCELEROMETER not in imu.streams:
         return None
-    force_times, forces, _ = _usable(imu.streams[ACCELEROMETER])
+    force_times, forces, _ = usable_samples(imu.streams[ACCELEROMETER])
     return find_standing(times_ns, rates, force_times, forces)
 
 

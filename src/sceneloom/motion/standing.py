@@ -61,11 +61,13 @@ def find_standing(
     """
     if len(rate_times_ns) == 0:
         return None
-    start_ns, count = int(rate_times_ns[0]), int((rate_times_ns[-1] - rate_times_ns[0]) // WINDOW_NS) + 1
-    rate_windows = (rate_times_ns - start_ns) // WINDOW_NS
-    force_windows = (force_times_ns - start_ns) // WINDOW_NS
+    # numbered as they come: a wrong time would else make windows by the million
+    seconds, rate_windows = np.unique((rate_times_ns - rate_times_ns[0]) // WINDOW_NS, return_inverse=True)
+    count = len(seconds)
+    of_forces = (force_times_ns - rate_times_ns[0]) // WINDOW_NS
+    force_windows = np.minimum(np.searchsorted(seconds, of_forces), count - 1)
     mean, quiet = _statistics(rate_windows, rates, count, QUIET_RATE)
-    inside = (force_windows >= 0) & (force_windows < count)
+    inside = seconds[force_windows] == of_forces
     _, quiet_forces = _statistics(force_windows[inside], forces[inside], count, QUIET_FORCE)
     stood = quiet & quiet_forces & (np.abs(mean) < LARGEST_BIAS).all(axis=1)
     if not stood.any():

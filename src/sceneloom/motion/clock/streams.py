@@ -10,7 +10,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import SceneloomError
 from sceneloom.motion.clock.turning import Turning
 from sceneloom.motion.clock.ways import Fixes, ReckonedWay, TrajectoryWay, Way
-from sceneloom.motion.inertial import ACCELEROMETER, GYROSCOPE
+from sceneloom.motion.imu_samples import ACCELEROMETER, GYROSCOPE
 from sceneloom.scene import (
     CameraSensor,
     GnssSensor,

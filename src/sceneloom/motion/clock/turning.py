@@ -13,6 +13,7 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
+from sceneloom.motion.imu_samples import measured_rows
 from sceneloom.motion.inertial import running_product
 
 LONGEST_STEPS = 5.5
@@ -50,7 +51,7 @@ class Turning:
         Source: de Boor 1978, "A Practical Guide to Splines", chapter IV; the last term is the coning correction of
         Savage 1998, "Strapdown Inertial Navigation Integration Algorithm Design, Part 1", for a linear rate.
         """
-        usable = np.flatnonzero(finite_rows(rates))
+        usable = np.flatnonzero(measured_rows(rates))
         times, first = np.unique(timestamps_ns[usable], return_index=True)
         values, pieces = rates[usable[first]], numbered_pieces(times)
         turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))

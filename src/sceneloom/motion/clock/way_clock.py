@@ -97,10 +97,11 @@ class _WayModel:
         times = np.asarray((fixes.timestamps_ns - origin_ns) * 1e-9, np.float64)
         span = float(times[-1] - times[0])
         count = max(1, round(span / way.window))
-        edges = times[0] + span / count * np.arange(count + 1)
-        numbers = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, count - 1)
+        length = span / count
+        numbers = np.clip(np.floor((times - times[0]) / length), 0, count - 1).astype(np.int64)
         present, windows = np.unique(numbers, return_inverse=True)
-        bounds = tuple((float(edges[k]), float(edges[k + 1])) for k in present.tolist())
+        begin = float(times[0])
+        bounds = tuple((begin + k * length, begin + (k + 1) * length) for k in present.tolist())
         begins, ends = np.array(bounds)[windows].T
         polynomials = legvander(2 * (times - begins) / (ends - begins) - 1, way.degree)
         # the middle of each window's places is taken off: kilometres leave no digits for millimetres

@@ -8,9 +8,10 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.geometry.geodesy import enu_from_geodetic
-from sceneloom.geometry.rotations import conjugate_quaternion, matrix_from_quaternion, rotate_vectors
-from sceneloom.motion.clock.turning import LEAST_KNOTS, Turning, TurningCurve, finite_rows, piece_slices
-from sceneloom.motion.clock.turning import numbered_pieces as pieces_of
+from sceneloom.geometry.rotations import matrix_from_quaternion, rotate_vectors
+from sceneloom.motion.clock.turning import LEAST_KNOTS, Turning, TurningCurve, numbered_pieces, piece_slices
+from sceneloom.motion.gnss_receivers import usable_fixes
+from sceneloom.motion.imu_samples import usable_samples
 from sceneloom.scene import GnssSensor, Trajectory, VectorSamples
 
 _AROUND = 6.0
@@ -26,10 +27,10 @@ class Fixes:
 
     @classmethod
     def of_receiver(cls, receiver: GnssSensor) -> "Fixes":
-        """Take a receiver's fixes; those that are no numbers, or of a time that was there, are left out."""
-        usable = np.flatnonzero(finite_rows(receiver.positions_lla))
+        """Take a receiver's fixes; those that are no places, or of a time that was there, are left out."""
+        usable = np.flatnonzero(usable_fixes(receiver))
         times, first = np.unique(receiver.timestamps_ns[usable], return_index=True)
-        positions = receiver.positions_lla[usable[first]]
+        positions = np.nan_to_num(receiver.positions_lla[usable[first]])
         if len(times) == 0:
             return cls(times, np.zeros(0, np.complex128))
         return cls(times, _on_ground(enu_from_geodetic(positions, positions[len(times) // 2])))
@@ -87,7 +88,7 @@ class TrajectoryWay:
         times = trajectory.timestamps_ns
         self._pieces = [
             CubicSpline(seconds, trajectory.positions[piece, :2], extrapolate=False)
-            for piece in piece_slices(pieces_of(times))
+            for piece in piece_slices(numbered_pieces(times))
             if len(seconds := (times[piece] - origin_ns) * 1e-9) >= LEAST_KNOTS
         ]
         turns = trajectory.quaternions_xyzw
@@ -128,10 +129,8 @@ class ReckonedWay:
         """Integrate the turn rates; times are seconds after `origin_ns`."""
         turning = Turning.of_rates(rates.timestamps_ns, rates.values[:, :3])
         self._turning = TurningCurve(turning, origin_ns)
-        usable = np.flatnonzero(finite_rows(forces.values[:, :3]))
-        times, first = np.unique(forces.timestamps_ns[usable], return_index=True)
+        times, self._forces, _ = usable_samples(forces)
         self._seconds = np.asarray((times - origin_ns) * 1e-9, np.float64)
-        self._forces = forces.values[usable[first], :3]
         self._known: dict[tuple[float, float], _Reckoning | None] = {}
 
     def at(self, window: tuple[float, float], seconds: Float64Array) -> WaySamples:
@@ -162,7 +161,10 @@ class ReckonedWay:
         piece = int(within[len(within) // 2])
         inside = pieces == piece
         felt = rotate_vectors(turns[inside], forces[inside])
-        level_from_start = _levelling(felt.mean(axis=0))
+        up = felt.mean(axis=0)
+        if len(felt) < LEAST_KNOTS or not up.any():
+            return None
+        level_from_start = _levelling(up)
         accelerations = _on_ground(felt @ level_from_start.T)
         axes = _axes_from_above(turns[inside], level_from_start)
         since = seconds[inside] - 0.5 * sum(window)
@@ -203,4 +205,4 @@ def _levelling(up: Float64Array) -> Float64Array:
     half = np.array([unit[1], -unit[0], 0.0, 1.0 + unit[2]])
     if half[3] < 1e-9:
         half = np.array([1.0, 0.0, 0.0, 0.0])
-    return matrix_from_quaternion(conjugate_quaternion(conjugate_quaternion(half)))
+    return matrix_from_quaternion(half / np.linalg.norm(half))

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.errors import PoseError
 from sceneloom.geometry.rotations import (
     matrix_from_quaternion,
     quaternion_from_matrix,
@@ -18,6 +19,8 @@ from sceneloom.motion.gnss_imu.preintegration import Preintegrated
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 
 _MAX_DAMPINGS = 12
+_LARGEST_DAMPING = 1e3
+"""Where this many times the diagonal does not make equations solvable, they hold no numbers."""
 _UNKNOWN_SPEED, _UNKNOWN_TURN, _TILT = 100.0, np.pi, 0.05
 
 
@@ -341,16 +344,17 @@ def step(
 
 
 def covariances(chain: Chain, states: States, weights: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Give the covariance of each state, (K, 15, 15), and with the next, (K - 1, 15, 15)."""
+    """Give the covariance of each state, (K, 15, 15), and with the next, (K - 1, 15, 15).
+
+    Raises:
+        PoseError: the equations hold what is no number.
+    """
     here = equations(chain, states, weights)
     factors, gains = np.empty_like(here.blocks), np.empty_like(here.couplings)
-    damping = 0.0
-    while (
-        solve_chain(
-            here.blocks, here.couplings, here.right, damping, factors, gains, np.empty_like(here.right)
-        )
-        >= 0
-    ):
+    damping, solution = 0.0, np.empty_like(here.right)
+    while solve_chain(here.blocks, here.couplings, here.right, damping, factors, gains, solution) >= 0:
+        if damping > _LARGEST_DAMPING:
+            raise PoseError("the measurements leave the way open: their equations have no solution")
         damping = max(10.0 * damping, 1e-14)
     own, between = np.empty_like(here.blocks), np.empty_like(here.couplings)
     chain_covariances(factors, gains, own, between)

@@ -11,7 +11,7 @@ from sceneloom.motion.gnss_receivers import gnss_receivers, usable_fixes
 from sceneloom.scene import GnssSensor, Notice, NoticeKind, Scene
 
 _FARTHEST = 100_000.0
-"""Fixes farther than this from the middle of all [m] are no places of one drive."""
+"""Fixes farther than this from the one in the middle of all [m] are no places of one drive."""
 _VERTICAL = 1.7
 """Heights are worse by so much where the receiver does not tell. Source: usual ratio of VDOP to HDOP."""
 _UNKNOWN_HEIGHT = 1e5
@@ -59,7 +59,9 @@ def gnss_fixes(scene: Scene, settings: SmootherSettings) -> GnssFixes:
     flat = np.where(np.isfinite(places[:, 2]), places[:, 2], 0.0)
     places = np.column_stack([places[:, :2], flat])
     ecef = ecef_from_geodetic(places)
-    near = np.linalg.norm(ecef - np.median(ecef, axis=0), axis=1) <= _FARTHEST
+    # the median itself may lie where there is no fix, between two places that have as many each
+    middle = ecef[np.linalg.norm(ecef - np.median(ecef, axis=0), axis=1).argmin()]
+    near = np.linalg.norm(ecef - middle, axis=1) <= _FARTHEST
     order = np.flatnonzero(near)[np.argsort(times[near], kind="stable")]
     origin = places[order[0]]
     notices = [

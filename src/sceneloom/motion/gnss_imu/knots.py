@@ -3,10 +3,14 @@
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.errors import PoseError
 from sceneloom.motion.gnss_imu.samples import InertialSamples
 
 _CLOSEST_NS = 20_000_000
 """States lie no closer [ns]: what a fix tells is carried over so short a time without loss."""
+
+_LONGEST_NS = 86_400 * 1_000_000_000
+"""No drive lasts longer [ns]: a wrong time is not to be bridged by millions of states."""
 
 
 def knot_times(
@@ -22,11 +26,21 @@ def knot_times(
 
     Returns:
         (K,) int64 [ns], strictly increasing, K >= 2.
+
+    Raises:
+        PoseError: the times span more than a day.
     """
     marks = [fix_times_ns]
     if samples is not None:
         marks += [samples.timestamps_ns[[0, -1]], samples.gaps_ns.ravel()]
-    thin = _thinned(np.unique(np.concatenate(marks)))
+    times = np.unique(np.concatenate(marks))
+    first_ns, last_ns = int(times[0]), int(times[-1])
+    if last_ns - first_ns > _LONGEST_NS:
+        raise PoseError(
+            f"fixes and IMU span {(last_ns - first_ns) / 1e9:.6g} s, from {first_ns / 1e9:.9g} to {last_ns / 1e9:.9g}; "
+            f"expected at most {_LONGEST_NS / 1e9:g}: is a time wrong?"
+        )
+    thin = _thinned(times)
     thin = _thinned(np.unique(np.concatenate([thin, further_ns])), first=thin)
     pieces = [thin[:1]]
     for start, stop in zip(thin[:-1].tolist(), thin[1:].tolist(), strict=True):
@@ -45,12 +59,10 @@ def _thinned(times_ns: Int64Array, *, first: Int64Array | None = None) -> Int64A
         after = first[np.clip(near, 0, len(first) - 1)] - times_ns
         far = (np.abs(before) >= _CLOSEST_NS) & (np.abs(after) >= _CLOSEST_NS)
         return np.unique(np.concatenate([first, _thinned(times_ns[far])]))
-    kept = []
-    last = -(1 << 62)
+    kept: list[int] = []
     for time in times_ns.tolist():
-        if time - last >= _CLOSEST_NS:
+        if not kept or time - kept[-1] >= _CLOSEST_NS:
             kept.append(time)
-            last = time
     return np.array(kept, np.int64)
 
 

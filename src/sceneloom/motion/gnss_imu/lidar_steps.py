@@ -9,6 +9,8 @@ from sceneloom.scene import Trajectory
 
 _LEAST_TURN, _LEAST_WAY = 3e-4, 5e-3
 """No step is believed to be better [rad] and [m]: what a fit onto the map repeats to."""
+_ROUNDS = 8
+"""Rounds of weighting the fixes by how they agree (L1)."""
 
 
 def lidar_steps(lidar: Trajectory, knots_ns: Int64Array) -> RelativePoses:
@@ -64,7 +66,3 @@ def led_by_lidar(lidar: Trajectory, knots_ns: Int64Array, fixes: Fixes) -> Float
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     rotations: Float64Array = turn @ matrix_from_quaternion(known.quaternions_xyzw)
     return rotations
-
-
-_ROUNDS = 8
-"""Rounds of weighting the fixes by how they agree (L1)."""

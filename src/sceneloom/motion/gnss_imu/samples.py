@@ -6,11 +6,9 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
+from sceneloom.motion.imu_samples import ACCELEROMETER, GYROSCOPE, gaps_between, usable_samples
 from sceneloom.scene import ImuSensor, Scene, VectorSamples
 
-GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
-MISSING_SAMPLES = 5
-"""So many sample intervals without a sample are a gap."""
 _NOISE_SECONDS, _NOISE_SAMPLES = 2.0, 21
 """Time over which the noise is averaged, and how many samples that takes at least."""
 
@@ -34,8 +32,8 @@ class InertialSamples:
     @classmethod
     def of(cls, gyroscope: VectorSamples, accelerometer: VectorSamples) -> "InertialSamples | None":
         """Bring both streams to the times of that with more samples; None where they do not overlap."""
-        rate_times, rates, lost_rates = _usable(gyroscope)
-        force_times, forces, lost_forces = _usable(accelerometer)
+        rate_times, rates, lost_rates = usable_samples(gyroscope)
+        force_times, forces, lost_forces = usable_samples(accelerometer)
         if len(rate_times) < 2 or len(force_times) < 2:
             return None
         times = rate_times if len(rate_times) >= len(force_times) else force_times
@@ -44,7 +42,7 @@ class InertialSamples:
         if len(times) < 2:
             return None
         values = np.hstack([_at(times, rate_times, rates), _at(times, force_times, forces)])
-        gaps = np.vstack([_gaps(rate_times), _gaps(force_times)])
+        gaps = np.vstack([gaps_between(rate_times), gaps_between(force_times)])
         inside = (gaps[:, 1] > first) & (gaps[:, 0] < last)
         return cls(times, values, np.unique(gaps[inside], axis=0), lost_rates + lost_forces)
 
@@ -104,20 +102,8 @@ def _moving_mean(values: Float64Array, width: int) -> Float64Array:
     return mean
 
 
-def _usable(stream: VectorSamples) -> tuple[Int64Array, Float64Array, int]:
-    finite = np.flatnonzero(np.isfinite(stream.values[:, :3]).all(axis=1))
-    times, first = np.unique(stream.timestamps_ns[finite], return_index=True)
-    return times, stream.values[finite[first], :3], len(stream) - len(times)
-
-
 def _at(wanted_ns: Int64Array, times_ns: Int64Array, values: Float64Array) -> Float64Array:
     if np.array_equal(wanted_ns, times_ns):
         return values
     seconds, known = (wanted_ns - times_ns[0]) * 1e-9, (times_ns - times_ns[0]) * 1e-9
     return np.stack([np.interp(seconds, known, column) for column in values.T], axis=1)
-
-
-def _gaps(times_ns: Int64Array) -> Int64Array:
-    steps = np.diff(times_ns)
-    holes = np.flatnonzero(steps > (MISSING_SAMPLES + 0.5) * np.median(steps))
-    return np.stack([times_ns[holes], times_ns[holes + 1]], axis=1)

@@ -123,6 +123,36 @@ def test_too_few_fixes_are_named(scene, kept):
     assert "fixes" in found.reason or "in common" in found.reason
 
 
+def test_fixes_before_reception_and_without_heights_do_not_matter(scene):
+    receiver = scene.sensor("gnss")
+    positions = receiver.positions_lla.copy()
+    positions[:40] = 0.0
+    positions[:, 2] = np.nan
+    _, found = compared(with_receiver(scene, replace(receiver, positions_lla=positions)), "groundTruth")
+    # as with all of them
+    assert found.offset_ns == pytest.approx(0, abs=4e6)
+    assert found.offset_sigma_ns < 2e6
+
+
+def test_a_fix_of_a_wrong_time_makes_no_windows_by_the_million(scene):
+    receiver = scene.sensor("gnss")
+    times = receiver.timestamps_ns.copy()
+    times[-1] = 9_000_000_000_000_000_000
+    found = compared(with_receiver(scene, replace(receiver, timestamps_ns=times)), "groundTruth")[1]
+    assert found.samples < len(times)
+
+
+@pytest.mark.parametrize("forces", [0.0, 1e200])
+def test_an_accelerometer_that_tells_nothing_tells_no_offset(scene, forces):
+    imu = scene.sensor("imu")
+    samples = imu.streams["accelerometer"]
+    dead = replace(samples, values=np.full_like(samples.values, forces))
+    streams = {**imu.streams, "accelerometer": dead}
+    sensors = tuple(replace(s, streams=streams) if s.id == "imu" else s for s in scene.sensors)
+    found = compared(replace(scene, sensors=sensors), "imu")[1]
+    assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+
+
 def test_a_stated_antenna_is_believed(scene):
     receiver, way = scene.sensor("gnss"), scene.trajectories["groundTruth"].poses
     arm, origin = np.array([1.5, -0.4, 1.2]), receiver.positions_lla[0]

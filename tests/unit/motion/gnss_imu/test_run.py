@@ -314,6 +314,40 @@ def test_two_fixes_are_enough_for_a_way(town):
     assert np.isfinite(run.trajectory.covariances).all()
 
 
+def test_of_two_places_far_apart_one_is_taken(town):
+    """Their middle is a hundred kilometres and more from both."""
+    places = town.gnss.positions_lla.copy()
+    places[: len(places) // 2, 0] -= 20.0
+    run = town.run(gnss=replace(town.gnss, positions_lla=places))
+    assert len(run.fixes) == len(places) // 2
+    assert "gnss-fixes-elsewhere" in {notice.code for notice in run.notices}
+
+
+def test_a_height_of_no_receiver_makes_a_fix_none(town):
+    places = town.gnss.positions_lla.copy()
+    places[3, 2] = 1e300
+    assert len(town.run(gnss=replace(town.gnss, positions_lla=places)).fixes) == len(places) - 1
+
+
+@pytest.mark.parametrize("wrong_ns", [9_000_000_000 * SECOND, -9_000_000_000 * SECOND, 2 * 86_400 * SECOND])
+def test_a_wrong_time_is_not_bridged_by_states(wrong_ns, town):
+    times = town.gnss.timestamps_ns.copy()
+    times[0 if wrong_ns < 0 else -1] = wrong_ns
+    with pytest.raises(PoseError, match="is a time wrong"):
+        town.run(gnss=replace(town.gnss, timestamps_ns=times))
+
+
+@pytest.mark.parametrize(("stream", "torn"), [("accelerometer", 1e200), ("gyroscope", -1e12)])
+def test_samples_that_nothing_measures_are_left_out(stream, torn, town):
+    samples = town.imu.streams[stream]
+    values = samples.values.copy()
+    values[700, 1] = torn
+    streams = {**town.imu.streams, stream: VectorSamples(samples.timestamps_ns, values)}
+    run = town.run(imu=ImuSensor("imu", streams))
+    assert {notice.code: notice.count for notice in run.notices}["imu-samples"] == 1
+    assert np.abs(errors(run, town.path)[:, 3:]).max() < 2.0  # as without it: fixes of 0.4 m an axis
+
+
 def test_settings_that_mean_nothing_are_refused():
     with pytest.raises(OptionError, match="gate"):
         SmootherSettings(gate=0.0)

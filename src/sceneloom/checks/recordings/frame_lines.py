@@ -5,8 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.checks.reading import as_read, notices_of_code
+from sceneloom.checks.reading import notices_of_code
 from sceneloom.checks.recordings.camera_pairs import stereo_pairs
+from sceneloom.checks.recordings.mended_frames import counted_anew, with_all_cameras
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.columns import FrameColumns, time_order, view
@@ -138,7 +139,7 @@ RULES: tuple[Rule, ...] = (
         "`number` of the first `frames` line is 0.",
         "Count from 0: what counts from elsewhere takes other pictures of the video in some programs.",
         find=_begin,
-        fix=as_read,
+        fix=counted_anew,
     ),
     Rule(
         "frame-numbers-increasing",
@@ -147,7 +148,7 @@ RULES: tuple[Rule, ...] = (
         "See which picture each line means: it is told by its number; `--fix` numbers them by time, and the video with "
         "them.",
         find=_order,
-        fix=as_read,
+        fix=counted_anew,
     ),
     Rule(
         "frame-numbers-gaps",
@@ -155,7 +156,7 @@ RULES: tuple[Rule, ...] = (
         "`number` grows by one from `frames` line to `frames` line.",
         "See whether frames were dropped; `--fix` numbers the lines anew and takes pictures without a line out.",
         find=_gaps,
-        fix=as_read,
+        fix=counted_anew,
     ),
     Rule(
         "frames-without-camera",
@@ -163,7 +164,7 @@ RULES: tuple[Rule, ...] = (
         "Every `frames` line names every camera.",
         "Add the camera, with `missingBitmap` where it has no picture: the vendor's software refuses other lines.",
         find=_without_cameras,
-        fix=as_read,
+        fix=with_all_cameras,
     ),
     Rule(
         "frames-missing-bitmap",

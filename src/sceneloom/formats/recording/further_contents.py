@@ -13,6 +13,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration
 from sceneloom.formats.recording.columns import TEXT, Columns, RecordingColumns, view
+from sceneloom.formats.recording.frame_notes import frame_notes
 from sceneloom.formats.recording.line_order import filled_seconds, line_order
 from sceneloom.formats.recording.number_sensors import GPS_ORIGIN, RECEIVER, imu_streams, receivers
 from sceneloom.formats.recording.old_forms import PARAMETERS_FILE
@@ -60,6 +61,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
             name there, where these are not both the trajectory's name.
         receiver_origins: the same of all satellite receivers but that of `gps` lines.
         line_forms: by stream, a line as it stands in the file: the order of its keys.
+        frame_lines: what pictures do not tell of their lines; `FrameNotes` describes it.
         line_order: of lines of one time; `LineOrder` describes it.
     """
     columns, streams = contents.columns, named_streams(contents)
@@ -89,6 +91,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
             name: list(origin) for name, (origin, _) in receivers(columns).items() if origin != GPS_ORIGIN
         },
         "line_forms": {name: stream.form for name, stream in streams.items() if stream.form is not None},
+        "frame_lines": frame_notes(columns.frames, contents.folder / contents.data_name),
         "line_order": line_order(columns, names, as_text, seconds),
     }
     return {name: value for name, value in found.items() if value}

@@ -262,7 +262,7 @@ def _says_more(line: FrequentLine, text: bytes) -> bool:
     beside = (getattr(line, key, UNSET) for key in RECORD_KEYS if key != "frames")
     entries = () if line.frames is UNSET else line.frames
     return any(value is not UNSET for value in beside) or any(
-        entry.missingBitmap is False for entry in entries
+        entry.missingBitmap is not UNSET for entry in entries
     )
 
 

@@ -1,6 +1,6 @@
 """The pictures of one camera of a recording: small columns, from which each picture is made when asked for."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
@@ -23,6 +23,9 @@ from sceneloom.scene import Picture
 
 _HELD_KEYS = frozenset(FrameEntry.__struct_fields__)
 
+OWN_FIELDS = frozenset({"file_seconds", "number", "line_seconds", "line", "entry"})
+"""Extras of a picture that are no fields of its entry; fields of these names are under "entry"."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureTable:
@@ -41,6 +44,7 @@ class PictureTable:
         mount_texts: (N,) int64, key in `mounts`, -1 for none.
         lenses: lenses of single pictures.
         mounts: mountings of single pictures, `ego_from_camera`.
+        texts: every different text of a lens or mounting of single pictures.
         missing: how many entries have no picture (`missingBitmap`).
         data_file: `data.jsonl`, as it was when its lines were read.
     """
@@ -59,6 +63,7 @@ class PictureTable:
     mount_texts: Int64Array
     lenses: Mapping[int, Camera]
     mounts: Mapping[int, RigidTransform]
+    texts: Sequence[bytes]
     missing: int
     data_file: FileIdentity
 
@@ -81,6 +86,9 @@ class PictureTable:
         extras: dict[str, Any] = {"file_seconds": float(self.seconds[k]), "number": int(self.numbers[k])}
         if self.line_seconds[k] != self.seconds[k]:
             extras["line_seconds"] = float(self.line_seconds[k])
+        for name, place in (("cameraParameters", self.lens_texts[k]), ("imuToCamera", self.mount_texts[k])):
+            if place != self.OWN:
+                extras[name] = msgspec.json.decode(self.texts[place])
         return {**extras, **further_fields(self.data_file, int(self.offsets[k]), self.camera_index)}
 
     def first_fields(self) -> dict[str, Any]:
@@ -101,7 +109,8 @@ def further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> d
         camera_index: `cameraInd` of the entry.
 
     Returns:
-        Further fields of the entry, and under "line" those beside `frames`.
+        Further fields of the entry, and under "line" those beside `frames`; under "entry" fields of the entry whose
+        names are taken.
 
     Raises:
         DataError: the file was changed since it was opened.
@@ -117,7 +126,12 @@ def further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> d
         entry = next(entry for entry in line["frames"] if entry["cameraInd"] == camera_index)
     except (OSError, *DECODER_FAULTS, KeyError, TypeError, StopIteration) as error:
         raise DataError(data_file.name, f"byte {offset}", "was changed after it was opened") from error
-    further = {key: value for key, value in entry.items() if key not in _HELD_KEYS}
+    further = {key: value for key, value in entry.items() if key not in _HELD_KEYS | OWN_FIELDS}
+    hidden = {key: value for key, value in entry.items() if key in OWN_FIELDS}
+    if entry.get("missingBitmap") is False:
+        further["missingBitmap"] = False
+    if hidden:
+        further["entry"] = hidden
     beside = {key: value for key, value in line.items() if key not in {"frames", "number", "time"}}
     return {**further, "line": beside} if beside else further
 
@@ -170,6 +184,7 @@ def build_table(
         mount_texts=mount_texts[chosen],
         lenses=lenses,
         mounts=mounts,
+        texts=tuple(frames.texts),
         missing=int(missing.sum()),
         data_file=data_file,
     )

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.errors import OptionError, OutputError
+from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
@@ -19,13 +19,14 @@ from sceneloom.formats.recording.kept_texts import SharedLines, other_lines
 from sceneloom.formats.recording.line_order import FRAMES, OTHER, SHARED
 from sceneloom.formats.recording.line_templates import example_of
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, merged_lines
+from sceneloom.formats.recording.picture_rows import PictureRows, grouping_losses, picture_rows
 from sceneloom.formats.recording.place import DATA_FILE
 from sceneloom.formats.recording.writing_plan import WritingPlan
 from sceneloom.formats.recording.written_calibration import antenna_entry, camera_entry, cropped, lidar_entry
-from sceneloom.formats.recording.written_frames import FrameLines, group_pictures, grouping_losses
+from sceneloom.formats.recording.written_frames import FrameLines
 from sceneloom.formats.recording.written_lines import NumberLines, receiver_origin
 from sceneloom.formats.recording.written_pictures import PICTURES, PictureSink, open_sink
-from sceneloom.formats.recording.written_shots import shots_of
+from sceneloom.formats.recording.written_shots import of_recording
 from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter, sweep_stream
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.scene import GnssSensor, Scene
@@ -55,11 +56,11 @@ def write_recording(
         What the format could not hold.
 
     Raises:
-        OptionError: `pictures` is none of these, or the scene has nothing that a recording can hold.
+        OptionError: `pictures` is none of these.
         OutputError: the path exists, or cannot be written.
         CalibrationError: no model of the format comes near a lens, or a camera's mounting is unknown.
         PoseError: points are in the world, and it is not known where their lidar was.
-        DataError: what the scene is read from is damaged.
+        DataError: what the scene is read from is damaged, or has nothing that a recording can hold.
     """
     if pictures not in PICTURES:
         raise OptionError(f"pictures {pictures!r}; expected one of: {', '.join(PICTURES)}")
@@ -91,7 +92,10 @@ def _check_replaceable(path: Path) -> None:
 class _LosingPart(Protocol):
     """A part of the writing that notes what it loses."""
 
-    losses: list[Loss]
+    @property
+    def losses(self) -> list[Loss]:
+        """What was lost so far."""
+        ...
 
 
 class _RecordingWriter:
@@ -106,12 +110,11 @@ class _RecordingWriter:
     def write(self) -> list[Loss]:
         """Write all files; give what was lost."""
         plan = self._plan
-        rows = _picture_rows(plan)
+        rows = picture_rows(plan.cameras, plan.notes.frame_lines)
         with ExitStack() as stack:
             sinks = self._open_sinks(rows, stack)
-            frames = FrameLines(
-                plan.cameras, sinks, rows, self._times, keep_extras=plan.scene.format == "recording"
-            )
+            keep = of_recording(plan.scene)
+            frames = FrameLines(plan.cameras, sinks, rows, self._times, keep_extras=keep)
             pictures = frames.stream()
             shared = SharedLines(plan.notes.shared_lines, self._hosts(pictures))
             self._numbers = NumberLines(
@@ -131,10 +134,12 @@ class _RecordingWriter:
         self._losses.extend(loss for part in parts for loss in part.losses)
         return [*self._losses, *grouping_losses(plan.cameras, rows), *_time_losses(self._times)]
 
-    def _open_sinks(self, rows: Int64Array, stack: ExitStack) -> list[PictureSink]:
+    def _open_sinks(self, rows: PictureRows, stack: ExitStack) -> list[PictureSink]:
         sinks: list[PictureSink] = []
-        for index, camera in enumerate(self._plan.cameras if len(rows) else ()):
-            sinks.append(open_sink(camera, self._folder, index, rows[:, index], pictures=self._pictures))
+        for index, camera in enumerate(self._plan.cameras if len(rows.pictures) else ()):
+            sinks.append(
+                open_sink(camera, self._folder, index, rows.pictures[:, index], pictures=self._pictures)
+            )
             stack.callback(sinks[-1].abandon)
         return sinks
 
@@ -174,7 +179,7 @@ class _RecordingWriter:
             for lines in merged_lines(streams, self._plan.notes.line_order):
                 file.write("\n".join([*lines, ""]).encode())
         if not any(len(stream.timestamps_ns) for stream in streams):
-            raise OptionError(f"{self._plan.scene.source}: holds nothing that a recording could hold")
+            raise DataError(self._plan.scene.source, "", "holds nothing that a recording could hold")
 
     def _write_calibration(self, sinks: list[PictureSink]) -> None:
         plan = self._plan
@@ -194,12 +199,6 @@ class _RecordingWriter:
         if cameras or lidars or further:
             text = msgspec.json.format(msgspec.json.encode(content), indent=2)
             (self._folder / CALIBRATION_FILE).write_bytes(text + b"\n")
-
-
-def _picture_rows(plan: WritingPlan) -> Int64Array:
-    if not plan.cameras:
-        return np.zeros((0, 0), np.int64)
-    return group_pictures([shots_of(camera).timestamps_ns for camera in plan.cameras])
 
 
 def _time_losses(times: TimeWriter) -> list[Loss]:

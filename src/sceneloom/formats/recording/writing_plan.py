@@ -8,6 +8,7 @@ import msgspec
 
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.frame_notes import FrameNotes
 from sceneloom.formats.recording.kept_texts import SharedText
 from sceneloom.formats.recording.line_order import LineOrder
 from sceneloom.formats.recording.trajectories import RANKS
@@ -35,6 +36,7 @@ class RecordingNotes(msgspec.Struct):
         receiver_origins: root key and name of satellite receivers that were renamed.
         line_forms: by stream, a line with the order of keys that it has.
         line_order: of lines of one time.
+        frame_lines: of lines of pictures that are not what would be written else.
     """
 
     calibration: dict[str, Any] = {}
@@ -47,6 +49,7 @@ class RecordingNotes(msgspec.Struct):
     receiver_origins: dict[str, tuple[str, str]] = {}
     line_forms: dict[str, str] = {}
     line_order: LineOrder = msgspec.field(default_factory=LineOrder)
+    frame_lines: FrameNotes | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,68 +1,31 @@
 """The `frames` lines: pictures of several cameras that belong together, one line for each such set."""
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.kept_parameters import LENS, MOUNT, PictureParameters
 from sceneloom.formats.recording.line_order import FRAMES
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
-from sceneloom.formats.recording.written_calibration import lens_entry, lens_losses
+from sceneloom.formats.recording.picture_rows import PictureRows
+from sceneloom.formats.recording.picture_table import OWN_FIELDS
 from sceneloom.formats.recording.written_lines import make_line
-from sceneloom.formats.recording.written_mounts import matrix_entry
 from sceneloom.formats.recording.written_pictures import PictureSink
 from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of, shots_of
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.scene import DepthFrame
 
-_DEFAULT_PERIOD_NS = 100_000_000
-_OWN_EXTRAS = frozenset({"file_seconds", "number", "line_seconds", "line"})
+_OWN_EXTRAS = OWN_FIELDS | {LENS, MOUNT}
 """Extras of a picture that its line is made from anew."""
 _OWN_DEPTH_EXTRAS = frozenset({"colorFormat", "depthScale"})
 """Those of a depth image that are told by how it is written."""
 _FORMATS_WORDS = {"exposureTimeSeconds"}
 """Extras that mean the same whatever a scene was read from: words of the recording format that the model took over."""
-
-
-def group_pictures(stamps: Sequence[Int64Array]) -> Int64Array:
-    """Find which pictures share a line: those within half a period of the earliest, at most one per camera.
-
-    Args:
-        stamps: per camera, (N,) int64 [ns], ascending.
-
-    Returns:
-        (L, C) int64: for each line and camera the index of the picture, -1 for none; lines in time order.
-    """
-    steps = [np.diff(times) for times in stamps]
-    periods = [float(np.median(step[step > 0])) for step in steps if (step > 0).any()]
-    half_ns = min(periods, default=_DEFAULT_PERIOD_NS) / 2
-    cameras = np.concatenate([np.full(len(times), c, np.int64) for c, times in enumerate(stamps)])
-    indices = np.concatenate([np.arange(len(times), dtype=np.int64) for times in stamps])
-    times = np.concatenate(list(stamps))
-    lines: list[list[int]] = []
-    start_ns = 0
-    for k in np.argsort(times, kind="stable").tolist():
-        camera, stamp = int(cameras[k]), int(times[k])
-        if not lines or lines[-1][camera] >= 0 or stamp - start_ns >= half_ns:
-            lines.append([-1] * len(stamps))
-            start_ns = stamp
-        lines[-1][camera] = int(indices[k])
-    return np.array(lines, np.int64).reshape(len(lines), len(stamps))
-
-
-def grouping_losses(sensors: Sequence[ShootingSensor], rows: Int64Array) -> list[Loss]:
-    """Say where cameras are not in step, so that lines lack some of their pictures."""
-    missing = (rows < 0).sum(axis=0).tolist()
-    what = (
-        "is not in step with the other cameras: its video repeats a picture where a line has none of its own"
-    )
-    return [
-        Loss(field=field_of(sensor), what=what, count=count)
-        for sensor, count in zip(sensors, missing, strict=True)
-        if count
-    ]
+_OWN_KEYS = {"frames", "number", "time"}
+_CAMERA = re.compile(r"camera(\d+)")
 
 
 class FrameLines:
@@ -76,7 +39,7 @@ class FrameLines:
         self,
         sensors: Sequence[ShootingSensor],
         sinks: Sequence[PictureSink],
-        rows: Int64Array,
+        rows: PictureRows,
         times: TimeWriter,
         *,
         keep_extras: bool,
@@ -86,65 +49,115 @@ class FrameLines:
         Args:
             sensors: the cameras, in the order of `cameraInd`.
             sinks: where the pictures of each go.
-            rows: (L, C) int64, which picture of each camera each line has, -1 for none.
+            rows: which picture of each camera each line has.
             times: writes the times.
             keep_extras: whether further fields of pictures are a recording's own, to be written back.
         """
-        self.losses: list[Loss] = []
+        self._losses: list[Loss] = list(rows.losses)
         self._sensors, self._sinks, self._rows, self._times = sensors, sinks, rows, times
         self._keep_extras = keep_extras
+        self._read_as = [_index_before(sensor, place) for place, sensor in enumerate(sensors)]
+        self._parameters = [
+            PictureParameters(sensor, sink.width, sink.height)
+            for sensor, sink in zip(sensors, sinks, strict=False)
+        ]
+        self._not_listed = 0
+
+    @property
+    def losses(self) -> list[Loss]:
+        """What could not be written."""
+        what = "`frames` lines that do not list every camera, as they were read: the vendor's software refuses them"
+        short = [Loss(field="replay", what=what, count=self._not_listed)] if self._not_listed else []
+        return [*self._losses, *(loss for writer in self._parameters for loss in writer.losses), *short]
 
     def stream(self) -> LineStream:
         """The lines, each made after its pictures were handed on."""
-        stamps = np.full(self._rows.shape, np.iinfo(np.int64).max)
+        pictures, seconds = self._rows.pictures, self._rows.seconds
+        if seconds is not None:
+            return OneByOne(
+                np.array([round(time * 1e9) for time in seconds], np.int64), self._lines(), FRAMES
+            )
+        stamps = np.full(pictures.shape, np.iinfo(np.int64).max)
         for column, sensor in enumerate(self._sensors):
-            there = self._rows[:, column] >= 0
-            stamps[there, column] = shots_of(sensor).timestamps_ns[self._rows[there, column]]
+            there = pictures[:, column] >= 0
+            stamps[there, column] = shots_of(sensor).timestamps_ns[pictures[there, column]]
         return OneByOne(stamps.min(axis=1, initial=np.iinfo(np.int64).max), self._lines(), FRAMES)
 
     def _lines(self) -> Iterator[WrittenLine]:
-        for number, row in enumerate(self._rows.tolist()):
+        seconds = self._rows.seconds
+        for place, row in enumerate(self._rows.pictures.tolist()):
             pairs = zip(self._sensors, row, strict=True)
             shots: list[Shot | None] = [shots_of(sensor)[k] if k >= 0 else None for sensor, k in pairs]
-            first = min((shot for shot in shots if shot is not None), key=_time)
-            entries = [self._entry(c, shot, first) for c, shot in enumerate(shots)]
-            beside = first.extras.get("line", {}) if self._keep_extras else {}
-            fields = {**beside, "frames": entries, "number": number}
-            yield make_line(fields, first.timestamp_ns, self._times, first.extras.get("file_seconds"))
+            first = min((shot for shot in shots if shot is not None), key=_time, default=None)
+            if first is not None and seconds is None:
+                stamp, told = first.timestamp_ns, first.extras.get("file_seconds")
+            else:
+                told = 0.0 if seconds is None else seconds[place]
+                stamp = round(told * 1e9)
+            kept = self._rows.lines.get(place)
+            time = (stamp, told) if first is None else (first.timestamp_ns, first.extras.get("file_seconds"))
+            entries = [self._entry(c, shot, time, kept) for c, shot in enumerate(shots)]
+            fields = {
+                **self._beside(first, kept),
+                "frames": [entry for entry in entries if entry is not None],
+                "number": self._rows.first + place,
+            }
+            yield make_line(fields, stamp, self._times, told)
 
-    def _entry(self, index: int, shot: Shot | None, first: Shot) -> dict[str, Any]:
-        shown, sink = first if shot is None else shot, self._sinks[index]
-        sink.add(shot, shown.timestamp_ns)
+    def _beside(self, first: Shot | None, kept: Mapping[str, Any] | None) -> Mapping[str, Any]:
+        if kept is not None:
+            return {key: value for key, value in kept.items() if key not in _OWN_KEYS}
+        beside = first.extras.get("line", {}) if first is not None and self._keep_extras else {}
+        return beside if isinstance(beside, Mapping) else {}
+
+    def _entry(
+        self, index: int, shot: Shot | None, time: tuple[int, float | None], kept: Mapping[str, Any] | None
+    ) -> dict[str, Any] | None:
+        """Make the entry of a camera; None for a camera that the line did not list."""
+        sink = self._sinks[index]
+        if shot is None:
+            sink.add(None, time[0])
+            return self._without_picture(index, time, kept)
+        sink.add(shot, shot.timestamp_ns)
         entry = {
             "cameraInd": index,
-            "time": self._times.raw(shown.timestamp_ns, shown.extras.get("file_seconds")),
+            "time": self._times.raw(shot.timestamp_ns, shot.extras.get("file_seconds")),
         }
-        if shot is None:
-            return {**entry, "missingBitmap": True}
-        own = {**sink.fields(shot), **self._own_parameters(index, shot)}
+        before = shot.extras if self._keep_extras else {}
+        own = {**sink.fields(shot), **self._parameters[index].fields(shot, before)}
         return {**self._extras(index, shot), **entry, **own}
 
-    def _own_parameters(self, index: int, shot: Shot) -> dict[str, Any]:
-        sensor, fields = self._sensors[index], dict[str, Any]()
-        if shot.camera != sensor.camera:
-            lens, how_far = lens_entry(shot.camera, model_key="distortionModel")
-            fields["cameraParameters"] = {k: v for k, v in lens.items() if not k.startswith("image")}
-            self.losses += lens_losses(f"{field_of(sensor)}[].camera", how_far)
-        if shot.mount is not None and shot.mount is not sensor.mount:
-            fields["imuToCamera"] = matrix_entry(shot.mount.inverse())
-        return fields
+    def _without_picture(
+        self, index: int, time: tuple[int, float | None], kept: Mapping[str, Any] | None
+    ) -> dict[str, Any] | None:
+        listed = kept["frames"] if kept is not None else [{"cameraInd": self._read_as[index]}]
+        before = next((entry for entry in listed if entry["cameraInd"] == self._read_as[index]), None)
+        if before is None:
+            self._not_listed += 1
+            return None
+        own = before if before.get("missingBitmap") is True else {}
+        known = own.get("time")
+        seconds = self._times.raw(*time) if known is None else known
+        return {**own, "cameraInd": index, "time": seconds, "missingBitmap": True}
 
     def _extras(self, index: int, shot: Shot) -> dict[str, Any]:
         own = _OWN_EXTRAS | (_OWN_DEPTH_EXTRAS if isinstance(shot, DepthFrame) else frozenset())
         further = {key: value for key, value in shot.extras.items() if key not in own}
         if self._keep_extras:
-            return further
+            hidden = shot.extras.get("entry", {})
+            return {**further, **hidden} if isinstance(hidden, Mapping) else further
         for name in [name for name in further if name not in _FORMATS_WORDS]:
             self._lose(f"{field_of(self._sensors[index])}[].{name}", "left out: the format has none", 1)
         return {name: value for name, value in further.items() if name in _FORMATS_WORDS}
 
     def _lose(self, field: str, what: str, count: int) -> None:
-        self.losses.append(Loss(field=field, what=what, count=count))
+        self._losses.append(Loss(field=field, what=what, count=count))
+
+
+def _index_before(sensor: ShootingSensor, place: int) -> int:
+    """The `cameraInd` that a camera was read with."""
+    found = _CAMERA.fullmatch(str(sensor.id))
+    return int(found[1]) if found else place
 
 
 def _time(shot: Shot) -> tuple[int, float]:

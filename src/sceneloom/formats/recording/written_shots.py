@@ -29,9 +29,14 @@ def shooting_sensors(scene: Scene) -> Sequence[ShootingSensor]:
     The vendor's software takes the first two for a pair of stereo pictures, or for a picture and its depth.
     """
     found = [sensor for sensor in scene.sensors if isinstance(sensor, CameraSensor | DepthCameraSensor)]
-    if scene.format == "recording":
+    if of_recording(scene):
         return found
     return sorted(found, key=lambda sensor: isinstance(sensor, DepthCameraSensor))
+
+
+def of_recording(scene: Scene) -> bool:
+    """Whether a scene was read from a recording, be it by way of a scene file."""
+    return scene.format == "recording" or "recording" in scene.metadata
 
 
 def frame_rate(sensor: ShootingSensor) -> float:

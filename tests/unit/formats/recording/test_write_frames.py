@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.formats.recording.written_frames import group_pictures
+from sceneloom.formats.recording.picture_rows import group_pictures
 
 MS = 1_000_000
 

@@ -1,0 +1,102 @@
+"""Lenses and mountings of single pictures in the words that they were read from, where these still mean them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import SceneloomError
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.frame_parameters import read_mount, read_parameters
+from sceneloom.formats.recording.lenses import CameraParameters, lens
+from sceneloom.formats.recording.written_calibration import cropped, lens_entry, lens_losses
+from sceneloom.formats.recording.written_mounts import matrix_entry
+from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of
+from sceneloom.geometry.rigid import RigidTransform
+
+LENS, MOUNT = "cameraParameters", "imuToCamera"
+"""Fields of an entry, and extras of a picture that has been read with them."""
+
+_NOWHERE = Path("data.jsonl")
+
+
+class PictureParameters:
+    """Writes what pictures of a camera have of their own.
+
+    Attributes:
+        losses: lenses that the format does not have.
+    """
+
+    def __init__(self, sensor: ShootingSensor, width: int, height: int) -> None:
+        """Begin.
+
+        Args:
+            sensor: the camera.
+            width: of the pictures as they are written [px].
+            height: likewise.
+        """
+        self.losses: list[Loss] = []
+        self._sensor, self._size = sensor, (width, height)
+        self._written: CameraParameters | None = None
+        self._last_lens: tuple[bytes, Camera | None] = (b"", None)
+        self._last_mount: tuple[bytes, RigidTransform | None] = (b"", None)
+
+    def fields(self, shot: Shot, kept: Mapping[str, Any]) -> dict[str, Any]:
+        """Give the lens and the mounting of a picture, as far as they are its own.
+
+        Args:
+            shot: the picture.
+            kept: the fields that it was read with.
+        """
+        sensor, fields = self._sensor, dict[str, Any]()
+        if LENS in kept and self._means_lens(kept[LENS], shot.camera):
+            fields[LENS] = kept[LENS]
+        elif LENS in kept or shot.camera != sensor.camera:
+            written, how_far = lens_entry(shot.camera, model_key="distortionModel")
+            fields[LENS] = {k: v for k, v in written.items() if not k.startswith("image")}
+            self.losses += lens_losses(f"{field_of(sensor)}[].camera", how_far)
+        if shot.mount is None:
+            return fields
+        if MOUNT in kept and self._means_mount(kept[MOUNT], shot.mount):
+            fields[MOUNT] = kept[MOUNT]
+        elif MOUNT in kept or shot.mount is not sensor.mount:
+            fields[MOUNT] = matrix_entry(shot.mount.inverse())
+        return fields
+
+    def _means_lens(self, words: Any, camera: Camera) -> bool:
+        text = msgspec.json.encode(words)
+        if text != self._last_lens[0]:
+            self._last_lens = text, self._lens_of(text)
+        return self._last_lens[1] == cropped(camera, *self._size)
+
+    def _lens_of(self, text: bytes) -> Camera | None:
+        """What a reader of the written recording makes of it."""
+        try:
+            if self._written is None:
+                entry, _ = lens_entry(cropped(self._sensor.camera, *self._size))
+                self._written = msgspec.convert(entry, CameraParameters)
+            parameters = read_parameters(text, 0, path=_NOWHERE).over(self._written)
+            return lens(parameters, self._size, "").resized(*self._size)
+        except (SceneloomError, msgspec.ValidationError):
+            return None
+
+    def _means_mount(self, words: Any, mount: RigidTransform) -> bool:
+        text = msgspec.json.encode(words)
+        if text != self._last_mount[0]:
+            self._last_mount = text, _mount_of(text)
+        read = self._last_mount[1]
+        return read is not None and np.array_equal(read.matrix, mount.matrix)
+
+
+def _mount_of(text: bytes) -> RigidTransform | None:
+    """What a reader makes of it; None where it would have to mend it."""
+    ledger = Ledger(lenient=True)
+    try:
+        mount = read_mount(text, 0, path=_NOWHERE, ledger=ledger)
+    except SceneloomError:
+        return None
+    return None if ledger.notices else mount

@@ -1,0 +1,163 @@
+"""Which pictures share a `frames` line: those of one time, or those that did when they were read."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.frame_notes import FrameNotes
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS
+from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
+from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of, shots_of
+from sceneloom.formats.recording.written_times import means
+
+_DEFAULT_PERIOD_NS = 100_000_000
+
+_decode = msgspec.json.Decoder(dict[str, Any]).decode
+
+_Key = tuple[int, float, int, int]
+"""Time of a line [ns] and [s], its number, and how many lines of these come before it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureRows:
+    """Which picture of each camera each line has.
+
+    Attributes:
+        pictures: (L, C) int64, index of the picture, -1 for none; lines in the order of time.
+        seconds: (L,) float64 [s], times of the lines; None: those of their first pictures.
+        lines: by row, what a line said that lacks pictures.
+        first: `number` of the first line.
+        losses: what of the lines as they were read is not written.
+    """
+
+    pictures: Int64Array
+    seconds: Sequence[float] | None = None
+    lines: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    first: int = 0
+    losses: Sequence[Loss] = ()
+
+
+def picture_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) -> PictureRows:
+    """Bring pictures together, as they were where that is known and their times are still the same.
+
+    Args:
+        sensors: the cameras, in the order of `cameraInd`.
+        notes: what is known of the lines that the pictures were read from.
+    """
+    if not sensors:
+        return PictureRows(np.zeros((0, 0), np.int64))
+    found = _as_read(sensors, notes) if notes is not None and notes.own else None
+    if found is None:
+        found = PictureRows(group_pictures([shots_of(sensor).timestamps_ns for sensor in sensors]))
+    if notes is None:
+        return found
+    untouched = len(found.pictures) == notes.count
+    first = notes.first if untouched and notes.first is not None else 0
+    losses = _losses(found, notes, untouched=untouched)
+    return PictureRows(found.pictures, found.seconds, found.lines, first, losses)
+
+
+def _losses(rows: PictureRows, notes: FrameNotes, *, untouched: bool) -> list[Loss]:
+    losses, count = list[Loss](), len(rows.pictures)
+    if untouched and notes.first is None:
+        what = "counted from 0: the vendor's software counts pictures by them, and they did not grow by one each time"
+        losses.append(Loss(field="frames[].number", what=what, count=count))
+    if notes.own and rows.seconds is None:
+        what = "put together anew by the times of their pictures, which are not those that were read"
+        losses.append(Loss(field="frames", what=what, count=count))
+    return losses
+
+
+def group_pictures(stamps: Sequence[Int64Array]) -> Int64Array:
+    """Find which pictures share a line: those within half a period of the earliest, at most one per camera.
+
+    Args:
+        stamps: per camera, (N,) int64 [ns], ascending.
+
+    Returns:
+        (L, C) int64: for each line and camera the index of the picture, -1 for none; lines in time order.
+    """
+    steps = [np.diff(times) for times in stamps]
+    periods = [float(np.median(step[step > 0])) for step in steps if (step > 0).any()]
+    half_ns = min(periods, default=_DEFAULT_PERIOD_NS) / 2
+    cameras = np.concatenate([np.full(len(times), c, np.int64) for c, times in enumerate(stamps)])
+    indices = np.concatenate([np.arange(len(times), dtype=np.int64) for times in stamps])
+    times = np.concatenate(list(stamps))
+    lines: list[list[int]] = []
+    start_ns = 0
+    for k in np.argsort(times, kind="stable").tolist():
+        camera, stamp = int(cameras[k]), int(times[k])
+        if not lines or lines[-1][camera] >= 0 or stamp - start_ns >= half_ns:
+            lines.append([-1] * len(stamps))
+            start_ns = stamp
+        lines[-1][camera] = int(indices[k])
+    return np.array(lines, np.int64).reshape(len(lines), len(stamps))
+
+
+def grouping_losses(sensors: Sequence[ShootingSensor], rows: PictureRows) -> list[Loss]:
+    """Say where cameras are not in step, so that lines lack some of their pictures, unless that was read so."""
+    fresh = [row for row in range(len(rows.pictures)) if row not in rows.lines]
+    missing = (rows.pictures[fresh] < 0).sum(axis=0).tolist()
+    what = (
+        "is not in step with the other cameras: its video repeats a picture where a line has none of its own"
+    )
+    return [
+        Loss(field=field_of(sensor), what=what, count=count)
+        for sensor, count in zip(sensors, missing, strict=True)
+        if count
+    ]
+
+
+def _as_read(sensors: Sequence[ShootingSensor], notes: FrameNotes) -> PictureRows | None:
+    """Bring pictures together that were in one line; None where one has another time, or none tells its line."""
+    members: dict[_Key, list[int]] = {}
+    for place, sensor in enumerate(sensors):
+        seen = Counter[tuple[int, float, int]]()
+        for k, shot in enumerate(shots_of(sensor)):
+            line = _line_of(shot)
+            if line is None:
+                return None
+            members.setdefault((*line, seen[line]), [-1] * len(sensors))[place] = k
+            seen[line] += 1
+    lines = _kept_lines(notes.texts)
+    if len(members.keys() | lines.keys()) == notes.count:
+        # nothing was cut: lines without any picture have their places
+        members = {key: members.get(key) or [-1] * len(sensors) for key in [*members, *lines]}
+    keys = sorted(members)
+    return PictureRows(
+        pictures=np.array([members[key] for key in keys], np.int64).reshape(len(keys), len(sensors)),
+        seconds=[key[1] for key in keys],
+        lines={row: lines[key] for row, key in enumerate(keys) if key in lines},
+    )
+
+
+def _line_of(shot: Shot) -> tuple[int, float, int] | None:
+    seconds, number = shot.extras.get("file_seconds"), shot.extras.get("number")
+    if not isinstance(seconds, float) or type(number) is not int or not means(seconds, shot.timestamp_ns):
+        return None
+    own = shot.extras.get("line_seconds", seconds)
+    return (round(own * 1e9), float(own), number) if isinstance(own, float) else None
+
+
+def _kept_lines(texts: Sequence[str]) -> dict[_Key, Mapping[str, Any]]:
+    lines: dict[_Key, Mapping[str, Any]] = {}
+    seen = Counter[tuple[int, float, int]]()
+    for text in texts:
+        try:
+            line = _decode(text)
+            content = with_frames(line) if has_old_frame(line) else line
+            seconds, number = float(content["time"]), int(content["number"])
+            stamp, known = round(seconds * 1e9), [entry["cameraInd"] for entry in content["frames"]]
+        except (*DECODER_FAULTS, KeyError, TypeError, ValueError, OverflowError):
+            continue
+        if all(type(index) is int for index in known):
+            key = (stamp, seconds, number)
+            lines[(*key, seen[key])] = content
+            seen[key] += 1
+    return lines

@@ -30,6 +30,7 @@ class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
         left_out: what stood in the source and could not be taken into `output`.
         losses: what `output` could not hold, though nothing was wrong with it.
         output: the file that the mended scene was written to, or None; the findings are then those of it.
+        unwritten: why there is no `output` though there was to be one, or None.
     """
 
     source: str
@@ -45,6 +46,7 @@ class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
     left_out: tuple[Finding, ...] = ()
     losses: tuple[Loss, ...] = ()
     output: str | None = None
+    unwritten: str | None = None
 
 
 def findings_of(hits: Hits, rules: Sequence[Rule], *, places: int | None = PLACES) -> tuple[Finding, ...]:

@@ -17,6 +17,7 @@ from sceneloom.checks.report import PLACES, ValidationReport, counts_of, finding
 from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.checks.walk import Hits, find_all
+from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output
@@ -24,6 +25,11 @@ from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.table import format_for_output, write_scene
 from sceneloom.scene import Finding, Notice, NoticeKind, Scene
 from sceneloom.scene.types import Progress
+
+_MEANS_NOTHING = "what is at fault decides what the rest means"
+
+_UNWRITABLE = (DataError, CalibrationError, PoseError)
+"""What is wrong with a scene, not with the place that it is to be written to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +98,12 @@ def validate(
         reading: reading options of the format; faulty parts are never an error here.
 
     Returns:
-        The report; where nothing could be written to `fix`, its `output` is None.
+        The report; where nothing could be written to `fix`, its `output` is None, and `unwritten` says why.
 
     Raises:
         UnknownFormatError: no format fits the path.
         OptionError: there is no such profile, rule or reading option.
         OutputError: `fix` exists, or cannot be written.
-        DataError: a frame that `fix` would need cannot be read.
     """
     terms = _Terms(
         profile, strict, frames, chosen_rules(profile or "sfs", only=rules, ignored=ignore), places, progress
@@ -109,11 +114,16 @@ def validate(
     try:
         hits = terms.hits(subject)
         report = terms.report(subject, hits)
-        if fix is None or not _can_be_written(subject):
+        if fix is None:
             return report
+        if not _can_be_written(subject):
+            return msgspec.structs.replace(report, unwritten=_MEANS_NOTHING)
         scene, applied = mended(subject.scene, terms.rules, hits)
         told = replace(scene, notices=(*scene.notices, *_remarks(subject.faults)))
-        losses = _write(told, Path(fix), profile, overwrite=overwrite)
+        try:
+            losses = _write(told, Path(fix), profile, overwrite=overwrite)
+        except _UNWRITABLE as error:
+            return msgspec.structs.replace(report, unwritten=str(error))
     finally:
         if subject.scene is not source:
             subject.scene.close()

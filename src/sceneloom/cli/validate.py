@@ -118,7 +118,7 @@ def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool
         _print_losses(report.losses)
         click.echo(f"written: {report.output}")
     elif asked_to_fix:
-        click.echo("nothing was written: what is at fault decides what the rest means", err=True)
+        click.echo(f"nothing was written: {report.unwritten}", err=True)
 
 
 def _print_findings(findings: "Sequence[Finding]") -> None:

@@ -270,7 +270,8 @@ def _own_mount(
 
 
 def _video(files: PictureFiles | None, indices: Int64Array) -> VideoContent | None:
-    if not isinstance(files, VideoReader):
+    # of what is left of a video the pictures can be decoded, but its file cannot be handed on
+    if not isinstance(files, VideoReader) or files.is_remainder:
         return None
     all_in_order = np.array_equal(indices, np.arange(files.count))
     return VideoContent(

@@ -125,6 +125,11 @@ class VideoReader:
             return self._known_index()
 
     @property
+    def is_remainder(self) -> bool:
+        """Whether it was opened as what is left of a video that breaks off."""
+        return self._cut_off
+
+    @property
     def count(self) -> int:
         """Exact number of pictures."""
         return len(self.index)

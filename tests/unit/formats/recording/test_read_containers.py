@@ -4,6 +4,7 @@ import av
 import numpy as np
 import pytest
 
+import sceneloom
 from sceneloom.checks import validate
 from sceneloom.errors import DataError
 from sceneloom.formats.recording import FORMAT
@@ -99,6 +100,21 @@ def test_what_is_left_of_a_video_is_told_with_its_count(drive):
     report = validate(drive.path)
     assert not report.passed
     assert "unreadable-videos" in {finding.rule for finding in report.findings}
+
+
+@pytest.mark.parametrize("target", ["written", "written.sfs"])
+def test_what_is_left_of_a_video_can_be_written(drive, tmp_path, target):
+    path = drive.path / "data.mkv"
+    video(path, "libx264", "yuv420p")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with FORMAT.open(drive.path, lenient=True) as scene:
+        count = len(scene.cameras[0].pictures)
+        sceneloom.write(scene, tmp_path / target)
+    with sceneloom.open(tmp_path / target) as scene:
+        assert [brightness(picture) for picture in scene.cameras[0].pictures] == list(range(count))
+    report = validate(drive.path, fix=tmp_path / "mended")
+    assert report.passed
+    assert "unreadable-videos" in {finding.rule for finding in report.left_out}
 
 
 def test_a_video_of_which_nothing_is_left_is_told_and_left_out(drive):

@@ -16,7 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import ArrayError, CalibrationError, OptionError, OutputError, PoseError
+from sceneloom.errors import ArrayError, CalibrationError, DataError, OptionError, OutputError, PoseError
 from sceneloom.formats.recording.scene_from_recording import open_recording
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
@@ -641,7 +641,7 @@ def test_without_cameras_and_lidars_there_is_no_calibration(tmp_path):
 
 
 def test_a_scene_with_nothing_for_a_recording_is_refused(tmp_path):
-    with pytest.raises(OptionError, match="holds nothing that a recording could hold"):
+    with pytest.raises(DataError, match="holds nothing that a recording could hold"):
         write_recording(a_scene(), tmp_path / "drive")
     assert list(tmp_path.iterdir()) == []
 

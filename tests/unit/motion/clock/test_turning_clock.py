@@ -74,7 +74,7 @@ def test_a_rotation_between_the_bodies_is_found_along(sway, stamps):
 
 
 def test_gaps_and_wild_samples_do_not_matter(sway, stamps):
-    at, rates, posed, turns = pair(sway, stamps, offset=0.03)
+    at, rates, posed, turns = pair(sway, stamps, offset=0.03, seconds=36.0)
     draw = np.random.default_rng(5)
     rates[draw.random(len(rates)) < 0.002] += 3.0
     rates[100] = np.nan

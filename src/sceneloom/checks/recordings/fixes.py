@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.checks.poses import FASTEST
 from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
@@ -33,7 +33,7 @@ LONGEST_STEP = 3.0
 _RADIANS = (np.pi / 2, np.pi)
 
 
-def _usable(stream: Stream) -> BoolArray:
+def _on_earth(stream: Stream) -> BoolArray:
     """Which fixes are on the earth, (N,) bool."""
     latitudes, longitudes = stream.values[:, 0], stream.values[:, 1]
     usable: BoolArray = (np.abs(latitudes) <= 90) & (np.abs(longitudes) <= 180)
@@ -44,6 +44,13 @@ def _nowhere(stream: Stream) -> BoolArray:
     """Which fixes are exactly at 0, 0, (N,) bool."""
     nowhere: BoolArray = (stream.values[:, :2] == 0).all(axis=1)
     return nowhere
+
+
+def places_in_order(stream: Stream) -> Int64Array:
+    """Rows of the fixes that are places, the first of each time, (M,) int64."""
+    rows = np.flatnonzero(_on_earth(stream) & ~_nowhere(stream))
+    first: Int64Array = rows[np.diff(stream.seconds[rows], prepend=-np.inf) > 0]
+    return first
 
 
 def _tell(
@@ -62,7 +69,7 @@ def _shown(value: Float64Array) -> str:
 
 def _off_the_earth(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GNSS):
-        wrong, places = ~_usable(stream), stream.values[:, :2]
+        wrong, places = ~_on_earth(stream), stream.values[:, :2]
         expected = "degrees within 90 and 180"
         if (wrong & (np.abs(places[:, 0]) <= 180) & (np.abs(places[:, 1]) <= 90)).any():
             expected += ": are latitude and longitude exchanged?"
@@ -101,8 +108,7 @@ def _accuracies(subject: Subject) -> Iterator[Hit]:
 
 def _jumps(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GNSS):
-        rows = np.flatnonzero(_usable(stream) & ~_nowhere(stream))
-        rows = rows[np.flatnonzero(np.diff(stream.seconds[rows], prepend=-np.inf) > 0)]
+        rows = places_in_order(stream)
         if len(rows) < 2:
             continue
         seconds, fixes = stream.seconds[rows], stream.values[rows]

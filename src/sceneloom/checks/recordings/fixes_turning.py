@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.checks.recordings.fixes import places_in_order
 from sceneloom.checks.recordings.streams import Kind, Stream, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
@@ -70,9 +71,7 @@ def _turned_left(gyroscope: Stream, accelerometer: Stream) -> tuple[Float64Array
 
 def _turns_of(fixes: Stream) -> tuple[Float64Array, Float64Array] | None:
     """The times in the middle of each leg, (L,) [s], and the turns between them to the left, (L - 1,) [rad]."""
-    latitudes, longitudes = fixes.values[:, 0], fixes.values[:, 1]
-    usable = np.flatnonzero((np.abs(latitudes) <= 90) & (np.abs(longitudes) <= 180))
-    usable = usable[np.diff(fixes.seconds[usable], prepend=-np.inf) > 0]
+    usable = places_in_order(fixes)
     usable = usable[:: len(usable) // _MOST_FIXES + 1]
     if len(usable) <= _FEWEST_TURNS:
         return None

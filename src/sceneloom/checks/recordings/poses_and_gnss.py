@@ -9,6 +9,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.geodesy import enu_from_geodetic
+from sceneloom.motion.gnss_receivers import usable_fixes
 from sceneloom.scene import GnssSensor, Severity, Trajectory
 
 NEAREST_TOLD = 5.0
@@ -77,9 +78,10 @@ def _cases(subject: Subject) -> Iterator[_Case]:
     if not receivers or not len(receivers[0].timestamps_ns):
         return
     receiver = receivers[0]
-    finite = np.isfinite(receiver.positions_lla).all(axis=1)
+    # a fix at 0, 0 before reception would else be the place from which all are seen
+    usable = usable_fixes(receiver) & np.isfinite(receiver.positions_lla).all(axis=1)
     for way in subject.scene.trajectories.values():
-        during = finite & (receiver.timestamps_ns >= way.timestamps_ns[0])
+        during = usable & (receiver.timestamps_ns >= way.timestamps_ns[0])
         rows = np.flatnonzero(during & (receiver.timestamps_ns <= way.timestamps_ns[-1]))
         if len(rows) < _FEWEST_FIXES:
             continue

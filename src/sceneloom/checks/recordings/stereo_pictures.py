@@ -18,7 +18,7 @@ from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene import CameraSensor, Picture, Severity
 
 _WIDTH = 192
-"""Pictures are compared at this width [px]."""
+"""Pictures are compared at this width [px], or at their own where that is less."""
 _LOOKED_AT = 4
 _WIDEST_SHIFT, _CLEAR_SHIFT = 16, 1.5
 """Shifts are looked for up to the first, and told from none at the second [px]."""
@@ -68,7 +68,8 @@ def _index(camera: CameraSensor) -> int:
 
 
 def _small(lens: Camera) -> Camera:
-    return lens.resized(_WIDTH, max(2, round(lens.height * _WIDTH / lens.width)))
+    width = min(_WIDTH, lens.width)
+    return lens.resized(width, max(1, round(lens.height * width / lens.width)))
 
 
 def _grey(rgb: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], lens: Camera) -> Float64Array:
@@ -83,6 +84,8 @@ def _grey(rgb: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], lens: Camera) ->
 def _wrong_side(subject: Subject) -> Iterator[Hit]:
     views = _views(subject)
     for pair in stereo_pairs(subject):
+        if not pair.baseline.any():
+            continue
         first, second = views.pictures.get(pair.first, {}), views.pictures.get(pair.second, {})
         right = wrong = 0
         for time in first.keys() & second.keys():
@@ -127,7 +130,7 @@ def _cost(
     second_from_first = pair.first_from_second.inverse()
     away = second_from_first.translation * shift / (lenses[0].fx * float(np.linalg.norm(pair.baseline)))
     pixels, visible = project(lenses[1], second_from_first.rotate(rays) + away)
-    columns = np.clip(np.rint(np.nan_to_num(pixels[:, 0])), 0, width - 1).astype(int)
+    columns = np.clip(np.rint(np.nan_to_num(pixels[:, 0])), 0, second.shape[1] - 1).astype(int)
     rows = np.clip(np.rint(np.nan_to_num(pixels[:, 1])), 0, second.shape[0] - 1).astype(int)
     differences = np.where(visible, np.abs(second[rows, columns] - first.ravel()), np.nan)
     return _patches(differences.reshape(height, width))

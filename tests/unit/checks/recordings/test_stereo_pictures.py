@@ -44,7 +44,7 @@ def textures():
 def write_video(path, pictures):
     with av.open(str(path), "w") as container:
         stream = container.add_stream("ffv1", rate=10, options={"threads": "1"})
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "bgr0"
+        (stream.height, stream.width), stream.pix_fmt = pictures[0].shape, "bgr0"
         for grey in pictures:
             pixels = np.repeat(grey[:, :, None], 3, axis=2)
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
@@ -90,6 +90,22 @@ def test_exchanged_entries_are_found(found):
     pictures = textures()
     shifted = np.roll(pictures, -SHIFT, axis=2)
     assert len(found(pictures, shifted, cameras=(camera(-0.5), camera(0.0)))) == 1
+
+
+def test_small_pictures_are_looked_at_as_they_are(found):
+    small = {"imageWidth": 96, "imageHeight": 96, "principalPointX": 47.5, "principalPointY": 47.5}
+    lens = {**small, "focalLengthX": 80.0, "focalLengthY": 80.0}
+    pictures = textures()[:, :96, :96]
+    cameras = ({**camera(0.0), **lens}, {**camera(-0.5), **lens})
+    # 80 px times 0.5 m over 10 m
+    shifted = np.roll(pictures, -4, axis=2)
+    assert found(pictures, shifted, cameras=cameras) == []
+    assert len(found(shifted, pictures, cameras=cameras)) == 1
+
+
+def test_cameras_in_one_place_tell_no_side(found):
+    pictures = textures()
+    assert found(pictures, np.roll(pictures, -SHIFT, axis=2), cameras=(camera(0.0), camera(0.0))) == []
 
 
 @pytest.mark.parametrize("shift", [0, -1])

@@ -198,6 +198,19 @@ PLANTED = {
 }
 
 
+def test_fixes_before_reception_put_no_other_out_of_place(found):
+    """They stand at 0, 0, from where the others lie nearly around a quarter of the earth."""
+
+    def planted(line):
+        if "gps" in line:
+            line["gps"]["longitude"] += 60.0
+            if line["time"] < 2.0:
+                line["gps"].update(latitude=0.0, longitude=0.0)
+        return line
+
+    assert found(planted) == {}
+
+
 def test_nothing_is_said_of_a_drive_as_it_was(found):
     assert found(lambda line: line) == {}
 

@@ -83,9 +83,18 @@ def find_format(path: Path) -> Format:
         return claims[0]
     if not claims:
         known = "; ".join(f"{name}, {format_named(name).looks_like}" for name in format_names())
-        raise UnknownFormatError(path, "", f"no reader knows this; expected one of: {known}")
+        guesses = [guess for form in map(format_named, FORMATS) if (guess := _near_miss(form, path))]
+        raise UnknownFormatError(
+            path, "", "; ".join(["no reader knows this", *guesses, f"expected one of: {known}"])
+        )
     names = ", ".join(form.name for form in claims)
     raise UnknownFormatError(path, "", f"more than one reader claims this ({names}); name one with `format=`")
+
+
+def _near_miss(form: Format, path: Path) -> str | None:
+    """What keeps a path from being of a format, where the format can tell."""
+    told = getattr(form, "near_miss", None)
+    return None if told is None else cast("str | None", told(path))
 
 
 def _format_of_url(url: str) -> Format:

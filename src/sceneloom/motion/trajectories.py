@@ -2,7 +2,7 @@
 
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.motion.heading import headed_poses
-from sceneloom.scene import PosePath, Scene, Trajectory
+from sceneloom.scene import GnssSensor, PosePath, Scene, Trajectory
 from sceneloom.scene.ego import EgoMotion
 
 IDENTITY = "identity"
@@ -54,5 +54,7 @@ def _ego_motion(trajectory: Trajectory, heading: str | None) -> EgoMotion:
 
 
 def _choices(scene: Scene) -> str:
-    found = [LIDAR] if scene.lidars and LIDAR not in scene.trajectories else []
+    has_fixes = any(isinstance(sensor, GnssSensor) for sensor in scene.sensors)
+    computed = {GNSS: has_fixes, LIDAR: bool(scene.lidars)}
+    found = [name for name, is_there in computed.items() if is_there and name not in scene.trajectories]
     return ", ".join([*scene.trajectories, *found, IDENTITY])

@@ -7,8 +7,9 @@ from typing import Any
 
 import msgspec
 
+from sceneloom.errors import OptionError
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import Format, format_and_place, format_for_output, format_named
+from sceneloom.formats.table import Format, format_and_place, format_for_output, format_named, format_names
 from sceneloom.formats.trajectories import TRAJECTORY_FORMS
 from sceneloom.pipeline.trajectory_conversion import (
     holds_trajectory_only,
@@ -69,6 +70,7 @@ def convert(
     Raises:
         UnknownFormatError: no format fits the source.
         DataError: the source is wrong.
+        OptionError: there is no format or form `to`.
         OutputError: the target exists, or cannot be written.
     """
     place, options = Path(target), dict(reading or {})
@@ -84,6 +86,9 @@ def convert(
             progress=progress,
         )
         return _report(source, place, *told)
+    if to is not None and to not in format_names():
+        known = ", ".join((*format_names(), *TRAJECTORY_FORMS))
+        raise OptionError(f"no format or form {to!r}; there are {known}")
     writer = format_for_output(place) if to is None else format_named(to)
     if options.get("form") in TRAJECTORY_FORMS or holds_trajectory_only(source):
         write = partial(_write, writer, place, overwrite=overwrite, **writing)

@@ -96,13 +96,20 @@ class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
     notices: tuple[Notice, ...]
 
 
+def _span_of_ways(scene: Scene) -> tuple[int, int] | None:
+    stamps = [way.timestamps_ns for way in scene.trajectories.values() if len(way.timestamps_ns)]
+    if not stamps:
+        return None
+    return min(int(times.min()) for times in stamps), max(int(times.max()) for times in stamps)
+
+
 def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
     """Count what a scene holds; reads the first frame of each lidar and nothing more of them.
 
     Raises:
         DataError: the first frame of a lidar cannot be read.
     """
-    span = time_span(scene)
+    span = time_span(scene) or _span_of_ways(scene)
     start_ns = 0 if span is None else span[0]
     types = [annotation.type for annotation in scene.annotations]
     return SceneSummary(

@@ -235,3 +235,15 @@ def test_a_log_of_more_than_poses_becomes_a_drive_with_all_of_it(call: Call, tmp
     (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n", "utf-8")
     assert call("convert", tmp_path / "log.jsonl", tmp_path / "drive").code == 0
     assert "gyroscope" in (tmp_path / "drive" / "data.jsonl").read_text("utf-8")
+
+
+def test_unknown_forms_to_write_are_refused_with_those_that_there_are(call, recording, tmp_path):
+    refused = call("convert", recording, tmp_path / "way.tum", "--to", "tun")
+    assert refused.code == 2
+    assert "'tun'; there are sfs, recording, rig, tum, kitti, euroc, gnss, csv, jsonl" in refused.err
+
+
+def test_a_drive_that_is_a_trajectory_alone_is_as_long_as_that(call, tmp_path):
+    (tmp_path / "way.tum").write_text("1.0 0 0 0 0 0 0 1\n3.5 1 0 0 0 0 0 1\n")
+    assert call("convert", tmp_path / "way.tum", tmp_path / "drive").code == 0
+    assert "recording, 2.500 s" in call("info", tmp_path / "drive").out

@@ -33,6 +33,7 @@ from sceneloom.formats.recording.picture_files import (
     find_pictures,
     maybe_cut_off,
     open_pictures,
+    other_videos,
     unused_pictures,
 )
 from sceneloom.formats.recording.picture_table import PictureTable, build_table, further_fields
@@ -172,7 +173,7 @@ def _match_pictures(
     if path is None:
         if len(rows):
             problem = f"no pictures of camera {index}, while data.jsonl has {len(rows)} frames of it"
-            expected = expected_names(index)
+            expected = f"{expected_names(index)}{other_videos(sources.folder)}"
             ledger.fault("missing-videos", DataError(sources.folder, "", f"{problem}; expected {expected}"))
         return None, none
     try:

@@ -7,7 +7,7 @@ from typing import Any
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.recording.examination import RecordingExamination, examine_recording
-from sceneloom.formats.recording.place import DATA_FILE, is_log
+from sceneloom.formats.recording.place import DATA_FILE, is_log, near_miss
 from sceneloom.formats.recording.scene_from_recording import open_recording
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.formats.recording.zipped import holds_recording
@@ -29,6 +29,10 @@ class RecordingFormat:
         if path.is_dir():
             return (path / DATA_FILE).is_file()
         return path.is_file() and (path.name == DATA_FILE or is_log(path) or holds_recording(path, DATA_FILE))
+
+    def near_miss(self, path: Path) -> str | None:
+        """Say what keeps a path that is no recording from being one, where that can be guessed."""
+        return near_miss(path)
 
     def open(self, path: Path, **options: Any) -> Scene:
         """Open a recording; `open_recording` describes the options.

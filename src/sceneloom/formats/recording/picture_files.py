@@ -76,6 +76,16 @@ def expected_names(camera_index: int) -> str:
     return f"data{number}.{{{','.join(VIDEO_SUFFIXES)}}} or frames{camera_index + 1}/00000000.png"
 
 
+def other_videos(folder: Path) -> str:
+    """Name what looks like a video, but has no name of one of a recording's; "" where there is none."""
+    found = [
+        path.name
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower().removeprefix(".") in VIDEO_SUFFIXES and not _PICTURES.fullmatch(path.name)
+    ]
+    return f"; in the folder there is {', '.join(found)}" if found else ""
+
+
 def open_pictures(path: Path, ledger: Ledger) -> PictureFiles:
     """Open a video or a folder of PNG pictures; a lenient reading takes what is left of a video that is cut off.
 

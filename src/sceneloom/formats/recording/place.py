@@ -10,7 +10,7 @@ import msgspec
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.line_shapes import RECORD_KEYS
 from sceneloom.formats.recording.picture_files import OpenPictures
-from sceneloom.formats.recording.zipped import is_zip, unpack
+from sceneloom.formats.recording.zipped import damage_of_zip, is_zip, unpack
 
 DATA_FILE = "data.jsonl"
 
@@ -70,6 +70,18 @@ def find_place(path: Path) -> RecordingPlace:
     if path.is_file():
         return RecordingPlace(path.parent, str(path), path, alone=True)
     return RecordingPlace(path, str(path), path / DATA_FILE)
+
+
+def near_miss(path: Path) -> str | None:
+    """Say what keeps a path from being a recording, where it nearly is one; None where it is something else."""
+    if not path.is_dir():
+        return damage_of_zip(path) if is_zip(path) else None
+    names = sorted(entry.name for entry in path.iterdir())
+    packed = [name for name in names if name.lower().startswith(DATA_FILE + ".")]
+    if packed:
+        return f"there is {packed[0]}: unpack it to {DATA_FILE}"
+    logs = [name for name in names if name.lower().endswith(".jsonl")]
+    return f"there is {logs[0]}: is it the recording's {DATA_FILE}?" if logs else None
 
 
 def is_log(path: Path) -> bool:

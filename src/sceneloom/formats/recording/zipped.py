@@ -69,6 +69,15 @@ def is_zip(path: Path) -> bool:
         return False
 
 
+def damage_of_zip(path: Path) -> str | None:
+    """Why a zip archive cannot be read; None where it can."""
+    try:
+        with ZipFile(path):
+            return None
+    except _FAULTS as error:
+        return f"a zip archive that is damaged or cut off: {error or type(error).__name__}"
+
+
 def holds_recording(path: Path, data_file: str) -> bool:
     """Whether a file is a zip archive of a recording.
 

@@ -10,7 +10,7 @@ from sceneloom.errors import OptionError, PoseError
 from sceneloom.formats.table import Format
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile
 from sceneloom.formats.trajectories.gnss import of_fixes
-from sceneloom.motion.trajectories import RESERVED
+from sceneloom.motion.trajectories import GNSS, RESERVED
 from sceneloom.scene import GnssSensor, Scene, Trajectory
 from sceneloom.scene.types import Progress
 
@@ -90,5 +90,5 @@ def _computed(scene: Scene, name: str | None, progress: Progress | None) -> Traj
 def _choices(scene: Scene, receivers: list[GnssSensor]) -> str:
     found = [*scene.trajectories]
     found += ["lidar"] if scene.lidars and "lidar" not in found else []
-    found += [FIXES] if receivers else []
+    found += [name for name in (GNSS, FIXES) if receivers and name not in found]
     return ", ".join([*found, *(f"{FIXES}:{sensor.id}" for sensor in receivers[1:])]) or "none"

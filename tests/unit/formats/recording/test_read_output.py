@@ -107,6 +107,21 @@ def test_other_files_are_no_logs(tmp_path, text):
         find_format(path)
 
 
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("data.jsonl.gz", "there is data.jsonl.gz: unpack it to data.jsonl"),
+        ("Data.JSONL", "there is Data.JSONL: is it the recording's data.jsonl?"),
+        ("log.jsonl", "there is log.jsonl: is it the recording's data.jsonl?"),
+    ],
+)
+def test_of_a_folder_that_is_nearly_a_recording_it_is_told_what_is_in_the_way(tmp_path, name, told):
+    (tmp_path / name).write_text(OUTPUT)
+    with pytest.raises(UnknownFormatError) as caught:
+        find_format(tmp_path)
+    assert told in caught.value.problem
+
+
 def test_faults_of_output_are_named_with_their_line(output):
     with output.open("a") as file:
         file.write(OUTPUT.replace('"x":-0.01,', "") + "\n")

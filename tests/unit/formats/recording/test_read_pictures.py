@@ -310,6 +310,14 @@ def test_frames_without_pictures_are_an_error_that_names_the_files_to_be_there(r
         assert codes(scene) == ["missing-videos"]
 
 
+@pytest.mark.parametrize("name", ["video.mkv", "data.MKV"])
+def test_a_video_of_another_name_is_told_where_one_is_missing(recording, pinhole, name):
+    recording.video("data.mkv", 1).lines([frames(0, 0.0, {"cameraInd": 0})]).calibration([pinhole])
+    (recording.path / "data.mkv").rename(recording.path / name)
+    with pytest.raises(DataError, match=f"in the folder there is {name}"):
+        FORMAT.open(recording.path)
+
+
 @pytest.mark.parametrize("content", [b"", b"no video at all", b"\x1aE\xdf\xa3 almost"])
 def test_a_video_that_is_none_is_a_fault_of_its_file(recording, pinhole, content):
     recording.lines([frames(0, 0.0)]).calibration([pinhole])

@@ -214,3 +214,10 @@ def test_an_archive_cut_anywhere_raises_errors_of_ours_only(drive, scratch, tmp_
     with pytest.raises(DataError):
         FORMAT.open(path)
     assert list(scratch.iterdir()) == []
+
+
+def test_of_an_archive_that_is_cut_off_that_is_told(drive, tmp_path):
+    path = zip_of(drive, tmp_path / "drive.zip")
+    path.write_bytes(path.read_bytes()[:-300])
+    with pytest.raises(DataError, match="a zip archive that is damaged or cut off"):
+        find_format(path)

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 
 import msgspec
@@ -14,9 +15,10 @@ from sceneloom.formats.recording.frame_notes import FrameNotes
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
 from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of, shots_of
-from sceneloom.formats.recording.written_times import means
 
 _DEFAULT_PERIOD_NS = 100_000_000
+_ROUNDED_NS = 500
+"""Scene files in microseconds round times by so much [ns]; the lines that pictures belong to stay the same."""
 
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
 
@@ -139,10 +141,14 @@ def _as_read(sensors: Sequence[ShootingSensor], notes: FrameNotes) -> PictureRow
 
 def _line_of(shot: Shot) -> tuple[int, float, int] | None:
     seconds, number = shot.extras.get("file_seconds"), shot.extras.get("number")
-    if not isinstance(seconds, float) or type(number) is not int or not means(seconds, shot.timestamp_ns):
+    if not isinstance(seconds, float) or type(number) is not int or not isfinite(seconds):
+        return None
+    if abs(round(seconds * 1e9) - shot.timestamp_ns) > _ROUNDED_NS:
         return None
     own = shot.extras.get("line_seconds", seconds)
-    return (round(own * 1e9), float(own), number) if isinstance(own, float) else None
+    if not isinstance(own, float) or not isfinite(own):
+        return None
+    return round(own * 1e9), own, number
 
 
 def _kept_lines(texts: Sequence[str]) -> dict[_Key, Mapping[str, Any]]:

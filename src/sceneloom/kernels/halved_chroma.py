@@ -12,9 +12,6 @@ FRACTION_BITS = 5
 """Of a level. With one more, the sum of brightness and colour would leave 16 bits."""
 
 _ROUNDED = 1 << (FRACTION_BITS - 1)
-_CENTRE_4 = 512
-"""Colour that is none, in quarters of a level."""
-
 _PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
 _READ_2D = types.Array(uint8, 2, "C", readonly=True)
 
@@ -27,23 +24,22 @@ def _high(a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**_PART)
-def _between(near, far):  # type: ignore[no-untyped-def]
-    """Colour of a row a quarter of the way to the next one, without its middle, filling 16 bits."""
-    return np.int16(np.int16(3 * np.int16(near) + np.int16(far) - _CENTRE_4) << 6)
+def _centred(level):  # type: ignore[no-untyped-def]
+    """A level without its middle, filling 16 bits."""
+    return np.int16(np.int16(np.int16(level) - 128) << 8)
 
 
 @numba.njit(**_PART)
-def _scale(near, far, factor, scaled):  # type: ignore[no-untyped-def]
+def _scale(colour, factor, scaled):  # type: ignore[no-untyped-def]
     for k in range(len(scaled)):
-        scaled[k] = _high(_between(near[k], far[k]), factor)
+        scaled[k] = _high(_centred(colour[k]), factor)
 
 
 @numba.njit(**_PART)
-def _scale_both(near, far, factor, near_2, far_2, factor_2, scaled):  # type: ignore[no-untyped-def]
+def _scale_both(blue, blue_factor, red, red_factor, scaled):  # type: ignore[no-untyped-def]
     for k in range(len(scaled)):
-        first = _high(_between(near[k], far[k]), factor)
-        second = _high(_between(near_2[k], far_2[k]), factor_2)
-        scaled[k] = np.int16(first + second + np.int16(1))
+        of_blue, of_red = _high(_centred(blue[k]), blue_factor), _high(_centred(red[k]), red_factor)
+        scaled[k] = np.int16(of_blue + of_red + np.int16(1))
 
 
 @numba.njit(**_PART)
@@ -66,9 +62,35 @@ def _spread(scaled, spread, half_columns):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**_PART)
-def _level(value):  # type: ignore[no-untyped-def]
-    level = np.int16(value >> FRACTION_BITS)
+def _level(bright, near, far):  # type: ignore[no-untyped-def]
+    """A pixel's level, from its brightness and the colours of the rows of samples next to it."""
+    colour = np.int16(near + np.int16(np.int16(far - near + 2) >> 2))
+    level = np.int16(np.int16(bright + colour) >> FRACTION_BITS)
     return np.uint8(min(max(level, np.int16(0)), np.int16(255)))
+
+
+@numba.njit(**_PART)
+def _spread_colours(blue, red, factors, half_columns, scaled, spread):  # type: ignore[no-untyped-def]
+    """Give each column what one row of samples adds to red, green and blue."""
+    _scale(red, np.int16(factors[2]), scaled)
+    _spread(scaled, spread[0], half_columns)
+    _scale_both(blue, np.int16(factors[3]), red, np.int16(factors[4]), scaled)
+    _spread(scaled, spread[1], half_columns)
+    _scale(blue, np.int16(factors[5]), scaled)
+    _spread(scaled, spread[2], half_columns)
+
+
+@numba.njit(**_PART)
+def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
+    """Fill a row of pixels, which lies a quarter of the way from one row of samples to the next one."""
+    gain, offset = np.int16(factors[0]), np.int16(factors[1])
+    reds, greens, blues = near[0], near[1], near[2]
+    far_reds, far_greens, far_blues = far[0], far[1], far[2]
+    for x in range(len(line) // 3):
+        bright = np.int16(_high(_centred(luma[x]), gain) + offset)
+        line[3 * x] = _level(bright, reds[x], far_reds[x])
+        line[3 * x + 1] = _level(bright, greens[x], far_greens[x])
+        line[3 * x + 2] = _level(bright, blues[x], far_blues[x])
 
 
 @numba.njit(
@@ -99,25 +121,16 @@ def rgb_from_halved_chroma(
     height, width = rgb.shape[0], rgb.shape[1] // 3
     half = width // 2
     scaled = np.empty(half, np.int16)
-    reds, greens, blues = np.empty(width, np.int16), np.empty(width, np.int16), np.empty(width, np.int16)
-    gain, offset = np.int16(factors[0]), np.int16(factors[1])
-    for row in range(height):
-        near = row // 2
-        far = min(max(near - 1 + 2 * (row % 2), 0), height // 2 - 1)
-        _scale(red[near], red[far], np.int16(factors[2]), scaled)
-        _spread(scaled, reds, half_columns)
-        _scale(blue[near], blue[far], np.int16(factors[5]), scaled)
-        _spread(scaled, blues, half_columns)
-        _scale_both(
-            blue[near], blue[far], np.int16(factors[3]), red[near], red[far], np.int16(factors[4]), scaled
-        )
-        _spread(scaled, greens, half_columns)
-        bright, line = luma[row], rgb[row]
-        for x in range(width):
-            level = np.int16(_high(np.int16(np.int16(bright[x]) << 7), gain) + offset)
-            line[3 * x] = _level(np.int16(level + reds[x]))
-            line[3 * x + 1] = _level(np.int16(level + greens[x]))
-            line[3 * x + 2] = _level(np.int16(level + blues[x]))
+    spread = np.empty((2, 3, width), np.int16)
+    for k in range(height // 2 + 1):
+        latest = min(k, height // 2 - 1)
+        if k == latest:
+            _spread_colours(blue[k], red[k], factors, half_columns, scaled, spread[k % 2])
+        before, after = spread[max(k - 1, 0) % 2], spread[latest % 2]
+        if k > 0:
+            _paint(luma[2 * k - 1], before, after, factors, rgb[2 * k - 1])
+        if k == latest:
+            _paint(luma[2 * k], after, before, factors, rgb[2 * k])
 
 
 def conversion_factors(red_share: float, blue_share: float, *, full: bool) -> Int64Array:
@@ -139,8 +152,8 @@ def conversion_factors(red_share: float, blue_share: float, *, full: bool) -> In
     unit = 1 << FRACTION_BITS
     differences = np.array([red, -blue_share / green_share * blue, -red_share / green_share * red, blue])
     # the two products of a sum are rounded down: half a unit each
-    offset = round(-darkest * luma_gain * unit) + _ROUNDED + 1
-    # brightness comes seven bits up and colour, in quarters, six: a product gives its upper 16 of 32 bits
-    gain = luma_gain * unit * (1 << 16 - 7)
-    scaled = np.rint(differences * unit / 4 * (1 << 16 - 6))
+    offset = round((128 - darkest) * luma_gain * unit) + _ROUNDED + 1
+    # levels come eight bits up, and a product gives its upper 16 of 32 bits
+    gain = luma_gain * unit * (1 << 16 - 8)
+    scaled = np.rint(differences * unit * (1 << 16 - 8))
     return np.array([round(gain), offset, *scaled], np.int64)

@@ -10,6 +10,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from av.video.reformatter import Interpolation, VideoReformatter
 
 from sceneloom.errors import DataError
 from sceneloom.formats.video import open_video
@@ -320,6 +321,60 @@ def test_colours_follow_the_matrix_range_and_chroma_site_of_the_stream(matrix, f
     with open_video(file.getvalue()) as reader:
         # half a level of rounding, and the converter's fixed-point numbers
         assert np.abs(reader.rgb(0) - expected).max() < 0.6
+
+
+EXACT = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
+
+PLACES = {
+    "left": ("libx264", {"qp": "0", "x264-params": "chromaloc=0"}, 64, 96),
+    "centre": ("libx264", {"qp": "0", "x264-params": "chromaloc=1"}, 64, 96),
+    "top left": ("libx264", {"qp": "0", "x264-params": "chromaloc=2"}, 64, 96),
+    "bottom": ("libx264", {"qp": "0", "x264-params": "chromaloc=5"}, 64, 96),
+    "interlaced": ("libx264", {"qp": "0", "x264-params": "tff=1"}, 64, 96),
+    "cropped": ("libx264", {"qp": "0"}, 74, 106),
+    "odd height": ("ffv1", {}, 63, 96),
+    "odd width": ("ffv1", {}, 64, 95),
+}
+"""Where the samples of colour lie, and whether there is one for each four pixels."""
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_halved_colours_are_those_of_ffmpegs_exact_converter_within_a_level(place):
+    codec, options, height, width = PLACES[place]
+    rng = np.random.default_rng(4)
+    file = io.BytesIO()
+    with av.open(file, "w", format="matroska") as output:
+        stream = output.add_stream(codec, rate=10, options=options)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        frame = av.VideoFrame(width, height, "yuv420p")
+        for plane in frame.planes:
+            # at the brightest blues FFmpeg's converter overflows, and gives black
+            plane.update(rng.integers(20, 236, plane.buffer_size, dtype=np.uint8).tobytes())
+        output.mux(stream.encode(frame))
+        output.mux(stream.encode(None))
+    with av.open(io.BytesIO(file.getvalue())) as source:
+        image = VideoReformatter().reformat(
+            next(source.decode(video=0)), format="rgb24", interpolation=EXACT, threads=1
+        )
+        expected = image.to_ndarray().astype(int)
+    with open_video(file.getvalue()) as reader:
+        difference = reader.rgb(0) - expected
+    # both are within 0.6 of the formula; the fast converter differs by up to 130 here
+    assert np.abs(difference).max() <= 1
+    assert np.abs(difference.mean(axis=(0, 1))).max() < 0.06
+
+
+def test_pictures_of_real_drives_are_those_of_ffmpegs_exact_converter_within_a_level(data_dir):
+    for path in sorted((data_dir / "recordings").glob("*/data.mkv")):
+        with av.open(str(path)) as source, open_video(path) as reader:
+            image = VideoReformatter().reformat(
+                next(source.decode(video=0)), format="rgb24", interpolation=EXACT, threads=1
+            )
+            difference = reader.rgb(0) - image.to_ndarray().astype(int)
+        assert np.abs(difference).max() <= 1
+        # where a level lies midway, roundings differ
+        assert np.count_nonzero(difference) < 0.04 * difference.size
+        assert np.abs(difference.mean(axis=(0, 1))).max() < 0.06
 
 
 def test_ten_bit_and_grey_videos_come_as_eight_bit_colours(videos):

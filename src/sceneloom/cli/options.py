@@ -21,6 +21,17 @@ def place(text: str) -> "Path | str":
     return path_or_url(text)
 
 
+def positive(number: str | float) -> float:
+    """Take a value as a finite number above 0."""
+    try:
+        value = float(number)
+    except ValueError as error:
+        raise click.BadParameter(f"{number!r} is no number") from error
+    if not 0.0 < value < float("inf"):
+        raise click.BadParameter(f"{number}; expected a number above 0")
+    return value
+
+
 def target(text: str) -> Path:
     """Take an argument as the path of what is to be written."""
     from sceneloom.formats.urls import is_url

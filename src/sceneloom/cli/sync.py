@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.option("--streams", metavar="NAMES", help="The only streams to compare, with commas. [default: all]")
 @click.option(
     "--reach",
-    type=float,
+    type=options.positive,
     default=5.0,
     show_default=True,
     metavar="S",

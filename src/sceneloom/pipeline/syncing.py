@@ -126,10 +126,14 @@ def sync(
         writing: further options of the output's format.
 
     Raises:
-        OptionError: there is no such stream.
+        OptionError: there is no such stream, `reach_ns` is not above 0, or `lever_sigma` below.
         OutputError: the output exists, or cannot be written.
     """
     begun = time.perf_counter()
+    if reach_ns <= 0:
+        raise OptionError(f"offsets up to {reach_ns / 1e9:g} s; expected more than 0")
+    if not 0.0 <= lever_sigma < float("inf"):
+        raise OptionError(f"an antenna {lever_sigma:g} m off; expected 0 or more")
     if output is not None:
         format_for_output(Path(output))
         check_output(Path(output), overwrite=overwrite)

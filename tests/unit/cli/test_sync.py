@@ -64,3 +64,14 @@ def test_sync_never_replaces_unasked_and_knows_its_streams(call: Call, late: Pat
 def test_sync_of_a_part_says_what_cannot_be_known(call: Call, late: Path) -> None:
     outcome = call("sync", late, "--start", "3", "--stop", "3.5")
     assert outcome.code in {0, 2}
+
+
+@pytest.mark.parametrize("reach", ["-1", "0", "nan", "inf", "far"])
+def test_sync_refuses_to_reach_nowhere_or_everywhere(call: Call, late: Path, reach: str) -> None:
+    outcome = call("sync", late, "--reach", reach)
+    assert outcome.code == 2
+    assert "--reach" in outcome.err
+
+
+def test_sync_refuses_an_antenna_at_no_distance(call: Call, late: Path) -> None:
+    assert call("sync", late, "--lever", "nan").code == 2

@@ -8,7 +8,8 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.gnss_receivers import gnss_receivers
 from sceneloom.motion.heading import headed_poses
 from sceneloom.motion.trajectories import GNSS, IMU, LIDAR, choose_trajectory
-from sceneloom.scene import LidarSensor, Notice, NoticeKind, PointsFrame, Scene, Trajectory
+from sceneloom.scene import Coordinates, LidarSensor, Notice, NoticeKind, PointsFrame, Scene, Trajectory
+from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.types import Progress
 
@@ -121,7 +122,8 @@ def _from_gnss(scene: Scene, heading: str | None, *, progress: Progress | None, 
         )
     else:
         ego = EgoMotion.of(way)
-    return replace(ego, notices=(*told, *run.notices), enu_origin_lla=(latitude, longitude, height))
+    notices = (*told, *run.notices, *_left_behind(scene))
+    return replace(ego, notices=notices, enu_origin_lla=(latitude, longitude, height))
 
 
 def _lidar_beside_gnss(
@@ -154,6 +156,23 @@ def _in_known_world(ego: EgoMotion, scene: Scene) -> EgoMotion:
                 RigidTransform.from_quaternion(known.positions[0], known.quaternions_xyzw[0])
             )
     return ego
+
+
+def _left_behind(scene: Scene) -> tuple[Notice, ...]:
+    """Say that annotations stand in the world of a recorded trajectory, which is not that of the fixes."""
+    if not (scene.annotations and scene.trajectories) or annotations_frame(scene) is not Coordinates.WORLD:
+        return ()
+    names = ", ".join(scene.trajectories)
+    message = (
+        f"annotations stand in the world of the recorded trajectory ({names}) and were left there; the world of the "
+        "fixes has its axes east, north and up at the first of them, so that they may be out of place"
+    )
+    place, count = f"{scene.source}: annotations", len(scene.annotations)
+    return (
+        Notice(
+            kind=NoticeKind.ASSUMED, code="annotations-not-moved", place=place, message=message, count=count
+        ),
+    )
 
 
 def _assumed(scene: Scene) -> Notice:

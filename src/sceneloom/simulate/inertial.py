@@ -11,7 +11,8 @@ from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.randomness import Stream, generator_for
 
 GRAVITY = 9.80665
-"""[m/s²], down the world's z axis. Source: CGPM 1901, standard gravity."""
+"""[m/s²], down the world's z axis, wherever on earth a receiver puts the world's origin. Source: CGPM 1901, standard
+gravity."""
 
 
 @dataclass(frozen=True, slots=True)

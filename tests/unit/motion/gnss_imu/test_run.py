@@ -18,7 +18,15 @@ from sceneloom.geometry.rotations import (
 )
 from sceneloom.motion.ego_motion import find_ego_motion, with_way_found
 from sceneloom.motion.gnss_imu import GnssImuRun, SmootherSettings, gnss_imu_motion
-from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Scene, Trajectory, VectorSamples
+from sceneloom.scene import (
+    GnssSensor,
+    ImuSensor,
+    NoticeKind,
+    PlainAnnotation,
+    Scene,
+    Trajectory,
+    VectorSamples,
+)
 from sceneloom.simulate.inertial import GRAVITY, ImuSpec, ImuTruth, imu_sensor, imu_truth
 from sceneloom.simulate.path import EgoPath, PathSpec, plan_path
 from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
@@ -286,6 +294,21 @@ def test_it_is_the_default_after_recorded_ways_and_says_where_its_world_is(town)
     with_pose = replace(scene, trajectories={"pose": recorded})
     assert find_ego_motion(with_pose).name == "pose"
     assert find_ego_motion(with_pose, name="gnss").name == "gnss"
+
+
+@pytest.mark.parametrize(("frame", "told"), [("world", True), ("ego", False)])
+def test_annotations_in_the_world_of_a_recorded_way_are_told(frame, told, town):
+    recorded = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
+    annotated = replace(
+        town.scene(),
+        annotations=(PlainAnnotation("a", "cuboid", {}),),
+        metadata={"sceneloom": {"annotations_frame": frame}},
+    )
+    with_pose = replace(annotated, trajectories={"pose": recorded})
+    codes = {notice.code for notice in find_ego_motion(with_pose, name="gnss").notices}
+    assert ("annotations-not-moved" in codes) is told
+    codes = {notice.code for notice in find_ego_motion(annotated, name="gnss").notices}
+    assert "annotations-not-moved" not in codes
 
 
 def test_fixes_that_are_none_are_left_out(town):

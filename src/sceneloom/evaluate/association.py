@@ -6,6 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import ArrayError, OptionError, PoseError
+from sceneloom.formats.trajectories.rows import FARTHEST
 from sceneloom.geometry.interpolation import interpolate_poses
 from sceneloom.geometry.rotations import normalise_quaternion
 from sceneloom.scene import Trajectory
@@ -69,16 +70,17 @@ def checked_trajectory(way: Trajectory) -> Trajectory:
     """A trajectory that can be computed with, its orientations of length 1.
 
     Raises:
-        ArrayError: it is empty, its times do not rise, or a number is not finite.
+        ArrayError: it is empty, its times do not rise, or a number is not finite or of no place.
     """
     if not len(way.timestamps_ns):
         raise ArrayError(f"trajectory {way.name!r}: empty; expected at least one pose")
     for name in ("positions", "quaternions_xyzw"):
         values = getattr(way, name)
-        if values is not None and not np.isfinite(values).all():
-            row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+        if values is not None and not (np.abs(values) <= FARTHEST).all():
+            row = int(np.flatnonzero(~(np.abs(values) <= FARTHEST).all(axis=1))[0])
             raise ArrayError(
-                f"trajectory {way.name!r}: {name}[{row}]: {values[row].tolist()}; expected finite numbers"
+                f"trajectory {way.name!r}: {name}[{row}]: {values[row].tolist()}; expected finite numbers, metres "
+                f"within ±{FARTHEST:g}"
             )
     back = np.flatnonzero(np.diff(way.timestamps_ns) <= 0)
     if len(back):

@@ -113,6 +113,7 @@ HALF_KNOWN = np.array([[0, 0, 0], [0, np.nan, 0.0]])
         (Trajectory("bad", np.array([0], np.int64), AT_ORIGIN, np.full((1, 4), np.nan)), r"xyzw\[0\]"),
         (Trajectory("bad", np.array([5, 5], np.int64), np.zeros((2, 3))), r"timestamps_ns\[1\]: 5; expected"),
         (Trajectory("bad", np.zeros(0, np.int64), np.zeros((0, 3))), "empty"),
+        (Trajectory("bad", np.array([0], np.int64), np.full((1, 3), 1e200)), r"positions\[0\].*e\+200"),
     ],
 )
 def test_numbers_that_are_none_are_refused(way: Trajectory, problem: str) -> None:

@@ -15,7 +15,8 @@ from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.scene import NoticeKind, Trajectory
 
 GREATEST_NORM_ERROR = 0.01
-_FARTHEST = 1e12
+FARTHEST = 1e12
+"""Positions beyond it [m] are of no way on or around the earth, and their squares leave no digits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +66,9 @@ def ordered(path: Path, name: str, rows: PoseRows, ledger: Ledger) -> tuple[Traj
 
 def _sound(path: Path, rows: PoseRows, ledger: Ledger) -> Int64Array:
     wrong: dict[int, str] = {}
-    far = ~(np.abs(rows.positions) <= _FARTHEST).all(axis=1)
+    far = ~(np.abs(rows.positions) <= FARTHEST).all(axis=1)
     for k in np.flatnonzero(far).tolist():
-        wrong[k] = f"position {rows.positions[k].tolist()}; expected metres within ±{_FARTHEST:g}"
+        wrong[k] = f"position {rows.positions[k].tolist()}; expected metres within ±{FARTHEST:g}"
     if rows.quaternions_xyzw is not None:
         with np.errstate(over="ignore"):
             norms = np.sqrt((rows.quaternions_xyzw**2).sum(axis=1))

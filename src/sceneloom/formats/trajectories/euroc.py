@@ -42,10 +42,7 @@ def _recognises(text: str) -> bool:
         return True
     values = first_values(text, ",")
     return (
-        values is not None
-        and len(values) in _WIDTHS
-        and values[0].is_integer()
-        and values[0] > _EARLIEST_NS
+        values is not None and len(values) in _WIDTHS and values[0].is_integer() and values[0] > _EARLIEST_NS
     )
 
 

@@ -1,6 +1,7 @@
 """A trajectory inside a scene: recorded in it, computed from it, or told by its satellite receiver."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ from sceneloom.errors import OptionError, PoseError
 from sceneloom.formats.table import Format
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile
 from sceneloom.formats.trajectories.gnss import of_fixes
+from sceneloom.motion.gnss_receivers import usable_fixes
 from sceneloom.motion.trajectories import GNSS, RESERVED
-from sceneloom.scene import GnssSensor, Scene, Trajectory
+from sceneloom.scene import GnssSensor, Notice, NoticeKind, Scene, Trajectory
 from sceneloom.scene.types import Progress
 
 FIXES = "fixes"
@@ -60,17 +62,34 @@ def _named(scene: Scene, reading: Reading, progress: Progress | None) -> Traject
         return TrajectoryFile(scene.trajectories[str(name)])
     receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
     if receivers and (name == FIXES or (name is None and not scene.lidars)):
-        return _received(receivers[0], FIXES, reading)
+        return _received(scene, receivers[0], FIXES, reading)
     for sensor in receivers:
         if name == f"{FIXES}:{sensor.id}":
-            return _received(sensor, name, reading)
+            return _received(scene, sensor, name, reading)
     if name is None or name in RESERVED:
         return _computed(scene, name, progress)
     raise OptionError(f"{scene.source}: no trajectory {name!r}; there are: {_choices(scene, receivers)}")
 
 
-def _received(sensor: GnssSensor, name: str, reading: Reading) -> TrajectoryFile:
-    return of_fixes(sensor, origin_lla=reading.origin_lla, name=name)
+def _received(scene: Scene, sensor: GnssSensor, name: str, reading: Reading) -> TrajectoryFile:
+    """The fixes that are places: one at 0, 0 before reception would else be the origin of all."""
+    place, usable = f"{scene.source}: sensors[{sensor.id}]", usable_fixes(sensor)
+    if not usable.any():
+        raise PoseError(f"{place}: no usable GNSS fixes in it; expected one or more")
+    if usable.all():
+        return of_fixes(sensor, origin_lla=reading.origin_lla, name=name)
+    kept = GnssSensor(
+        sensor.id,
+        sensor.timestamps_ns[usable],
+        sensor.positions_lla[usable],
+        sensor.accuracies[usable],
+        sensor.vertical_accuracies[usable],
+    )
+    lost, message = int((~usable).sum()), "fixes that are no place were left out"
+    told = Notice(
+        kind=NoticeKind.SKIPPED, code="gnss-fixes-left-out", place=place, message=message, count=lost
+    )
+    return replace(of_fixes(kept, origin_lla=reading.origin_lla, name=name), notices=(told,))
 
 
 def _computed(scene: Scene, name: str | None, progress: Progress | None) -> TrajectoryFile:

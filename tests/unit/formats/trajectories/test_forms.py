@@ -317,6 +317,23 @@ def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path: Path) -> None:
         read_trajectory(folder, name="slam")
 
 
+def test_fixes_before_reception_are_no_origin(tmp_path: Path) -> None:
+    places = [(0, 0, 0), (0, 0, 0), (49, 8, 1), (49.001, 8, 1)]
+    lines = [
+        f'{{"gps":{{"latitude":{latitude},"longitude":{longitude},"altitude":{altitude}}},"time":{k}}}\n'
+        for k, (latitude, longitude, altitude) in enumerate(places)
+    ]
+    path = put(tmp_path, "log.jsonl", "".join(lines))
+    content = read_trajectory_file(f"{path}:fixes")
+    assert content.trajectory.timestamps_ns.tolist() == [2 * 10**9, 3 * 10**9]
+    # a thousandth of a degree of latitude at 49 degrees. Source: WGS84's radius there, 6380 km
+    np.testing.assert_allclose(content.trajectory.positions, [[0, 0, 0], [0, 111.2, 0]], atol=0.1)
+    assert [(n.code, n.count) for n in content.notices if "fixes" in n.code] == [("gnss-fixes-left-out", 2)]
+    nowhere = put(tmp_path, "none.jsonl", "".join(lines[:2]))
+    with pytest.raises(PoseError, match="no usable GNSS fixes"):
+        read_trajectory(f"{nowhere}:fixes")
+
+
 def test_fixes_are_taken_out_of_a_log_that_lies_by_itself(tmp_path: Path) -> None:
     path = put(
         tmp_path,

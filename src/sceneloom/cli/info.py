@@ -40,6 +40,8 @@ def info(
     **reading: Any,
 ) -> None:
     """Say what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
+    if at is not None and pictures is None:
+        raise click.UsageError("--at says when to draw: say --pictures DIR, too")
     from sceneloom.formats import open_scene, size_on_disk
     from sceneloom.scene.summary import summarise
 

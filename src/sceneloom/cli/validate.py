@@ -107,10 +107,11 @@ def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool
     found = ", ".join(several(count, severity) for severity, count in report.counts.items() if count)
     verdict = "passed" if report.passed else "not passed"
     read = "" if report.frames_read else "; frames were not read"
-    against = "" if report.profile == report.format == "recording" else f", profile {report.profile}"
-    click.echo(
-        f"{report.output or report.source}: {report.format}{against}: {verdict}, {found or 'nothing found'}{read}"
-    )
+    # what was written is told by what it was checked against: a recording, or a scene file
+    against = [report.format] if report.output is None else []
+    against += ["recording" if report.profile == "recording" else f"profile {report.profile}"]
+    told = ", ".join(dict.fromkeys(against))
+    click.echo(f"{report.output or report.source}: {told}: {verdict}, {found or 'nothing found'}{read}")
     _print_findings([f for f in report.findings if not (quiet and f.severity == "hint")])
     if report.output is not None:
         _print_changes("fixed", report.fixed)

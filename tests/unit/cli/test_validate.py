@@ -103,3 +103,10 @@ def test_an_unknown_rule_is_bad_usage(call, faulty):
     done = call("validate", faulty, "--rule", "no-such")
     assert done.code == 2
     assert "--rules" in done.err
+
+
+def test_what_is_written_is_not_called_by_the_form_that_it_was_made_from(call, recording, tmp_path):
+    mended = call("validate", recording, "--fix", tmp_path / "mended.sfs")
+    assert mended.out.startswith(f"{tmp_path / 'mended.sfs'}: profile sfs: passed")
+    back = call("validate", tmp_path / "mended.sfs", "--fix", tmp_path / "back")
+    assert back.out.startswith(f"{tmp_path / 'back'}: recording: passed")

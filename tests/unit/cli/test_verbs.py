@@ -181,3 +181,9 @@ def test_a_folder_whose_name_is_no_unicode_is_read_and_fused(
     assert call("info", folder).code == 0
     assert json.loads(call("info", folder, "--json").out)["source"] == str(folder)
     assert call("fuse", folder, "-o", tmp_path / "d.sfs").code == 0
+
+
+def test_info_refuses_a_time_to_draw_where_nothing_is_drawn(call, recording):
+    refused = call("info", recording, "--at", "1")
+    assert refused.code == 2
+    assert "--pictures" in refused.err

@@ -13,9 +13,10 @@ from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.rig.csv_files import read_table
+from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_values
-from sceneloom.formats.trajectories.rows import PoseRows, further_losses, numbers_text, ordered, oriented
+from sceneloom.formats.trajectories.rows import further_losses, numbers_text, ordered, oriented
 
 _FURTHER: Mapping[str, str] = {
     "velocities": "v_RS_R_{} [m s^-1]",
@@ -58,7 +59,7 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     values = table.numbers(range(1, width))
     stamps = table.stamps(0, reading.unit or "nanoseconds")
     quaternions = None if width == _POSITIONS_ONLY else values[:, [4, 5, 6, 3]]
-    rows = PoseRows(stamps, values[:, :3], quaternions, table.lines)
+    rows = Poses(stamps, values[:, :3], quaternions, table.lines)
     way, kept = ordered(path, reading.name or path.stem, rows, ledger)
     columns = {
         name: read_only(values[kept, 7 + 3 * k : 10 + 3 * k])

@@ -13,9 +13,10 @@ from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.rig.csv_files import TIME_COLUMNS, Table, pick_columns, read_table
 from sceneloom.formats.rig.motion_sensors import GNSS_COLUMNS
+from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_names
-from sceneloom.formats.trajectories.rows import PoseRows, further_losses, ordered
+from sceneloom.formats.trajectories.rows import further_losses, ordered
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.scene import GnssSensor, NoticeKind, Trajectory
 
@@ -41,7 +42,7 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         ledger.note(NoticeKind.ASSUMED, "altitude-zero", str(path), "no column of altitudes; taken as 0 m")
         positions_lla = np.concatenate([positions_lla, np.zeros((len(positions_lla), 1))], axis=1)
     _check_places(table, positions_lla)
-    rows = PoseRows(table.stamps(columns["time"], reading.unit), positions_lla, None, table.lines)
+    rows = Poses(table.stamps(columns["time"], reading.unit), positions_lla, None, table.lines)
     way, kept = ordered(path, reading.name or path.stem, rows, ledger)
     fixes = GnssSensor(
         way.name,

@@ -24,8 +24,9 @@ from sceneloom.formats.recording.trajectories import RANKS
 from sceneloom.formats.recording.written_lines import NumberLines
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.formats.rig.stamps import StampError, parse_stamp
+from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
-from sceneloom.formats.trajectories.rows import PoseRows, further_losses, ordered
+from sceneloom.formats.trajectories.rows import further_losses, ordered
 from sceneloom.scene import NoticeKind
 
 ROOT_NAME = "output"
@@ -78,7 +79,7 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     poses = found[name]
     values = np.frombuffer(poses.values, np.float64).reshape(-1, 7)
     turned = poses.unturned < len(poses.lines)
-    rows = PoseRows(
+    rows = Poses(
         np.frombuffer(poses.stamps_ns, np.int64),
         values[:, :3],
         values[:, 3:] if turned else None,

@@ -18,9 +18,10 @@ from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.rig.csv_files import Table, read_table
 from sceneloom.formats.rig.stamps import FARTHEST_NS
 from sceneloom.formats.rig.times import line_stamps
+from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_values
-from sceneloom.formats.trajectories.rows import PoseRows, further_losses, numbers_text, ordered, oriented
+from sceneloom.formats.trajectories.rows import further_losses, numbers_text, ordered, oriented
 from sceneloom.geometry.rotations import (
     GREATEST_ERROR,
     matrix_from_quaternion,
@@ -47,7 +48,7 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     stamps = _stamps(path, len(table.rows), reading, ledger)
     matrices = table.numbers(range(12)).reshape(-1, 3, 4)
     quaternions = _quaternions(table, matrices[:, :, :3])
-    rows = PoseRows(stamps, matrices[:, :, 3].copy(), quaternions, table.lines)
+    rows = Poses(stamps, matrices[:, :, 3].copy(), quaternions, table.lines)
     return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], FORM.name)
 
 

@@ -9,10 +9,10 @@ from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.rig.csv_files import TIME_COLUMNS, pick_columns, read_table
-from sceneloom.formats.rig.trajectories import POSE_COLUMNS
+from sceneloom.formats.rig.trajectories import POSE_COLUMNS, Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_names
-from sceneloom.formats.trajectories.rows import PoseRows, further_losses, numbers_text, ordered
+from sceneloom.formats.trajectories.rows import further_losses, numbers_text, ordered
 
 _PLACE, _TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 
@@ -33,7 +33,7 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         raise DataError(path, "line 1", problem)
     values = table.numbers([columns[role] for role in (*_PLACE, *turn)])
     stamps = table.stamps(columns["time"], reading.unit)
-    rows = PoseRows(stamps, values[:, :3], values[:, 3:] if turn else None, table.lines)
+    rows = Poses(stamps, values[:, :3], values[:, 3:] if turn else None, table.lines)
     return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], FORM.name)
 
 

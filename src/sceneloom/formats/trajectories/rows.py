@@ -1,7 +1,6 @@
 """What the forms share: poses put in order and judged, and numbers written so that they are read back equal."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -10,33 +9,17 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.recording.trajectories import GREATEST_NORM_ERROR
 from sceneloom.formats.recording.written_times import seconds_text
+from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.scene import NoticeKind, Trajectory
 
-GREATEST_NORM_ERROR = 0.01
 FARTHEST = 1e12
 """Positions beyond it [m] are of no way on or around the earth, and their squares leave no digits."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseRows:
-    """Poses in the order of a file.
-
-    Attributes:
-        timestamps_ns: (N,) int64 [ns].
-        positions: (N, 3) float64 [m].
-        quaternions_xyzw: (N, 4) float64, or None.
-        lines: number of each pose's line.
-    """
-
-    timestamps_ns: Int64Array
-    positions: Float64Array
-    quaternions_xyzw: Float64Array | None
-    lines: Sequence[int]
-
-
-def ordered(path: Path, name: str, rows: PoseRows, ledger: Ledger) -> tuple[Trajectory, Int64Array]:
+def ordered(path: Path, name: str, rows: Poses, ledger: Ledger) -> tuple[Trajectory, Int64Array]:
     """Judge the poses, and sort them by time.
 
     Returns:
@@ -64,7 +47,7 @@ def ordered(path: Path, name: str, rows: PoseRows, ledger: Ledger) -> tuple[Traj
     return way, kept
 
 
-def _sound(path: Path, rows: PoseRows, ledger: Ledger) -> Int64Array:
+def _sound(path: Path, rows: Poses, ledger: Ledger) -> Int64Array:
     wrong: dict[int, str] = {}
     far = ~(np.abs(rows.positions) <= FARTHEST).all(axis=1)
     for k in np.flatnonzero(far).tolist():
@@ -82,7 +65,7 @@ def _sound(path: Path, rows: PoseRows, ledger: Ledger) -> Int64Array:
     return np.delete(np.arange(len(rows.timestamps_ns)), sorted(wrong))
 
 
-def _once(path: Path, rows: PoseRows, usable: Int64Array, ledger: Ledger) -> Int64Array:
+def _once(path: Path, rows: Poses, usable: Int64Array, ledger: Ledger) -> Int64Array:
     """Keep one pose per time: a body is in one place."""
     times = rows.timestamps_ns[usable]
     repeated = np.flatnonzero(np.diff(times) == 0) + 1

@@ -11,9 +11,10 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.rig.csv_files import read_table
+from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_values
-from sceneloom.formats.trajectories.rows import PoseRows, further_losses, numbers_text, ordered, oriented
+from sceneloom.formats.trajectories.rows import further_losses, numbers_text, ordered, oriented
 
 _HEADER = "# timestamp tx ty tz qx qy qz qw\n"
 
@@ -29,7 +30,7 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         problem = f"{len(table.rows[0])} values; expected 8: timestamp tx ty tz qx qy qz qw"
         raise DataError(path, f"line {table.lines[0]}", problem)
     values = table.numbers(range(1, 8))
-    rows = PoseRows(table.stamps(0, reading.unit), values[:, :3], values[:, 3:], table.lines)
+    rows = Poses(table.stamps(0, reading.unit), values[:, :3], values[:, 3:], table.lines)
     return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], FORM.name)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array, read_only
 from sceneloom.editing.retimed_annotations import retimed_annotation
+from sceneloom.editing.retimed_lines import retimed_lines
 from sceneloom.errors import OptionError
 from sceneloom.motion.sensor_paths import camera_path, sensor_path
 from sceneloom.scene import (
@@ -117,6 +118,7 @@ def retimed_scene(
         sensors=tuple(placed),
         annotations=tuple(retimed_annotation(annotation, own, first) for annotation in scene.annotations),
         attributes=tuple(retimed_annotation(path, own, None) for path in scene.attributes),
+        metadata=retimed_lines(scene, sensors, trajectories),
     )
 
 

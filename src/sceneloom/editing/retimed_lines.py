@@ -1,0 +1,70 @@
+"""What is kept of a recording's lines by their samples' times, moved with the samples."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.scene import GnssSensor, ImuSensor, LidarSensor, Scene
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Key, key_of
+
+_KEPT, _TEXTS = "recording", "further_keys"
+"""Where a scene keeps lines that say more than their samples: by stream, and by time [ns] as text."""
+
+
+class Clock(Protocol):
+    """What moves times."""
+
+    def right(self, timestamps_ns: Int64Array) -> Int64Array:
+        """The right times of stamps [ns]."""
+        ...
+
+
+def retimed_lines(
+    scene: Scene, sensors: Mapping[Key, Clock], trajectories: Mapping[str, Clock]
+) -> Mapping[str, Any]:
+    """Give the scene's metadata with the keys of lines moved as their samples are.
+
+    Args:
+        scene: as it is.
+        sensors: clocks by id and its type (`scene.types.key_of`).
+        trajectories: clocks by name.
+    """
+    kept = scene.metadata.get(_KEPT)
+    texts = kept.get(_TEXTS) if isinstance(kept, Mapping) else None
+    if not isinstance(kept, Mapping) or not isinstance(texts, Mapping):
+        return scene.metadata
+    clocks = {f"trajectories.{name}": clock for name, clock in trajectories.items()}
+    for sensor in scene.sensors:
+        if key_of(sensor.id) in sensors:
+            clocks |= dict.fromkeys(_streams(sensor), sensors[key_of(sensor.id)])
+    moved = {
+        name: _moved(lines, clocks[name]) if name in clocks and isinstance(lines, Mapping) else lines
+        for name, lines in texts.items()
+    }
+    return MappingProxyType({**scene.metadata, _KEPT: MappingProxyType({**kept, _TEXTS: moved})})
+
+
+def _streams(sensor: Sensor) -> list[str]:
+    """The names under which a recording keeps lines of a sensor."""
+    if isinstance(sensor, ImuSensor):
+        return [f"imu.{name}" for name in sensor.streams]
+    if isinstance(sensor, GnssSensor):
+        return ["gnss" if sensor.id == "gnss" else f"gnss.{sensor.id}"]
+    if isinstance(sensor, LidarSensor):
+        return [f"lidars.{str(sensor.id).removeprefix('lidar') or 0}"]
+    return []
+
+
+def _moved(lines: Mapping[str, Any], clock: Clock) -> dict[str, Any]:
+    moved = {}
+    for key, text in lines.items():
+        stamp, mark, count = key.partition("#")
+        if not stamp.removeprefix("-").isdecimal():
+            continue
+        right = int(clock.right(np.array(int(stamp), np.int64)))
+        moved[f"{right}{mark}{count}"] = text
+    return moved

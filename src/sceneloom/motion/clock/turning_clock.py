@@ -21,6 +21,9 @@ REACH_NS = 5_000_000_000
 _LEAST_COMMON = 2.0
 """Seconds that two streams need in common."""
 
+_MOST_COMMON = 86_400.0
+"""No drive is longer [s]: wrong times of both are not to be searched in millions of parts."""
+
 _GRID = 0.02
 """Step of the coarse search [s]; turns of bodies that people and cars carry are slower."""
 
@@ -79,6 +82,10 @@ def compare_turnings(
     if not pair.fine or pair.common < _LEAST_COMMON:
         return ClockEstimate.unknown(
             f"{max(pair.common, 0.0):.1f} s in common; expected {_LEAST_COMMON:.0f} s or more without gaps"
+        )
+    if pair.common > _MOST_COMMON:
+        return ClockEstimate.unknown(
+            f"{pair.common:.6g} s in common; expected at most {_MOST_COMMON:.0f}: is a time wrong?"
         )
     starts = list(pair.starts(reach_ns * 1e-9))
     if not starts:

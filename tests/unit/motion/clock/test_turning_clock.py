@@ -151,6 +151,14 @@ def test_streams_that_never_meet_are_named(sway, stamps):
     assert "in common" in found.reason
 
 
+def test_wrong_times_of_both_are_not_searched_between(sway, stamps):
+    at, rates, posed, turns = pair(sway, stamps, seconds=4.0)
+    at[-1] += 5 * 10**18
+    posed[-1] += 5 * 10**18
+    found = compare_turnings(Turning.of_rates(at, rates), Turning.of_poses(posed, turns))
+    assert "is a time wrong" in found.reason
+
+
 def test_a_curve_through_rates_turns_as_the_body_does(sway, stamps):
     body = sway(2)
     seconds = np.arange(0.0, 10.0, 0.02)

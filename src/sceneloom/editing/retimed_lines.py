@@ -11,8 +11,9 @@ from sceneloom.scene import GnssSensor, ImuSensor, LidarSensor, Scene
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Key, key_of
 
-_KEPT, _TEXTS = "recording", "further_keys"
-"""Where a scene keeps lines that say more than their samples: by stream, and by time [ns] as text."""
+_KEPT, _TEXTS, _SHARED = "recording", "further_keys", "shared_lines"
+"""Where a scene keeps lines that say more than their samples, by stream and by time [ns] as text; and those of several
+records, with stream and time of each."""
 
 
 class Clock(Protocol):
@@ -28,24 +29,35 @@ def retimed_lines(
 ) -> Mapping[str, Any]:
     """Give the scene's metadata with the keys of lines moved as their samples are.
 
+    Lines of several records of which one is moved are lines no longer: they would tell it twice.
+
     Args:
         scene: as it is.
         sensors: clocks by id and its type (`scene.types.key_of`).
         trajectories: clocks by name.
     """
     kept = scene.metadata.get(_KEPT)
-    texts = kept.get(_TEXTS) if isinstance(kept, Mapping) else None
-    if not isinstance(kept, Mapping) or not isinstance(texts, Mapping):
+    if not isinstance(kept, Mapping):
         return scene.metadata
     clocks = {f"trajectories.{name}": clock for name, clock in trajectories.items()}
     for sensor in scene.sensors:
         if key_of(sensor.id) in sensors:
             clocks |= dict.fromkeys(_streams(sensor), sensors[key_of(sensor.id)])
-    moved = {
-        name: _moved(lines, clocks[name]) if name in clocks and isinstance(lines, Mapping) else lines
-        for name, lines in texts.items()
-    }
-    return MappingProxyType({**scene.metadata, _KEPT: MappingProxyType({**kept, _TEXTS: moved})})
+    changed = dict(kept)
+    texts, shared = kept.get(_TEXTS), kept.get(_SHARED)
+    if isinstance(texts, Mapping):
+        changed[_TEXTS] = {
+            name: _moved(lines, clocks[name]) if name in clocks and isinstance(lines, Mapping) else lines
+            for name, lines in texts.items()
+        }
+    if isinstance(shared, list):
+        changed[_SHARED] = [line for line in shared if not _has_part(line, clocks)]
+    return MappingProxyType({**scene.metadata, _KEPT: MappingProxyType(changed)})
+
+
+def _has_part(line: Any, clocks: Mapping[str, Clock]) -> bool:
+    records = line.get("records") if isinstance(line, Mapping) else None
+    return any(record and record[0] in clocks for record in records or ())
 
 
 def _streams(sensor: Sensor) -> list[str]:

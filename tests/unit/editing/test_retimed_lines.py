@@ -39,3 +39,14 @@ def test_further_keys_move_with_their_samples(tmp_path):
     expected = [{**line, "time": line["time"] + shifts[next(iter(line))]} for line in lines]
     found = [json.loads(line) for line in (tmp_path / "again" / "data.jsonl").read_text().splitlines()]
     assert found == sorted(expected, key=lambda line: line["time"])
+
+
+def test_a_line_of_two_records_is_two_lines_when_one_of_them_moves(tmp_path):
+    (tmp_path / "drive").mkdir()
+    line = {**sample(0.5), **fix(0.5)}
+    (tmp_path / "drive" / "data.jsonl").write_text(json.dumps(line) + "\n")
+    with open_scene(tmp_path / "drive") as scene:
+        moved = retimed_scene(scene, sensors={key_of("imu"): ClockCorrection(250_000_000)})
+        write_scene(moved, tmp_path / "again")
+    found = [json.loads(line) for line in (tmp_path / "again" / "data.jsonl").read_text().splitlines()]
+    assert found == [{**sample(0.5), "time": 0.25}, fix(0.5)]

@@ -70,7 +70,7 @@ def convert(
     Raises:
         UnknownFormatError: no format fits the source.
         DataError: the source is wrong.
-        OptionError: there is no format or form `to`.
+        OptionError: there is no format or form `to`, or `trajectory` is named where a whole drive is written.
         OutputError: the target exists, or cannot be written.
     """
     place, options = Path(target), dict(reading or {})
@@ -94,6 +94,12 @@ def convert(
         write = partial(_write, writer, place, overwrite=overwrite, **writing)
         told = write_drive(source, write, name=trajectory, reading=options)
         return _report(source, place, told[0], writer.name, *told[2:])
+    if trajectory is not None:
+        files = ", ".join(TRAJECTORY_FORMS)
+        raise OptionError(
+            f"trajectory {trajectory!r}: {target} gets all that {source} holds; one of its trajectories is written to "
+            f"files of the forms {files}"
+        )
     reader, origin = format_and_place(source)
     with reader.open(origin, **options) as scene:
         losses = _write(writer, place, _telling(scene, progress), overwrite=overwrite, **writing)

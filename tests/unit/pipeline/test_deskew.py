@@ -16,6 +16,7 @@ from sceneloom.motion.one_moment import LEFT_SKEWED, MEASURED
 from sceneloom.pipeline import deskew, deskewed_scene, iter_fused
 from sceneloom.scene import (
     Coordinates,
+    GnssSensor,
     ImuSensor,
     LazyFrames,
     LidarFrame,
@@ -328,10 +329,17 @@ def test_what_cannot_be_followed_is_refused_with_the_reason(drive: SimulatedDriv
         deskew(scene, tmp_path / "drive.sfs")
 
 
+def without_way(scene: Scene) -> Scene:
+    """A scene with nothing to find the way by but its sweeps."""
+    return replace(
+        scene, trajectories={}, sensors=tuple(s for s in scene.sensors if not isinstance(s, GnssSensor))
+    )
+
+
 def test_a_way_that_was_found_goes_along_so_that_nothing_finds_it_again(
     drive: SimulatedDrive, tmp_path: Path
 ) -> None:
-    lost = replace(drive.scene, trajectories={})
+    lost = without_way(drive.scene)
     deskew(lost, tmp_path / "deskewed.sfs")
     with sceneloom.open(tmp_path / "deskewed.sfs") as scene:
         assert list(scene.trajectories) == ["lidar"]
@@ -377,7 +385,7 @@ def test_whatever_stands_in_the_place_of_the_note_does_no_harm(drive: SimulatedD
 def test_odometry_deskews_a_drive_without_poses_and_that_is_told(tmp_path: Path) -> None:
     lidar = LidarSpec(beams=32, steps=600, range_sigma=0.0)
     drive = simulate_street(2, frames=8, lidar=lidar, cameras=())
-    scene = with_lidar(replace(drive.scene, trajectories={}), poses=None)
+    scene = with_lidar(without_way(drive.scene), poses=None)
     frames = scene.lidars[0].frames
     scene = with_lidar(scene, frames=LazyFrames.of(list(frames), frames.timestamps_ns.tolist()))
     report = deskew(scene, tmp_path / "drive.sfs")

@@ -1,7 +1,6 @@
 """Large files are read by several processes: what they find is what one finds."""
 
 import json
-import multiprocessing
 import os
 import subprocess
 import sys
@@ -161,20 +160,27 @@ def test_programs_that_are_no_python_read_alone(monkeypatch):
     assert reading_processes(1 << 40) == 1
 
 
-def _count_in_child(path: str, queue: Any) -> None:
-    queue.put((reading_processes(1 << 40), len(read_lines(Path(path), Ledger(lenient=True)).log.codes)))
-
-
 def test_a_process_that_another_started_reads_alone_unless_told_otherwise(tmp_path, monkeypatch):
     path = tmp_path / "data.jsonl"
     write(path, LINES)
     monkeypatch.delenv("SCENELOOM_PROCESSES", raising=False)
-    context = multiprocessing.get_context("spawn")
-    queue = context.Queue()
-    child = context.Process(target=_count_in_child, args=(str(path), queue), daemon=True)
-    child.start()
-    assert queue.get(timeout=60) == (1, len(LINES))
-    child.join()
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import multiprocessing\n"
+        "from pathlib import Path\n"
+        "from sceneloom.formats.ledger import Ledger\n"
+        "from sceneloom.formats.recording.line_parts import reading_processes\n"
+        "from sceneloom.formats.recording.lines import read_lines\n"
+        "def count():\n"
+        f"    columns = read_lines(Path({str(path)!r}), Ledger(lenient=True))\n"
+        "    print(reading_processes(1 << 40), len(columns.log.codes), flush=True)\n"
+        "if __name__ == '__main__':\n"
+        "    child = multiprocessing.get_context('spawn').Process(target=count, daemon=True)\n"
+        "    child.start()\n"
+        "    child.join()\n"
+    )
+    found = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert found.stdout == f"1 {len(LINES)}\n"
 
 
 def test_a_script_without_a_guard_reads_with_several_processes(tmp_path):

@@ -173,7 +173,7 @@ def test_outputs_that_cannot_be_written_are_named(
 def test_a_trajectory_that_is_not_there_is_answered_with_those_that_are(call: Call, recording: Path) -> None:
     outcome = call("fuse", recording, "-o", "nowhere.sfs", "--trajectory", "vio")
     assert outcome.code == 2
-    assert "groundTruth, lidar, identity" in outcome.err
+    assert "groundTruth, gnss, lidar, identity" in outcome.err
 
 
 @pytest.mark.parametrize("before_output", [("convert",), ("edit", "simplify")])

@@ -1,12 +1,14 @@
 """Poses and fixes of lines under keys that have no shape of their own: found in the decoded line."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
 from sceneloom.formats.recording.json_faults import json_problem
 from sceneloom.formats.recording.line_shapes import ROOT_KEYS, ExactGnssFix, ExactPose, GnssFix, Pose
 from sceneloom.formats.recording.line_taking import Origin, UnfitLineError
+
+Shape = TypeVar("Shape", Pose, GnssFix)
 
 OUTPUT_TRAJECTORY = "output"
 """Name of the trajectory of lines with a position at their root, as the vendor's software puts out."""
@@ -45,14 +47,7 @@ def other_poses(content: dict[str, Any]) -> list[tuple[Origin, Pose, bool]]:
 
 
 def _pose(value: dict[str, Any], origin: Origin, *, says_all: bool) -> tuple[Origin, Pose, bool]:
-    try:
-        return origin, msgspec.convert(value, ExactPose), says_all
-    except msgspec.ValidationError:
-        pass
-    try:
-        return origin, msgspec.convert(value, Pose), False
-    except msgspec.ValidationError as error:
-        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=origin[0])) from error
+    return origin, *_shaped(value, ExactPose, Pose, place=origin[0], says_all=says_all)
 
 
 def _east_north_up(mean: list[Any], *, says_all: bool) -> tuple[Origin, Pose, bool]:
@@ -87,11 +82,18 @@ def _may_be_fix(key: str, value: dict[str, Any]) -> bool:
 def _fix(key: str, value: dict[str, Any], *, says_all: bool) -> tuple[Origin, GnssFix, bool]:
     name = value.get("name") if key == "pose" else None
     origin = (key, name if isinstance(name, str) and name else key)
+    return origin, *_shaped(value, ExactGnssFix, GnssFix, place=key, says_all=says_all)
+
+
+def _shaped(
+    value: dict[str, Any], exact: type[Shape], wider: type[Shape], *, place: str, says_all: bool
+) -> tuple[Shape, bool]:
+    """The record in the exact shape, else in the one that allows for more, which then says less than the line."""
     try:
-        return origin, msgspec.convert(value, ExactGnssFix), says_all
+        return msgspec.convert(value, exact), says_all
     except msgspec.ValidationError:
         pass
     try:
-        return origin, msgspec.convert(value, GnssFix), False
+        return msgspec.convert(value, wider), False
     except msgspec.ValidationError as error:
-        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=key)) from error
+        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=place)) from error

@@ -173,7 +173,7 @@ RULES: tuple[Rule, ...] = (
         "reading-assumed",
         Severity.HINT,
         "Nothing had to be assumed on reading.",
-        "Say it with the option of that name if it is otherwise; writing the scene records it.",
+        "Where it is otherwise, say so in the files, or with the option that the message names, if it names one.",
         find=_notices_of(NoticeKind.ASSUMED),
     ),
 )

@@ -80,8 +80,9 @@ def _stamps(path: Path, count: int, reading: Reading, ledger: Ledger) -> Int64Ar
     found = reading.times or _found_beside(path)
     if found is None:
         problem = (
-            "a file of this form has no times; name a text file with one time per line (`--times FILE`), or the "
-            f"poses per second (`--rate HZ`), or put {times_beside(path).name} or times.txt beside it"
+            "a file of this form has no times; name a text file with one time per line (`--from-times FILE`, of "
+            "`sceneloom eval trajectory` `--est-times`, `--ref-times`), or the poses per second (`--from-rate HZ`, "
+            f"`--est-rate`, `--ref-rate`), or put {times_beside(path).name} or times.txt beside it"
         )
         raise DataError(path, "", problem)
     if reading.times is None:

@@ -95,7 +95,7 @@ def test_what_a_form_cannot_hold_is_told(tmp_path: Path) -> None:
 
 def test_kitti_poses_get_their_times_from_a_file_a_rate_or_the_folder(tmp_path: Path) -> None:
     poses = put(tmp_path, "00.txt", KITTI)
-    with pytest.raises(DataError, match="--rate HZ"):
+    with pytest.raises(DataError, match="--from-rate HZ"):
         read_trajectory(poses)
     assert read_trajectory(poses, rate_hz=3).timestamps_ns.tolist() == [0, 333333333]
     named = put(tmp_path, "stamps.txt", "5.0\n5.123456789\n")

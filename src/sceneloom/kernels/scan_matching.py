@@ -8,6 +8,7 @@ from numba import float64, int32, int64, types
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.kernels.surface_map import INNER, find_cube, first_place, pack_key
+from sceneloom.kernels.turning import turn
 
 SUPPORT = 0.25
 """A surface has a quarter of its weight 2 standard deviations from its middle, along the surface."""
@@ -45,21 +46,6 @@ def thin_points(points: Float64Array, leaf: float, chosen: Int64Array) -> int:
             chosen[count] = i
             count += 1
     return count
-
-
-@numba.njit(types.void(_READ_F64_1D, float64[:, ::1]), **INNER)
-def _turn(rotation_vector: Float64Array, matrix: Float64Array) -> None:
-    """Write the rotation matrix of a rotation vector. Source: Rodrigues 1840."""
-    x, y, z = rotation_vector[0], rotation_vector[1], rotation_vector[2]
-    angle2 = x * x + y * y + z * z
-    if angle2 < 1e-12:
-        a, b = 1.0, 0.5
-    else:
-        angle = math.sqrt(angle2)
-        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
-    matrix[0, 0], matrix[0, 1], matrix[0, 2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-    matrix[1, 0], matrix[1, 1], matrix[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
-    matrix[2, 0], matrix[2, 1], matrix[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
 
 
 @numba.njit(
@@ -103,7 +89,7 @@ def move_points(
         if t != last:
             for k in range(3):
                 step[k] = t * turn_rate[k]
-            _turn(step, turned)
+            turn(step, turned)
             last = t
         px, py, pz = points_ego[i, 0], points_ego[i, 1], points_ego[i, 2]
         x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz

@@ -13,7 +13,7 @@ from sceneloom.geometry.rotations import (
     rotation_vector_from_quaternion,
 )
 from sceneloom.kernels import motion_chain as kernels
-from sceneloom.kernels.chain import chain_covariances, solve_chain
+from sceneloom.kernels.block_chain import chain_covariances, solve_chain
 from sceneloom.kernels.motion_chain import ACCELEROMETER, GYROSCOPE, POSITION, SIZE, TURN, VELOCITY
 from sceneloom.motion.gnss_imu.preintegration import Preintegrated
 from sceneloom.motion.gnss_imu.settings import SmootherSettings

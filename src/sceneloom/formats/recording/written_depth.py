@@ -1,16 +1,13 @@
-"""The images of a depth camera: a lossless video of 16-bit steps, and the length of a step in every line."""
+"""The images of a depth camera for a lossless video: 16-bit steps, and the length of a step in every line."""
 
-from contextlib import suppress
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, UInt16Array, check_array
-from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.arrays import Float32Array, UInt8Array, UInt16Array, check_array
+from sceneloom.errors import OptionError
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.recording.written_shots import Shot, frame_rate
-from sceneloom.formats.video import VideoWriter
+from sceneloom.formats.recording.written_shots import Shot
 from sceneloom.scene import DepthCameraSensor, DepthFrame
 
 DEPTH_STEPS = (0.001, 0.002, 0.005, 0.01)
@@ -66,46 +63,32 @@ def common_scale(sensor: DepthCameraSensor) -> float:
     return next((scale for scale in DEPTH_STEPS if round(largest / scale) <= _LARGEST), DEPTH_STEPS[-1])
 
 
-class DepthVideo:
-    """Depth images as FFV1 of 16 bits; a line without one gets the image before."""
+class DepthImages:
+    """The images of a depth camera as 16-bit steps, and what is lost by that."""
 
-    def __init__(self, sensor: DepthCameraSensor, path: Path) -> None:
-        """Start the file.
+    codec = "ffv1-gray16"
 
-        Raises:
-            OptionError: a step of the source has no length.
-        """
+    def __init__(self, sensor: DepthCameraSensor) -> None:
+        """Begin; no image is read."""
         self.width, self.height = sensor.camera.width, sensor.camera.height
+        self.blank: UInt8Array | UInt16Array = np.zeros((self.height, self.width), np.uint16)
         self.losses: list[Loss] = []
         self._scales = DepthScales(sensor)
         self._field = f"sensors[{sensor.id}].frames[].depth"
-        self._writer = VideoWriter(path, self.width, self.height, frame_rate(sensor), codec="ffv1-gray16")
-        self._last: UInt16Array = np.zeros((self.height, self.width), np.uint16)
-        self._last_seconds = -np.inf
 
     def fields(self, shot: Shot) -> dict[str, Any]:
         """Name the kind of image, and the length of its steps."""
         return self._scales.fields(shot)
 
-    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
-        """Encode an image."""
-        if isinstance(shot, DepthFrame):
-            self._last = self._steps(shot)
-        seconds = max(timestamp_ns / 1e9, np.nextafter(self._last_seconds, np.inf))
-        self._writer.add(self._last, seconds)
-        self._last_seconds = seconds
+    def image(self, shot: Shot) -> UInt16Array | None:
+        """Give an image in steps, (H, W) uint16; None of what is no depth image.
 
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
-
-    def abandon(self) -> None:
-        """Close the file."""
-        with suppress(SceneloomError):
-            self._writer.close()
-
-    def _steps(self, frame: DepthFrame) -> UInt16Array:
-        depth, scale = frame.depth, self._scales.of(frame)
+        Raises:
+            OptionError: a step of the source has no length.
+        """
+        if not isinstance(shot, DepthFrame):
+            return None
+        depth, scale = shot.depth, self._scales.of(shot)
         check_array("depth", depth, (self.height, self.width), np.float32)
         found = to_steps(depth, scale)
         self._lose(f"rounded to steps of {scale:g} m", found.rounded)

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 from PIL import Image
 
-from sceneloom.arrays import Int64Array, UInt8Array, check_array
+from sceneloom.arrays import Int64Array, UInt8Array, UInt16Array, check_array
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.recording.written_depth import DepthScales, DepthVideo
+from sceneloom.formats.recording.written_depth import DepthImages, DepthScales
 from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, frame_rate, shots_of
 from sceneloom.formats.video import VideoReader, VideoWriter, copy_to_matroska
 from sceneloom.formats.video.png_folder import picture_name
@@ -25,7 +25,6 @@ _ENCODED_AS = {"copy": "h264", "lossless": "ffv1"}
 
 _PNG_EFFORT = 1
 """Pictures of scenes shrink little more with more effort, at many times the time."""
-
 
 _EBML = b"\x1a\x45\xdf\xa3"
 """How a Matroska file begins. Source: RFC 8794, section 11.2.1."""
@@ -78,35 +77,68 @@ class CopiedVideo:
         """Do nothing."""
 
 
-class EncodedVideo:
-    """Pictures encoded anew; a line without one gets the picture before."""
+class Images(Protocol):
+    """Makes the images of one camera as a video takes them."""
 
-    def __init__(self, sensor: CameraSensor, path: Path, codec: str) -> None:
-        """Start the file; pictures of an odd size lose their last line in H.264."""
-        camera = sensor.camera
+    codec: str
+    width: int
+    height: int
+    blank: UInt8Array | UInt16Array
+    losses: list[Loss]
+
+    def fields(self, shot: Shot) -> dict[str, Any]:
+        """Give what the entry of an image has to say so that it can be read."""
+        ...
+
+    def image(self, shot: Shot) -> UInt8Array | UInt16Array | None:
+        """Give what is encoded; None of what is none of this camera's."""
+        ...
+
+
+class ColorImages:
+    """The pictures of a camera; those of an odd size lose their last line or column in H.264."""
+
+    def __init__(self, sensor: CameraSensor, codec: str) -> None:
+        """Begin; no picture is read."""
+        camera, self.codec = sensor.camera, codec
         lossy = codec == "h264"
         cut = 2 if lossy else 1
         self.width, self.height = camera.width - camera.width % cut, camera.height - camera.height % cut
+        self.blank: UInt8Array | UInt16Array = np.zeros((self.height, self.width, 3), np.uint8)
         self.losses = _encoding_losses(sensor, (self.width, self.height)) if lossy else []
         self._full = (camera.height, camera.width, 3)
-        self._writer = VideoWriter(path, self.width, self.height, frame_rate(sensor), codec=codec)
-        self._last: UInt8Array = np.zeros((self.height, self.width, 3), np.uint8)
-        self._last_seconds = -np.inf
 
     def fields(self, shot: Shot) -> dict[str, Any]:  # noqa: ARG002 - a video says what it is
         """Give nothing."""
         return {}
 
+    def image(self, shot: Shot) -> UInt8Array | None:
+        """Give a picture, cut to the size of the video; None of what is no picture."""
+        if not isinstance(shot, Picture):
+            return None
+        rgb = shot.rgb
+        check_array("picture", rgb, self._full, np.uint8)
+        return rgb[: self.height, : self.width]
+
+
+class EncodedVideo:
+    """Images encoded anew; a line without one gets the image before."""
+
+    def __init__(self, images: Images, path: Path, fps: float) -> None:
+        """Start the file."""
+        self.width, self.height, self.losses = images.width, images.height, images.losses
+        self.fields = images.fields
+        self._images, self._last = images, images.blank
+        self._last_ns: int | None = None
+        self._writer = VideoWriter(path, self.width, self.height, fps, codec=images.codec)
+
     def add(self, shot: Shot | None, timestamp_ns: int) -> None:
-        """Encode a picture."""
-        if isinstance(shot, Picture):
-            rgb = shot.rgb
-            check_array("picture", rgb, self._full, np.uint8)
-            self._last = rgb[: self.height, : self.width]
-        # pictures of one time keep their order
-        seconds = max(timestamp_ns / 1e9, np.nextafter(self._last_seconds, np.inf))
-        self._writer.add(self._last, seconds)
-        self._last_seconds = seconds
+        """Encode an image."""
+        image = None if shot is None else self._images.image(shot)
+        self._last = self._last if image is None else image
+        # the time of a line without an image can be before that of an image whose entry has a time of its own
+        self._last_ns = timestamp_ns if self._last_ns is None else max(timestamp_ns, self._last_ns)
+        self._writer.add(self._last, self._last_ns / 1e9)
 
     def close(self) -> None:
         """Finish the file."""
@@ -169,12 +201,13 @@ def open_sink(
     path = folder / f"data{index + 1 if index else ''}.mkv"
     if isinstance(sensor, DepthCameraSensor):
         copied = _copied(sensor, path, rows, codecs=("ffv1",)) and _all_stepped(sensor)
-        return CopiedVideo(sensor) if copied else DepthVideo(sensor, path)
+        return CopiedVideo(sensor) if copied else EncodedVideo(DepthImages(sensor), path, frame_rate(sensor))
     if pictures == "png":
         return PngPictures(sensor, folder / f"frames{index + 1}")
     if _copied(sensor, path, rows, codecs=None if pictures in _ENCODED_AS else (pictures,)):
         return CopiedVideo(sensor)
-    encoded = EncodedVideo(sensor, path, _ENCODED_AS.get(pictures, pictures))
+    images = ColorImages(sensor, _ENCODED_AS.get(pictures, pictures))
+    encoded = EncodedVideo(images, path, frame_rate(sensor))
     if pictures == "lossless" and sensor.video is not None:
         what = (
             "encoded anew as FFV1: cut where it was, the video could not be copied; the pictures are the same"

@@ -185,10 +185,11 @@ class VideoWriter:
 
         Args:
             image: (height, width, 3) uint8, red green blue; of "ffv1-gray16" (height, width) uint16.
-            timestamp_seconds: when it is shown; the first picture's time becomes 0. None for the next at `fps`.
+            timestamp_seconds: when it is shown, not before the picture added last; the first picture's time becomes
+                0. Pictures of one time keep their order. None for the next at `fps`.
 
         Raises:
-            ArrayError: the picture has another shape or type, its time is not after the one before, or it is one more
+            ArrayError: the picture has another shape or type, its time is before the last one's, or it is one more
                 than was said before.
             OutputError: the target cannot be written, or the writer is closed.
         """
@@ -266,11 +267,11 @@ class VideoWriter:
         seconds = self.count / self.fps if timestamp_seconds is None else timestamp_seconds
         if self._origin_seconds is None:
             self._origin_seconds = self._last_seconds = seconds
-        elif not seconds > self._last_seconds:
-            problem = f"its time {seconds} s is not after {self._last_seconds} s, that of the picture before"
+        elif not seconds >= self._last_seconds:
+            problem = f"its time {seconds} s is before {self._last_seconds} s, that of the picture before"
             raise ArrayError(f"picture {self.count}: {problem}")
         self._last_seconds = seconds
-        # pictures closer than one tick keep their order
+        # pictures of one time, or closer than one tick, keep their order
         ticks = max(round(Fraction(seconds - self._origin_seconds) / self._tick), self._last_ticks + 1)
         self._last_ticks = ticks
         return ticks

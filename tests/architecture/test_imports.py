@@ -42,6 +42,12 @@ WRAPPERS = {
     "fsspec": {"formats"},
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"evaluate"},
+    "google": {"fusion", "service"},
+    "grpc": {"service"},
+    "grpc_health": {"service"},
+    "grpc_reflection": {"service"},
+    "mcap": {"service"},
+    "foxglove_schemas_protobuf": {"service"},
     "click": {"cli"},
     "rich": {"cli"},
     "numpy": set(ROW_OF),
@@ -95,7 +101,15 @@ def test_every_third_party_that_is_imported_is_declared(modules, project):
     declared = tomllib.loads((project / "pyproject.toml").read_text("utf-8"))["project"]
     requirements = [*declared["dependencies"], *chain(*declared["optional-dependencies"].values())]
     names = {requirement.split(">")[0].split("=")[0].split("[")[0] for requirement in requirements}
-    distributions = {"PIL": "pillow", "small_gicp": "small-gicp"}
+    distributions = {
+        "PIL": "pillow",
+        "foxglove_schemas_protobuf": "foxglove-schemas-protobuf",
+        "google": "protobuf",
+        "grpc": "grpcio",
+        "grpc_health": "grpcio-health-checking",
+        "grpc_reflection": "grpcio-reflection",
+        "small_gicp": "small-gicp",
+    }
     imported = {name.split(".")[0] for m in modules for name, _ in m.imports}
     foreign = imported - set(sys.stdlib_module_names) - {"sceneloom"}
     assert {distributions.get(name, name) for name in foreign} <= names

@@ -121,7 +121,7 @@ def _check_order(scene: Scene) -> None:
         if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
             continue
         times = frame_times(sensor)
-        backwards = np.flatnonzero(np.diff(times) < 0)
+        backwards = np.flatnonzero(times[1:] < times[:-1])
         if len(backwards):
             kind = "pictures" if isinstance(sensor, CameraSensor) else "frames"
             k = int(backwards[0]) + 1

@@ -24,7 +24,7 @@ class FramesByStamp(Generic[Stamped]):
         self.frames: LazyFrames[Stamped] = frames
         self._stamps_ns: Int64Array = frames.timestamps_ns
         self._rows: Sequence[int] = range(len(frames))
-        if (np.diff(self._stamps_ns) < 0).any():
+        if (self._stamps_ns[1:] < self._stamps_ns[:-1]).any():
             order = np.argsort(self._stamps_ns, kind="stable")
             self._stamps_ns, self._rows = self._stamps_ns[order], order.tolist()
 

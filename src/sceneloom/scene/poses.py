@@ -55,7 +55,7 @@ class PosePath:
             raise ArrayError("poses: empty; expected at least one pose")
         if self.endless and count != 1:
             raise ArrayError(f"poses: {count} poses; an endless path has exactly one")
-        backwards = np.flatnonzero(np.diff(self.timestamps_ns) <= 0)
+        backwards = np.flatnonzero(self.timestamps_ns[1:] <= self.timestamps_ns[:-1])
         if len(backwards):
             k = int(backwards[0]) + 1
             raise ArrayError(

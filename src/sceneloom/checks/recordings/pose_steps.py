@@ -18,7 +18,7 @@ from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_
 from sceneloom.checks.recordings.turning import finite_rows
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.formats.recording.trajectories import GREATEST_NORM_ERROR
+from sceneloom.formats.poses import GREATEST_NORM_ERROR
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene import Severity
 

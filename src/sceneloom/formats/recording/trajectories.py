@@ -8,6 +8,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.poses import GREATEST_NORM_ERROR
 from sceneloom.formats.recording.columns import PoseColumns, SortedColumns
 from sceneloom.scene import NoticeKind, Trajectory
 
@@ -16,8 +17,6 @@ RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
 
 RESERVED_NAMES = {"gnss", "lidar", "identity"}
 """Names that stand for ways which are computed."""
-
-GREATEST_NORM_ERROR = 0.01
 
 
 def build_trajectories(

@@ -113,7 +113,7 @@ def _stamps(
     offset_ns = int(record.get("time_offset_s", 0))
     stamps = shifted(table.stamps(columns["time"], record.get("unit")), offset_ns, table.path, "")
     order = np.argsort(stamps, kind="stable")
-    back = int((np.diff(stamps) < 0).sum())
+    back = int((stamps[1:] < stamps[:-1]).sum())
     if back:
         message = "times run backwards; sorted by time"
         drive.ledger.note(NoticeKind.REPAIRED, "samples-sorted", str(table.path), message, count=back)

@@ -1,15 +1,15 @@
 """The trajectories of a manifest: TUM, KITTI and CSV files, of any frame of the rig, brought to the ego."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.arrays import read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.poses import GREATEST_NORM_ERROR, Poses
 from sceneloom.formats.rig.csv_files import TIME_COLUMNS, pick_columns, read_table
 from sceneloom.formats.rig.manifest import Manifest
 from sceneloom.formats.rig.records import Record
@@ -28,7 +28,6 @@ from sceneloom.geometry.rotations import (
 )
 from sceneloom.scene import NoticeKind, Trajectory
 
-_NORM_ERROR = 0.01
 POSE_COLUMNS: Mapping[str, Sequence[str]] = {
     "time": TIME_COLUMNS,
     "x": ("x", "tx", "px", "pos_x", "position_x", "p_x", "x_m"),
@@ -40,23 +39,6 @@ POSE_COLUMNS: Mapping[str, Sequence[str]] = {
     "qw": ("qw", "q_w", "orientation_w", "quat_w", "rot_w"),
 }
 """The columns of a CSV file by what they are."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Poses:
-    """Poses as a file has them.
-
-    Attributes:
-        timestamps_ns: (N,) int64 [ns].
-        positions: (N, 3) float64 [m].
-        quaternions_xyzw: (N, 4) float64, or None.
-        lines: number of each pose's line.
-    """
-
-    timestamps_ns: Int64Array
-    positions: Float64Array
-    quaternions_xyzw: Float64Array | None
-    lines: Sequence[int] = field(default_factory=tuple)
 
 
 def build_trajectory(
@@ -156,7 +138,7 @@ def _check_orientations(path: Path, poses: Poses) -> None:
     if poses.quaternions_xyzw is None:
         return
     norms = np.linalg.norm(poses.quaternions_xyzw, axis=1)
-    wrong = np.flatnonzero(~(np.abs(norms - 1.0) <= _NORM_ERROR))
+    wrong = np.flatnonzero(~(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR))
     if len(wrong):
         k = int(wrong[0])
         problem = f"orientation {poses.quaternions_xyzw[k].tolist()} of length {norms[k]:.4f}; expected 1 within 0.01"
@@ -165,7 +147,7 @@ def _check_orientations(path: Path, poses: Poses) -> None:
 
 def _in_order(path: Path, poses: Poses, ledger: Ledger) -> Poses:
     """Sort by time; of several poses at one time the first counts."""
-    if (np.diff(poses.timestamps_ns) < 0).any():
+    if (poses.timestamps_ns[1:] < poses.timestamps_ns[:-1]).any():
         ledger.note(NoticeKind.REPAIRED, "poses-sorted", str(path), "poses out of order; sorted by time")
     times, rows = np.unique(poses.timestamps_ns, return_index=True)
     if len(times) < len(poses.timestamps_ns):

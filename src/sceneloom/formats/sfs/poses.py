@@ -85,7 +85,7 @@ def _in_order(
     timestamps_ns: Int64Array, rows: Float64Array, faults: Faults
 ) -> tuple[Int64Array, Float64Array]:
     """Sort poses by time and drop those that stand there twice, if no two of one time differ."""
-    backwards = np.flatnonzero(np.diff(timestamps_ns) <= 0)
+    backwards = np.flatnonzero(timestamps_ns[1:] <= timestamps_ns[:-1])
     if not len(backwards):
         return timestamps_ns, rows
     order = np.argsort(timestamps_ns, kind="stable")

@@ -10,10 +10,10 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.poses import Poses
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.rig.csv_files import TIME_COLUMNS, Table, pick_columns, read_table
 from sceneloom.formats.rig.motion_sensors import GNSS_COLUMNS
-from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_names
 from sceneloom.formats.trajectories.rows import further_losses, ordered

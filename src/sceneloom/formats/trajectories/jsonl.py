@@ -17,6 +17,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.clouds.cloud import file_faults
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.poses import Poses
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
 from sceneloom.formats.recording.line_shapes import ROOT_KEYS, NamedPose
 from sceneloom.formats.recording.merged_lines import merged_lines
@@ -24,7 +25,6 @@ from sceneloom.formats.recording.trajectories import RANKS
 from sceneloom.formats.recording.written_lines import NumberLines
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.formats.rig.stamps import StampError, parse_stamp
-from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.rows import further_losses, ordered
 from sceneloom.scene import NoticeKind

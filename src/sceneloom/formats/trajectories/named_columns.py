@@ -8,8 +8,9 @@ import numpy as np
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.poses import Poses
 from sceneloom.formats.rig.csv_files import TIME_COLUMNS, pick_columns, read_table
-from sceneloom.formats.rig.trajectories import POSE_COLUMNS, Poses
+from sceneloom.formats.rig.trajectories import POSE_COLUMNS
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_names
 from sceneloom.formats.trajectories.rows import further_losses, numbers_text, ordered

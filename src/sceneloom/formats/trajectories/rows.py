@@ -9,9 +9,8 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.recording.trajectories import GREATEST_NORM_ERROR
+from sceneloom.formats.poses import GREATEST_NORM_ERROR, Poses
 from sceneloom.formats.recording.written_times import seconds_text
-from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.scene import NoticeKind, Trajectory
 
@@ -32,8 +31,9 @@ def ordered(path: Path, name: str, rows: Poses, ledger: Ledger) -> tuple[Traject
     if not len(usable):
         raise DataError(path, "", "holds no poses; expected at least one")
     times = rows.timestamps_ns[usable]
-    if (np.diff(times) < 0).any():
-        place = f"{path}: line {rows.lines[int(usable[np.flatnonzero(np.diff(times) < 0)[0] + 1])]}"
+    back = np.flatnonzero(times[1:] < times[:-1])
+    if len(back):
+        place = f"{path}: line {rows.lines[int(usable[back[0] + 1])]}"
         ledger.note(NoticeKind.REPAIRED, "poses-sorted", place, "poses run backwards in time; sorted by time")
     usable = usable[np.argsort(times, kind="stable")]
     kept = _once(path, rows, usable, ledger)
@@ -68,7 +68,7 @@ def _sound(path: Path, rows: Poses, ledger: Ledger) -> Int64Array:
 def _once(path: Path, rows: Poses, usable: Int64Array, ledger: Ledger) -> Int64Array:
     """Keep one pose per time: a body is in one place."""
     times = rows.timestamps_ns[usable]
-    repeated = np.flatnonzero(np.diff(times) == 0) + 1
+    repeated = np.flatnonzero(times[1:] == times[:-1]) + 1
     if not len(repeated):
         return usable
     k, before = int(usable[repeated[0]]), int(usable[repeated[0] - 1])

@@ -9,9 +9,9 @@ from pathlib import Path
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.poses import Poses
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.rig.csv_files import read_table
-from sceneloom.formats.rig.trajectories import Poses
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_values
 from sceneloom.formats.trajectories.rows import further_losses, numbers_text, ordered, oriented

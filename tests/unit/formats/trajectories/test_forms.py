@@ -277,6 +277,13 @@ def test_poses_out_of_order_are_sorted_and_told(tmp_path: Path) -> None:
     assert [notice.code for notice in content.notices] == ["poses-sorted"]
 
 
+def test_times_whose_difference_no_int64_holds_are_in_order(tmp_path: Path) -> None:
+    lines = "-9000000000 1 0 0 0 0 0 1\n9000000000 2 0 0 0 0 0 1\n"
+    content = read_trajectory_file(put(tmp_path, "a.txt", lines))
+    assert content.trajectory.timestamps_ns.tolist() == [-9 * 10**18, 9 * 10**18]
+    assert content.notices == ()
+
+
 def test_positions_alone_are_refused_where_orientations_are_needed(tmp_path: Path) -> None:
     way = Trajectory("way", np.array([0], np.int64), np.zeros((1, 3)))
     for name in ("a.tum", "a.kitti", "a.csv"):

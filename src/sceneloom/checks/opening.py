@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sceneloom.checks.recordings.faults import FAULT_CODES
+from sceneloom.checks.recordings.faults import FAULT_CODES, UNREADABLE
 from sceneloom.checks.subject import Subject
 from sceneloom.errors import DataError
 from sceneloom.formats.faults import PlacedFault
@@ -54,7 +54,7 @@ def _examined(examination: Examination, path: str | Path) -> Subject:
 def _examined_recording(examination: RecordingExamination, path: Path) -> Subject:
     scene = examination.scene or _nothing(path, RecordingFormat.name)
     faults = tuple(
-        fault if fault.code in FAULT_CODES else replace(fault, code="unreadable")
+        fault if fault.code in FAULT_CODES else replace(fault, code=UNREADABLE)
         for fault in examination.faults
     )
     return Subject(scene, faults=faults, recording=examination.contents)

@@ -97,7 +97,7 @@ FAULT_RULES: tuple[Rule, ...] = (
         "file-readable",
         "unreadable",
         "The file or folder can be read.",
-        "Export it again; of a file that was cut off, `sceneloom salvage` takes out what is whole.",
+        "Export it again; of a scene file that was cut off, `sceneloom salvage` takes out what is whole.",
     ),
     _rule(
         "version-known",

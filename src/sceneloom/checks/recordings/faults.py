@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 from sceneloom.checks.reading import faults_of
-from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.recordings.lines_at_fault import lines_at_fault
+from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene import Severity
 
@@ -18,23 +19,33 @@ def _without_calibration(subject: Subject) -> Iterator[Hit]:
             yield Hit(fault.where, fault.problem, fault.count)
 
 
+UNREADABLE = "recording-readable"
+"""The code of what keeps a recording from being read at all."""
+
 _SPOILING = frozenset({"unusable-calibrations", "unreadable-calibration"})
 
 
-def _error(code: str, summary: str, remedy: str) -> Rule:
-    return Rule(code, Severity.ERROR, summary, remedy, find=faults_of(code))
+def _error(code: str, summary: str, remedy: str, find: Find | None = None) -> Rule:
+    return Rule(code, Severity.ERROR, summary, remedy, find=find or faults_of(code))
 
 
 FAULT_RULES: tuple[Rule, ...] = (
     _error(
+        UNREADABLE,
+        "A recording has a `data.jsonl` with lines of JSON in UTF-8, and can be opened.",
+        "Do what the message says; a log without any line has to be recorded or exported again.",
+    ),
+    _error(
         "broken-lines",
         "Every line of a recording is a JSON object, whole and with finite numbers.",
         "Write the line again, or leave it out; `--lenient` and `--fix` leave it out.",
+        lines_at_fault("broken-lines"),
     ),
     _error(
         "unfit-lines",
         "Every line of a recording has the fields that a line of its kind needs, of the kind that they need.",
         "Correct the line where it is made, or leave it out; `--lenient` and `--fix` leave it out.",
+        lines_at_fault("unfit-lines"),
     ),
     _error(
         "unusable-orientations",

@@ -196,7 +196,9 @@ def _unit_in_question(rates: Mapping[Stream, float]) -> str:
     ]
     if len(judged) > 1 and all(rate < lowest for rate, lowest, _ in judged):
         for factor, unit in _WRONG_UNITS:
-            if all(lowest <= rate * factor <= highest for rate, lowest, highest in judged):
+            if all(lowest <= rate * factor <= highest for rate, lowest, highest in judged) and all(
+                rate * factor <= RATES_HZ[stream.kind][1] for stream, rate in rates.items()
+            ):
                 return f": are the times {unit}? They have to be seconds"
     return ""
 

@@ -5,6 +5,8 @@ from typing import Any
 
 import msgspec
 
+from sceneloom.formats.recording.columns import FARTHEST_TIME
+
 DECODER_FAULTS = (msgspec.MsgspecError, ValueError, RecursionError)
 """What decoding of bytes that nobody checked may raise."""
 
@@ -26,13 +28,22 @@ _TYPES = {
 }
 _BOUNDS = {"<=": " of at most ", ">=": " of at least ", "<": " below ", ">": " above "}
 
-_OTHER_BEGINNINGS = {
-    b"\xef\xbb\xbf": "begins with a byte order mark",
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_OTHER_FILES = {
     b"\xff\xfe": "is text in UTF-16",
     b"\xfe\xff": "is text in UTF-16",
     b"\x1f\x8b": "is compressed by gzip",
     b"PK\x03\x04": "is a zip archive",
+    b"SQLite format 3\0": "is a database",
+    b"\x28\xb5\x2f\xfd": "is compressed by zstd",
+    b"BZh": "is compressed by bzip2",
+    b"\xfd7zXZ\0": "is compressed by xz",
 }
+"""How files begin that are none of text in UTF-8."""
+_OTHER_BEGINNINGS = {_BYTE_ORDER_MARK: "begins with a byte order mark", **_OTHER_FILES}
+
+_UNITS = ((1e18, "nanoseconds"), (1e15, "microseconds"), (1e12, "milliseconds"))
+"""Times of our days are beyond these numbers, in these units."""
 
 
 def json_problem(error: Exception, text: bytes, *, prefix: str = "") -> str:
@@ -58,7 +69,20 @@ def json_fault(error: Exception, text: bytes, *, prefix: str = "") -> tuple[str,
         return prefix, _no_json(error, text)
     match = _PATH.fullmatch(str(error))
     what, path = (match["what"], match["path"]) if match else (str(error), "")
-    return f"{prefix}{path}".lstrip("."), f"{_value_at(path, text)}: {_in_words(what)}"
+    value = _value_at(path, text)
+    return f"{prefix}{path}".lstrip("."), f"{value}: {_in_words(what, value)}"
+
+
+def other_file(beginning: bytes) -> str | None:
+    """Say what a file is that does not begin as text in UTF-8 does; None where nothing is known of that.
+
+    Args:
+        beginning: its first bytes, 16 or more where it has so many.
+    """
+    halves = {bytes(byte != 0 for byte in beginning[start:4:2]) for start in (0, 1)}
+    if len(beginning) >= 4 and halves == {b"\0\0", b"\1\1"}:
+        return "is text in UTF-16"
+    return next((told for start, told in _OTHER_FILES.items() if beginning.startswith(start)), None)
 
 
 def _no_json(error: Exception, text: bytes) -> str:
@@ -68,16 +92,30 @@ def _no_json(error: Exception, text: bytes) -> str:
         if text.startswith(beginning):
             return f"{told}; expected plain JSON in UTF-8"
     hint = "; NaN and Infinity are no JSON numbers" if _NO_NUMBER.search(text) else ""
+    if text.rstrip().endswith(b"},") or text.strip() == b"[":
+        hint = "; a log is no list: expected one object a line, and no commas between them"
+    elif text.strip() == b"{":
+        hint = "; expected each object in one line"
     return f"{quote(text)}: not a JSON object: {error}{hint}"
 
 
-def _in_words(complaint: str) -> str:
-    """The decoder's complaint, types by their names in everyday words and not in a programming language's."""
+def _in_words(complaint: str, value: str) -> str:
+    """The decoder's complaint about a value, types by their names in everyday words, not a programming language's."""
     match = _TYPE_COMPLAINT.fullmatch(complaint)
     if match is None:
         return complaint
+    if match["number"] is not None and abs(float(match["number"])) == FARTHEST_TIME:
+        return f"expected seconds, within ±{FARTHEST_TIME:g}{_unit_in_question(value)}"
     types = [_TYPES.get(name, name) for name in match["wanted"].split(" | ") if name != "null"]
     return f"expected {' or '.join(types)}{_BOUNDS.get(match['bound'], '')}{match['number'] or ''}{_got(match['got'])}"
+
+
+def _unit_in_question(value: str) -> str:
+    try:
+        number = float(value)
+    except ValueError:
+        return ""
+    return next((f"; this looks like {unit}" for least, unit in _UNITS if number > least), "")
 
 
 def _got(name: str | None) -> str:

@@ -11,6 +11,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.columns import RecordingColumns
 from sceneloom.formats.recording.columns_joining import can_join, join
+from sceneloom.formats.recording.json_faults import other_file
 from sceneloom.formats.recording.line_blocks import blocks_of_lines
 from sceneloom.formats.recording.line_parts import LineParts, reading_processes
 from sceneloom.formats.recording.line_reading import LineReader
@@ -35,6 +36,7 @@ def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
     """
     reader = LineReader()
     try:
+        _check_beginning(path)
         size = path.stat().st_size
         processes = reading_processes(size)
         if processes > 1:
@@ -45,10 +47,18 @@ def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
         raise DataError(path, "", f"cannot be read: {error.strerror}") from error
     columns = reader.columns
     if not columns.log.codes:
-        raise DataError(path, "", "is empty; expected JSON lines")
+        raise DataError(path, "", "is empty; expected JSON lines: record or export it again")
     _note_order(columns, path, ledger)
     _note_other_lines(columns, path, ledger)
     return columns
+
+
+def _check_beginning(path: Path) -> None:
+    """Refuse a file that is no text at once: of its lines there would be none that is right."""
+    with path.open("rb") as file:
+        told = other_file(file.read(16))
+    if told is not None:
+        raise DataError(path, "", f"{told}; expected lines of JSON in UTF-8: unpack or export it as such")
 
 
 def _read_serially(

@@ -1,13 +1,15 @@
 """What the decoder complains about, in words for people who do not program."""
 
+import bz2
 import codecs
 import gzip
-from typing import Annotated
+import lzma
+from typing import Annotated, Any
 
 import msgspec
 import pytest
 
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault, other_file
 
 
 class Entry(msgspec.Struct):
@@ -32,7 +34,22 @@ def told(text, kind=Entry):
     ("text", "path", "problem"),
     [
         (b'{"number":"7"}', "number", '"7": expected a number, not a text'),
-        (b'{"seconds":17e17}', "seconds", "1.7e18: expected a number of at most 9200000000.0"),
+        (
+            b'{"seconds":17e17}',
+            "seconds",
+            "1.7e18: expected seconds, within ±9.2e+09; this looks like nanoseconds",
+        ),
+        (
+            b'{"seconds":17e11}',
+            "seconds",
+            "1700000000000.0: expected seconds, within ±9.2e+09; this looks like milliseconds",
+        ),
+        (
+            b'{"seconds":17e14}',
+            "seconds",
+            "1700000000000000.0: expected seconds, within ±9.2e+09; this looks like microseconds",
+        ),
+        (b'{"seconds":1e10}', "seconds", "10000000000.0: expected seconds, within ±9.2e+09"),
         (b'{"index":"0"}', "index", '"0": expected a whole number, not a text'),
         (b'{"model":3}', "model", "3: expected a text, not a whole number"),
         (b'{"left":"yes"}', "left", '"yes": expected true or false, not a text'),
@@ -62,3 +79,30 @@ def test_what_is_no_matter_of_types_is_told_as_it_is():
 )
 def test_text_of_other_kinds_is_told_by_its_kind(text, problem):
     assert told(text)[1].startswith(problem)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        (gzip.compress(b"{}", mtime=0), "is compressed by gzip"),
+        (bz2.compress(b"{}"), "is compressed by bzip2"),
+        (lzma.compress(b"{}"), "is compressed by xz"),
+        ('{"time":1}'.encode("utf-16"), "is text in UTF-16"),
+        ('{"time":1}'.encode("utf-16-le"), "is text in UTF-16"),
+        ('{"time":1}'.encode("utf-16-be"), "is text in UTF-16"),
+        (b'{"time":1}', None),
+        (codecs.BOM_UTF8 + b"{}", None),
+        (bytes(range(16)), None),
+        (b"", None),
+    ],
+    ids=["gzip", "bzip2", "xz", "marked", "little", "big", "plain", "utf-8 mark", "any bytes", "nothing"],
+)
+def test_a_file_that_is_no_text_in_utf_8_is_known_by_its_first_bytes(text, kind):
+    assert other_file(text[:16]) == kind
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"), [(b'{"number":1},', "no list"), (b"[", "no list"), (b"{", "each object in one line")]
+)
+def test_a_list_and_an_object_over_several_lines_are_told_to_be_none_of_a_log(text, hint):
+    assert hint in told(text, kind=Any)[1]

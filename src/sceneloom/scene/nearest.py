@@ -8,10 +8,11 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.scene.cameras import Picture
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
+from sceneloom.scene.depth import DepthFrame
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.point_times import timed_frame
 
-Stamped = TypeVar("Stamped", Picture, RadarFrame)
+Stamped = TypeVar("Stamped", Picture, DepthFrame, RadarFrame)
 
 NONE = "it has no frames"
 

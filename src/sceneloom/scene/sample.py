@@ -12,11 +12,13 @@ from sceneloom.errors import DataError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import Picture
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
+from sceneloom.scene.depth import DepthFrame
 from sceneloom.scene.sample_boxes import Boxes
 from sceneloom.scene.sample_places import SamplePoses
 from sceneloom.scene.types import Identifier
 
 Value = TypeVar("Value")
+Image = TypeVar("Image", Picture, DepthFrame)
 
 
 class Once(Generic[Value]):
@@ -51,8 +53,9 @@ class Sample:
     """What several sensors measured about one moment.
 
     Every sensor that was asked for is a key of the mappings. Where it has no frame near enough, or its pose is not
-    known, the value is None, and `missing` or `unposed` says why. Pictures are decoded when their `rgb` is asked for.
-    A sample that is pickled takes pixels, poses and boxes along, so that whoever gets it needs no file.
+    known, the value is None, and `missing` or `unposed` says why. Pictures are decoded when their `rgb` is asked for,
+    depth images when their `depth` is. A sample that is pickled takes pixels, poses and boxes along, so that whoever
+    gets it needs no file.
 
     Attributes:
         index: number of the reference sensor's frame.
@@ -62,7 +65,8 @@ class Sample:
         sweeps: by id of the lidar.
         pictures: by id of the camera.
         radar_frames: by id of the radar.
-        cameras: the lens by id of the camera: that of the picture, where there is one.
+        depth_frames: by id of the depth camera.
+        cameras: the lens by id of the camera or depth camera: that of the picture or depth image, where there is one.
         times_ns: time of each frame that is there, by id [ns]; of sweeps their reference time.
         missing: why a frame is not there, by id.
         find_poses: works out where the sensors were.
@@ -76,6 +80,7 @@ class Sample:
     sweeps: Mapping[Identifier, LidarFrame | None]
     pictures: Mapping[Identifier, Picture | None]
     radar_frames: Mapping[Identifier, RadarFrame | None]
+    depth_frames: Mapping[Identifier, DepthFrame | None]
     cameras: Mapping[Identifier, Camera]
     times_ns: Mapping[Identifier, int]
     missing: Mapping[Identifier, str]
@@ -118,23 +123,23 @@ class Sample:
 
     @property
     def world_from_camera(self) -> dict[Identifier, RigidTransform | None]:
-        """Pose of each camera at the time of its picture, by id."""
-        return {camera_id: self.poses.world_from_sensor[camera_id] for camera_id in self.pictures}
+        """Pose of each camera and depth camera at the time of its picture or depth image, by id."""
+        return {camera_id: self.poses.world_from_sensor[camera_id] for camera_id in self.cameras}
 
     @property
     def camera_from_lidar(self) -> dict[Identifier, RigidTransform | None]:
-        """Takes the lidar at the sweep's reference time into each camera at the time of its picture, by id.
+        """Takes the lidar at the sweep's reference time into each of `cameras` at the time of its image, by id.
 
         The ego's motion between the two times is in it. Without a trajectory (`unposed` says so) only the mountings
         are, which is right for an ego that stands still.
         """
         poses, lidar_id = self.poses, self.lidar_id
-        return {key: None if lidar_id is None else poses.into(key, lidar_id) for key in self.pictures}
+        return {key: None if lidar_id is None else poses.into(key, lidar_id) for key in self.cameras}
 
     @property
     def camera_from_points(self) -> dict[Identifier, RigidTransform | None]:
         """The same for the positions of `sweep` as they are stored, whichever frame that is, by id of the camera."""
-        return {camera_id: self.poses.into(camera_id, None) for camera_id in self.pictures}
+        return {camera_id: self.poses.into(camera_id, None) for camera_id in self.cameras}
 
     def arrays(self) -> dict[str, np.ndarray[Any, Any]]:
         """Give all of it as plain arrays by name, of the same names and dtypes for every sample of a scene.
@@ -143,21 +148,22 @@ class Sample:
         docs/samples.md lists the names.
 
         Raises:
-            DataError: a picture cannot be decoded.
+            DataError: a picture or depth image cannot be decoded.
         """
         from sceneloom.scene.sample_arrays import arrays_of
 
         return arrays_of(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        pictures = {camera_id: _with_pixels(picture) for camera_id, picture in self.pictures.items()}
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Sample, tuple({**values, "pictures": pictures}.values())
+        for images in ("pictures", "depth_frames"):
+            values[images] = {camera_id: _with_pixels(image) for camera_id, image in values[images].items()}
+        return Sample, tuple(values.values())
 
 
-def _with_pixels(picture: Picture | None) -> Picture | None:
-    """Decode a picture; one that cannot be decoded stays as it is and says so when it is asked for."""
+def _with_pixels(image: Image | None) -> Image | None:
+    """Decode an image; one that cannot be decoded stays as it is and says so when it is asked for."""
     try:
-        return None if picture is None else picture.loaded()
+        return None if image is None else image.loaded()
     except DataError:
-        return picture
+        return image

@@ -8,6 +8,7 @@ from typing import Any
 from sceneloom.cameras.camera import Camera
 from sceneloom.scene.cameras import CameraSensor, Picture
 from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
 from sceneloom.scene.nearest import FramesByStamp, SweepsByReference
 from sceneloom.scene.sample import Once, Sample
 from sceneloom.scene.sample_boxes import BoxTable
@@ -70,9 +71,15 @@ class SampleMaker:
         self._finders: dict[Identifier, Finder] = {
             **{lidar.id: _sweeps(lidar) for lidar in selection.lidars},
             **{camera.id: FramesByStamp(camera.pictures) for camera in selection.cameras},
+            **{camera.id: FramesByStamp(camera.frames) for camera in selection.depth_cameras},
             **{radar.id: FramesByStamp(radar.frames) for radar in selection.radars},
         }
-        sensors: list[Posed] = [*selection.lidars, *selection.cameras, *selection.radars]
+        sensors: list[Posed] = [
+            *selection.lidars,
+            *selection.cameras,
+            *selection.depth_cameras,
+            *selection.radars,
+        ]
         self._places = places_of(scene, sensors, ego)
         self._points = place_of_points(scene, selection.lidars[0], ego) if selection.lidars else _NO_POINTS
         self._boxes = BoxTable(scene)
@@ -97,6 +104,7 @@ class SampleMaker:
 
     def _sample(self, index: int, moment_ns: int, found: _Found) -> Sample:
         selection, frames = self.selection, found.frames
+        shooting: list[CameraSensor | DepthCameraSensor] = [*selection.cameras, *selection.depth_cameras]
         return Sample(
             index=index,
             timestamp_ns=moment_ns,
@@ -105,7 +113,8 @@ class SampleMaker:
             sweeps={lidar.id: frames.get(lidar.id) for lidar in selection.lidars},
             pictures={camera.id: frames.get(camera.id) for camera in selection.cameras},
             radar_frames={radar.id: frames.get(radar.id) for radar in selection.radars},
-            cameras={camera.id: _lens(camera, frames.get(camera.id)) for camera in selection.cameras},
+            depth_frames={camera.id: frames.get(camera.id) for camera in selection.depth_cameras},
+            cameras={camera.id: _lens(camera, frames.get(camera.id)) for camera in shooting},
             times_ns=found.times_ns,
             missing=found.missing,
             find_poses=Once(partial(self._poses, frames, found.times_ns)),
@@ -113,10 +122,10 @@ class SampleMaker:
         )
 
     def _places_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, Place]:
-        """The sensors' places, of cameras those of pictures that have a mounting of their own."""
+        """The sensors' places, of cameras those of images that have a mounting of their own."""
         places = dict(self._places)
         for sensor_id, frame in frames.items():
-            if isinstance(frame, Picture) and frame.mount is not None:
+            if isinstance(frame, Picture | DepthFrame) and frame.mount is not None:
                 place = places[sensor_id]
                 source = None if place.source is None else place.source.mounted(frame.mount)
                 places[sensor_id] = replace(place, source=source, mount=frame.mount)
@@ -148,5 +157,5 @@ def _sweeps(lidar: LidarSensor) -> SweepsByReference:
     return SweepsByReference(lidar.frames, sweep_period_ns(lidar))
 
 
-def _lens(camera: CameraSensor, picture: Picture | None) -> Camera:
-    return camera.camera if picture is None else picture.camera
+def _lens(camera: CameraSensor | DepthCameraSensor, image: Picture | DepthFrame | None) -> Camera:
+    return camera.camera if image is None else image.camera

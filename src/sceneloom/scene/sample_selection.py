@@ -9,8 +9,10 @@ import numpy as np
 from sceneloom.errors import OptionError
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.sensor_sources import Posed
 from sceneloom.scene.span import sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Identifier, key_of
 
@@ -19,7 +21,7 @@ ALL = "all"
 Choice = Identifier | Iterable[Identifier]
 """Sensors of one kind: "all", one id, or several."""
 
-Kind = TypeVar("Kind", LidarSensor, CameraSensor, RadarSensor)
+Kind = TypeVar("Kind", LidarSensor, CameraSensor, RadarSensor, DepthCameraSensor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +32,7 @@ class Selection:
         scene: the scene.
         reference: the sensor whose frames are counted.
         lidars: whose sweeps are looked for, the one of `Sample.sweep` first.
-        cameras, radars: whose pictures and frames are looked for.
+        cameras, depth_cameras, radars: whose pictures, depth images and frames are looked for.
         trajectory: name of the ego's way, the way itself, or None for the default.
         tolerance_ns: how far from the moment a frame may be [ns].
     """
@@ -39,6 +41,7 @@ class Selection:
     reference: LidarSensor | CameraSensor
     lidars: tuple[LidarSensor, ...]
     cameras: tuple[CameraSensor, ...]
+    depth_cameras: tuple[DepthCameraSensor, ...]
     radars: tuple[RadarSensor, ...]
     trajectory: str | EgoMotion | None
     tolerance_ns: int
@@ -50,6 +53,7 @@ def select(
     reference: Identifier,
     lidars: Choice | None,
     cameras: Choice,
+    depth_cameras: Choice,
     radars: Choice,
     trajectory: str | EgoMotion | None,
     tolerance_ns: int | None,
@@ -70,12 +74,14 @@ def select(
         chosen_lidars = (counted, *(lidar for lidar in chosen_lidars if lidar is not counted))
     elif not any(camera is counted for camera in chosen_cameras):
         chosen_cameras = (counted, *chosen_cameras)
+    depths_there = tuple(sensor for sensor in scene.sensors if isinstance(sensor, DepthCameraSensor))
     radars_there = tuple(sensor for sensor in scene.sensors if isinstance(sensor, RadarSensor))
     return Selection(
         scene,
         counted,
         chosen_lidars,
         chosen_cameras,
+        chosen_sensors(scene, "depth camera", depths_there, depth_cameras),
         chosen_sensors(scene, "radar", radars_there, radars),
         trajectory,
         _period_ns(counted, chosen_lidars) if tolerance_ns is None else tolerance_ns,
@@ -116,11 +122,11 @@ def chosen_sensors(scene: Scene, kind: str, there: tuple[Kind, ...], wanted: Cho
     return tuple(chosen.values())
 
 
-def _is(sensor: LidarSensor | CameraSensor | RadarSensor, wanted: Identifier) -> bool:
+def _is(sensor: Posed, wanted: Identifier) -> bool:
     return key_of(sensor.id) == key_of(wanted)
 
 
-def _listed(sensors: Iterable[LidarSensor | CameraSensor | RadarSensor]) -> str:
+def _listed(sensors: Iterable[Posed]) -> str:
     return ", ".join(repr(sensor.id) for sensor in sensors) or "none, it has no such sensor"
 
 

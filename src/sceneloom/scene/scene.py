@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from sceneloom.errors import OptionError
+from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.scene.annotations import Annotation, AttributePath
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
@@ -86,6 +86,8 @@ class Scene:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if isinstance(error, SceneloomError):
+            error.remember(self.notices)
         self.close()
 
     def close(self) -> None:
@@ -109,6 +111,7 @@ class Scene:
         *,
         reference: Identifier = "lidar",
         cameras: Identifier | Iterable[Identifier] = "all",
+        depth_cameras: Identifier | Iterable[Identifier] = "all",
         lidars: Identifier | Iterable[Identifier] | None = None,
         radars: Identifier | Iterable[Identifier] = (),
         trajectory: "str | EgoMotion | None" = None,
@@ -122,6 +125,7 @@ class Scene:
         Args:
             reference: the lidar or camera whose frames are counted, by its id; "lidar" and "camera" are the first ones.
             cameras: whose pictures a sample holds: "all", an id, or several; () for none.
+            depth_cameras: the same for depth images.
             lidars: the same for further lidars. None: the reference; the first lidar where that is a camera.
             radars: the same for radars.
             trajectory: name of the ego's way, "identity" for an ego that stands still, the way itself, or None for the
@@ -138,6 +142,7 @@ class Scene:
             self,
             reference=reference,
             cameras=cameras,
+            depth_cameras=depth_cameras,
             lidars=lidars,
             radars=radars,
             trajectory=trajectory,

@@ -1,5 +1,6 @@
 """Synchronised sets: which frames they hold, and where everything was, against scipy and by hand."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,8 @@ from sceneloom.scene import (
     Coordinates,
     CuboidAnnotation,
     CuboidPath,
+    DepthCameraSensor,
+    DepthFrame,
     LazyFrames,
     LidarFrame,
     LidarPoints,
@@ -76,6 +79,14 @@ def camera(sensor_id="camera0", stamps=PICTURES_NS, **fields):
     pictures = [Picture.of(t, LENS, np.full((3, 4, 3), k, np.uint8)) for k, t in enumerate(stamps.tolist())]
     frames = LazyFrames.of(pictures, stamps)
     return replace(CameraSensor(sensor_id, LENS, frames, mount=transform(EGO_FROM_CAMERA)), **fields)
+
+
+def depth_camera(stamps=PICTURES_NS, **fields):
+    images = [
+        DepthFrame.of(t, LENS, np.full((3, 4), k + 0.5, np.float32)) for k, t in enumerate(stamps.tolist())
+    ]
+    frames = LazyFrames.of(images, stamps)
+    return DepthCameraSensor("depth0", LENS, frames, mount=transform(EGO_FROM_CAMERA), **fields)
 
 
 def drive(*sensors, **fields):
@@ -231,6 +242,56 @@ def test_further_lidars_and_radars_are_there_when_asked_for():
     expected = world_from_ego(45 * MS) @ matrix(*EGO_FROM_CAMERA)
     np.testing.assert_allclose(early.poses.world_from_sensor["radar"].matrix, expected, atol=EXACT)
     assert list(scene.samples()[0].sweeps) == ["top"]
+
+
+def test_the_depth_image_nearest_to_a_sweep_is_there_with_its_lens_and_pose():
+    scene = drive(lidar(), camera(), depth_camera(PICTURES_NS + 5 * MS))
+    sample = scene.samples()[1]
+    assert sample.times_ns["depth0"] == 165 * MS
+    np.testing.assert_array_equal(sample.depth_frames["depth0"].depth, 2.5)
+    assert (list(sample.pictures), sample.cameras["depth0"]) == (["camera0"], LENS)
+    world_from_depth = world_from_ego(165 * MS) @ matrix(*EGO_FROM_CAMERA)
+    np.testing.assert_allclose(sample.world_from_camera["depth0"].matrix, world_from_depth, atol=EXACT)
+    world_from_lidar = world_from_ego(150 * MS) @ matrix(*EGO_FROM_LIDAR)
+    expected = np.linalg.inv(world_from_depth) @ world_from_lidar
+    np.testing.assert_allclose(sample.camera_from_lidar["depth0"].matrix, expected, atol=EXACT)
+    np.testing.assert_allclose(sample.camera_from_points["depth0"].matrix, expected, atol=EXACT)
+    assert scene.samples(depth_cameras=())[1].depth_frames == {}
+    with pytest.raises(OptionError, match="no depth camera 'camera0'; expected some of: 'all', 'depth0'"):
+        scene.samples(depth_cameras="camera0")
+
+
+def test_a_depth_image_s_own_mounting_counts_before_the_camera_s():
+    own = transform((Rotation.identity(), np.array([9.0, 8.0, 7.0])))
+    sensor = depth_camera()
+    frames = LazyFrames.of([replace(frame, mount=own) for frame in sensor.frames], PICTURES_NS)
+    sample = drive(lidar(), replace(sensor, frames=frames)).samples()[0]
+    np.testing.assert_allclose(
+        sample.world_from_camera["depth0"].matrix, world_from_ego(40 * MS) @ own.matrix, atol=EXACT
+    )
+
+
+def test_a_depth_image_is_decoded_when_it_is_asked_for_and_goes_along_with_a_pickled_sample():
+    decoded = []
+    image = np.arange(12, dtype=np.float32).reshape(3, 4)
+    frame = DepthFrame(40 * MS, LENS, lambda: decoded.append(1) or image)
+    sensor = depth_camera()
+    sample = drive(lidar(), replace(sensor, frames=LazyFrames.of([frame], [40 * MS]))).samples()[0]
+    assert decoded == []
+    carried = pickle.loads(pickle.dumps(sample))
+    np.testing.assert_array_equal(carried.depth_frames["depth0"].depth, image)
+    assert decoded == [1]
+
+
+def test_depths_are_arrays_of_the_same_names_whether_an_image_is_there_or_not():
+    scene = drive(lidar(), depth_camera())
+    near, far = (scene.samples(tolerance_ns=t)[2].arrays() for t in (90 * MS, 10 * MS))
+    assert {name: array.dtype for name, array in near.items()} == {n: a.dtype for n, a in far.items()}
+    np.testing.assert_array_equal(near["depth0.depth"], np.full((3, 4), 2.5, np.float32))
+    np.testing.assert_array_equal(far["depth0.depth"], np.zeros((3, 4), np.float32))
+    np.testing.assert_array_equal(near["depth0.matrix"], [[2, 0, 1.5], [0, 2.5, 1], [0, 0, 1]])
+    near["depth0.depth"][:] = 9
+    assert scene.samples()[2].depth_frames["depth0"].depth.max() == 2.5
 
 
 def test_slices_and_negative_numbers_behave_like_those_of_a_list():

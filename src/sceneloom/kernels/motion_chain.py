@@ -313,41 +313,65 @@ def add_coasting(
 
 
 @numba.njit(
-    float64(_READ_3D, _READ_2D, _PLACES, _READ_2D, _READ_2D, _READ_2D, _T, _M, _M),
+    float64(
+        _READ_3D, _READ_2D, _READ_2D, _READ_2D, _PLACES, _READ_1D, _READ_2D, _READ_2D, _READ_1D, _READ_3D, _READ_2D,
+        _READ_2D, _T, _M, _M,
+    ),
     **_COMPILED,
-)
+)  # fmt: skip
 def add_fixes(
-    rotations: Float64Array, positions: Float64Array, places: Int64Array, fixes: Float64Array, levers: Float64Array,
-    information: Float64Array, blocks: Float64Array, right: Float64Array, residuals: Float64Array,
+    rotations: Float64Array, positions: Float64Array, velocities: Float64Array, biases: Float64Array,
+    places: Int64Array, seconds: Float64Array, fixes: Float64Array, levers: Float64Array, falls: Float64Array,
+    slopes: Float64Array, linearised: Float64Array, information: Float64Array, blocks: Float64Array,
+    right: Float64Array, residuals: Float64Array,
 ) -> float:  # fmt: skip
-    """Add measured positions of antennas.
+    """Add measured positions of antennas, each led on from the state before it.
 
     Args:
-        places: (F,) numbers of the states; fixes: (F, 3) [m], world; levers: (F, 3) [m], the antenna in the body.
+        rotations: (K, 3, 3) `world_from_body`; positions, velocities: (K, 3); biases: (K, 6).
+        places: (F,) numbers of the states; seconds: (F,) from these to the fixes.
+        fixes: (F, 3) [m], world; levers: (F, 3) [m], the antenna in the body's axes at the state, for biases
+            `linearised`, (F, 6), by which it changes with `slopes`, (F, 3, 6).
+        falls: (F,) [m] down the world's z axis.
         information: (F, 3) inverse variances along the world's axes.
+        blocks, right: normal equations, added to.
         residuals: (F, 3), written here.
     """
     cost = 0.0
-    slope = np.zeros((3, 6))
+    slope, lever = np.zeros(15), np.empty(3)
     for f in range(places.shape[0]):
-        i = places[f]
-        rotation = rotations[i]
-        x, y, z = levers[f, 0], levers[f, 1], levers[f, 2]
+        i, t, rotation = places[f], seconds[f], rotations[places[f]]
+        for a in range(3):
+            lever[a] = levers[f, a]
+            for k in range(6):
+                lever[a] += slopes[f, a, k] * (biases[i, k] - linearised[f, k])
+        x, y, z = lever[0], lever[1], lever[2]
         for a in range(3):
             reach = rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z
-            residuals[f, a] = positions[i, a] + reach - fixes[f, a]
+            apart = positions[i, a] + t * velocities[i, a] + reach - fixes[f, a]
+            if a == 2:
+                apart -= falls[f]
+            residuals[f, a] = apart
             # by the turn: -R [lever]×
-            slope[a, 0] = -(rotation[a, 1] * z - rotation[a, 2] * y)
-            slope[a, 1] = -(rotation[a, 2] * x - rotation[a, 0] * z)
-            slope[a, 2] = -(rotation[a, 0] * y - rotation[a, 1] * x)
-            slope[a, 3 + a] = 1.0
-        for a in range(3):
+            slope[0] = -(rotation[a, 1] * z - rotation[a, 2] * y)
+            slope[1] = -(rotation[a, 2] * x - rotation[a, 0] * z)
+            slope[2] = -(rotation[a, 0] * y - rotation[a, 1] * x)
+            for k in range(3):
+                slope[3 + k] = 1.0 if k == a else 0.0
+                slope[6 + k] = t if k == a else 0.0
+            for k in range(6):
+                slope[9 + k] = 0.0
+                for b in range(3):
+                    slope[9 + k] += rotation[a, b] * slopes[f, b, k]
             w = information[f, a]
-            cost += w * residuals[f, a] * residuals[f, a]
-            for r in range(6):
-                right[i, r] -= w * slope[a, r] * residuals[f, a]
-                for c in range(6):
-                    blocks[i, r, c] += w * slope[a, r] * slope[a, c]
+            cost += w * apart * apart
+            for r in range(15):
+                if slope[r] == 0.0:
+                    continue
+                weighted = w * slope[r]
+                right[i, r] -= weighted * apart
+                for c in range(15):
+                    blocks[i, r, c] += weighted * slope[c]
     return cost
 
 

@@ -221,11 +221,13 @@ def preintegrate(
 
 
 @numba.njit(
-    types.void(_TIMES, _READ_2D, _TIMES, _READ_2D, _TIMES, _TIMES, float64[:, :, ::1], _M, _M),
+    types.void(
+        _TIMES, _READ_2D, _TIMES, _READ_2D, _TIMES, _TIMES, float64[:, :, ::1], _M, _M, float64[:, :, ::1]
+    ),
     cache=True,
     nogil=True,
     error_model="numpy",
-)
+)  # fmt: skip
 def preintegrate_until(
     times_ns: Int64Array,
     samples: Float64Array,
@@ -236,6 +238,7 @@ def preintegrate_until(
     rotations: Float64Array,
     velocities: Float64Array,
     positions: Float64Array,
+    slopes: Float64Array,
 ) -> None:
     """Sum up what an IMU measured from knots to moments between them and the next.
 
@@ -244,8 +247,10 @@ def preintegrate_until(
         wanted_ns: (W,) [ns], ascending.
         knots: (W,) the last knot at or before each, at most K - 2.
         rotations, velocities, positions: (W, 3, 3) and (W, 3), written here as in `preintegrate`.
+        slopes: (W, 9, 6) by the biases, written here as there; (0, 9, 6) where they are not wanted.
     """
-    readings, work = np.empty((4, 3)), np.empty((14, 3))
+    readings, work, pull = np.empty((4, 3)), np.empty((14, 3)), np.empty((3, 3))
+    slope, sloping = np.zeros((9, 6)), slopes.shape[0] > 0
     rotation, velocity, position = np.empty((3, 3)), np.empty(3), np.empty(3)
     after, now, knot = 0, int64(0), int64(-1)
     for w in range(wanted_ns.shape[0]):
@@ -255,6 +260,7 @@ def preintegrate_until(
             rotation[:] = np.eye(3)
             velocity[:] = 0.0
             position[:] = 0.0
+            slope[:, :] = 0.0
             while after < times_ns.shape[0] and times_ns[after] <= now:
                 after += 1
             while after > 0 and times_ns[after - 1] > now:
@@ -263,10 +269,15 @@ def preintegrate_until(
         while now < wanted_ns[w]:
             here = wanted_ns[w] if after >= times_ns.shape[0] else min(wanted_ns[w], times_ns[after])
             _reading_at(times_ns, samples, after, here, biases[knot], readings[2], readings[3])
-            _step(readings, (here - now) * 1e-9, work, rotation, velocity, position)
+            h = (here - now) * 1e-9
+            _step(readings, h, work, rotation, velocity, position)
+            if sloping:
+                _carry_slopes(work, h, slope, pull)
             for k in range(3):
                 readings[0, k], readings[1, k] = readings[2, k], readings[3, k]
             now = here
             if after < times_ns.shape[0] and times_ns[after] <= now:
                 after += 1
         rotations[w], velocities[w], positions[w] = rotation, velocity, position
+        if sloping:
+            slopes[w] = slope

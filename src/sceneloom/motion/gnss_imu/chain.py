@@ -15,6 +15,7 @@ from sceneloom.geometry.rotations import (
 from sceneloom.kernels import motion_chain as kernels
 from sceneloom.kernels.block_chain import chain_covariances, solve_chain
 from sceneloom.kernels.motion_chain import ACCELEROMETER, GYROSCOPE, POSITION, SIZE, TURN, VELOCITY
+from sceneloom.motion.gnss_imu.carried_fixes import Fixes, crossed_with
 from sceneloom.motion.gnss_imu.preintegration import Preintegrated
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 
@@ -70,38 +71,6 @@ class States:
             np.concatenate([self.positions, later.positions]),
             np.concatenate([self.velocities, later.velocities]),
             np.concatenate([self.biases, later.biases]),
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fixes:
-    """Positions of antennas.
-
-    Attributes:
-        places: (F,) int64, ascending: the state of each fix.
-        positions: (F, 3) [m], world.
-        levers: (F, 3) [m], the antenna in the body.
-        sigmas: (F, 3) [m], standard deviations along the world's axes.
-        receivers: (F,) int64, which receiver each is from.
-    """
-
-    places: Int64Array
-    positions: Float64Array
-    levers: Float64Array
-    sigmas: Float64Array
-    receivers: Int64Array
-
-    def __len__(self) -> int:
-        return len(self.places)
-
-    def chosen(self, rows: Int64Array | BoolArray) -> "Fixes":
-        """Some of the fixes."""
-        return Fixes(
-            self.places[rows],
-            self.positions[rows],
-            self.levers[rows],
-            self.sigmas[rows],
-            self.receivers[rows],
         )
 
 
@@ -180,15 +149,10 @@ class Chain:
             knots_ns=self.knots_ns[first:last],
             measured=self.measured[rows],
             inertial=self.inertial.part(rows),
-            fixes=_fixes_within(self.fixes, first, last),
+            fixes=self.fixes.within(first, last),
             relative=tuple(_relative_within(one, first, last) for one in self.relative),
             speeds=tuple(_speeds_within(one, first, last) for one in self.speeds),
         )
-
-
-def _fixes_within(fixes: Fixes, first: int, last: int) -> Fixes:
-    inside = fixes.chosen((fixes.places >= first) & (fixes.places < last))
-    return replace(inside, places=inside.places - first)
 
 
 def _relative_within(one: RelativePoses, first: int, last: int) -> RelativePoses:
@@ -247,7 +211,8 @@ def equations(chain: Chain, states: States, weights: Float64Array) -> Equations:
     fixes = chain.fixes
     fix_residuals = np.empty((len(fixes), 3))
     cost += kernels.add_fixes(
-        states.rotations, states.positions, fixes.places, fixes.positions, fixes.levers,
+        states.rotations, states.positions, states.velocities, states.biases, fixes.places, fixes.seconds,
+        fixes.positions, fixes.levers, fixes.falls, fixes.slopes, fixes.biases,
         weights[:, None] * fixes.sigmas**-2.0, blocks, right, fix_residuals,
     )  # fmt: skip
     return Equations(blocks, couplings, right, cost, fix_residuals)
@@ -381,14 +346,9 @@ def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Floa
     residuals[:, 3:] -= changes[:, 3:]
     first, second = np.zeros((len(seconds), 9, SIZE)), np.zeros((len(seconds), 9, SIZE))
     first[:, :3, TURN], second[:, :3, TURN] = -np.swapaxes(relative, 1, 2), np.eye(3)
-    first[:, 3:6, TURN], first[:, 6:9, TURN] = _crosses(felt), _crosses(gone)
+    first[:, 3:6, TURN], first[:, 6:9, TURN] = -crossed_with(felt), -crossed_with(gone)
     first[:, 3:6, VELOCITY], second[:, 3:6, VELOCITY] = -inverse, inverse
     first[:, 6:9, POSITION], second[:, 6:9, POSITION] = -inverse, inverse
     first[:, 6:9, VELOCITY] = -seconds[:, :, None] * inverse
     first[:, :, 9:] = -inertial.slopes
     return residuals, first, second
-
-
-def _crosses(vectors: Float64Array) -> Float64Array:
-    """(N, 3, 3) matrices that take the cross product of (N, 3) vectors with what comes."""
-    return np.cross(np.eye(3)[None], vectors[:, None]).swapaxes(1, 2) * -1.0

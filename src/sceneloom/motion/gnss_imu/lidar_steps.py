@@ -4,7 +4,8 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.motion.gnss_imu.chain import Fixes, RelativePoses
+from sceneloom.motion.gnss_imu.carried_fixes import Fixes
+from sceneloom.motion.gnss_imu.chain import RelativePoses
 from sceneloom.scene import Trajectory
 
 _LEAST_TURN, _LEAST_WAY = 3e-4, 5e-3

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.motion.gnss_imu.carried_fixes import Fixes, fix_variances
 from sceneloom.motion.gnss_imu.chain import (
     Chain,
     Equations,
-    Fixes,
     States,
     covariances,
     equations,
@@ -103,7 +103,7 @@ def _gate_ratios(fit: Fit, *, scaled: bool) -> Float64Array:
     """(F,) squared distances of the fixes from where the others put them, in units of the gate's."""
     chain, fixes = fit.chain, fit.chain.fixes
     own, _ = covariances(chain, fit.states, fit.weights)
-    spread = _fix_variances(chain, fit.states, own)
+    spread = fix_variances(fixes, fit.states.rotations, own)
     residuals = equations(chain, fit.states, fit.weights).fix_residuals
     known = np.where(fit.weights[:, None] > 0, -fit.weights[:, None] * spread, spread)
     apart = residuals**2 / np.maximum(fixes.sigmas**2 + known, 0.05 * fixes.sigmas**2)
@@ -193,7 +193,7 @@ def rescaled(fit: Fit) -> tuple[Fit, Float64Array]:
     """
     chain, fixes = fit.chain, fit.chain.fixes
     own, _ = covariances(chain, fit.states, fit.weights)
-    spread = _fix_variances(chain, fit.states, own)
+    spread = fix_variances(fixes, fit.states.rotations, own)
     residuals = equations(chain, fit.states, fit.weights).fix_residuals
     share = (fit.weights[:, None] / fixes.sigmas**2) * spread
     redundancy = fit.weights[:, None] * np.clip(1.0 - share, 0.0, 1.0)
@@ -207,19 +207,6 @@ def rescaled(fit: Fit) -> tuple[Fit, Float64Array]:
             factors[rows, column] = np.clip(np.sqrt(total / free), _LEAST_SCALE, _LARGEST_SCALE)
     sigmas = np.maximum(fixes.sigmas * factors[:, [0, 0, 1]], chain.settings.least_fix_noise)
     return replace(fit, chain=replace(chain, fixes=replace(fixes, sigmas=sigmas))), factors
-
-
-def _fix_variances(chain: Chain, states: States, own: Float64Array) -> Float64Array:
-    """(F, 3) variances of where the antennas are, as the states tell."""
-    places, levers = chain.fixes.places, chain.fixes.levers
-    pose = own[places][:, :6, :6]
-    slopes = np.zeros((len(places), 3, 6))
-    slopes[:, :, 3:] = np.eye(3)
-    for axis in range(3):
-        unit = np.eye(3)[axis]
-        slopes[:, :, axis] = np.einsum("nij,nj->ni", states.rotations[places], np.cross(unit, levers))
-    variances: Float64Array = np.einsum("nij,njk,nik->ni", slopes, pose, slopes)
-    return variances
 
 
 def inertial_factors(fit: Fit) -> Float64Array:

@@ -73,24 +73,24 @@ def inertial_samples(scene: Scene) -> tuple[ImuSensor, InertialSamples] | None:
 
 
 def noise_densities(
-    samples: InertialSamples, knots_ns: Int64Array, settings: SmootherSettings
+    samples: InertialSamples, times_ns: Int64Array, settings: SmootherSettings
 ) -> Float64Array:
-    """Give the densities of the white noise between knots, (K - 1, 2), (rad/s)²/Hz and (m/s²)²/Hz.
+    """Give the densities of the white noise around some times, (N, 2), (rad/s)²/Hz and (m/s²)²/Hz.
 
     A sample's noise shows in how far it lies from the middle between its neighbours, whose variance is 1.5 times that
     of white noise. What a low rate does not resolve of the motion counts as noise, too: rightly so, since it is not
     known between the samples either.
     """
     if len(samples.timestamps_ns) < 3:
-        return np.tile([settings.gyroscope_noise**2, settings.accelerometer_noise**2], (len(knots_ns) - 1, 1))
+        return np.tile([settings.gyroscope_noise**2, settings.accelerometer_noise**2], (len(times_ns), 1))
     values = samples.values
     apart = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     squares = np.stack([(apart[:, :3] ** 2).mean(axis=1), (apart[:, 3:] ** 2).mean(axis=1)], axis=1) / 1.5
     width = max(_NOISE_SAMPLES, round(_NOISE_SECONDS / samples.period)) | 1
     smooth = _moving_mean(squares, min(width, len(squares))) * samples.period
-    middle_ns = (knots_ns[:-1] + knots_ns[1:]) // 2
-    times = samples.timestamps_ns[1:-1]
-    found = np.stack([np.interp(middle_ns, times, smooth[:, k]) for k in range(2)], axis=1)
+    found = np.stack(
+        [np.interp(times_ns, samples.timestamps_ns[1:-1], smooth[:, k]) for k in range(2)], axis=1
+    )
     floored: Float64Array = np.maximum(found, [settings.gyroscope_noise**2, settings.accelerometer_noise**2])
     return floored
 

@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.motion.gnss_imu.chain import Chain, Fixes, RelativePoses, covariances
+from sceneloom.motion.gnss_imu.carried_fixes import carried_fixes
+from sceneloom.motion.gnss_imu.chain import Chain, RelativePoses, covariances
 from sceneloom.motion.gnss_imu.fixes import GnssFixes
-from sceneloom.motion.gnss_imu.knots import knot_times, nearest_knots
+from sceneloom.motion.gnss_imu.knots import CLOSEST_NS, knot_times
 from sceneloom.motion.gnss_imu.lidar_steps import led_by_lidar, lidar_steps
 from sceneloom.motion.gnss_imu.preintegration import Preintegrated, preintegrated
 from sceneloom.motion.gnss_imu.robust import Fit, fit_gently, fit_sternly, inertial_factors, rescaled
@@ -61,18 +62,34 @@ class Measurements:
 def smoothed(drive: Measurements, settings: SmootherSettings) -> Smoothed:
     """Find the states that fit everything best."""
     chain, densities = _chain(drive, settings)
-    coasting = coasted(chain, standing_states(chain, drive.gyroscope_bias))
-    moved = _moved_to_knots(coasting.chain.fixes, chain, drive.fixes, coasting)
-    chain = replace(chain, fixes=moved)
+    coasting, chain = _begun(drive, chain)
     if drive.samples is not None:
-        fit, densities = _refined(oriented(chain, coasting), drive.samples, densities)
+        fit, densities = _refined(oriented(chain, coasting.states), drive, drive.samples, densities)
     elif drive.lidar is not None:
-        rotations = led_by_lidar(drive.lidar, chain.knots_ns, moved)
+        rotations = led_by_lidar(drive.lidar, chain.knots_ns, chain.fixes)
         fit = _cleaned(fit_gently(chain, replace(coasting.states, rotations=rotations)))
     else:
         fit = _cleaned(coasting)
     own, _ = covariances(fit.chain, fit.states, fit.weights)
     return Smoothed(fit, own, densities)
+
+
+def _begun(drive: Measurements, chain: Chain) -> tuple[Fit, Chain]:
+    """States by the fixes that have one alone, without an IMU, and the noise that these fixes show in the chain's."""
+    unmeasured = np.zeros_like(chain.measured)
+    fixes = carried_fixes(
+        drive.fixes, chain.knots_ns, unmeasured, None, biases=chain.inertial.biases, gravity=drive.gravity
+    )
+    near = np.abs(fixes.seconds) <= CLOSEST_NS * 1e-9
+    alone = replace(chain, measured=unmeasured, relative=(), fixes=fixes.chosen(near))
+    coasting = coasted(alone, standing_states(alone, drive.gyroscope_bias))
+    sigmas = chain.fixes.sigmas.copy()
+    for receiver in np.unique(fixes.receivers[near]):
+        rows = fixes.receivers == receiver
+        found = coasting.chain.fixes.sigmas[rows[near]]
+        sigmas[rows] *= np.median(found / fixes.sigmas[near & rows], axis=0)
+        sigmas[near & rows] = found
+    return coasting, replace(chain, fixes=replace(chain.fixes, sigmas=sigmas))
 
 
 def _cleaned(fit: Fit) -> Fit:
@@ -83,7 +100,9 @@ def _cleaned(fit: Fit) -> Fit:
     return fit
 
 
-def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tuple[Fit, Float64Array]:
+def _refined(
+    fit: Fit, drive: Measurements, samples: InertialSamples, densities: Float64Array
+) -> tuple[Fit, Float64Array]:
     """Fit again with biases and noise as found, fixes that jump left out, and what is known of wheels and stands."""
     lidar = fit.chain.relative
     fit = fit_sternly(fit, scaled=False)
@@ -92,14 +111,8 @@ def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tup
         fit, _ = rescaled(fit)
         begun = bool(fit.chain.speeds)
         chain = _knowing(fit, samples, lidar) if number >= _ROUNDS - 2 else fit.chain
-        again = preintegrated(
-            samples.timestamps_ns,
-            samples.values,
-            chain.knots_ns,
-            biases=fit.states.biases[:-1],
-            densities=densities,
-        )
-        fit = replace(fit, chain=replace(chain, inertial=again))
+        chain = _felt_anew(chain, drive.fixes, samples, fit.states.biases[:-1], densities)
+        fit = replace(fit, chain=chain)
         if chain.speeds and not begun:
             # what bent the way towards itself is seen against stiffer ways
             fit = fit_sternly(fit_gently(fit.chain, fit.states), scaled=False)
@@ -111,6 +124,18 @@ def _refined(fit: Fit, samples: InertialSamples, densities: Float64Array) -> tup
             replace(fit, chain=replace(fit.chain, speeds=believed, relative=lidar)), scaled=True
         )
     return fit, densities
+
+
+def _felt_anew(
+    chain: Chain, fixes: GnssFixes, samples: InertialSamples, biases: Float64Array, densities: Float64Array
+) -> Chain:
+    """The measurements with what the IMU felt summed up with other biases and noise."""
+    knots = chain.knots_ns
+    inertial = preintegrated(samples.timestamps_ns, samples.values, knots, biases=biases, densities=densities)
+    carried = carried_fixes(
+        fixes, knots, chain.measured, samples, biases=biases, gravity=chain.gravity, sigmas=chain.fixes.sigmas
+    )
+    return replace(chain, inertial=inertial, fixes=carried)
 
 
 def _knowing(fit: Fit, samples: InertialSamples, lidar: tuple[RelativePoses, ...]) -> Chain:
@@ -125,7 +150,7 @@ def _knowing(fit: Fit, samples: InertialSamples, lidar: tuple[RelativePoses, ...
 def _chain(drive: Measurements, settings: SmootherSettings) -> tuple[Chain, Float64Array]:
     fixes, samples, lidar = drive.fixes, drive.samples, drive.lidar
     further = np.empty(0, np.int64) if samples is not None or lidar is None else lidar.timestamps_ns
-    knots = knot_times(fixes.timestamps_ns, samples, further, longest=settings.longest_interval)
+    knots = knot_times(fixes.timestamps_ns, samples, further, settings)
     count = len(knots) - 1
     biases = np.zeros((count, 6))
     if drive.gyroscope_bias is not None:
@@ -134,14 +159,13 @@ def _chain(drive: Measurements, settings: SmootherSettings) -> tuple[Chain, Floa
         measured, inertial, densities = np.zeros(count, np.bool_), _nothing_felt(biases), np.zeros((count, 2))
     else:
         measured = samples.is_measured(knots[:-1], knots[1:])
-        densities = noise_densities(samples, knots, settings)
+        densities = noise_densities(samples, (knots[:-1] + knots[1:]) // 2, settings)
         inertial = preintegrated(
             samples.timestamps_ns, samples.values, knots, biases=biases, densities=densities
         )
-    places = nearest_knots(knots, fixes.timestamps_ns)
-    at_knots = Fixes(places, fixes.positions, fixes.levers, fixes.sigmas, fixes.receivers)
+    carried = carried_fixes(fixes, knots, measured, samples, biases=biases, gravity=drive.gravity)
     relative = () if lidar is None else (lidar_steps(lidar, knots),)
-    return Chain(knots, measured, inertial, at_knots, drive.gravity, settings, relative), densities
+    return Chain(knots, measured, inertial, carried, drive.gravity, settings, relative), densities
 
 
 def _nothing_felt(biases: Float64Array) -> Preintegrated:
@@ -150,10 +174,3 @@ def _nothing_felt(biases: Float64Array) -> Preintegrated:
     covariance = np.tile(np.eye(9), (count, 1, 1))
     nothing = np.zeros((count, 3))
     return Preintegrated(turns, nothing, nothing.copy(), np.zeros((count, 9, 6)), covariance, biases)
-
-
-def _moved_to_knots(found: Fixes, chain: Chain, fixes: GnssFixes, coasting: Fit) -> Fixes:
-    """The fixes at the times of their states, which are some milliseconds from their own."""
-    late = (chain.knots_ns[found.places] - fixes.timestamps_ns) * 1e-9
-    velocities = coasting.states.velocities[found.places]
-    return replace(found, positions=fixes.positions + late[:, None] * velocities)

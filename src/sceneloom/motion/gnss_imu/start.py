@@ -19,9 +19,8 @@ _SURELY_BETTER = 9.0
 
 
 def coasted(chain: Chain, states: States) -> Fit:
-    """Fit the fixes alone, without the IMU."""
-    still = replace(chain, measured=np.zeros_like(chain.measured), relative=(), speeds=())
-    fit = fit_gently(still, states)
+    """Fit the fixes alone, and find their noise."""
+    fit = fit_gently(chain, states)
     for _ in range(3):
         fit, _ = rescaled(fit)
         fit = fit_gently(fit.chain, fit.states)
@@ -32,26 +31,24 @@ def standing_states(chain: Chain, gyroscope_bias: Float64Array | None = None) ->
     """States at the fixes, level, looking east, without speed."""
     count = len(chain.knots_ns)
     fixes = chain.fixes
-    seconds = (chain.knots_ns - chain.knots_ns[0]) * 1e-9
-    positions = np.stack(
-        [np.interp(seconds, seconds[fixes.places], column) for column in fixes.positions.T], axis=1
-    )
+    start_ns = chain.knots_ns[0]
+    seconds, told = (chain.knots_ns - start_ns) * 1e-9, (fixes.timestamps_ns - start_ns) * 1e-9
+    positions = np.stack([np.interp(seconds, told, column) for column in fixes.positions.T], axis=1)
     biases = np.zeros((count, 6))
     if gyroscope_bias is not None:
         biases[:, :3] = gyroscope_bias
     return States(np.tile(np.eye(3), (count, 1, 1)), positions, np.zeros((count, 3)), biases)
 
 
-def oriented(chain: Chain, coasting: Fit) -> Fit:
+def oriented(chain: Chain, coasting: States) -> Fit:
     """Fit fixes and IMU: a first piece from several headings, then more and more of the drive around it."""
-    chain = replace(chain, fixes=coasting.chain.fixes)
     count = len(chain.knots_ns)
-    first, last = _first_piece(chain, coasting.states)
-    fit = _best_of_headings(chain.part(first, last), coasting.states.part(first, last))
+    first, last = _first_piece(chain, coasting)
+    fit = _best_of_headings(chain.part(first, last), coasting.part(first, last))
     while first > 0 or last < count:
         length = last - first
         earlier, later = max(first - length, 0), min(last + length, count)
-        states = _extended(chain, coasting.states, fit.states, first, last, earlier, later)
+        states = _extended(chain, coasting, fit.states, first, last, earlier, later)
         fit = fit_gently(chain.part(earlier, later), states)
         first, last = earlier, later
     return fit

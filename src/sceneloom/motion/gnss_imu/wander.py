@@ -67,7 +67,7 @@ def wandering(fit: Fit) -> tuple[Wander | None, Wander | None]:
     if len(rows) < _LEAST_FIXES or len(np.unique(fixes.receivers)) > 1:
         return None, None
     residuals = -equations(fit.chain, fit.states, fit.weights).fix_residuals[rows]
-    times = fit.chain.knots_ns[fixes.places[rows]]
+    times = fixes.timestamps_ns[rows]
     across, height = (_wander(times, residuals[:, axes]) for axes in _AXES)
     return across, height
 

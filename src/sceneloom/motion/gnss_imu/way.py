@@ -88,7 +88,7 @@ def _felt(
     if samples is not None:
         preintegrate_until(
             samples.timestamps_ns, samples.values, chain.knots_ns, np.ascontiguousarray(states.biases[:-1]), times_ns,
-            knots, turns, gains, ways,
+            knots, turns, gains, ways, np.empty((0, 9, 6)),
         )  # fmt: skip
     unmeasured = ~chain.measured[knots]
     turns[unmeasured], gains[unmeasured], ways[unmeasured] = np.eye(3), 0.0, 0.0

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+from sceneloom.motion.gnss_imu.carried_fixes import Fixes
 from sceneloom.motion.gnss_imu.chain import (
     BodySpeeds,
     Chain,
-    Fixes,
     RelativePoses,
     States,
     equations,
@@ -35,9 +35,11 @@ def made_up_chain(rng: np.random.Generator, parts: str) -> Chain:
     inertial = preintegrated(
         times, values, knots, biases=np.zeros((4, 6)), densities=np.tile([1e-4, 1e-2], (4, 1))
     )
+    places, seconds = np.array([0, 2, 4]), np.array([0.3, 0.0, -0.01])
     fixes = Fixes(
-        np.array([0, 2, 4]), rng.standard_normal((3, 3)), rng.standard_normal((3, 3)),
-        rng.uniform(0.5, 2.0, (3, 3)), np.zeros(3, np.int64),
+        knots[places] + np.int64(seconds * 1e9), places, seconds, rng.standard_normal((3, 3)),
+        rng.standard_normal((3, 3)), np.array([0.44, 0.0, 0.0]), rng.standard_normal((3, 3, 6)),
+        0.02 * rng.standard_normal((3, 6)), rng.uniform(0.5, 2.0, (3, 3)), np.zeros(3, np.int64),
     )  # fmt: skip
     spread = rng.standard_normal((2, 6, 6))
     relative = RelativePoses(

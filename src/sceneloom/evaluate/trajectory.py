@@ -18,7 +18,7 @@ from sceneloom.evaluate.association import (
     covered_share,
     way_along,
 )
-from sceneloom.evaluate.doubts import doubts_of, unmeasured
+from sceneloom.evaluate.doubts import doubts_of, same_poses, unmeasured
 from sceneloom.evaluate.pair_errors import TrajectoryErrors
 from sceneloom.evaluate.plot import check_plot, plot_errors
 from sceneloom.evaluate.relative import kitti_errors, parse_delta, relative_errors
@@ -98,7 +98,8 @@ def evaluate_trajectory(
         part=(start, stop),
         deltas=rpe_deltas,
     )
-    report = structs.replace(report, notices=(*ours.notices, *theirs.notices, *report.notices))
+    same = same_poses(ours.trajectory, theirs.trajectory)
+    report = structs.replace(report, notices=(*ours.notices, *theirs.notices, *same, *report.notices))
     if plot is not None:
         plot_errors(errors, report, Path(plot), overwrite=overwrite)
     return report

@@ -74,6 +74,15 @@ def test_ways_without_a_common_time_exit_with_one_and_an_offset(call: Call, ways
     assert "add -102.0 s" in outcome.err
 
 
+def test_a_trajectory_against_itself_or_a_copy_is_remarked(call: Call, ways: tuple[Path, Path]) -> None:
+    found, true = ways
+    copy = true.with_name("copy" + true.suffix)
+    copy.write_bytes(true.read_bytes())
+    for other in (true, copy):
+        assert call("eval", "trajectory", true, other).err.count("the same poses at the same times") == 1
+    assert "the same poses" not in call("eval", "trajectory", found, true, "--offset", "-2").err
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [

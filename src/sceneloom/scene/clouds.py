@@ -9,14 +9,17 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, UInt16Array, check_array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.packed import UnpackedWhenAsked
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.stored import Parcel, packed, unpacked
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, PointsFrame, SensorType
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LidarPoints:
+class LidarPoints(UnpackedWhenAsked):
     """The returns of one lidar frame.
+
+    A reader may make them by `of_packed`: their number is known at once, their arrays are made at the first use.
 
     Attributes:
         positions: (N, 3) float32 [m], in the sensor's `points_frame`.
@@ -45,7 +48,8 @@ class LidarPoints:
         check_array("points.camera_index", self.camera_index, (count,), np.uint8, optional=True)
 
     def __len__(self) -> int:
-        return len(self.positions)
+        packed_count = self.packed_count()
+        return len(self.positions) if packed_count is None else packed_count
 
 
 @dataclass(frozen=True, slots=True, eq=False)

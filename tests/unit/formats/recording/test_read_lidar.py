@@ -1,6 +1,7 @@
 """Reading lidar binaries: every field, lazily, and files that are not what a line says."""
 
 import struct
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,33 @@ def test_points_that_are_not_numbers_stay_in_the_sweep(recording):
     np.testing.assert_array_equal(positions[0], np.array([np.nan, 1.0, 2.0], np.float32))
 
 
-@pytest.mark.parametrize("time", [float("nan"), float("inf"), 1e300])
+@pytest.mark.parametrize("time", [9.2e9, -9.2e9, 2.0**33, 2.0**33 - 1e-6, 0.0, -0.0, 5e-324, -1e-9])
+def test_a_point_time_may_be_any_that_nanoseconds_hold(recording, time):
+    recording.points("0.bin", [POINTS[0], (*POINTS[1][:5], time)]).lines([sweep("0.bin", 0.5)])
+    times = FORMAT.open(recording.path).lidars[0].frames[0].points.timestamps_ns
+    assert times is not None
+    assert times.tolist() == [100_000_001, round(time * 1e9)]
+
+
+def test_points_are_counted_without_being_unpacked(recording):
+    recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.1)])
+    points = FORMAT.open(recording.path).lidars[0].frames[0].points
+    assert len(points) == 3
+    assert points.packed_count() == 3
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a file that is read cannot be removed there")
+def test_points_outlive_their_file(recording):
+    recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.1)])
+    points = FORMAT.open(recording.path).lidars[0].frames[0].points
+    (recording.path / "0.bin").unlink()
+    np.testing.assert_array_equal(points.positions, np.array([p[:3] for p in POINTS], np.float32))
+
+
+WRONG_TIMES = [*map(float, ["nan", "-nan", "inf", "-inf"]), 9.3e9, -9.3e9, 1e300]
+
+
+@pytest.mark.parametrize("time", WRONG_TIMES)
 def test_a_point_time_that_is_no_time_is_a_fault_of_its_record(recording, time):
     recording.points("0.bin", [POINTS[0], (*POINTS[1][:5], time)]).lines([sweep("0.bin", 0.5)])
     frames = FORMAT.open(recording.path).lidars[0].frames

@@ -15,9 +15,21 @@ SceneloomError
 Every class keeps its constructor's arguments in `args`, so instances survive pickling between processes.
 """
 
+from typing import Any
+
 
 class SceneloomError(Exception):
-    """Base of everything that sceneloom raises on purpose."""
+    """Base of everything that sceneloom raises on purpose.
+
+    Attributes:
+        notices: what was assumed, repaired or left out before of the scenes that were read.
+    """
+
+    notices: tuple[Any, ...] = ()
+
+    def remember(self, notices: tuple[Any, ...]) -> None:
+        """Keep what was noticed before, once, in the order in which it was."""
+        self.notices = (*(notice for notice in notices if notice not in self.notices), *self.notices)
 
 
 class ArrayError(SceneloomError):

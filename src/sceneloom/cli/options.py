@@ -1,11 +1,13 @@
 """The options that many verbs share."""
 
 from collections.abc import Callable
-from functools import reduce
+from functools import reduce, wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
+
+from sceneloom.errors import SceneloomError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -96,10 +98,29 @@ part = _stacked(
 )
 """On every verb that can take a part of a drive."""
 
+
+def _telling_notices(command: Command) -> Command:
+    """Print what a lenient reading left out also where a verb ends in an error."""
+
+    @wraps(command)
+    def run(*arguments: Any, **values: Any) -> Any:
+        try:
+            return command(*arguments, **values)
+        except SceneloomError as error:
+            if error.notices and values.get("lenient") and not values["quiet"]:
+                from sceneloom.cli.printing import print_notices
+
+                print_notices(error.notices, verbose=values["verbose"])
+            raise
+
+    return cast("Command", run)
+
+
 printing = _stacked(
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
     click.option("-q", "--quiet", is_flag=True, help="No progress, no notices."),
     click.option("-v", "--verbose", is_flag=True, help="Every notice and loss, not only the first ones."),
+    _telling_notices,
 )
 """On every verb that has a result."""
 

@@ -1,5 +1,7 @@
 """What is assumed, repaired or left out while a drive is read, counted per kind."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from sceneloom.errors import DataError, SceneloomError
@@ -58,6 +60,15 @@ class Ledger:
     def _add(self, key: str, kind: NoticeKind, code: str, place: str, message: str, count: int) -> None:
         entry = self._entries.setdefault(key, _Entry(kind, code, place, message, 0))
         entry.count += count
+
+    @contextmanager
+    def telling(self) -> Iterator[None]:
+        """Let errors take along what was noticed before them."""
+        try:
+            yield
+        except SceneloomError as error:
+            error.remember(self.notices)
+            raise
 
     @property
     def notices(self) -> tuple[Notice, ...]:

@@ -9,7 +9,7 @@ from sceneloom.formats.output import check_output
 from sceneloom.formats.table import format_for_output, write_scene
 from sceneloom.pipeline.deskew_plan import plan_deskew
 from sceneloom.pipeline.deskew_report import DeskewReport, DeskewTally
-from sceneloom.pipeline.play import Skips
+from sceneloom.pipeline.play import Skips, telling
 from sceneloom.pipeline.report import told_once
 from sceneloom.scene import Identifier, Scene
 from sceneloom.scene.types import Progress
@@ -60,20 +60,21 @@ def deskew(
     format_for_output(Path(output))
     check_output(Path(output), overwrite=overwrite)
     skips, tally = Skips(), DeskewTally()
-    plan = plan_deskew(
-        scene,
-        trajectory,
-        heading,
-        at=at,
-        lidar=lidar,
-        start=start,
-        stop=stop,
-        skips=skips if lenient else None,
-        progress=progress,
-    )
-    total = sum(len(sensor.frames) for sensor in plan.lidars)
-    changed = plan.deskewed(partial(tally.add, progress=progress, total=total))
-    losses = write_scene(changed, output, overwrite=overwrite, **writing)
+    with telling(skips):
+        plan = plan_deskew(
+            scene,
+            trajectory,
+            heading,
+            at=at,
+            lidar=lidar,
+            start=start,
+            stop=stop,
+            skips=skips if lenient else None,
+            progress=progress,
+        )
+        total = sum(len(sensor.frames) for sensor in plan.lidars)
+        changed = plan.deskewed(partial(tally.add, progress=progress, total=total))
+        losses = write_scene(changed, output, overwrite=overwrite, **writing)
     return DeskewReport(
         source=scene.source,
         output=str(output),

@@ -11,7 +11,7 @@ from sceneloom.errors import DataError, PoseError
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pipeline.outputs import FusionOutputs, checked_outputs, open_sinks
-from sceneloom.pipeline.play import Skips, build_system, play
+from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally, told_once
 from sceneloom.pipeline.woven import Woven, weave
 from sceneloom.scene import Scene
@@ -100,7 +100,7 @@ def fuse(
         system.on_unreadable = skips.add
     tally = _tally(woven)
     total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
-    with ExitStack() as stack:
+    with telling(skips), ExitStack() as stack:
         sinks = open_sinks(woven, wanted, stack, skips)
         for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
             tally.add(frame)

@@ -2,12 +2,22 @@
 
 import heapq
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, SceneloomError
 from sceneloom.fusion import FusionConfiguration, FusionSystem
-from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, Picture, Scene
+from sceneloom.scene import (
+    CameraSensor,
+    Identifier,
+    LidarFrame,
+    LidarSensor,
+    Notice,
+    NoticeKind,
+    Picture,
+    Scene,
+)
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sensor_sources import lidar_place, points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
@@ -26,6 +36,21 @@ class Skips:
     def add(self, error: DataError) -> None:
         """Note a frame that could not be read."""
         self.reasons[str(error)] = None
+
+
+@contextmanager
+def telling(skips: Skips | None) -> Iterator[None]:
+    """Let errors take along what was skipped before them."""
+    try:
+        yield
+    except SceneloomError as error:
+        if skips is not None:
+            error.remember(tuple(_skipped(reason) for reason in skips.reasons))
+        raise
+
+
+def _skipped(reason: str) -> Notice:
+    return Notice(kind=NoticeKind.SKIPPED, code="frame-unreadable", place="", message=reason)
 
 
 def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration) -> FusionSystem:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -231,3 +232,55 @@ def test_a_url_that_cannot_be_read_is_named_as_it_was_said(
     outcome = call(*arguments)
     assert outcome.code == 1
     assert f"http://127.0.0.1:9/b.sfs: {problem}" in outcome.err
+
+
+def spoiled(recording: Path, target: Path, fault: str) -> Path:
+    """A copy of the recording with a fault."""
+    folder = target / "drive"
+    shutil.copytree(recording, folder)
+    FAULTS[fault][0](folder)
+    return folder
+
+
+def test_what_was_left_out_before_an_error_is_told_with_it(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    broken = spoiled(recording, tmp_path, "a broken line")
+    arguments = ("fuse", broken, "--lenient", "--trajectory", "nope", "-o", tmp_path / "out.sfs")
+    outcome = call(*arguments)
+    assert outcome.code in (1, 2)
+    *left_out, error = outcome.err.splitlines()
+    assert any("data.jsonl: line 4: left out" in line for line in left_out)
+    assert "no trajectory 'nope'" in error
+    assert "left out" not in call(*arguments, "--quiet").err
+
+
+def test_what_was_left_out_is_told_also_where_reading_comes_to_no_end(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    broken = spoiled(recording, tmp_path, "a broken line")
+    FAULTS["calibration that is no JSON"][0](broken)
+    outcome = call("info", broken, "--lenient")
+    assert outcome.code == 1
+    *left_out, error = outcome.err.splitlines()
+    assert any("data.jsonl: line 4: left out" in line for line in left_out)
+    assert "calibration.json" in error
+
+
+def with_late_truth(lines: list[str]) -> list[str]:
+    records = [json.loads(line) for line in lines]
+    return [json.dumps(r | {"time": r["time"] + 100.0 * ("groundTruth" in r)}) for r in records]
+
+
+def test_sweeps_that_could_not_be_read_are_told_where_the_others_could_not_be_fused(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    edit_lines(with_late_truth)(folder)
+    (folder / "lidar" / "000001.bin").write_bytes(struct.pack("<fffBHd", 1.0, 2.0, 3.0, 4, 5, 1e300))
+    outcome = call("fuse", folder, "--lenient", "-o", tmp_path / "out.sfs")
+    assert outcome.code == 1
+    *skipped, error = outcome.err.splitlines()
+    assert any("000001.bin" in line for line in skipped)
+    assert "could be fused" in error

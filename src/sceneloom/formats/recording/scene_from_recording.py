@@ -66,7 +66,8 @@ def read_recording(
 ) -> tuple[Scene, RecordingContents]:
     """Read a recording with a ledger that decides what becomes of its faults; as `open_recording` else."""
     try:
-        return _read(place, altitude, camera_shift, ledger)
+        with ledger.telling():
+            return _read(place, altitude, camera_shift, ledger)
     except OSError as error:
         place.remove()
         raise DataError(place.source, "", f"cannot be read: {error}") from error

@@ -47,7 +47,8 @@ def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False) -
     manifest = read_manifest(manifest_path(path))
     ledger = Ledger(lenient=lenient)
     try:
-        scene = _open(manifest, ledger)
+        with ledger.telling():
+            scene = _open(manifest, ledger)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error}") from error
     return with_assumed_models(scene) if assume_model else scene

@@ -85,7 +85,8 @@ def read_trajectory_file(
         content = read_scene_trajectory(scene_form, place, reading, options, progress)
     else:
         ledger = Ledger(lenient=lenient)
-        content = chosen.read(Path(where), reading, ledger)
+        with ledger.telling():
+            content = chosen.read(Path(where), reading, ledger)
         content = replace(content, notices=ledger.notices)
     return from_optical(content) if optical else content
 

@@ -1,0 +1,295 @@
+"""What detectors send, as records: boxes in space and boxes in a picture, one by one and as lists."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float32Array, UInt32Array
+from sceneloom.fusion.messages.columns import Column, settle_classes, settle_columns
+from sceneloom.fusion.messages.tables import BOX_2D, BOX_3D, BOXES_2D, BOXES_3D, Table
+from sceneloom.fusion.messages.timestamps import Timestamp
+
+COLUMNS_3D = (
+    Column("id", ("id",), np.int32),
+    Column("confidence", ("confidence",)),
+    Column("centers", ("X", "Y", "Z"), shape=(3,)),
+    Column("sizes_lwh", ("length", "width", "height"), shape=(3,)),
+    Column("directions", ("direction",), shape=(3,)),
+    Column("velocities", ("velocity",)),
+    Column("velocity_vectors", ("velocity_vector",), shape=(3,), optional=True),
+)
+"""The columns of `Boxes3d`."""
+
+COLUMNS_2D = (
+    Column("id", ("id",), np.int32),
+    Column("confidence", ("confidence",)),
+    Column("corners_xyxy", ("x1", "y1", "x2", "y2"), np.uint32, (4,)),
+)
+"""The columns of `Boxes2d`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Box3d:
+    """One box in space, in the lidar frame.
+
+    Attributes:
+        id: number of the box, an int32.
+        class_name: class of the object; `class` in the standard.
+        points_seq: seq of its point cloud.
+        confidence: probability that the object exists, 0 to 1.
+        timestamp: time of the box.
+        X, Y, Z: middle of the box [m].
+        length, width, height: of the box [m], more than 0.
+        direction: where it heads, of any length but 0.
+        velocity: speed along the direction [m/s], negative for reversing.
+        velocity_vector: velocity [m/s] along x, y, z, or None.
+
+    Raises:
+        DataError: a field is missing, of another type or out of range.
+
+    Source: DB34/T 4101-2022, table 7.
+    """
+
+    id: int
+    class_name: str
+    points_seq: int
+    confidence: float
+    timestamp: Timestamp
+    X: float
+    Y: float
+    Z: float
+    length: float
+    width: float
+    height: float
+    direction: tuple[float, float, float]
+    velocity: float
+    velocity_vector: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        BOX_3D.settle(self)
+        if not any(self.direction):
+            raise BOX_3D.fault("direction", f"{self.direction}; expected a vector other than 0")
+
+    def alone(self, sensor_id: int) -> "Boxes3d":
+        """The list of this one box."""
+        vector = self.velocity_vector
+        return Boxes3d(
+            sensor_id=sensor_id,
+            seq=self.points_seq,
+            timestamp=self.timestamp,
+            id=np.array([self.id], np.int32),
+            class_names=(self.class_name,),
+            confidence=np.array([self.confidence], np.float32),
+            centers=np.array([[self.X, self.Y, self.Z]], np.float32),
+            sizes_lwh=np.array([[self.length, self.width, self.height]], np.float32),
+            directions=np.array([self.direction], np.float32),
+            velocities=np.array([self.velocity], np.float32),
+            velocity_vectors=None if vector is None else np.array([vector], np.float32),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Boxes3d:
+    """The boxes of one point cloud, in the lidar frame; without boxes: a cloud in which nothing was found.
+
+    Attributes:
+        sensor_id: of the lidar, 0 to 255.
+        seq: of the point cloud.
+        timestamp: of the point cloud.
+        id: (N,) int32.
+        class_names: N classes.
+        confidence: (N,) float32, 0 to 1.
+        centers: (N, 3) float32 [m].
+        sizes_lwh: (N, 3) float32 [m], more than 0.
+        directions: (N, 3) float32, none of them 0.
+        velocities: (N,) float32 [m/s] along the directions, negative for reversing.
+        velocity_vectors: (N, 3) float32 [m/s], or None.
+
+    Raises:
+        DataError: a field is missing, of another type or out of range; arrays have another shape or dtype.
+
+    Source: DB34/T 4101-2022, table 7 and clause 5.6.
+    """
+
+    sensor_id: int
+    seq: int
+    timestamp: Timestamp
+    id: AnyArray
+    class_names: tuple[str, ...]
+    confidence: Float32Array
+    centers: Float32Array
+    sizes_lwh: Float32Array
+    directions: Float32Array
+    velocities: Float32Array
+    velocity_vectors: Float32Array | None = None
+
+    def __post_init__(self) -> None:
+        BOXES_3D.settle(self)
+        count = settle_columns(self, BOX_3D, COLUMNS_3D, group="boxes")
+        settle_classes(self, BOX_3D, count, group="boxes")
+        headless = ~self.directions.any(axis=1)
+        if headless.any():
+            place = f"boxes[{int(np.argmax(headless))}].direction"
+            raise BOX_3D.fault(place, "(0.0, 0.0, 0.0); expected a vector other than 0")
+
+    @classmethod
+    def empty(cls, sensor_id: int, seq: int, timestamp: Timestamp) -> "Boxes3d":
+        """A cloud in which nothing was found."""
+        none = {
+            column.attribute: np.zeros((0, *column.shape), column.dtype)
+            for column in COLUMNS_3D
+            if not column.optional
+        }
+        return cls(sensor_id=sensor_id, seq=seq, timestamp=timestamp, class_names=(), **none)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def __iter__(self) -> Iterator[Box3d]:
+        return (self[k] for k in range(len(self)))
+
+    def __getitem__(self, k: int) -> Box3d:
+        X, Y, Z = self.centers[k].tolist()
+        length, width, height = self.sizes_lwh[k].tolist()
+        vectors = self.velocity_vectors
+        return Box3d(
+            id=int(self.id[k]),
+            class_name=self.class_names[k],
+            points_seq=self.seq,
+            confidence=float(self.confidence[k]),
+            timestamp=self.timestamp,
+            X=X,
+            Y=Y,
+            Z=Z,
+            length=length,
+            width=width,
+            height=height,
+            direction=tuple(self.directions[k].tolist()),
+            velocity=float(self.velocities[k]),
+            velocity_vector=None if vectors is None else tuple(vectors[k].tolist()),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Box2d:
+    """One box in a picture, whose own corner is (0, 0); the right and the lower edge are exclusive.
+
+    Attributes:
+        id: number of the box, an int32.
+        class_name: class of the object; `class` in the standard.
+        image_seq: seq of its picture.
+        confidence: probability that the object exists, 0 to 1.
+        timestamp: time of the box.
+        x1, y1, x2, y2: left, upper, right and lower edge [px], uint32.
+
+    Raises:
+        DataError: a field is missing, of another type or out of range.
+
+    Source: DB34/T 4101-2022, table 8.
+    """
+
+    id: int
+    class_name: str
+    image_seq: int
+    confidence: float
+    timestamp: Timestamp
+    x1: int
+    y1: int
+    x2: int
+    y2: int
+
+    def __post_init__(self) -> None:
+        BOX_2D.settle(self)
+        check_corners(BOX_2D, np.array([[self.x1, self.y1, self.x2, self.y2]], np.uint32), group="")
+
+    def alone(self, sensor_id: int) -> "Boxes2d":
+        """The list of this one box."""
+        return Boxes2d(
+            sensor_id=sensor_id,
+            seq=self.image_seq,
+            timestamp=self.timestamp,
+            id=np.array([self.id], np.int32),
+            class_names=(self.class_name,),
+            confidence=np.array([self.confidence], np.float32),
+            corners_xyxy=np.array([[self.x1, self.y1, self.x2, self.y2]], np.uint32),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Boxes2d:
+    """The boxes of one picture; without boxes: a picture in which nothing was found.
+
+    Attributes:
+        sensor_id: of the camera, 0 to 255.
+        seq: of the picture.
+        timestamp: of the picture.
+        id: (N,) int32.
+        class_names: N classes.
+        confidence: (N,) float32, 0 to 1.
+        corners_xyxy: (N, 4) uint32 [px], left, upper, right and lower edge.
+
+    Raises:
+        DataError: a field is missing, of another type or out of range; arrays have another shape or dtype.
+
+    Source: DB34/T 4101-2022, table 8 and clause 5.6.
+    """
+
+    sensor_id: int
+    seq: int
+    timestamp: Timestamp
+    id: AnyArray
+    class_names: tuple[str, ...]
+    confidence: Float32Array
+    corners_xyxy: UInt32Array
+
+    def __post_init__(self) -> None:
+        BOXES_2D.settle(self)
+        count = settle_columns(self, BOX_2D, COLUMNS_2D, group="boxes")
+        settle_classes(self, BOX_2D, count, group="boxes")
+        check_corners(BOX_2D, self.corners_xyxy, group="boxes")
+
+    @classmethod
+    def empty(cls, sensor_id: int, seq: int, timestamp: Timestamp) -> "Boxes2d":
+        """A picture in which nothing was found."""
+        none = {column.attribute: np.zeros((0, *column.shape), column.dtype) for column in COLUMNS_2D}
+        return cls(sensor_id=sensor_id, seq=seq, timestamp=timestamp, class_names=(), **none)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def __iter__(self) -> Iterator[Box2d]:
+        return (self[k] for k in range(len(self)))
+
+    def __getitem__(self, k: int) -> Box2d:
+        x1, y1, x2, y2 = self.corners_xyxy[k].tolist()
+        return Box2d(
+            id=int(self.id[k]),
+            class_name=self.class_names[k],
+            image_seq=self.seq,
+            confidence=float(self.confidence[k]),
+            timestamp=self.timestamp,
+            x1=x1,
+            y1=y1,
+            x2=x2,
+            y2=y2,
+        )
+
+
+def check_corners(table: Table, corners_xyxy: UInt32Array, *, group: str) -> None:
+    """Check that no box is turned inside out.
+
+    Args:
+        group: how messages call the list; "" for a single box.
+
+    Raises:
+        DataError: a right edge is before the left one, or a lower edge above the upper one.
+    """
+    for name, first, second in (("x2", 0, 2), ("y2", 1, 3)):
+        wrong = corners_xyxy[:, second] < corners_xyxy[:, first]
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            place = f"{group}[{k}].{name}" if group else name
+            raise table.fault(
+                place, f"{corners_xyxy[k, second]}; expected {corners_xyxy[k, first]} or more, as {name[0]}1"
+            )

@@ -1,0 +1,114 @@
+"""Lists of boxes as columns: one array for each field, or for fields that belong together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from sceneloom.arrays import AnyArray, read_only
+from sceneloom.errors import DataError
+from sceneloom.fusion.messages.basic_types import INTEGER_RANGES, BasicType, shown
+from sceneloom.fusion.messages.rows import Row
+from sceneloom.fusion.messages.tables import Table
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """An array of a list of records.
+
+    Attributes:
+        attribute: of the list.
+        names: the rows of the table that it holds, one number of a row of the array each, or one that holds them all.
+        dtype: of the array.
+        shape: of one row of the array.
+        optional: it may be None, for all boxes at once.
+    """
+
+    attribute: str
+    names: tuple[str, ...]
+    dtype: DTypeLike = np.float32
+    shape: tuple[int, ...] = ()
+    optional: bool = False
+
+
+def settle_columns(record: Any, table: Table, columns: Sequence[Column], *, group: str) -> int:
+    """Check all columns of a list that is being made, and make them read-only.
+
+    Args:
+        table: of one record of the list.
+        columns: of the list; the first tells how many records there are.
+        group: how messages call the list.
+
+    Returns:
+        How many records there are.
+
+    Raises:
+        DataError: a column has another shape or dtype, or a number in it is not finite or out of range.
+    """
+    count: int | None = None
+    for column in columns:
+        values = getattr(record, column.attribute)
+        if values is None and column.optional:
+            continue
+        _check_shape(values, column, table, count)
+        count = len(values)
+        _check_values(values, column, table, group)
+        object.__setattr__(record, column.attribute, read_only(values))
+    return count or 0
+
+
+def settle_classes(record: Any, table: Table, count: int, *, group: str) -> None:
+    """Check the classes of a list that is being made.
+
+    Raises:
+        DataError: there are more or fewer than records, or one is no name.
+    """
+    names = record.class_names
+    if not isinstance(names, tuple | list) or len(names) != count:
+        raise table.fault("class", f"{shown(names)}; expected a tuple of {count}")
+    row = table.row("class")
+    checked = (row.check_class(name, table.owner, f"{group}[{k}].class") for k, name in enumerate(names))
+    object.__setattr__(record, "class_names", tuple(checked))
+
+
+def settle_ids(record: Any, attribute: str, row: Row, table: Table, count: int) -> None:
+    """Check ids that some records of a list have and others have not.
+
+    Raises:
+        DataError: there are more or fewer than records, or one is neither None nor an int32.
+    """
+    ids = getattr(record, attribute)
+    if ids is None:
+        ids = (None,) * count
+    if not isinstance(ids, tuple | list) or len(ids) != count:
+        raise table.fault(row.name, f"{shown(ids)}; expected a tuple of {count}")
+    low, high = INTEGER_RANGES[BasicType.INT32]
+    if not all(k is None or (type(k) is int and low <= k <= high) for k in ids):
+        ids = tuple(row.check(k, table.owner) for k in ids)
+    object.__setattr__(record, attribute, tuple(ids))
+
+
+def _check_shape(values: Any, column: Column, table: Table, count: int | None) -> None:
+    expected = np.dtype(column.dtype)
+    if isinstance(values, np.ndarray) and values.dtype == expected:
+        rows = len(values) if values.ndim else -1
+        if values.shape == (rows if count is None else count, *column.shape):
+            return
+    shape = ("N" if count is None else count, *column.shape)
+    words = f"({', '.join(str(n) for n in shape)}) {expected.name}"
+    raise DataError(table.owner, column.attribute, f"{shown(values)}; expected an array {words}")
+
+
+def _check_values(values: AnyArray, column: Column, table: Table, group: str) -> None:
+    rows = [table.row(name) for name in column.names]
+    if len({(row.low, row.high, row.above) for row in rows}) == 1 and rows[0].admits(values):
+        return
+    flat = values.reshape(len(values), -1)
+    for j in range(flat.shape[1]):
+        row = rows[j if len(rows) > 1 else 0]
+        if not row.admits(flat[:, j]):
+            k = row.first_refused(flat[:, j])
+            place = f"{group}[{k}].{row.name}" + (f"[{j}]" if len(rows) == 1 and column.shape else "")
+            raise DataError(table.owner, place, f"{flat[k, j]}; {row.wanted}")

@@ -1,0 +1,202 @@
+"""A row of one of the standard's tables: what a field is called, what it holds, and the check that it does."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, read_only
+from sceneloom.errors import DataError
+from sceneloom.fusion.messages.basic_types import INTEGER_RANGES, BasicType, check_basic, shown
+from sceneloom.fusion.messages.timestamps import Timestamp
+from sceneloom.fusion.messages.value_types import ValueForm, ValueType
+
+TIME = "uint32. uint32"
+"""How the standard writes the type of a time stamp."""
+
+CLASS = "enum"
+"""The type of classes, which are names here."""
+
+STREAM = "int8[]"
+"""How it writes the type of raw bytes."""
+
+ARRAY_DTYPES: Mapping[str, np.dtype[Any]] = {"uint8[]": np.dtype(np.uint8), "float[]": np.dtype(np.float32)}
+"""The types of fields that are arrays of any length, and what they are in memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One field of a record.
+
+    Attributes:
+        number: of the row in its table, from 1; from 100 on a field that the standard does not have.
+        name: the standard's name.
+        type: as the standard writes it.
+        meaning: what it says.
+        unit: "" for none.
+        low, high: the smallest and largest value that makes sense, each included; None for those of the type.
+        above: `low` itself makes no sense.
+        required: whether it has to be there.
+        default: what it is where it is not there.
+        size: how many values an array has, in words of other fields.
+        example: the standard's.
+        attribute: of the record in Python; "" for `name`.
+        aliases: names that are read, too: those of the same field in other tables.
+    """
+
+    number: int
+    name: str
+    type: str
+    meaning: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    above: bool = False
+    required: bool = True
+    default: Any = None
+    size: str = ""
+    example: Any = None
+    attribute: str = ""
+    aliases: tuple[str, ...] = ()
+    value_type: ValueType | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        composed = self.type == TIME
+        object.__setattr__(self, "value_type", None if composed else ValueType.parse(self.type))
+        object.__setattr__(self, "attribute", self.attribute or self.name)
+
+    @property
+    def is_extension(self) -> bool:
+        """Whether the standard does not have it."""
+        return self.number >= 100
+
+    @property
+    def range(self) -> str:
+        """The values that make sense, in words."""
+        low, high = self.low, self.high
+        kind = BasicType.STRING if self.value_type is None else self.value_type.elements[0]
+        if kind in INTEGER_RANGES and self.type != CLASS:
+            type_low, type_high = INTEGER_RANGES[kind]
+            low, high = type_low if low is None else low, type_high if high is None else high
+        if low is None:
+            return ""
+        if self.above:
+            return f"more than {low:g}"
+        return f"{_plain(low)} or more" if high is None else f"{_plain(low)} to {_plain(high)}"
+
+    @property
+    def wanted(self) -> str:
+        """What was expected of a number, for messages."""
+        return f"expected {self.range or 'a finite number'}"
+
+    def check(self, value: Any, owner: str) -> Any:
+        """Check a value exactly.
+
+        Args:
+            value: what stands in the record; None where nothing does.
+            owner: the record, for the message.
+
+        Returns:
+            The value as a record keeps it: arrays flat and read-only, numbers of Python, vectors as tuples.
+
+        Raises:
+            DataError: it is missing, of another type or out of range.
+        """
+        if value is None:
+            if self.required:
+                raise DataError(owner, self.name, f"missing; expected {self._expected()}")
+            return self.default
+        if self.type == TIME:
+            return self._time(value, owner)
+        if self.type == STREAM:
+            return self._stream(value, owner)
+        if self.type == CLASS:
+            return self.check_class(value, owner)
+        if self.type in ARRAY_DTYPES:
+            return self._array(value, owner)
+        return self._plain_value(value, owner)
+
+    def check_class(self, value: Any, owner: str, place: str = "") -> str:
+        """Check the name of a class.
+
+        Raises:
+            DataError: it is no text, or empty where a class is required.
+        """
+        name = check_basic(BasicType.STRING, value, owner=owner, place=place or self.name)
+        if self.required and not name:
+            raise DataError(owner, place or self.name, "''; expected the name of a class")
+        return str(name)
+
+    def _array(self, values: Any, owner: str) -> AnyArray:
+        dtype = ARRAY_DTYPES[self.type]
+        if not isinstance(values, np.ndarray) or values.dtype != dtype:
+            raise DataError(owner, self.name, f"{shown(values)}; expected an array of {dtype.name}")
+        flat = read_only(values.reshape(-1))
+        if dtype.kind == "f" or self.low is not None:
+            self._refuse_any(flat, owner)
+        return flat
+
+    def _refuse_any(self, flat: AnyArray, owner: str) -> None:
+        if not self.admits(flat):
+            k = self.first_refused(flat)
+            raise DataError(owner, f"{self.name}[{k}]", f"{flat[k]}; {self.wanted}")
+
+    def admits(self, values: AnyArray) -> bool:
+        """Whether all numbers of an array are finite and in the range of this field."""
+        if values.size == 0:
+            return True
+        smallest, largest = values.min(), values.max()
+        finite = values.dtype.kind != "f" or bool(np.isfinite(smallest) and np.isfinite(largest))
+        return finite and self._is_in_range(smallest) and self._is_in_range(largest)
+
+    def first_refused(self, values: AnyArray) -> int:
+        """The number of the first value that is not finite or out of range; there has to be one."""
+        good = np.isfinite(values)
+        if self.low is not None:
+            good &= values > self.low if self.above else values >= self.low
+        if self.high is not None:
+            good &= values <= self.high
+        return int(np.argmin(good))
+
+    def _time(self, value: Any, owner: str) -> Timestamp:
+        if not isinstance(value, Timestamp):
+            raise DataError(owner, self.name, f"{shown(value)}; expected a Timestamp")
+        return value
+
+    def _stream(self, value: Any, owner: str) -> bytes:
+        if isinstance(value, bytes):
+            return value
+        if isinstance(value, np.ndarray) and value.dtype in (np.int8, np.uint8):
+            return value.tobytes()
+        if isinstance(value, bytearray | memoryview):
+            return bytes(value)
+        raise DataError(owner, self.name, f"{shown(value)}; expected bytes")
+
+    def _plain_value(self, value: Any, owner: str) -> Any:
+        value_type = cast("ValueType", self.value_type)
+        try:
+            checked = value_type.check(value, owner=owner, place=self.name)
+        except DataError as error:
+            if self.range and value_type.form is ValueForm.SCALAR:
+                raise DataError(owner, self.name, f"{shown(value)}; {self.wanted}") from error
+            raise
+        numbers = checked if isinstance(checked, tuple) else (checked,)
+        if not all(self._is_in_range(number) for number in numbers):
+            raise DataError(owner, self.name, f"{shown(value)}; {self.wanted}")
+        return checked
+
+    def _is_in_range(self, number: Any) -> bool:
+        if self.high is not None and number > self.high:
+            return False
+        if self.low is None:
+            return True
+        return bool(number > self.low if self.above else number >= self.low)
+
+    def _expected(self) -> str:
+        words = (self.type, self.range, f"[{self.unit}]" if self.unit else "")
+        return ", ".join(word for word in words if word)
+
+
+def _plain(number: float) -> str:
+    return str(int(number)) if number == int(number) else str(number)

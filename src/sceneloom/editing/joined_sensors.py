@@ -29,6 +29,7 @@ from sceneloom.scene import (
     Trajectory,
     VectorSamples,
 )
+from sceneloom.scene.shooting import Shooting, shots_of, with_shots
 
 Item_co = TypeVar("Item_co", covariant=True)
 Moving = TypeVar("Moving", LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
@@ -161,27 +162,15 @@ def _equal_points(a: LidarFrame | RadarFrame, b: LidarFrame | RadarFrame) -> boo
     return np.array_equal(a.points.positions, b.points.positions, equal_nan=True)
 
 
-def _camera(first: CameraSensor, second: CameraSensor, name: str) -> Joined:
-    """Join pictures; those of equal stamps are one, though another encoding may have changed them."""
-    joint = Joint.of(first.pictures.timestamps_ns, second.pictures.timestamps_ns, name)
-    pictures = joint.frames(first.pictures, second.pictures)
+def _camera(first: Shooting, second: Shooting, name: str) -> Joined:
+    """Join shots; those of equal stamps are one, though another encoding may have changed them."""
+    shots, further = shots_of(first), shots_of(second)
+    joint = Joint.of(shots.timestamps_ns, further.timestamps_ns, name)
     placed = _placed(first, second, name)
-    if len(second.pictures) == joint.twice:
+    if len(further) == joint.twice:
         return placed, joint
-    if len(first.pictures) == 0:
-        return replace(placed, pictures=pictures, video=second.video), joint
-    return replace(placed, pictures=pictures, video=None), joint
-
-
-def _depth_camera(first: DepthCameraSensor, second: DepthCameraSensor, name: str) -> Joined:
-    """Join depth images as pictures are joined."""
-    joint = Joint.of(first.frames.timestamps_ns, second.frames.timestamps_ns, name)
-    frames = joint.frames(first.frames, second.frames)
-    placed = _placed(first, second, name)
-    if len(second.frames) == joint.twice:
-        return placed, joint
-    video = second.video if len(first.frames) == 0 else None
-    return replace(placed, frames=frames, video=video), joint
+    video = second.video if len(shots) == 0 else None
+    return with_shots(placed, joint.frames(shots, further), video), joint
 
 
 def _placed(first: Moving, second: Moving, name: str) -> Moving:
@@ -285,7 +274,7 @@ _JOINS: Mapping[type, Callable[[Any, Any, str], Joined]] = MappingProxyType(
         LidarSensor: _lidar,
         RadarSensor: _radar,
         CameraSensor: _camera,
-        DepthCameraSensor: _depth_camera,
+        DepthCameraSensor: _camera,
         OdometrySensor: _odometry,
         ImuSensor: _imu,
         GnssSensor: _gnss,

@@ -30,6 +30,7 @@ from sceneloom.scene import (
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import same_way
 from sceneloom.scene.scene import Sensor
+from sceneloom.scene.shooting import Shooting, shots_of, with_shots
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Key, key_of
 
@@ -135,14 +136,10 @@ def _cloud(sensor: Any, correction: ClockCorrection) -> Any:
     return replace(sensor, frames=LazyFrames(times, RetimedClouds(sensor.frames, correction)))
 
 
-def _camera(camera: CameraSensor, correction: ClockCorrection) -> CameraSensor:
-    times = correction.right(camera.pictures.timestamps_ns)
-    return replace(camera, pictures=LazyFrames(times, RetimedPictures(camera.pictures, correction)))
-
-
-def _depth_camera(camera: DepthCameraSensor, correction: ClockCorrection) -> DepthCameraSensor:
-    times = correction.right(camera.frames.timestamps_ns)
-    return replace(camera, frames=LazyFrames(times, RetimedPictures(camera.frames, correction)))
+def _camera(camera: Shooting, correction: ClockCorrection) -> Shooting:
+    shots = shots_of(camera)
+    retimed = LazyFrames(correction.right(shots.timestamps_ns), RetimedPictures(shots, correction))
+    return with_shots(camera, retimed, camera.video)
 
 
 def _imu(imu: ImuSensor, correction: ClockCorrection) -> ImuSensor:
@@ -165,7 +162,7 @@ _RETIMED: Mapping[type, Callable[[Any, ClockCorrection], Any]] = MappingProxyTyp
         LidarSensor: _cloud,
         RadarSensor: _cloud,
         CameraSensor: _camera,
-        DepthCameraSensor: _depth_camera,
+        DepthCameraSensor: _camera,
         ImuSensor: _imu,
         GnssSensor: _receiver,
     }

@@ -22,6 +22,7 @@ from sceneloom.scene import (
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import ego_path, points_source, sensor_source
+from sceneloom.scene.shooting import shots_of
 from sceneloom.scene.span import frame_times
 
 PointsOf = LidarSensor | RadarSensor
@@ -111,10 +112,8 @@ def _as_needed(source: PoseSource, sensor: Posed) -> PosePath | None:
         return path_at(source, own.timestamps_ns)
     if len(times_ns) == 0:
         return path_at(source, source.path.timestamps_ns)
-    if isinstance(sensor, CameraSensor):
-        return camera_path(source, sensor.pictures)
-    if isinstance(sensor, DepthCameraSensor):
-        return camera_path(source, sensor.frames)
+    if isinstance(sensor, CameraSensor | DepthCameraSensor):
+        return camera_path(source, shots_of(sensor))
     return sensor_path(source, times_ns)
 
 

@@ -25,6 +25,7 @@ from sceneloom.scene import (
     Sensor,
 )
 from sceneloom.scene.labelled import Renumbering, renumbered
+from sceneloom.scene.shooting import Shooting, chosen_shots
 from sceneloom.scene.types import Key, key_of
 
 
@@ -137,9 +138,9 @@ def _thinned(
     """Thin one sensor, and note what became of the numbers of its frames and points."""
     key = key_of(sensor.id)
     if isinstance(sensor, CameraSensor):
-        return every_picture(sensor, every)
+        return every_shot(sensor, every)
     if isinstance(sensor, DepthCameraSensor):
-        return every_depth_image(sensor, every)
+        return every_shot(sensor, every)
     if isinstance(sensor, PointsSensor) and thinning.changes:
         rows = thinning.rows(sensor.positions)
         changes[key] = Renumbering(rows=partial(_always, rows))
@@ -167,24 +168,12 @@ def _thinned_cloud(
     return replace(sensor, frames=with_chosen_points(frames, thinning, sensor.id, on_points)[::every])
 
 
-def every_picture(camera: CameraSensor, every: int) -> CameraSensor:
-    """A camera with every so many-th of its pictures, from the first."""
+def every_shot(camera: Shooting, every: int) -> Shooting:
+    """A camera with every so many-th of its pictures or depth images, from the first."""
     if every == 1:
         return camera
-    rows = slice(None, None, every)
-    video = None if camera.video is None else camera.video.chosen(rows, len(camera.pictures))
-    fps = None if camera.fps is None else camera.fps / every
-    return replace(camera, pictures=camera.pictures[rows], video=video, fps=fps)
-
-
-def every_depth_image(camera: DepthCameraSensor, every: int) -> DepthCameraSensor:
-    """A depth camera with every so many-th of its images, from the first."""
-    if every == 1:
-        return camera
-    rows = slice(None, None, every)
-    video = None if camera.video is None else camera.video.chosen(rows, len(camera.frames))
-    fps = None if camera.fps is None else camera.fps / every
-    return replace(camera, frames=camera.frames[rows], video=video, fps=fps)
+    thinned = chosen_shots(camera, slice(None, None, every))
+    return thinned if thinned.fps is None else replace(thinned, fps=thinned.fps / every)
 
 
 def _always(rows: Int64Array, number: int | None) -> Int64Array:  # noqa: ARG001 - a map has one frame only

@@ -6,22 +6,12 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from sceneloom.arrays import UInt8Array, check_array, read_only
+from sceneloom.arrays import UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.frames import Kept, LazyFrames
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Kept:
-    """Gives a picture that is in memory; others cannot write into it."""
-
-    rgb: UInt8Array
-
-    def __call__(self) -> UInt8Array:
-        return read_only(self.rgb)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +38,7 @@ class Picture:
     def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "Picture":
         """Wrap a picture that is already in memory."""
         check_array("picture.rgb", rgb, (camera.height, camera.width, 3), np.uint8)
-        return cls(timestamp_ns, camera, _Kept(rgb))
+        return cls(timestamp_ns, camera, Kept(rgb))
 
     @property
     def rgb(self) -> UInt8Array:
@@ -61,7 +51,7 @@ class Picture:
         Raises:
             DataError: it cannot be decoded.
         """
-        return self if isinstance(self.decode, _Kept) else replace(self, decode=_Kept(self.decode()))
+        return self if isinstance(self.decode, Kept) else replace(self, decode=Kept(self.decode()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

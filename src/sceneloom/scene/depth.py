@@ -6,23 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, check_array, read_only
+from sceneloom.arrays import Float32Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import VideoContent
-from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.frames import Kept, LazyFrames
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Kept:
-    """Gives an image that is in memory; others cannot write into it."""
-
-    depth: Float32Array
-
-    def __call__(self) -> Float32Array:
-        return read_only(self.depth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +40,7 @@ class DepthFrame:
     def of(cls, timestamp_ns: int, camera: Camera, depth: Float32Array) -> "DepthFrame":
         """Wrap an image that is already in memory, (height, width) float32 [m], 0 for none."""
         check_array("frame.depth", depth, (camera.height, camera.width), np.float32)
-        return cls(timestamp_ns, camera, _Kept(depth))
+        return cls(timestamp_ns, camera, Kept(depth))
 
     @property
     def depth(self) -> Float32Array:
@@ -63,7 +53,7 @@ class DepthFrame:
         Raises:
             DataError: it cannot be decoded.
         """
-        return self if isinstance(self.decode, _Kept) else replace(self, decode=_Kept(self.decode()))
+        return self if isinstance(self.decode, Kept) else replace(self, decode=Kept(self.decode()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,13 +2,25 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar, overload
+from typing import Any, Generic, TypeVar, cast, overload
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array, check_array, read_only
+from sceneloom.arrays import AnyArray, Int64Array, check_array, read_only
 
 Item_co = TypeVar("Item_co", covariant=True)
+Array_co = TypeVar("Array_co", bound=AnyArray, covariant=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kept(Generic[Array_co]):
+    """Gives an image that is in memory; others cannot write into it."""
+
+    image: Array_co
+
+    def __call__(self) -> Array_co:
+        """Give a view that refuses writing."""
+        return cast("Array_co", read_only(self.image))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,7 @@ from sceneloom.scene.part_annotations import (
 )
 from sceneloom.scene.poses import PosePath, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.shooting import Shooting, chosen_shots
 from sceneloom.scene.span import frame_times, time_span
 from sceneloom.scene.types import Key, key_of
 
@@ -137,16 +138,8 @@ def _cut_cloud(sensor: Cloud, part: Interval) -> Cloud:
     return _with_cut_poses(replace(sensor, frames=sensor.frames[_rows_in(sensor, part)]), part)
 
 
-def _cut_camera(sensor: CameraSensor, part: Interval) -> CameraSensor:
-    inside = _rows_in(sensor, part)
-    video = None if sensor.video is None else sensor.video.chosen(inside, len(sensor.pictures))
-    return _with_cut_poses(replace(sensor, pictures=sensor.pictures[inside], video=video), part)
-
-
-def _cut_depth_camera(sensor: DepthCameraSensor, part: Interval) -> DepthCameraSensor:
-    inside = _rows_in(sensor, part)
-    video = None if sensor.video is None else sensor.video.chosen(inside, len(sensor.frames))
-    return _with_cut_poses(replace(sensor, frames=sensor.frames[inside], video=video), part)
+def _cut_camera(sensor: Shooting, part: Interval) -> Shooting:
+    return _with_cut_poses(chosen_shots(sensor, _rows_in(sensor, part)), part)
 
 
 def _with_cut_poses(sensor: Moving, part: Interval) -> Moving:
@@ -184,7 +177,7 @@ def _cut_fixes(sensor: GnssSensor, part: Interval) -> GnssSensor:
 _CUTS: Mapping[type, Callable[[Any, Interval], Sensor]] = MappingProxyType(
     {
         CameraSensor: _cut_camera,
-        DepthCameraSensor: _cut_depth_camera,
+        DepthCameraSensor: _cut_camera,
         LidarSensor: _cut_cloud,
         RadarSensor: _cut_cloud,
         OdometrySensor: _cut_odometry,

@@ -6,9 +6,7 @@ from functools import partial
 from typing import Any
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.scene.cameras import CameraSensor, Picture
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
 from sceneloom.scene.nearest import FramesByStamp, SweepsByReference
 from sceneloom.scene.sample import Once, Sample
 from sceneloom.scene.sample_boxes import BoxTable
@@ -23,6 +21,7 @@ from sceneloom.scene.sample_places import (
 )
 from sceneloom.scene.sample_selection import Selection
 from sceneloom.scene.sensor_sources import Posed
+from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 from sceneloom.scene.span import sweep_period_ns
 from sceneloom.scene.types import Identifier
 
@@ -70,16 +69,10 @@ class SampleMaker:
         self.trajectory = None if ego is None else ego.name
         self._finders: dict[Identifier, Finder] = {
             **{lidar.id: _sweeps(lidar) for lidar in selection.lidars},
-            **{camera.id: FramesByStamp(camera.pictures) for camera in selection.cameras},
-            **{camera.id: FramesByStamp(camera.frames) for camera in selection.depth_cameras},
+            **{camera.id: FramesByStamp(shots_of(camera)) for camera in selection.shooting},
             **{radar.id: FramesByStamp(radar.frames) for radar in selection.radars},
         }
-        sensors: list[Posed] = [
-            *selection.lidars,
-            *selection.cameras,
-            *selection.depth_cameras,
-            *selection.radars,
-        ]
+        sensors: list[Posed] = [*selection.lidars, *selection.shooting, *selection.radars]
         self._places = places_of(scene, sensors, ego)
         self._points = place_of_points(scene, selection.lidars[0], ego) if selection.lidars else _NO_POINTS
         self._boxes = BoxTable(scene)
@@ -104,7 +97,6 @@ class SampleMaker:
 
     def _sample(self, index: int, moment_ns: int, found: _Found) -> Sample:
         selection, frames = self.selection, found.frames
-        shooting: list[CameraSensor | DepthCameraSensor] = [*selection.cameras, *selection.depth_cameras]
         return Sample(
             index=index,
             timestamp_ns=moment_ns,
@@ -114,7 +106,7 @@ class SampleMaker:
             pictures={camera.id: frames.get(camera.id) for camera in selection.cameras},
             radar_frames={radar.id: frames.get(radar.id) for radar in selection.radars},
             depth_frames={camera.id: frames.get(camera.id) for camera in selection.depth_cameras},
-            cameras={camera.id: _lens(camera, frames.get(camera.id)) for camera in shooting},
+            cameras={camera.id: _lens(camera, frames.get(camera.id)) for camera in selection.shooting},
             times_ns=found.times_ns,
             missing=found.missing,
             find_poses=Once(partial(self._poses, frames, found.times_ns)),
@@ -125,7 +117,7 @@ class SampleMaker:
         """The sensors' places, of cameras those of images that have a mounting of their own."""
         places = dict(self._places)
         for sensor_id, frame in frames.items():
-            if isinstance(frame, Picture | DepthFrame) and frame.mount is not None:
+            if isinstance(frame, Shot) and frame.mount is not None:
                 place = places[sensor_id]
                 source = None if place.source is None else place.source.mounted(frame.mount)
                 places[sensor_id] = replace(place, source=source, mount=frame.mount)
@@ -157,5 +149,5 @@ def _sweeps(lidar: LidarSensor) -> SweepsByReference:
     return SweepsByReference(lidar.frames, sweep_period_ns(lidar))
 
 
-def _lens(camera: CameraSensor | DepthCameraSensor, image: Picture | DepthFrame | None) -> Camera:
-    return camera.camera if image is None else image.camera
+def _lens(camera: ShootingSensor, shot: Shot | None) -> Camera:
+    return camera.camera if shot is None else shot.camera

@@ -13,6 +13,7 @@ from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import Posed
+from sceneloom.scene.shooting import ShootingSensor
 from sceneloom.scene.span import sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Identifier, key_of
 
@@ -45,6 +46,11 @@ class Selection:
     radars: tuple[RadarSensor, ...]
     trajectory: str | EgoMotion | None
     tolerance_ns: int
+
+    @property
+    def shooting(self) -> tuple[ShootingSensor, ...]:
+        """The cameras of colours, then those of depths."""
+        return self.cameras + self.depth_cameras
 
 
 def select(

@@ -15,8 +15,9 @@ from sceneloom.formats.recording.frame_parameters import read_mount, read_parame
 from sceneloom.formats.recording.lenses import CameraParameters, lens
 from sceneloom.formats.recording.written_calibration import cropped, lens_entry, lens_losses
 from sceneloom.formats.recording.written_mounts import matrix_entry
-from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of
+from sceneloom.formats.recording.written_shots import field_of
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.shooting import ShootingSensor, Shot
 
 LENS, MOUNT = "cameraParameters", "imuToCamera"
 """Fields of an entry, and extras of a picture that has been read with them."""

@@ -14,7 +14,8 @@ from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.frame_notes import FrameNotes
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
-from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of, shots_of
+from sceneloom.formats.recording.written_shots import field_of
+from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 
 _DEFAULT_PERIOD_NS = 100_000_000
 _ROUNDED_NS = 500

@@ -10,8 +10,8 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.vio_config import unknown_keys
-from sceneloom.formats.recording.written_shots import ShootingSensor, shots_of
 from sceneloom.scene import DepthCameraSensor, ImuSensor, LidarSensor
+from sceneloom.scene.shooting import ShootingSensor, shots_of
 
 FIELD = "replay"
 """Under which these stand in a loss report: the recording holds the data all the same."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.recording.written_shots import ShootingSensor, shooting_sensors
+from sceneloom.formats.recording.written_shots import shooting_sensors
 from sceneloom.scene import (
     GnssSensor,
     ImuSensor,
@@ -15,6 +15,7 @@ from sceneloom.scene import (
     Sensor,
     Trajectory,
 )
+from sceneloom.scene.shooting import ShootingSensor
 
 _NO_PLACE = "left out: the format has none"
 _RECORDING_EXTRAS = {"calibration", "lidarInd"}

@@ -16,10 +16,11 @@ from sceneloom.formats.recording.unreplayable import unreplayable
 from sceneloom.formats.recording.unwritten import unwritten
 from sceneloom.formats.recording.written_lines import origin_for
 from sceneloom.formats.recording.written_mounts import mounting
-from sceneloom.formats.recording.written_shots import ShootingSensor, shooting_sensors, shots_of
+from sceneloom.formats.recording.written_shots import shooting_sensors
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Coordinates, ImuSensor, LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
 from sceneloom.scene.poses import same_way
+from sceneloom.scene.shooting import ShootingSensor, shots_of
 
 
 class RecordingNotes(msgspec.Struct):

@@ -12,9 +12,9 @@ from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.unwritten import main_receiver
 from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry
-from sceneloom.formats.recording.written_shots import ShootingSensor
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import GnssSensor, LidarSensor, Scene
+from sceneloom.scene.shooting import ShootingSensor
 
 
 class _Writing(NamedTuple):

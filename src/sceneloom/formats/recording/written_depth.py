@@ -7,8 +7,8 @@ import numpy as np
 from sceneloom.arrays import Float32Array, UInt8Array, UInt16Array, check_array
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.recording.written_shots import Shot
 from sceneloom.scene import DepthCameraSensor, DepthFrame
+from sceneloom.scene.shooting import Shot
 
 DEPTH_STEPS = (0.001, 0.002, 0.005, 0.01)
 """Lengths of a step that are tried, the smallest first, where the source has no steps [m]."""

@@ -14,9 +14,10 @@ from sceneloom.formats.recording.picture_rows import PictureRows
 from sceneloom.formats.recording.picture_table import OWN_FIELDS
 from sceneloom.formats.recording.written_lines import make_line
 from sceneloom.formats.recording.written_pictures import PictureSink
-from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, field_of, shots_of
+from sceneloom.formats.recording.written_shots import field_of
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.scene import DepthFrame
+from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 
 _OWN_EXTRAS = OWN_FIELDS | {LENS, MOUNT}
 """Extras of a picture that its line is made from anew."""

@@ -12,7 +12,6 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.mounts import rigid_transform
-from sceneloom.formats.recording.written_shots import ShootingSensor
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
     angle_between,
@@ -21,6 +20,7 @@ from sceneloom.geometry.rotations import (
     rotate_vectors,
 )
 from sceneloom.scene import Coordinates, LidarSensor, PosePath
+from sceneloom.scene.shooting import ShootingSensor
 
 RIGID_WITHIN = 0.01
 """Metres that a sensor may move on the vehicle before it is said that one mounting does not describe it."""

@@ -12,10 +12,11 @@ from sceneloom.arrays import Int64Array, UInt8Array, UInt16Array, check_array
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.written_depth import DepthImages, DepthScales
-from sceneloom.formats.recording.written_shots import ShootingSensor, Shot, frame_rate, shots_of
+from sceneloom.formats.recording.written_shots import frame_rate
 from sceneloom.formats.video import VideoReader, VideoWriter, copy_to_matroska
 from sceneloom.formats.video.png_folder import picture_name
 from sceneloom.scene import CameraSensor, DepthCameraSensor, Picture, VideoContent
+from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 
 PICTURES = ("copy", "lossless", "h264", "ffv1", "png")
 """Ways to keep pictures."""

@@ -1,21 +1,11 @@
 """What a `frames` line tells of, whether a camera takes pictures or measures depth."""
 
 from collections.abc import Sequence
-from typing import Any
 
-from sceneloom.scene import CameraSensor, DepthCameraSensor, DepthFrame, LazyFrames, Picture, Scene
-
-ShootingSensor = CameraSensor | DepthCameraSensor
-"""What has a `cameraInd`."""
-Shot = Picture | DepthFrame
-"""What has an entry in a `frames` line."""
+from sceneloom.scene import CameraSensor, DepthCameraSensor, Scene
+from sceneloom.scene.shooting import ShootingSensor, shots_of
 
 _DEFAULT_FPS = 10.0
-
-
-def shots_of(sensor: ShootingSensor) -> LazyFrames[Any]:
-    """The pictures of a camera, or the images of one that measures depth."""
-    return sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
 
 
 def field_of(sensor: ShootingSensor) -> str:

@@ -1,0 +1,34 @@
+"""What cameras of colours and of depths have in common: shots in time order, and often a video behind them."""
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
+from sceneloom.scene.frames import LazyFrames
+
+ShootingSensor = CameraSensor | DepthCameraSensor
+"""A camera of colours, or of depths."""
+Shot = Picture | DepthFrame
+"""What it takes."""
+
+Shooting = TypeVar("Shooting", CameraSensor, DepthCameraSensor)
+
+
+def shots_of(sensor: ShootingSensor) -> LazyFrames[Any]:
+    """The pictures of a camera, or the images of one that measures depth."""
+    return sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
+
+
+def with_shots(sensor: Shooting, shots: LazyFrames[Any], video: VideoContent | None) -> Shooting:
+    """The same camera with other shots, and the video that they come from, if any."""
+    if isinstance(sensor, CameraSensor):
+        return replace(sensor, pictures=shots, video=video)
+    return replace(sensor, frames=shots, video=video)
+
+
+def chosen_shots(sensor: Shooting, rows: slice) -> Shooting:
+    """The same camera with some of its shots; its video stays, and says which of its pictures they are."""
+    shots = shots_of(sensor)
+    video = None if sensor.video is None else sensor.video.chosen(rows, len(shots))
+    return with_shots(sensor, shots[rows], video)

@@ -74,6 +74,29 @@ def test_a_video_with_any_bytes_changed_gives_pictures_or_an_error(kind):
             assert rgb.ndim == 3
 
 
+def refused(content: bytes) -> set[int]:
+    """The pictures that cannot be had, read in their order."""
+    with open_video(content) as reader:
+        return set(range(reader.count)) - set(read_all(content))
+
+
+@pytest.mark.parametrize("kind", ["mp4 h264", "matroska ffv1"])
+def test_a_decoder_that_works_ahead_refuses_the_same_pictures_as_one_that_does_not(kind, monkeypatch):
+    rng = np.random.default_rng(15)
+    heads, found = 600, 0
+    for _ in range(40):
+        content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
+        places = rng.integers(heads, len(content), 3)
+        content[places] ^= rng.integers(1, 256, len(places)).astype(np.uint8)
+        with suppress(DataError):
+            monkeypatch.setattr("sceneloom.formats.video.source.processors", lambda: 4)
+            ahead = refused(content.tobytes())
+            monkeypatch.setattr("sceneloom.formats.video.source.processors", lambda: 1)
+            assert refused(content.tobytes()) == ahead
+            found += len(ahead)
+    assert found > 0
+
+
 @pytest.mark.parametrize("kind", VIDEOS)
 def test_bytes_changed_in_the_head_of_a_container_give_pictures_or_an_error(kind):
     rng = np.random.default_rng(12)

@@ -28,6 +28,7 @@ class Cursor:
         """
         self.first = 0
         self._pictures, self._name = pictures, name
+        self._works_ahead = opened.works_ahead
         with decoder_faults(name, ""):
             self._reorders = codec_reorders(opened.stream)
             self._packets: Iterator[Packet[VideoStream]] = opened.container.demux(opened.stream)
@@ -106,7 +107,14 @@ class Cursor:
             return packet.decode()
         except (av.FFmpegError, ValueError) as error:
             picture = self._pictures.find(packet.pts) if self._pictures.timed else None
-            if picture is None or picture == wanted:
+            if picture is not None:
+                self._note_broken(picture)
+            if picture is None or picture == wanted or self._works_ahead:
                 raise DataError(self._name, f"picture {wanted}", f"cannot be decoded: {error}") from error
-            self._broken = picture
             return []
+
+    def _note_broken(self, picture: int) -> None:
+        """Remember the first one of a group."""
+        entries = self._pictures.entries
+        if self._broken is None or entries[self._broken] != entries[picture]:
+            self._broken = picture

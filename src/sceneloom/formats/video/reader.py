@@ -24,9 +24,10 @@ _STEPS = ("gray16le", "gray16be")
 class VideoReader:
     """The pictures of one video, by number in the order in which they are shown.
 
-    Nothing decoded is kept but the decoder's own state and the picture it gave last. Safe to share between
-    threads, which then take turns. A pickled reader takes the list of pictures along and opens its file again in the
-    process that it comes to; of bytes in memory it takes the bytes. A forked process opens anew, too.
+    Nothing decoded is kept but the decoder's own state and the picture it gave last; while that one is used, the decoder
+    works on the next ones, four at most. Safe to share between threads, which then take turns. A pickled reader takes
+    the list of pictures along and opens its file again in the process that it comes to; of bytes in memory it takes the
+    bytes. A forked process opens anew, too.
 
     Matrix and range of the colours are the stream's own; BT.601 and limited range where it names none. A rotation
     that the container asks players for is not applied: calibrations are made for the sensor's pixels.
@@ -59,7 +60,8 @@ class VideoReader:
         """
         self.name = source_name(source, name)
         self._source = source
-        self._opened: OpenVideo | None = OpenVideo(source, self.name)
+        self._ahead = True
+        self._opened: OpenVideo | None = self._open_source()
         self._identity = FileIdentity.of(Path(source)) if isinstance(source, Path | str) else None
         decoder = self._opened.stream.codec_context
         self.codec: str = decoder.codec.canonical_name
@@ -92,6 +94,7 @@ class VideoReader:
             "_identity",
             "_closed",
             "_cut_off",
+            "_ahead",
         )
         return {
             **{name: getattr(self, name) for name in kept},
@@ -203,6 +206,18 @@ class VideoReader:
         return self._index
 
     def _frame(self, index: int) -> VideoFrame:
+        try:
+            return self._decoded(index)
+        except DataError:
+            if not self._ahead or self._closed:
+                raise
+        # a decoder that works ahead does not say which packet is damaged
+        self._ahead = False
+        self._open_file().close()
+        self._opened = self._cursor = None
+        return self._decoded(index)
+
+    def _decoded(self, index: int) -> VideoFrame:
         cursor = self._cursor
         if cursor is None or not cursor.reaches(index):
             cursor = self._cursor = self._seek(index) or self._restart()
@@ -235,8 +250,14 @@ class VideoReader:
             raise DataError(self.name, "", "is closed")
         if self._opened is None:
             self._check_unchanged()
-            self._opened = OpenVideo(self._source, self.name)
+            self._opened = self._open_source()
         return self._opened
+
+    def _open_source(self) -> OpenVideo:
+        opened = OpenVideo(self._source, self.name)
+        if self._ahead:
+            opened.decode_ahead()
+        return opened
 
     def _check_unchanged(self) -> None:
         if self._identity is not None:

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 import av
+from av.codec.context import ThreadType
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from sceneloom.errors import DataError
 from sceneloom.formats.byte_stream import ByteStream
+from sceneloom.formats.processors import processors
 
 VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryIO]
 """A file, its bytes, or a function that opens them anew each time."""
@@ -21,6 +23,10 @@ _DEMUXERS = (
     "yuv4mpegpipe"
 )
 """Containers of one video each. Playlists are not among them: they could name any file or address."""
+
+
+_MOST_AHEAD = 4
+"""Pictures that are decoded at the same time at most: each is kept, and a jump waits for all of them."""
 
 
 def source_name(source: VideoSource, name: str | None) -> str:
@@ -55,6 +61,7 @@ class OpenVideo:
     Attributes:
         container: positioned at the first packet.
         stream: the container's video.
+        works_ahead: whether the decoder gives pictures and faults some packets late.
 
     Raises:
         DataError: the source cannot be opened, is no video, or holds no video stream.
@@ -62,6 +69,7 @@ class OpenVideo:
 
     container: InputContainer
     stream: VideoStream
+    works_ahead: bool = False
 
     def __init__(self, source: VideoSource, name: str, *, options: Mapping[str, str] | None = None) -> None:
         """Open the source and find its video stream.
@@ -103,6 +111,21 @@ class OpenVideo:
         if decoder is None or decoder.width <= 0 or decoder.height <= 0:
             raise DataError(name, "", "its video stream is of an unknown codec or picture size")
         return stream
+
+    def decode_ahead(self) -> None:
+        """Have other processors work on the next pictures while the last is used; to be said before there is one.
+
+        What others pass over is a fault to it, too: who wants to know
+        which packet is damaged, and to have what others make of it, asks one that does not work ahead.
+        """
+        available = processors()
+        if available == 1:
+            return
+        decoder = self.stream.codec_context
+        decoder.thread_type = ThreadType.AUTO
+        decoder.thread_count = min(available + 1, _MOST_AHEAD)
+        decoder.options = {**decoder.options, "err_detect": "explode"}
+        self.works_ahead = True
 
     def _close_file(self) -> None:
         if self._file is not None:

@@ -11,6 +11,17 @@ from sceneloom.fusion.messages.fused import (
     FusedDetections,
     SensorFusionData,
 )
+from sceneloom.fusion.messages.records import (
+    RECORD_KINDS,
+    DetectionRecord,
+    ListLayout,
+    Record,
+    RecordKind,
+    ResultRecord,
+    SensorRecord,
+    SentRecord,
+    kind_of,
+)
 from sceneloom.fusion.messages.rows import Row
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
 from sceneloom.fusion.messages.tables import TABLES, Table
@@ -21,6 +32,7 @@ __all__ = [
     "DEPTH_KINDS",
     "ENCODINGS",
     "POINT_FRAMES",
+    "RECORD_KINDS",
     "TABLES",
     "BasicType",
     "Box2d",
@@ -28,16 +40,24 @@ __all__ = [
     "Boxes2d",
     "Boxes3d",
     "CalibrationData",
+    "DetectionRecord",
     "Encoding",
     "FusedDetection",
     "FusedDetections",
     "ImageData",
+    "ListLayout",
     "PointCloudData",
     "RawData",
+    "Record",
+    "RecordKind",
+    "ResultRecord",
     "Row",
     "SensorFusionData",
+    "SensorRecord",
+    "SentRecord",
     "Table",
     "Timestamp",
     "ValueForm",
     "ValueType",
+    "kind_of",
 ]

@@ -1,5 +1,6 @@
 """Lists of boxes as columns: one array for each field, or for fields that belong together."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -50,7 +51,8 @@ def settle_columns(record: Any, table: Table, columns: Sequence[Column], *, grou
     count: int | None = None
     for column in columns:
         values = getattr(record, column.attribute)
-        if values is None and column.optional:
+        if column.optional and (values is None or count == 0):
+            object.__setattr__(record, column.attribute, None)
             continue
         _check_shape(values, column, table, count)
         count = len(values)
@@ -105,7 +107,7 @@ def _check_values(values: AnyArray, column: Column, table: Table, group: str) ->
     rows = [table.row(name) for name in column.names]
     if len({(row.low, row.high, row.above) for row in rows}) == 1 and rows[0].admits(values):
         return
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), math.prod(values.shape[1:]))
     for j in range(flat.shape[1]):
         row = rows[j if len(rows) > 1 else 0]
         if not row.admits(flat[:, j]):

@@ -1,0 +1,294 @@
+"""Records as protobuf messages: field k of a message is row k of its table, arrays are bytes, little-endian."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from operator import attrgetter
+from typing import Any, cast
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray
+from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.fusion.messages.basic_types import shown
+from sceneloom.fusion.messages.records import (
+    RECORD_KINDS,
+    ListLayout,
+    Record,
+    RecordKind,
+    SentRecord,
+    kind_of,
+)
+from sceneloom.fusion.messages.rows import ARRAY_DTYPES, TIME, Row
+from sceneloom.fusion.messages.tables import Table
+from sceneloom.fusion.messages.timestamps import Timestamp
+from sceneloom.fusion.messages.value_types import ValueForm
+
+try:
+    from google.protobuf.message import DecodeError, Message
+
+    from sceneloom.fusion.messages.wire import fusion_pb2
+except ImportError as missing:
+    raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[serve]'") from missing
+
+_KIND_OF_MESSAGE: Mapping[str, RecordKind] = {kind.message_name: kind for kind in RECORD_KINDS.values()}
+
+
+def to_protobuf(record: Record) -> Message:
+    """Give the message of a record.
+
+    Raises:
+        OptionError: it is no record.
+    """
+    message: Message = getattr(fusion_pb2, kind_of(record).message_name)()
+    fill_message(message, record)
+    return message
+
+
+def fill_message(message: Message, record: Record) -> None:
+    """Write a record into an empty message of its kind, such as a field of a request: large arrays are copied once.
+
+    Raises:
+        OptionError: it is no record.
+    """
+    kind = kind_of(record)
+    message.SetInParent()
+    _write(message, record, kind.table)
+    if kind.layout is not None:
+        _write_list(record, kind.layout, getattr(message, kind.layout.group))
+
+
+def from_protobuf(message: Message) -> Any:
+    """Give the record of a message; arrays are read-only views of its bytes.
+
+    Raises:
+        DataError: a field is missing, has more or fewer values, or is out of range.
+        OptionError: it is no message of a record.
+    """
+    kind = _KIND_OF_MESSAGE.get(message.DESCRIPTOR.name)
+    if kind is None or not isinstance(message, getattr(fusion_pb2, kind.message_name)):
+        kind = kind_of(type(message))
+    values = _read(message, kind.table)
+    if kind.layout is not None:
+        values |= _read_list(getattr(message, kind.layout.group), kind.layout, values)
+    return kind.record_type(**values)
+
+
+def encode(record: Record) -> bytes:
+    """Give the bytes of a record's message; equal records have equal bytes."""
+    return to_protobuf(record).SerializeToString(deterministic=True)
+
+
+def decode(name: str, content: bytes) -> Any:
+    """Read a record from the bytes of its message.
+
+    Args:
+        name: the kind of record, out of `RECORD_KINDS`.
+
+    Raises:
+        DataError: the bytes are no such message, or the record is faulty.
+    """
+    kind = RECORD_KINDS[name]
+    return from_protobuf(parse_message(getattr(fusion_pb2, kind.message_name), content))
+
+
+def parse_message(message_type: type[Any], content: bytes) -> Any:
+    """Read a message of the `.proto` from bytes.
+
+    Raises:
+        DataError: they are no such message.
+    """
+    try:
+        return message_type.FromString(content)
+    except DecodeError as error:
+        problem = f"{len(content)} bytes; expected a message {message_type.DESCRIPTOR.name}"
+        raise DataError("protobuf", "", problem) from error
+
+
+def to_send_request(record: SentRecord, *, session: str = "") -> fusion_pb2.SendRequest:
+    """Give the message of clause 5.6 that carries a record."""
+    request = fusion_pb2.SendRequest(session=session)
+    fill_message(getattr(request, kind_of(record).name), record)
+    return request
+
+
+def from_send_request(request: fusion_pb2.SendRequest) -> SentRecord:
+    """Give the record that a message of clause 5.6 carries.
+
+    Raises:
+        DataError: it carries none, or the record is faulty.
+    """
+    name = request.WhichOneof("data")
+    if name is None:
+        raise DataError("request", "data", "missing; expected a record of one of tables 4 to 8")
+    return cast("SentRecord", from_protobuf(getattr(request, name)))
+
+
+def timestamp_to_protobuf(timestamp: Timestamp) -> fusion_pb2.Timestamp:
+    """Give the message of a time stamp."""
+    return fusion_pb2.Timestamp(s=timestamp.s, ns=timestamp.ns)
+
+
+def timestamp_from_protobuf(message: fusion_pb2.Timestamp, owner: str, place: str) -> Timestamp:
+    """Give the time stamp of a message.
+
+    Raises:
+        DataError: its nanoseconds make a second or more.
+    """
+    try:
+        return Timestamp(message.s, message.ns)
+    except DataError as error:
+        raise DataError(owner, f"{place}.{error.place}", error.problem) from error
+
+
+# records with one value for each field
+
+
+def _write(message: Any, record: Any, table: Table) -> None:
+    for row in table.rows:
+        value = getattr(record, row.attribute)
+        if value is None:
+            continue
+        if row.type == TIME:
+            timestamp = getattr(message, row.name)
+            timestamp.s, timestamp.ns = value.s, value.ns
+            timestamp.SetInParent()
+        elif row.type in ARRAY_DTYPES:
+            setattr(message, row.name, array_bytes(value))
+        elif isinstance(value, tuple):
+            getattr(message, row.name).extend(value)
+        else:
+            setattr(message, row.name, value)
+
+
+def array_bytes(array: AnyArray) -> bytes:
+    """Give the bytes of a flat array: those that it is a view of, where it shows all of them, else a copy."""
+    base = array.base
+    while isinstance(base, np.ndarray):
+        base = base.base
+    if isinstance(base, bytes) and len(base) == array.nbytes and array.dtype.byteorder in "=|<":
+        return base
+    return array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
+
+
+def _read(message: Any, table: Table) -> dict[str, Any]:
+    return {row.attribute: _from_wire(message, row, table.owner) for row in table.rows}
+
+
+def _from_wire(message: Any, row: Row, owner: str) -> Any:
+    if row.type == TIME:
+        if not message.HasField(row.name):
+            return None
+        return timestamp_from_protobuf(getattr(message, row.name), owner, row.name)
+    value = getattr(message, row.name)
+    if row.type in ARRAY_DTYPES:
+        return array_of_bytes(value, ARRAY_DTYPES[row.type], owner, row.name)
+    if row.value_type is not None and row.value_type.form is ValueForm.ARRAY and not isinstance(value, bytes):
+        return tuple(value) if row.required or value else None
+    if row.required:
+        return value
+    return _if_said(message, row, value)
+
+
+def _if_said(message: Any, row: Row, value: Any) -> Any:
+    """An optional field's value, None where it was left out."""
+    if message.DESCRIPTOR.fields_by_name[row.name].has_presence:
+        return value if message.HasField(row.name) else None
+    return value or None
+
+
+def array_of_bytes(content: bytes, dtype: np.dtype[Any], owner: str, place: str) -> AnyArray:
+    """Give the flat array that little-endian bytes hold, a read-only view of them.
+
+    Raises:
+        DataError: they are no whole number of values.
+    """
+    if len(content) % dtype.itemsize:
+        problem = f"{len(content)} bytes; expected a multiple of {dtype.itemsize}"
+        raise DataError(owner, place, problem)
+    return np.frombuffer(content, dtype.newbyteorder("<")).astype(dtype, copy=False)
+
+
+# lists of records, field by field
+
+
+def _write_list(record: Any, layout: ListLayout, messages: Any) -> None:
+    count = len(record)
+    scalars, vectors = _field_lists(record, layout)
+    timestamp = timestamp_to_protobuf(record.timestamp)
+    seqs = [(name, getattr(record, shared)) for name, shared in layout.shared.items() if name != "timestamp"]
+    for k in range(count):
+        message = messages.add(timestamp=timestamp)
+        for name, seq in seqs:
+            setattr(message, name, seq)
+        for name, values in scalars:
+            setattr(message, name, values[k])
+        for name, rows in vectors:
+            getattr(message, name).extend(rows[k])
+    for name, attribute in layout.ids.items():
+        for message, number in zip(messages, getattr(record, attribute), strict=True):
+            if number is not None:
+                setattr(message, name, number)
+
+
+def _field_lists(
+    record: Any, layout: ListLayout
+) -> tuple[list[tuple[str, list[Any]]], list[tuple[str, list[Any]]]]:
+    """The fields of all records of a list: those with one value, and those with several."""
+    scalars: list[tuple[str, list[Any]]] = [("class", list(record.class_names))]
+    vectors: list[tuple[str, list[Any]]] = []
+    for column in layout.columns:
+        values = getattr(record, column.attribute)
+        if values is None:
+            continue
+        if len(column.names) > 1:
+            scalars += zip(column.names, values.T.tolist(), strict=True)
+        elif column.shape:
+            vectors.append((column.names[0], values.reshape(len(values), math.prod(column.shape)).tolist()))
+        else:
+            scalars.append((column.names[0], values.tolist()))
+    return scalars, vectors
+
+
+def _read_list(messages: Any, layout: ListLayout, common: Mapping[str, Any]) -> dict[str, Any]:
+    _check_shared(messages, layout, common)
+    values: dict[str, Any] = {"class_names": tuple(map(attrgetter("class"), messages))}
+    for column in layout.columns:
+        name = column.names[0]
+        if len(column.names) > 1:
+            rows = list(map(attrgetter(*column.names), messages))
+        elif column.shape:
+            rows = [tuple(row) for row in map(attrgetter(name), messages)]
+            if column.optional and not any(rows):
+                continue
+            _check_lengths(rows, math.prod(column.shape), layout, name)
+        else:
+            rows = list(map(attrgetter(name), messages))
+        values[column.attribute] = np.array(rows, column.dtype).reshape(len(rows), *column.shape)
+    for name, attribute in layout.ids.items():
+        values[attribute] = tuple(
+            getattr(message, name) if message.HasField(name) else None for message in messages
+        )
+    return values
+
+
+def _check_shared(messages: Iterable[Any], layout: ListLayout, common: Mapping[str, Any]) -> None:
+    """Check that each record of a list says of itself what the list says of all."""
+    expected = common["timestamp"]
+    for k, message in enumerate(messages):
+        if expected is not None:
+            found = message.timestamp
+            if found.s != expected.s or found.ns != expected.ns or not message.HasField("timestamp"):
+                text = f"{found.s}.{found.ns:09d}" if message.HasField("timestamp") else "missing"
+                place = f"{layout.group}[{k}].timestamp"
+                raise layout.table.fault(place, f"{text}; expected {expected} as all of them")
+        for name, shared in layout.shared.items():
+            if name != "timestamp" and getattr(message, name) != common[shared]:
+                problem = f"{getattr(message, name)}; expected {common[shared]} as all of them"
+                raise layout.table.fault(f"{layout.group}[{k}].{name}", problem)
+
+
+def _check_lengths(rows: Sequence[tuple[Any, ...]], length: int, layout: ListLayout, name: str) -> None:
+    k = next((k for k, row in enumerate(rows) if len(row) != length), None)
+    if k is not None:
+        kind = layout.table.row(name).type
+        raise layout.table.fault(f"{layout.group}[{k}].{name}", f"{shown(rows[k])}; expected {kind}")

@@ -20,9 +20,8 @@ from sceneloom.checks.walk import Hits, find_all
 from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import check_output
 from sceneloom.formats.recording.form import RecordingFormat
-from sceneloom.formats.table import format_for_output, write_scene
+from sceneloom.formats.table import check_scene_output, format_for_output, write_scene
 from sceneloom.scene import Finding, Notice, NoticeKind, Scene
 from sceneloom.scene.types import Progress
 
@@ -109,7 +108,7 @@ def validate(
         profile, strict, frames, chosen_rules(profile or "sfs", only=rules, ignored=ignore), places, progress
     )
     if fix is not None:
-        check_output(Path(fix), overwrite=overwrite)
+        check_scene_output(Path(fix), overwrite=overwrite)
     subject = Subject(source) if isinstance(source, Scene) else open_subject(source, **reading)
     try:
         hits = terms.hits(subject)

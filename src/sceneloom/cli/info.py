@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.argument("path", type=options.place)
 @click.option(
     "--pictures",
-    type=click.Path(path_type=Path),
+    type=options.target,
     metavar="DIR",
     help="Draw the annotations into a folder: in the photographs, from above, over time, and each type by itself.",
 )

@@ -40,6 +40,10 @@ def target(text: str) -> Path:
 
     if is_url(text):
         raise click.BadParameter(f"{text} is a URL; scenes are read from URLs, and written to files only")
+    if text == "-":
+        raise click.BadParameter(
+            "'-'; nothing is written to standard output: say the name of a file or folder"
+        )
     return Path(text)
 
 

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 
 from sceneloom.errors import OptionError, UnknownFormatError
 from sceneloom.formats.loss import LossReport
+from sceneloom.formats.output import check_output
 from sceneloom.formats.urls import path_or_url
 from sceneloom.scene import Scene
 
@@ -155,6 +156,20 @@ def format_for_output(path: Path) -> Format:
         f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})" for name in format_names()
     )
     raise OptionError(f"{path}: suffix {path.suffix!r} belongs to no format; expected one of: {known}")
+
+
+def check_scene_output(path: Path, *, overwrite: bool) -> None:
+    """Refuse a place that a scene cannot be written to, before much is done.
+
+    Raises:
+        OutputError: it exists, or is one where an output of its format would do harm.
+        OptionError: no format has its suffix.
+    """
+    form = format_for_output(path)
+    check_output(path, overwrite=overwrite)
+    check_place = getattr(form, "check_place", None)
+    if check_place is not None:
+        check_place(path)
 
 
 def write_scene(

@@ -5,8 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sceneloom.formats.output import check_output
-from sceneloom.formats.table import format_for_output, write_scene
+from sceneloom.formats.table import check_scene_output, write_scene
 from sceneloom.pipeline.deskew_plan import plan_deskew
 from sceneloom.pipeline.deskew_report import DeskewReport, DeskewTally
 from sceneloom.pipeline.play import Skips, telling
@@ -57,8 +56,7 @@ def deskew(
     """
     begun = time.perf_counter()
     # finding the motion may take long: an output that cannot be is told before
-    format_for_output(Path(output))
-    check_output(Path(output), overwrite=overwrite)
+    check_scene_output(Path(output), overwrite=overwrite)
     skips, tally = Skips(), DeskewTally()
     with telling(skips):
         plan = plan_deskew(

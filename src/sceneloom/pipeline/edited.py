@@ -11,8 +11,7 @@ import msgspec
 
 from sceneloom.editing.chosen_points import OnPoints
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import check_output
-from sceneloom.formats.table import format_for_output, open_scene, write_scene
+from sceneloom.formats.table import check_scene_output, open_scene, write_scene
 from sceneloom.scene import (
     CameraSensor,
     DepthCameraSensor,
@@ -99,8 +98,7 @@ def edit_files(
         SceneloomError: a source is wrong, or cannot be edited so.
     """
     begun = time.perf_counter()
-    format_for_output(Path(output))
-    check_output(Path(output), overwrite=overwrite)
+    check_scene_output(Path(output), overwrite=overwrite)
     tally = _Tally(progress)
     with ExitStack() as stack:
         scenes = [stack.enter_context(open_scene(source, **(reading or {}))) for source in sources]

@@ -11,8 +11,7 @@ from sceneloom.editing.record import ours_of, with_notices, with_ours
 from sceneloom.editing.retiming import ClockCorrection, retimed_scene
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import check_output
-from sceneloom.formats.table import format_for_output, write_scene
+from sceneloom.formats.table import check_scene_output, write_scene
 from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
 from sceneloom.motion.clock.scene_clocks import compare_streams
 from sceneloom.motion.clock.streams import Stream, StreamKind, streams_of
@@ -135,8 +134,7 @@ def sync(
     if not 0.0 <= lever_sigma < float("inf"):
         raise OptionError(f"an antenna {lever_sigma:g} m off; expected 0 or more")
     if output is not None:
-        format_for_output(Path(output))
-        check_output(Path(output), overwrite=overwrite)
+        check_scene_output(Path(output), overwrite=overwrite)
     found = {stream.name: stream for stream in streams_of(scene)}
     chosen = _chosen(scene, found, reference, streams)
     comparisons = _compared(chosen, found, reach_ns, lever_sigma, progress)

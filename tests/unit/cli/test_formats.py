@@ -50,7 +50,8 @@ def test_options_that_would_do_nothing_are_refused(call: Call, option: tuple[str
     assert (outcome.code, "does nothing without --template" in outcome.err) == (2, True)
 
 
-def test_a_folder_that_is_not_there_is_bad_usage(call: Call, tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_bad_data_as_for_every_verb(call: Call, tmp_path: Path) -> None:
     outcome = call("formats", "--template", tmp_path / "rig.toml", "--from", tmp_path / "none")
-    assert outcome.code == 2
+    assert outcome.code == call("info", tmp_path / "none").code == 1
+    assert "no such folder" in outcome.err
     assert not (tmp_path / "rig.toml").exists()

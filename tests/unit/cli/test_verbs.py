@@ -187,3 +187,48 @@ def test_info_refuses_a_time_to_draw_where_nothing_is_drawn(call, recording):
     refused = call("info", recording, "--at", "1")
     assert refused.code == 2
     assert "--pictures" in refused.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("convert", "DRIVE", "DRIVE/again"),
+        ("validate", "DRIVE", "--quick", "--fix", "DRIVE/mended"),
+        ("sync", "DRIVE", "--apply", "DRIVE/in-step"),
+        ("edit", "crop", "DRIVE", "-o", "DRIVE/cropped", "--start", "0"),
+        ("edit", "deskew", "DRIVE", "-o", "DRIVE/deskewed"),
+    ],
+    ids=" ".join,
+)
+def test_no_recording_is_made_inside_the_one_that_is_read(call, recording, arguments):
+    before = sorted(recording.rglob("*"))
+    outcome = call(*(argument.replace("DRIVE", str(recording)) for argument in arguments))
+    assert outcome.code == 1
+    assert "inside the recording" in outcome.err
+    assert sorted(recording.rglob("*")) == before
+
+
+def test_pictures_may_lie_in_the_recording_that_they_show(call, recording, tmp_path):
+    drive = tmp_path / "drive"
+    shutil.copytree(recording, drive)
+    assert call("fuse", drive, "--pictures", drive / "look", "-o", drive / "fused.sfs").code == 0
+    assert call("info", drive).code == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("convert", "DRIVE", "-"),
+        ("fuse", "DRIVE", "-o", "-"),
+        ("info", "DRIVE", "--pictures", "-"),
+        ("validate", "DRIVE", "--fix", "-"),
+        ("edit", "crop", "DRIVE", "-o", "-", "--start", "0"),
+    ],
+    ids=" ".join,
+)
+def test_a_dash_is_no_name_of_an_output(call, recording, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    outcome = call(*(argument.replace("DRIVE", str(recording)) for argument in arguments))
+    assert outcome.code == 2
+    assert "standard output" in outcome.err
+    assert list(tmp_path.iterdir()) == []

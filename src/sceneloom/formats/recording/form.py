@@ -9,7 +9,7 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.formats.recording.examination import RecordingExamination, examine_recording
 from sceneloom.formats.recording.place import DATA_FILE, is_log, near_miss
 from sceneloom.formats.recording.scene_from_recording import open_recording
-from sceneloom.formats.recording.writer import write_recording
+from sceneloom.formats.recording.writer import check_outside_recordings, write_recording
 from sceneloom.formats.recording.zipped import holds_recording
 from sceneloom.scene import Scene
 
@@ -53,6 +53,14 @@ class RecordingFormat:
         """
         _check_options("examining", options, _READING_OPTIONS[1:])
         return examine_recording(path, **options)
+
+    def check_place(self, path: Path) -> None:
+        """Refuse places inside a recording.
+
+        Raises:
+            OutputError: the path is one.
+        """
+        check_outside_recordings(path)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write a scene as a recording; `write_recording` describes the options.

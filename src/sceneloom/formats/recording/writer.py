@@ -57,7 +57,7 @@ def write_recording(
 
     Raises:
         OptionError: `pictures` is none of these.
-        OutputError: the path exists, or cannot be written.
+        OutputError: the path exists, lies inside a recording, or cannot be written.
         CalibrationError: no model of the format comes near a lens, or a camera's mounting is unknown.
         PoseError: points are in the world, and it is not known where their lidar was.
         DataError: what the scene is read from is damaged, or has nothing that a recording can hold.
@@ -65,6 +65,7 @@ def write_recording(
     if pictures not in PICTURES:
         raise OptionError(f"pictures {pictures!r}; expected one of: {', '.join(PICTURES)}")
     _check_replaceable(path)
+    check_outside_recordings(path)
     plan = WritingPlan.of(scene)
     check_lenses(scene, plan.cameras)
     with replacing(path, overwrite=overwrite, folder=True) as draft:
@@ -73,6 +74,17 @@ def write_recording(
             if note.is_file():
                 shutil.copy2(note, draft)
     return LossReport.of(losses)
+
+
+def check_outside_recordings(path: Path) -> None:
+    """Refuse a folder inside a recording, which would then be part of that one: of its copies, archives and checks.
+
+    Raises:
+        OutputError: a folder above the path has a `data.jsonl`.
+    """
+    for above in path.absolute().parents:
+        if (above / DATA_FILE).is_file():
+            raise OutputError(f"{path}: lies inside the recording {above}; choose a place beside it")
 
 
 def _check_replaceable(path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sceneloom.errors import OptionError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.output import replacing
 from sceneloom.formats.rig.survey import FoundSensor, FoundTrajectory, Times, survey
 
@@ -78,17 +78,17 @@ def template_text(*, folder: Path | None = None, root: str | None = None) -> str
         root: how the manifest names the folder, None where it stands in it.
 
     Raises:
-        OptionError: the folder does not exist, or holds nothing that a rig is made of.
-        DataError: a file in it cannot be read.
+        DataError: the folder does not exist or holds nothing that a rig is made of, or a file in it cannot be read.
     """
     if folder is None:
         return TEMPLATE
     if not folder.is_dir():
-        raise OptionError(f"{folder}: no such folder; expected one with clouds, pictures or videos")
+        problem = "is a file" if folder.exists() else "no such folder"
+        raise DataError(folder, "", f"{problem}; expected a folder with clouds, pictures or videos")
     found = survey(folder)
     if not found.sensors:
-        raise OptionError(
-            f"{folder}: no clouds, pictures or videos in it; expected pcd ply bin npz, png jpg, mp4 …"
+        raise DataError(
+            folder, "", "no clouds, pictures or videos in it; expected pcd ply bin npz, png jpg, mp4 …"
         )
     lidars = [sensor.id for sensor in found.sensors if sensor.type == "lidar"]
     ego = lidars[0] if lidars else "base"
@@ -113,9 +113,9 @@ def write_template(path: Path, *, folder: Path | None = None, overwrite: bool = 
         overwrite: replace a file that is there.
 
     Raises:
-        OptionError: the path is no `.toml`, or the folder holds nothing that a rig is made of.
+        OptionError: the path is no `.toml`.
         OutputError: the file exists, or cannot be written.
-        DataError: a file in the folder cannot be read.
+        DataError: the folder holds nothing that a rig is made of, or a file in it cannot be read.
     """
     if path.suffix.lower() != ".toml":
         raise OptionError(

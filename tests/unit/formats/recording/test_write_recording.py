@@ -809,3 +809,13 @@ def test_further_fields_of_sweeps_are_told_as_lost(tmp_path):
     lost = {loss.field: loss.count for loss in write_recording(scene, tmp_path / "drive")}
     assert lost["sensors[top].frames[].left_skewed"] == 1
     assert not [field for field in lost if "dataFile" in field or "file_seconds" in field]
+
+
+@pytest.mark.parametrize("place", ["mended", "lidar/mended", "frames1/../mended"])
+def test_no_recording_is_written_into_another(tmp_path, place):
+    outer = tmp_path / "drive"
+    write_recording(whole_scene(), outer)
+    before = sorted(outer.rglob("*"))
+    with pytest.raises(OutputError, match="inside the recording"):
+        write_recording(a_scene(an_imu()), outer / place)
+    assert sorted(outer.rglob("*")) == before

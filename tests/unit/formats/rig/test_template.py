@@ -106,9 +106,9 @@ def test_a_template_is_a_toml_file(tmp_path):
 
 
 def test_a_folder_without_clouds_and_pictures_is_refused(tmp_path):
-    with pytest.raises(OptionError, match="no clouds, pictures or videos"):
+    with pytest.raises(DataError, match="no clouds, pictures or videos"):
         template_text(folder=tmp_path)
-    with pytest.raises(OptionError, match="no such folder"):
+    with pytest.raises(DataError, match="no such folder"):
         template_text(folder=tmp_path / "none")
 
 

@@ -1,0 +1,90 @@
+"""All calibrations of a fusion system: set one by one, by the property, or by a file; replaced while it runs."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.fusion.calibration.declared import CalibratedPair, axes_of, calibrated_pair
+from sceneloom.fusion.calibration.entries import CalibrationEntry
+from sceneloom.fusion.calibration.lenses import LENSES, parse_lenses
+from sceneloom.fusion.properties.axes import DeclaredAxes
+from sceneloom.fusion.properties.store import Snapshot
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationTable:
+    """Calibrations by camera and lidar; never edited, so that a frame keeps those in force when it came.
+
+    Attributes:
+        entries: by (camera_id, lidar_id).
+    """
+
+    entries: Mapping[tuple[int, int], CalibrationEntry] = field(default_factory=lambda: MappingProxyType({}))
+
+    def having(self, entries: Iterable[CalibrationEntry]) -> "CalibrationTable":
+        """The table with further entries, which replace those of the same sensors."""
+        added = {(entry.camera_id, entry.lidar_id): entry for entry in entries}
+        return replace(self, entries=MappingProxyType({**self.entries, **added}))
+
+    @property
+    def camera_ids(self) -> tuple[int, ...]:
+        """All cameras, ascending."""
+        return tuple(sorted({camera_id for camera_id, _ in self.entries}))
+
+    @property
+    def lidar_ids(self) -> tuple[int, ...]:
+        """All lidars, ascending."""
+        return tuple(sorted({lidar_id for _, lidar_id in self.entries}))
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredFrames:
+    """The axes of the frames that sensors give their data in.
+
+    Attributes:
+        camera, lidar: axes of forward, right and up.
+    """
+
+    camera: DeclaredAxes
+    lidar: DeclaredAxes
+
+    @classmethod
+    def of(cls, properties: Snapshot) -> "DeclaredFrames":
+        """Read them from the properties."""
+        left_handed = properties["chirality"] == 1
+        camera = axes_of(properties["camera_axes"], properties["camera_coordinate"], left_handed=left_handed)
+        lidar = axes_of(properties["lidar_axes"], properties["lidar_coordinate"], left_handed=left_handed)
+        return cls(camera, lidar)
+
+
+def lenses_of(properties: Snapshot) -> Mapping[int, Camera]:
+    """Read the added property `lenses`; none where it is not there or not set.
+
+    Raises:
+        DataError, CalibrationError: its text cannot be read.
+    """
+    found = properties.properties.get(LENSES)
+    return parse_lenses(found.value) if found is not None and isinstance(found.value, str) else {}
+
+
+def resolve_pair(
+    table: CalibrationTable,
+    camera_id: int,
+    lidar_id: int,
+    frames: DeclaredFrames,
+    lenses: Mapping[int, Camera],
+) -> CalibratedPair:
+    """Give the lens and mounting of a camera and a lidar.
+
+    Raises:
+        CalibrationError: none is known, or it contradicts the declared axes.
+    """
+    entry = table.entries.get((camera_id, lidar_id))
+    if entry is None:
+        known = ", ".join(f"({camera}, {lidar})" for camera, lidar in table.entries) or "none"
+        raise CalibrationError(
+            f"no calibration of camera {camera_id} and lidar {lidar_id}; known pairs (camera, lidar): {known}"
+        )
+    return calibrated_pair(entry.data, frames.camera, frames.lidar, lens=lenses.get(camera_id))

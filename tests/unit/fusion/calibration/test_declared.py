@@ -1,0 +1,152 @@
+"""Records of table 3 as lenses and mountings, in frames of any axes."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.fusion.calibration.declared import (
+    calibrated_pair,
+    calibration_data,
+    camera_of,
+    check_calibration,
+)
+from sceneloom.fusion.calibration.layouts import MatrixLayout, matrix_of, numbers_of, possible_layouts
+from sceneloom.fusion.messages import CalibrationData
+from sceneloom.fusion.properties.axes import DeclaredAxes
+from sceneloom.geometry.rigid import RigidTransform
+
+EXAMPLE = {
+    "image_size": (640, 480),
+    "distortion_coeffs": (-0.3995, 0.1803, 0, 0, 0.0429),
+    "intrinsic_matrix": (468.3708, 0.0, 339.7596, 0.0, 470.2517, 235.6143, 0.0, 0.0, 1.0),
+    "reference_frame": 0,
+    "extrinsic_matrix": (
+        *(0.0070, 1e-06, 0.9999, 0),
+        *(-0.9999, -0.0016, 0.0070, 0),
+        *(0.0016, -0.9999, -1e-06, 0),
+        *(-0.0062, 0.0756, 0.0337, 1),
+    ),
+}
+"""The example column of table 3."""
+
+CAMERA_AXES = DeclaredAxes.of_triple((2, 0, -1), left_handed=False)
+LIDAR_AXES = DeclaredAxes.of_triple((0, -1, 2), left_handed=False)
+FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+PINHOLE = Camera("pinhole", 640, 480, 500.0, 500.0, 319.5, 239.5)
+
+
+def record(**changed):
+    return CalibrationData(**{**EXAMPLE, **changed})
+
+
+def declared_record(rotation, translation, *, layout=MatrixLayout.COLUMN_MAJOR, reference_frame=0):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation
+    return record(extrinsic_matrix=numbers_of(matrix, layout), reference_frame=reference_frame)
+
+
+def test_the_example_of_the_standard_looks_forward_from_beside_the_lidar():
+    pair = calibrated_pair(record(), CAMERA_AXES, LIDAR_AXES)
+    np.testing.assert_allclose(pair.camera_from_lidar.rotation, FORWARD, atol=0.008)  # it is turned by 0.4°
+    np.testing.assert_allclose(pair.camera_from_lidar.translation, (-0.0062, 0.0756, 0.0337))
+    assert pair.remarks == ()
+    assert (pair.camera.fx, pair.camera.cy, pair.camera.coefficients[4]) == (468.3708, 235.6143, 0.0429)
+
+
+def test_rows_and_columns_are_told_by_where_the_translation_stands():
+    by_columns = declared_record(FORWARD, (1, 2, 3))
+    by_rows = declared_record(FORWARD, (1, 2, 3), layout=MatrixLayout.ROW_MAJOR)
+    assert possible_layouts(by_columns.extrinsic_matrix) == (MatrixLayout.COLUMN_MAJOR,)
+    assert possible_layouts(by_rows.extrinsic_matrix) == (MatrixLayout.ROW_MAJOR,)
+    found = [
+        calibrated_pair(data, CAMERA_AXES, LIDAR_AXES).camera_from_lidar for data in (by_columns, by_rows)
+    ]
+    np.testing.assert_array_equal(found[0].matrix, found[1].matrix)
+    np.testing.assert_array_equal(found[0].translation, (1, 2, 3))
+
+
+@pytest.mark.parametrize("layout", list(MatrixLayout))
+def test_without_a_translation_the_layout_counts_that_looks_forward(layout):
+    data = declared_record(FORWARD, (0, 0, 0), layout=layout)
+    assert len(possible_layouts(data.extrinsic_matrix)) == 2
+    pair = calibrated_pair(data, CAMERA_AXES, LIDAR_AXES)
+    np.testing.assert_allclose(pair.camera_from_lidar.rotation, FORWARD, atol=1e-12)
+
+
+def test_reference_frame_1_maps_into_the_lidar():
+    rotation = Rotation.from_euler("zyx", [0.3, -0.1, 0.2]).as_matrix() @ FORWARD
+    into_camera = calibrated_pair(declared_record(rotation, (1, 2, 3)), CAMERA_AXES, LIDAR_AXES)
+    back = (-rotation.T @ (1, 2, 3)).tolist()
+    into_lidar = calibrated_pair(
+        declared_record(rotation.T, back, reference_frame=1), CAMERA_AXES, LIDAR_AXES
+    )
+    np.testing.assert_allclose(
+        into_lidar.camera_from_lidar.matrix, into_camera.camera_from_lidar.matrix, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("left_handed", [False, True])
+@pytest.mark.parametrize(
+    "triple",
+    [t for order in itertools.permutations(range(3)) for t in itertools.product(*[{a, -a} for a in order])],
+)
+def test_axes_of_any_frame_lead_to_the_same_mounting(triple, left_handed):
+    axes = DeclaredAxes.of_triple(triple, left_handed=left_handed)
+    assert axes.left_handed is left_handed
+    camera_axes = DeclaredAxes.of_triple((2, 0, -1), left_handed=left_handed)
+    inside = RigidTransform(FORWARD, np.array([0.1, -0.2, 0.3]))
+    data = calibration_data(PINHOLE, inside, camera_axes, axes)
+    declared = matrix_of(data.extrinsic_matrix, MatrixLayout.COLUMN_MAJOR)
+    # a point 5 m before, 1 m left of and 2 m above the lidar, in the declared frame by the triple's own words
+    point = axes.forward_right_up @ (5.0, -1.0, 2.0)
+    seen = declared[:3, :3] @ point + declared[:3, 3]
+    expected_optical = FORWARD @ (5.0, 1.0, 2.0) + (0.1, -0.2, 0.3)
+    forward_right_up = camera_axes.forward_right_up.T @ seen
+    np.testing.assert_allclose(
+        forward_right_up, (expected_optical[2], expected_optical[0], -expected_optical[1]), atol=1e-12
+    )
+    again = calibrated_pair(data, camera_axes, axes)
+    np.testing.assert_allclose(again.camera_from_lidar.matrix, inside.matrix, atol=1e-12)
+    assert np.linalg.det(declared[:3, :3]) == pytest.approx(1.0)
+
+
+def test_a_mirroring_matrix_is_refused():
+    mirrored = declared_record(np.diag([-1.0, 1.0, 1.0]) @ FORWARD, (0, 0, 1))
+    with pytest.raises(CalibrationError, match="mirrors"):
+        calibrated_pair(mirrored, CAMERA_AXES, LIDAR_AXES)
+
+
+@pytest.mark.parametrize("turn_deg", [44, 46, 90, 180])
+def test_a_camera_that_looks_far_off_forward_is_remarked(turn_deg):
+    rotation = FORWARD @ Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
+    pair = calibrated_pair(declared_record(rotation, (0, 0, 1)), CAMERA_AXES, LIDAR_AXES)
+    assert bool(pair.remarks) is (turn_deg > 45)
+    assert all("mirrored or transposed?" in remark for remark in pair.remarks)
+
+
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        ({"extrinsic_matrix": (1.0,) * 16}, "0 0 0 1"),
+        ({"extrinsic_matrix": (2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 1, 1)}, "rotation is off"),
+        ({"intrinsic_matrix": (500, 0, 0, 0, 500, 0, 320, 240, 1)}, "row after row"),
+        ({"intrinsic_matrix": (-500, 0, 320, 0, 500, 240, 0, 0, 1)}, "focal lengths"),
+    ],
+)
+def test_numbers_that_are_no_calibration_are_refused(changed, problem):
+    with pytest.raises(CalibrationError, match=problem):
+        check_calibration(record(**changed))
+
+
+def test_a_lens_without_distortion_is_a_pinhole():
+    assert camera_of(record(distortion_coeffs=(0, 0, 0, 0, 0))).model == "pinhole"
+
+
+def test_a_lens_that_table_3_lacks_is_refused_by_name():
+    fisheye = Camera("fisheye", 640, 480, 300.0, 300.0, 319.5, 239.5, (0.1, 0.0, 0.0, 0.0))
+    with pytest.raises(CalibrationError, match="fisheye"):
+        calibration_data(fisheye, RigidTransform.identity(), CAMERA_AXES, LIDAR_AXES)

@@ -1,0 +1,161 @@
+"""Clauses 5.2 to 5.5: properties are there, added, set and read."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import OptionError
+from sceneloom.fusion.outcome import Cause
+from sceneloom.fusion.properties import PREDEFINED, PropertyStore
+from sceneloom.fusion.properties.store import MOST_PROPERTIES
+
+TABLE_2 = {
+    "fusion_type": 0,
+    "chirality": 0,
+    "camera_coordinate": (2, 0, -1),
+    "lidar_coordinate": (0, -1, 2),
+    "camera_frequency": 10,
+    "lidar_frequency": 10,
+}
+"""Names and examples of table 2, less the algorithm, whose example is not built in."""
+
+
+def test_the_properties_of_table_2_stand_first_with_its_examples():
+    properties = PropertyStore().snapshot().properties
+    assert list(properties)[:7] == [*TABLE_2, "fusion_algorithm"]
+    assert {name: properties[name].value for name in TABLE_2} == TABLE_2
+    assert all(found.predefined for found in properties.values())
+
+
+def test_every_default_is_a_value_that_can_be_set():
+    store = PropertyStore()
+    for row in PREDEFINED.values():
+        assert store.set(row.name, row.default).status == 1, row.name
+
+
+def test_the_example_of_clause_5_3_adds_and_cannot_add_again():
+    store = PropertyStore()
+    example = ("frequency", "the capture frequency of sensor", "uint32")
+    assert store.add(*example).status == 1
+    assert store.get("frequency").value is None
+    again = store.add(*example)
+    assert (again.status, again.cause) == (0, Cause.KNOWN_NAME)
+
+
+def test_the_example_of_clause_5_4_sets():
+    store = PropertyStore()
+    assert store.set("camera_frequency", 20).status == 1
+    assert store.get("camera_frequency").value == 20
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "cause"),
+    [
+        ("camera_frequency", -1, Cause.ILL_TYPED),
+        ("camera_frequency", 2**32, Cause.ILL_TYPED),  # it does not wrap to 0
+        ("camera_frequency", 2**32 + 20, Cause.ILL_TYPED),
+        ("camera_frequency", 0, Cause.OUT_OF_RANGE),
+        ("camera_frequency", 20.0, Cause.ILL_TYPED),
+        ("camera_frequency", "20", Cause.ILL_TYPED),
+        ("camera_frequency", True, Cause.ILL_TYPED),
+        ("fusion_type", 2, Cause.ILL_TYPED),
+        ("camera_coordinate", (2, 0), Cause.ILL_TYPED),
+        ("camera_coordinate", (2, 0, 200), Cause.ILL_TYPED),
+        ("camera_coordinate", (2, 0, 0), Cause.OUT_OF_RANGE),
+        ("pairing_tolerance_ms", float("nan"), Cause.ILL_TYPED),
+        ("pairing_tolerance_ms", -1.0, Cause.OUT_OF_RANGE),
+        ("depth_kind", "y", Cause.OUT_OF_RANGE),
+        ("sensors", "[]", Cause.OUT_OF_RANGE),
+        ("calibration", '[{"camera_id": 300}]', Cause.OUT_OF_RANGE),
+        ("lidar_axes", "up", Cause.OUT_OF_RANGE),
+        ("no_such", 1, Cause.UNKNOWN_NAME),
+    ],
+)
+def test_what_is_refused_leaves_the_property_as_it_was(name, value, cause):
+    store = PropertyStore()
+    before = store.snapshot()
+    outcome = store.set(name, value)
+    assert (outcome.status, outcome.cause) == (0, cause)
+    assert outcome.reason
+    assert store.snapshot() is before
+
+
+def test_an_unknown_name_cannot_be_read():
+    with pytest.raises(OptionError, match="no_such"):
+        PropertyStore().get("no_such")
+
+
+@pytest.mark.parametrize("value", [0, 1, False, True, np.uint8(1)])
+def test_an_enumeration_of_two_takes_numbers_and_truth_values_and_gives_numbers(value):
+    store = PropertyStore()
+    assert store.set("chirality", value)
+    assert type(store.get("chirality").value) is int
+    assert store.get("chirality").value == int(value)
+
+
+def test_each_fusion_type_keeps_its_own_algorithm():
+    asked = []
+    store = PropertyStore(check_algorithm=lambda fusion_type, name: asked.append((fusion_type, name)))
+    assert store.set("fusion_algorithm", "of_points")
+    assert store.set("fusion_type", 1)
+    assert store.get("fusion_algorithm").value == "projection"
+    assert store.set("fusion_algorithm", "of_boxes")
+    assert store.snapshot().algorithms == ("of_points", "of_boxes")
+    assert store.set("fusion_type", 0)
+    assert store.get("fusion_algorithm").value == "of_points"
+    assert asked == [(0, "of_points"), (1, "of_boxes")]
+
+
+def test_an_enum_takes_the_names_and_numbers_of_its_description():
+    store = PropertyStore()
+    assert store.add("weather", "what it is like: dry=0, rain=1, snow=-1", "enum")
+    assert store.set("weather", "snow")
+    assert store.get("weather").value == -1
+    assert store.set("weather", 1)
+    assert not store.set("weather", 2)
+    assert not store.set("weather", "fog")
+    assert store.get("weather").value == 1
+    assert not store.add("mood", "without values", "enum")
+
+
+@pytest.mark.parametrize("name", ["", " ", "a b", "\n", "x" * 257])
+def test_names_that_cannot_be_used_are_refused(name):
+    assert PropertyStore().add(name, "", "bool").cause is Cause.ILL_TYPED
+
+
+def test_a_caller_that_adds_for_ever_is_stopped():
+    store = PropertyStore()
+    outcomes = [store.add(f"p{k}", "", "bool") for k in range(MOST_PROPERTIES)]
+    assert outcomes[0].status == 1
+    assert outcomes[-1].cause is Cause.TOO_MANY
+    assert len(store.snapshot().properties) == MOST_PROPERTIES
+
+
+def test_callers_at_once_lose_no_change():
+    store = PropertyStore()
+    start = threading.Barrier(4)
+
+    def add(caller):
+        start.wait()
+        for k in range(100):
+            assert store.add(f"p{caller}_{k}", "", "uint32")
+            assert store.set(f"p{caller}_{k}", k)
+
+    threads = [threading.Thread(target=add, args=(caller,)) for caller in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    found = store.snapshot()
+    assert found.revision == 800
+    assert all(found[f"p{caller}_{k}"] == k for caller in range(4) for k in range(100))
+
+
+def test_a_snapshot_stays_as_it_was():
+    store = PropertyStore()
+    before = store.snapshot()
+    store.set("lidar_frequency", 20)
+    assert before["lidar_frequency"] == 10
+    assert store.snapshot()["lidar_frequency"] == 20
+    assert store.snapshot().revision > before.revision

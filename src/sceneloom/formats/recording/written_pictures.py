@@ -24,6 +24,8 @@ PICTURES = ("copy", "lossless", "h264", "ffv1", "png")
 _ENCODED_AS = {"copy": "h264", "lossless": "ffv1"}
 """Codecs for videos that should have been copied and cannot be."""
 
+_SPELT = {"h264": "H.264", "ffv1": "FFV1, which loses nothing"}
+
 _PNG_EFFORT = 1
 """Pictures of scenes shrink little more with more effort, at many times the time."""
 
@@ -207,12 +209,10 @@ def open_sink(
         return PngPictures(sensor, folder / f"frames{index + 1}")
     if _copied(sensor, path, rows, codecs=None if pictures in _ENCODED_AS else (pictures,)):
         return CopiedVideo(sensor)
-    images = ColorImages(sensor, _ENCODED_AS.get(pictures, pictures))
-    encoded = EncodedVideo(images, path, frame_rate(sensor))
-    if pictures == "lossless" and sensor.video is not None:
-        what = (
-            "encoded anew as FFV1: cut where it was, the video could not be copied; the pictures are the same"
-        )
+    codec = _ENCODED_AS.get(pictures, pictures)
+    encoded = EncodedVideo(ColorImages(sensor, codec), path, frame_rate(sensor))
+    if sensor.video is not None and pictures in {*_ENCODED_AS, sensor.video.codec}:
+        what = f"encoded anew as {_SPELT[codec]}: the video could not be copied for these pictures alone"
         encoded.losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what))
     return encoded
 

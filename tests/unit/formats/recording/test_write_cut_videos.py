@@ -1,0 +1,71 @@
+"""Recordings of which some pictures are left: which pictures those are then, and what is told of their video."""
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.editing import crop_scene, thin_scene
+from sceneloom.formats.recording import FORMAT
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
+
+LENS = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
+STAMPS_NS = np.arange(12, dtype=np.int64) * 100_000_000
+GREYS = 15 + 20 * np.arange(12)
+# H.264 at its usual quality moves an even grey by a level or two, twice here; neighbours are 20 apart
+TWICE_ENCODED = 4
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """A recording whose one camera has an H.264 video of greys, the first picture its only key frame."""
+    pictures = [
+        Picture.of(int(stamp), LENS, np.full((48, 64, 3), grey, np.uint8))
+        for stamp, grey in zip(STAMPS_NS, GREYS, strict=True)
+    ]
+    camera = CameraSensor(
+        "camera0", LENS, LazyFrames.of(pictures, STAMPS_NS), mount=RigidTransform.identity(), fps=10.0
+    )
+    FORMAT.write(Scene((camera,)), tmp_path / "drive")
+    with FORMAT.open(tmp_path / "drive") as scene:
+        yield scene
+
+
+def written(scene, folder, **options):
+    report = FORMAT.write(scene, folder, **options)
+    with FORMAT.open(folder) as again:
+        pictures = again.cameras[0].pictures
+        told = {loss.field: loss.what for loss in report if loss.field.startswith("sensors[camera0]")}
+        return told, pictures.timestamps_ns.tolist(), [int(np.median(shot.rgb)) for shot in pictures]
+
+
+@pytest.mark.parametrize(
+    ("change", "rows"),
+    [
+        (lambda scene: thin_scene(scene, every=3), slice(None, None, 3)),
+        (lambda scene: crop_scene(scene, start=0.45), slice(5, None)),
+        (lambda scene: crop_scene(scene, start=0.25, stop=0.85), slice(3, 9)),
+    ],
+    ids=["thinned", "without its beginning", "its middle"],
+)
+def test_what_packets_cannot_give_alone_is_encoded_anew_and_told(drive, tmp_path, change, rows):
+    told, stamps_ns, greys = written(change(drive), tmp_path / "part")
+    assert stamps_ns == STAMPS_NS[rows].tolist()
+    np.testing.assert_allclose(greys, GREYS[rows], atol=TWICE_ENCODED)
+    assert told["sensors[camera0].video"].startswith("encoded anew as H.264: the video could not be copied")
+    assert told["sensors[camera0].pictures"] == "encoded as H.264, which changes colours a little"
+
+
+def test_a_key_frame_by_itself_is_copied_and_nothing_is_told_of_it(drive, tmp_path):
+    told, stamps_ns, greys = written(crop_scene(drive, stop=0.05), tmp_path / "part")
+    assert (told, stamps_ns) == ({}, STAMPS_NS[:1].tolist())
+    assert greys == [int(np.median(drive.cameras[0].pictures[0].rgb))]
+
+
+def test_lossless_pictures_of_a_part_are_those_of_the_video(drive, tmp_path):
+    told, _, greys = written(thin_scene(drive, every=3), tmp_path / "part", pictures="lossless")
+    whole = [int(np.median(picture.rgb)) for picture in drive.cameras[0].pictures]
+    # colours of 8-bit YUV as 8-bit RGB, decoded once and kept
+    assert greys == whole[::3]
+    assert list(told) == ["sensors[camera0].video"]
+    assert "FFV1, which loses nothing" in told["sensors[camera0].video"]

@@ -24,10 +24,10 @@ _STEPS = ("gray16le", "gray16be")
 class VideoReader:
     """The pictures of one video, by number in the order in which they are shown.
 
-    Nothing decoded is kept but the decoder's own state and the picture it gave last; while that one is used, the decoder
-    works on the next ones, four at most. Safe to share between threads, which then take turns. A pickled reader takes
-    the list of pictures along and opens its file again in the process that it comes to; of bytes in memory it takes the
-    bytes. A forked process opens anew, too.
+    Nothing decoded is kept but the decoder's own state and the picture it gave last; while that one is used, the
+    decoder works on the next ones, four at most. Safe to share between threads, which then take turns. A pickled
+    reader takes the list of pictures along and opens its file again in the process that it comes to; of bytes in
+    memory it takes the bytes. A forked process opens anew, too.
 
     Matrix and range of the colours are the stream's own; BT.601 and limited range where it names none. A rotation
     that the container asks players for is not applied: calibrations are made for the sensor's pixels.

@@ -10,7 +10,8 @@ from sceneloom.checks.recordings.camera_pairs import stereo_pairs
 from sceneloom.checks.recordings.mended_frames import counted_anew, with_all_cameras
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.formats.recording.columns import FrameColumns, time_order, view
+from sceneloom.formats.recording.column_arrays import time_order, view
+from sceneloom.formats.recording.columns import FrameColumns
 from sceneloom.scene import Severity
 
 IN_STEP = 0.002

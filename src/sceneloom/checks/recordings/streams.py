@@ -9,7 +9,8 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.subject import Subject
-from sceneloom.formats.recording.columns import Columns, LineLog, RecordingColumns, is_sorted, time_order
+from sceneloom.formats.recording.column_arrays import is_sorted, lines_of, time_order
+from sceneloom.formats.recording.columns import Columns, LineLog, RecordingColumns
 from sceneloom.formats.recording.number_sensors import RECEIVER, imu_streams, receivers
 
 FEWEST_FOR_A_RATE = 4
@@ -74,7 +75,7 @@ class Stream:
         """(N,) int64, line of each in the order of the file; None where it cannot be told."""
         if self.known_lines is not None or self.log is None:
             return self.known_lines
-        lines = self.log.lines_of(self.code)
+        lines = lines_of(self.log, self.code)
         return lines if len(lines) == len(self) else None
 
     @cached_property

@@ -11,6 +11,7 @@ from sceneloom.checks.recordings.mended_streams import without_repetitions
 from sceneloom.checks.recordings.streams import Kind, Stream, place, place_in_file, streams_of
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
+from sceneloom.formats.recording.column_arrays import line_seconds
 from sceneloom.scene import Severity
 
 GAP_SECONDS = 0.25
@@ -67,7 +68,7 @@ def _out_of_order(subject: Subject) -> Iterator[Hit]:
             )
             yield Hit(place_in_file(stream, row), problem, len(back))
     if subject.recording is not None and not is_told:
-        yield from _lines_out_of_order(subject.recording.data_name, subject.recording.columns.line_seconds())
+        yield from _lines_out_of_order(subject.recording.data_name, line_seconds(subject.recording.columns))
 
 
 def _lines_out_of_order(file: str, seconds: Float64Array) -> Iterator[Hit]:

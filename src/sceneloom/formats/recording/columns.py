@@ -1,38 +1,10 @@
 """What the lines of a recording say, as growing columns, one set per stream; small per sample, and no text."""
 
 from array import array
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-
-import numpy as np
-
-from sceneloom.arrays import Float64Array, Int64Array, read_only
 
 FARTHEST_TIME = 9.2e9
 """Times within plus or minus this fit into int64 nanoseconds [s]."""
-
-
-def nanoseconds(seconds: Float64Array) -> Int64Array:
-    """Bring seconds to the scene's clock: round(t · 1e9), halves to even."""
-    scaled = seconds * 1e9
-    return np.rint(scaled, out=scaled).astype(np.int64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SortedColumns:
-    """A stream in the order of its times, read-only.
-
-    Attributes:
-        timestamps_ns: (N,) int64 [ns].
-        seconds: (N,) float64 [s], as the file has them.
-        values: (N, K) float64.
-        order: (N,) int64, row of the file's order that each row was.
-    """
-
-    timestamps_ns: Int64Array
-    seconds: Float64Array
-    values: Float64Array
-    order: Int64Array
 
 
 @dataclass(slots=True, eq=False)
@@ -62,55 +34,6 @@ class Columns:
         """Add a sample."""
         self.seconds.append(seconds)
         self.values.fromlist(values)
-
-    def by_time(self) -> SortedColumns:
-        """Give the stream sorted by time, samples of one time in the order of the file."""
-        seconds = view(self.seconds)
-        values = view(self.values).reshape(len(seconds), self.width)
-        order = time_order(seconds)
-        if not is_sorted(seconds):
-            seconds, values = seconds[order], values[order]
-        return SortedColumns(
-            read_only(nanoseconds(seconds)), read_only(seconds), read_only(values), read_only(order)
-        )
-
-    def row_keys(self, rows: Sequence[int]) -> list[str]:
-        """Name rows by their time [ns], as text; of several samples of one time, the second is `TIME#1`."""
-        if not rows:
-            return []
-        stamps = self.by_time().timestamps_ns
-        places = np.empty(len(stamps), np.int64)
-        places[time_order(view(self.seconds))] = np.arange(len(stamps))
-        chosen = places[np.asarray(rows, np.int64)]
-        counts = chosen - np.searchsorted(stamps, stamps[chosen], "left")
-        return [row_key(*pair) for pair in zip(stamps[chosen].tolist(), counts.tolist(), strict=True)]
-
-    def further_by_time(self) -> dict[str, str]:
-        """Give the texts by the key of their row."""
-        rows = sorted(self.further)
-        return {key: self.further[row] for key, row in zip(self.row_keys(rows), rows, strict=True)}
-
-
-def row_key(timestamp_ns: int, count: int) -> str:
-    """Name a sample: its time [ns], and how many samples of that time come before it, if any do."""
-    return f"{timestamp_ns}#{count}" if count else str(timestamp_ns)
-
-
-def view(numbers: "array[float]") -> Float64Array:
-    """Give the numbers as an array without copying them; the column cannot grow while it is in use."""
-    return np.frombuffer(numbers, np.float64) if numbers else np.zeros(0)
-
-
-def is_sorted(seconds: Float64Array) -> bool:
-    """Whether no time is less than the one before."""
-    return bool((seconds[1:] >= seconds[:-1]).all())
-
-
-def time_order(seconds: Float64Array) -> Int64Array:
-    """Give the order that sorts by time and keeps the order of equal times, (N,) int64."""
-    if is_sorted(seconds):
-        return np.arange(len(seconds), dtype=np.int64)
-    return np.argsort(seconds, kind="stable").astype(np.int64)
 
 
 @dataclass(slots=True, eq=False)
@@ -232,19 +155,6 @@ class LineLog:
         self.last_code += 1
         return self.last_code
 
-    def lines_of(self, code: int) -> Int64Array:
-        """Give the number of the line that each row of a stream was read from, (N,) int64, counted from 1."""
-        codes = np.frombuffer(self.codes, np.uint16) if self.codes else np.zeros(0, np.uint16)
-        lines: Int64Array = np.flatnonzero(codes == code)
-        lines += 1
-        beside = [
-            (row, line) for line, shared in self.shared.items() for own, row in shared.rows if own == code
-        ]
-        if not beside:
-            return lines
-        rows = sorted(beside)
-        return np.insert(lines, [row - k for k, (row, _) in enumerate(rows)], [line for _, line in rows])
-
 
 @dataclass(slots=True, eq=False)
 class RecordingColumns:
@@ -286,19 +196,3 @@ class RecordingColumns:
             **{("pose", *origin): stream.samples for origin, stream in self.poses.items()},
             **{("lidar", str(index)): lidar.sweeps for index, lidar in self.lidars.items()},
         }
-
-    def line_seconds(self) -> Float64Array:
-        """Give the time of each line in the order of the file, (N,) float64 [s], NaN for lines without one."""
-        codes = np.frombuffer(self.log.codes, np.uint16) if self.log.codes else np.zeros(0, np.uint16)
-        seconds = np.full(len(codes), np.nan)
-        in_several = {code for shared in self.log.shared.values() for code, _ in shared.rows}
-        for stream in self.streams().values():
-            if stream.code in in_several:
-                seconds[self.log.lines_of(stream.code) - 1] = view(stream.seconds)
-            elif len(stream):
-                seconds[codes == stream.code] = view(stream.seconds)
-        if len(self.frames.seconds):
-            seconds[np.frombuffer(self.frames.lines, np.int64) - 1] = view(self.frames.seconds)
-        if self.other_lines:
-            seconds[codes == TEXT] = view(self.other_seconds)
-        return seconds

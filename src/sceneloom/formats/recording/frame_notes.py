@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.formats.recording.columns import FrameColumns, nanoseconds, time_order, view
+from sceneloom.formats.recording.column_arrays import nanoseconds, time_order, view
+from sceneloom.formats.recording.columns import FrameColumns
 
 
 class FrameNotes(msgspec.Struct):

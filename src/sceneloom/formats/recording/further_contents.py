@@ -12,7 +12,8 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration
-from sceneloom.formats.recording.columns import TEXT, Columns, RecordingColumns, view
+from sceneloom.formats.recording.column_arrays import by_time, further_by_time, lines_of, row_keys, view
+from sceneloom.formats.recording.columns import TEXT, Columns, RecordingColumns
 from sceneloom.formats.recording.frame_notes import frame_notes
 from sceneloom.formats.recording.line_order import filled_seconds, line_order
 from sceneloom.formats.recording.number_sensors import GPS_ORIGIN, RECEIVER, imu_streams, receivers
@@ -119,7 +120,7 @@ def _repeated_poses(contents: RecordingContents) -> list[tuple[int, str]]:
     found: list[tuple[int, str]] = []
     for origin in contents.trajectories:
         columns = contents.columns.poses[origin]
-        samples = columns.samples.by_time()
+        samples = by_time(columns.samples)
         again = np.flatnonzero(np.diff(samples.timestamps_ns) == 0) + 1
         for row in again.tolist():
             place = int(samples.order[row])
@@ -148,7 +149,7 @@ def _other_lines(
     columns: RecordingColumns, repeated: list[tuple[int, str]], seconds: Float64Array
 ) -> tuple[list[str], dict[str, float]]:
     """Texts in the order of the file, and the times of those that have none of their own."""
-    lines = columns.log.lines_of(TEXT).tolist()
+    lines = lines_of(columns.log, TEXT).tolist()
     entries = sorted([*zip(lines, columns.other_lines, strict=True), *repeated])
     untimed = set(np.asarray(lines, np.int64)[np.isnan(view(columns.other_seconds))].tolist())
     anchors = {
@@ -166,7 +167,7 @@ def _shared_lines(columns: RecordingColumns, streams: Mapping[str, Columns]) -> 
         for code, row in shared.rows:
             rows.setdefault(code, []).append(row)
     keys = {
-        code: dict(zip(found, by_code[code][1].row_keys(found), strict=True))
+        code: dict(zip(found, row_keys(by_code[code][1], found), strict=True))
         for code, found in rows.items()
         if code in by_code
     }
@@ -192,7 +193,7 @@ def _text(path: Path, code: str, ledger: Ledger) -> str | None:
 def _further_keys(
     contents: RecordingContents, streams: Mapping[str, Columns], ledger: Ledger
 ) -> dict[str, dict[str, str]]:
-    texts = {name: stream.further_by_time() for name, stream in streams.items() if stream.further}
+    texts = {name: further_by_time(stream) for name, stream in streams.items() if stream.further}
     if texts:
         message = f"lines of {', '.join(texts)} say more than is computed with; their text is kept"
         count = sum(map(len, texts.values()))

@@ -11,6 +11,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration, LidarCalibration
+from sceneloom.formats.recording.column_arrays import by_time
 from sceneloom.formats.recording.columns import LidarColumns
 from sceneloom.formats.recording.lidar_files import check_size, find_file, read_points
 from sceneloom.geometry.rigid import RigidTransform
@@ -100,7 +101,7 @@ def build_lidars(
 
 
 def _table(folder: Path, data_path: Path, columns: LidarColumns) -> SweepTable:
-    sweeps = columns.sweeps.by_time()
+    sweeps = by_time(columns.sweeps)
     files = [columns.files[row] for row in sweeps.order]
     lines = np.asarray(columns.lines, np.int64)[sweeps.order]
     return SweepTable(folder, data_path, sweeps.timestamps_ns, sweeps.seconds, files, lines)

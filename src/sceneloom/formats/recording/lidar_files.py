@@ -2,9 +2,8 @@
 
 import mmap
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -24,18 +23,6 @@ Source: "Model: RoboSense M1 XYZIRT" of the recording format's description.
 
 _CERTAIN = 0x42
 """Times whose highest byte is below this are in order: from 0 to 2^33 s, by the sign and the exponent in it."""
-
-LIDAR_MODELS: Mapping[str, np.dtype[np.void]] = MappingProxyType({"RoboSense M1 XYZIRT": XYZIRT})
-"""The record of each lidar model that the format describes."""
-
-
-def problem_of_name(name: str) -> str | None:
-    """Say what is wrong with a `dataFile`: empty, absolute, leading up, or no file name at all; None for nothing."""
-    windows = PureWindowsPath(name)
-    leads_out = PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts
-    if leads_out or not name.strip() or "\0" in name:
-        return f"lidar.dataFile: {name!r}; expected a path inside the recording's folder"
-    return None
 
 
 def find_file(folder: Path, name: str, file: object, place: str) -> Path:

@@ -7,14 +7,8 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.formats.recording.columns import (
-    NOTHING,
-    SEVERAL,
-    TEXT,
-    RecordingColumns,
-    is_sorted,
-    nanoseconds,
-)
+from sceneloom.formats.recording.column_arrays import is_sorted, line_seconds, nanoseconds
+from sceneloom.formats.recording.columns import NOTHING, SEVERAL, TEXT, RecordingColumns
 
 BEFORE_ALL_NS = -(2**63)
 """Stands for the time of lines without one that no line with one comes before."""
@@ -71,7 +65,7 @@ def filled_seconds(columns: RecordingColumns) -> Float64Array:
 
     Lines without one that no line with one comes before have -inf.
     """
-    seconds = columns.line_seconds()
+    seconds = line_seconds(columns)
     timed = ~np.isnan(seconds)
     if timed.all():
         return seconds

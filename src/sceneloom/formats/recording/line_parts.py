@@ -6,24 +6,32 @@ import os
 import pickle
 import subprocess
 import sys
+import tempfile
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from threading import Condition, Thread
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.recording.line_worker import LENGTH_BYTES, START, ReadPart, read_part
+from sceneloom.formats.recording.line_worker import ReadPart, command, read_part
 
 PROCESSES = "SCENELOOM_PROCESSES"
 """Name of the environment variable that says how many processes read a large file."""
 
-PART = 4 << 20
+PART = 2 << 20
 SMALL_FILE = 32 << 20
 """Below this, one process is as fast [bytes]."""
 
 _MOST_BY_ITSELF = 4
-_AHEAD = 3
+_AHEAD = 8
 """How many parts for each process may wait for those before them."""
+
+_ASKED_AT_ONCE = 2
+"""How many parts a process has to read: when it is done with one, it need not wait to hear of the next."""
+
+_LOST = (OSError, EOFError, ValueError, pickle.UnpicklingError, MemoryError)
+"""What goes wrong with a process that is no more."""
 
 
 def reading_processes(size: int) -> int:
@@ -78,22 +86,21 @@ class LineParts:
         self._path = path
         self._bounds = [(start, min(start + PART, size)) for start in range(0, size, PART)]
         self._ahead = _AHEAD * processes
-        self._parts: dict[int, ReadPart | None] = {}
+        self._parts: dict[int, ReadPart | Path | None] = {}
         self._given, self._wanted, self._closed = 0, 0, False
         self._changed = Condition()
-        self._workers = [_start(path) for _ in range(processes - 1)]
-        self._threads = [
-            Thread(target=self._serve, args=(worker,), daemon=True)
-            for worker in self._workers
-            if worker is not None
-        ]
+        self._folder = _new_folder()
+        others = processes - 1 if self._folder is not None else 0
+        self._workers = [worker for _ in range(others) if (worker := _start(path)) is not None]
+        self._threads = [Thread(target=self._serve, args=(worker,), daemon=True) for worker in self._workers]
         for thread in self._threads:
             thread.start()
 
     def __iter__(self) -> Iterator[tuple[tuple[int, int], ReadPart | None]]:
         """Give where each part begins and ends, and what it says; None for parts that have to be read once more."""
         for place, bounds in enumerate(self._bounds):
-            yield bounds, self._take(place)
+            part = self._take(place)
+            yield bounds, _load(part) if isinstance(part, Path) else part
 
     def close(self) -> None:
         """End the other processes."""
@@ -101,15 +108,15 @@ class LineParts:
             self._closed = True
             self._changed.notify_all()
         for worker in self._workers:
-            if worker is not None:
-                worker.kill()
+            worker.kill()
         for thread in self._threads:
             thread.join()
         for worker in self._workers:
-            if worker is not None:
-                _release(worker)
+            _release(worker)
+        if self._folder is not None:
+            self._folder.cleanup()
 
-    def _take(self, place: int) -> ReadPart | None:
+    def _take(self, place: int) -> ReadPart | Path | None:
         with self._changed:
             self._wanted = place
             self._changed.notify_all()
@@ -133,34 +140,57 @@ class LineParts:
         self._given += 1
         return place
 
-    def _serve(self, worker: "subprocess.Popen[bytes]") -> None:
-        """Have a process read parts until there are no more."""
-        while True:
-            with self._changed:
+    def _next_of_others(self, *, wait: bool) -> int | None:
+        """Give another process the next part, if need be as soon as there is one; None where there is none."""
+        with self._changed:
+            while not self._closed and self._given < len(self._bounds):
                 place = self._next()
-                while place is None and not self._closed and self._given < len(self._bounds):
-                    self._changed.wait()
-                    place = self._next()
-                if place is None or self._closed:
+                if place is not None or not wait:
+                    return place
+                self._changed.wait()
+        return None
+
+    def _serve(self, worker: "subprocess.Popen[bytes]") -> None:
+        """Have a process read parts until there are no more; those that it leaves unread are to be read once more."""
+        asked: deque[int] = deque()
+        with suppress(*_LOST):
+            _told(worker)
+            while True:
+                while len(asked) < _ASKED_AT_ONCE:
+                    place = self._next_of_others(wait=not asked)
+                    if place is None:
+                        break
+                    asked.append(place)
+                    _ask(worker, self._bounds[place], self._file(place))
+                if not asked:
                     return
-            try:
-                part = _ask(worker, self._bounds[place])
-            except (OSError, EOFError, ValueError, pickle.UnpicklingError, MemoryError):
-                part, lost = None, True
-            else:
-                lost = False
-            with self._changed:
-                self._parts[place] = part
-                self._changed.notify_all()
-            if lost:
-                return
+                found = self._file(asked[0]) if _told(worker) else None
+                self._put(asked.popleft(), found)
+        for place in asked:
+            self._put(place, None)
+
+    def _put(self, place: int, part: Path | None) -> None:
+        with self._changed:
+            self._parts[place] = part
+            self._changed.notify_all()
+
+    def _file(self, place: int) -> Path:
+        """Where another process puts a part."""
+        return Path("" if self._folder is None else self._folder.name, str(place))
+
+
+def _new_folder() -> "tempfile.TemporaryDirectory[str] | None":
+    """Make a folder for the parts; None where there is no place for one, and this process reads alone."""
+    with suppress(OSError):
+        return tempfile.TemporaryDirectory(prefix="sceneloom-", ignore_cleanup_errors=True)
+    return None
 
 
 def _start(path: Path) -> "subprocess.Popen[bytes] | None":
     """Start a process; None where the system does not let us, and others do its work."""
     with suppress(OSError):
         return subprocess.Popen(  # noqa: S603 - this very program, and a module of ours
-            [sys.executable, "-c", START, json.dumps(sys.path), str(path)],
+            command(path),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -169,21 +199,28 @@ def _start(path: Path) -> "subprocess.Popen[bytes] | None":
     return None
 
 
-def _ask(worker: "subprocess.Popen[bytes]", bounds: tuple[int, int]) -> ReadPart | None:
-    if worker.stdin is None or worker.stdout is None:
+def _ask(worker: "subprocess.Popen[bytes]", bounds: tuple[int, int], target: Path) -> None:
+    if worker.stdin is None:
         raise EOFError
-    worker.stdin.write(json.dumps(bounds).encode() + b"\n")
+    worker.stdin.write(json.dumps([*bounds, str(target)]).encode() + b"\n")
     worker.stdin.flush()
-    length = _exactly(worker, LENGTH_BYTES)
-    part = pickle.loads(_exactly(worker, int.from_bytes(length, "little")))  # noqa: S301 - our own process made it
-    return part if isinstance(part, ReadPart) else None
 
 
-def _exactly(worker: "subprocess.Popen[bytes]", count: int) -> bytes:
-    text = worker.stdout.read(count) if worker.stdout is not None else b""
-    if len(text) != count:
+def _told(worker: "subprocess.Popen[bytes]") -> int:
+    """Wait for the number that a process says next."""
+    text = worker.stdout.readline() if worker.stdout is not None else b""
+    if not text.endswith(b"\n"):
         raise EOFError
-    return text
+    return int(text)
+
+
+def _load(file: Path) -> ReadPart | None:
+    """Read what another process put into a file, and remove that; None where it is not whole."""
+    with suppress(*_LOST):
+        part = pickle.loads(file.read_bytes())  # noqa: S301 - our own process made it
+        file.unlink()
+        return part if isinstance(part, ReadPart) else None
+    return None
 
 
 def _release(worker: "subprocess.Popen[bytes]") -> None:

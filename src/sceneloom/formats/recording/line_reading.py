@@ -69,7 +69,7 @@ class LineReader:
             offset: byte at which the first one begins.
         """
         if len(self._bound) != len(self.columns.sensors):
-            self._bind()
+            self.bind()
         codes = self.columns.log.codes
         self._lines, self._first, self._reached, self._offset = lines, len(codes), 0, offset
         decoded = map(_decode_frequent, lines)
@@ -80,6 +80,12 @@ class LineReader:
                 self._take_infrequent()
             else:
                 return
+
+    def bind(self) -> None:
+        """Have the usual lines put right into the columns; called anew whenever these were put in place of others."""
+        for name, stream in self.columns.sensors.items():
+            self._bound[name] = (stream.seconds, stream.values, stream.width, stream.code)
+        self._truth = self.columns.poses.get(_GROUND_TRUTH)
 
     def _take_frequent(self, decoded: Iterator[FrequentLine]) -> None:
         """Take lines until one is of another kind; nearly all of the time of reading goes by in here."""
@@ -233,12 +239,7 @@ class LineReader:
         """Note how the first line of each stream is written, and let the next ones be taken fast."""
         for stream in streams:
             stream.form = stream.form or self._text.decode()
-        self._bind()
-
-    def _bind(self) -> None:
-        for name, stream in self.columns.sensors.items():
-            self._bound[name] = (stream.seconds, stream.values, stream.width, stream.code)
-        self._truth = self.columns.poses.get(_GROUND_TRUTH)
+        self.bind()
 
     def _keep_text(self, seconds: float | None, key: str) -> None:
         columns = self.columns

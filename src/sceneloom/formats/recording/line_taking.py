@@ -14,7 +14,7 @@ from sceneloom.formats.recording.columns import (
     PoseColumns,
     RecordingColumns,
 )
-from sceneloom.formats.recording.lidar_files import LIDAR_MODELS, problem_of_name
+from sceneloom.formats.recording.lidar_words import LIDAR_MODELS, problem_of_name
 from sceneloom.formats.recording.line_shapes import (
     FrameEntry,
     FrequentLine,

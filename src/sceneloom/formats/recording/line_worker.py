@@ -1,12 +1,18 @@
 """A process that reads parts of a file of lines for another one.
 
-It is told the parts on its input, a line each: where one begins and where it ends; and puts the columns of each on its
-output, pickled, after their length. It ends with its input.
+It says when it is there, a line on its output. Then it is told the parts on its input, a line each: where one begins,
+where it ends, and the file that the columns of it are to be put into, pickled. When they are there it says so by the
+length of that file, 0 for none. It ends with its input.
+
+Files, and not pipes, take the columns: a pipe holds so little that this process would wait whenever the other one reads
+lines of its own. And this process loads no module but those that reading lines needs, since starting would otherwise
+take as long as reading 30 MB.
 """
 
 import json
 import pickle
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -16,12 +22,28 @@ from sceneloom.formats.recording.columns import RecordingColumns
 from sceneloom.formats.recording.line_blocks import blocks_of_lines
 from sceneloom.formats.recording.line_reading import LineReader
 
-LENGTH_BYTES = 8
 MOST_FAULTS = 10_000
 """A part with more faults is left to the process that counts them all."""
 
-START = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__name__} import main; main()"
-"""What such a process runs; its arguments are where modules are looked for, as JSON, and the file."""
+_START = """
+import json, sys, types
+sys.path[:], packages, path = json.loads(sys.argv[1])
+for name, folders in packages.items():
+    sys.modules[name] = types.ModuleType(name)
+    sys.modules[name].__path__ = folders
+from {module} import main
+main(path)
+"""
+"""What such a process runs. The packages that the module is in are empty there, not what their files would load."""
+
+
+def command(path: Path) -> Sequence[str]:
+    """Give the command that starts such a process with the interpreter of this one."""
+    parents = __name__.split(".")[:-1]
+    names = [".".join(parents[: depth + 1]) for depth in range(len(parents))]
+    packages = {name: list(sys.modules[name].__path__) for name in names}
+    told = json.dumps([sys.path, packages, str(path)])
+    return [sys.executable, "-c", _START.format(module=__name__), told]
 
 
 @dataclass(slots=True)
@@ -53,14 +75,24 @@ def read_part(path: Path, start: int, stop: int) -> ReadPart | None:
 
 def answer(requests: BinaryIO, answers: BinaryIO, path: Path) -> None:
     """Read parts until there are no more requests."""
+    answers.write(b"0\n")
+    answers.flush()
     for request in requests:
-        start, stop = json.loads(request)
-        text = pickle.dumps(read_part(path, start, stop), pickle.HIGHEST_PROTOCOL)
-        answers.write(len(text).to_bytes(LENGTH_BYTES, "little"))
-        answers.write(text)
+        start, stop, target = json.loads(request)
+        answers.write(b"%d\n" % _write_part(read_part(path, start, stop), Path(target)))
         answers.flush()
 
 
-def main() -> None:
+def _write_part(part: ReadPart | None, target: Path) -> int:
+    if part is None:
+        return 0
+    text = pickle.dumps(part, pickle.HIGHEST_PROTOCOL)
+    try:
+        return target.write_bytes(text)
+    except OSError:
+        return 0
+
+
+def main(path: str) -> None:
     """Answer on standard output."""
-    answer(sys.stdin.buffer, sys.stdout.buffer, Path(sys.argv[2]))
+    answer(sys.stdin.buffer, sys.stdout.buffer, Path(path))

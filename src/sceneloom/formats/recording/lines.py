@@ -9,8 +9,9 @@ import numpy as np
 
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.recording.column_arrays import line_seconds
 from sceneloom.formats.recording.columns import RecordingColumns
-from sceneloom.formats.recording.columns_joining import can_join, join
+from sceneloom.formats.recording.columns_joining import ColumnsJoiner
 from sceneloom.formats.recording.json_faults import other_file
 from sceneloom.formats.recording.line_blocks import blocks_of_lines
 from sceneloom.formats.recording.line_parts import LineParts, reading_processes
@@ -71,14 +72,19 @@ def _read_serially(
 
 
 def _read_parts(reader: LineReader, path: Path, size: int, processes: int, ledger: Ledger) -> None:
+    joiner = ColumnsJoiner(reader.columns)
     with closing(LineParts(path, size, processes)) as parts:
         for bounds, part in parts:
-            if part is None or not can_join(reader.columns, part.columns):
+            if part is None or not joiner.can_join(part.columns):
+                joiner.finish()
+                reader.bind()
                 _read_serially(reader, path, ledger, *bounds)
+                joiner = ColumnsJoiner(reader.columns)
                 continue
-            before = len(reader.columns.log.codes)
-            join(reader.columns, part.columns)
+            before = joiner.lines
+            joiner.join(part.columns)
             _pass_faults([(code, before + line, why) for code, line, why in part.faults], path, ledger)
+    joiner.finish()
 
 
 def iter_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
@@ -98,7 +104,7 @@ def _pass_faults(faults: list[tuple[str, int, str]], path: Path, ledger: Ledger)
 
 
 def _note_order(columns: RecordingColumns, path: Path, ledger: Ledger) -> None:
-    seconds = columns.line_seconds()
+    seconds = line_seconds(columns)
     numbers = None
     if np.isnan(seconds).any():
         numbers = np.flatnonzero(~np.isnan(seconds))

@@ -5,6 +5,7 @@ from types import MappingProxyType
 
 from sceneloom.arrays import read_only
 from sceneloom.formats.recording.calibration import Calibration
+from sceneloom.formats.recording.column_arrays import by_time
 from sceneloom.formats.recording.columns import Columns, RecordingColumns
 from sceneloom.formats.recording.line_taking import Origin
 from sceneloom.scene import GnssSensor, ImuSensor, Sensor, VectorSamples
@@ -46,7 +47,7 @@ def build_number_sensors(columns: RecordingColumns, calibration: Calibration) ->
         sensors.append(ImuSensor("imu", _samples(streams)))
     gnss_from_imu = calibration.rig.gnss_from_imu
     for name, (_, stream) in receivers(columns).items():
-        fixes = stream.by_time()
+        fixes = by_time(stream)
         mount = None if gnss_from_imu is None or name != RECEIVER else gnss_from_imu.inverse()
         sensors.append(
             GnssSensor(
@@ -63,7 +64,7 @@ def build_number_sensors(columns: RecordingColumns, calibration: Calibration) ->
 
 
 def _samples(streams: Mapping[str, Columns]) -> Mapping[str, VectorSamples]:
-    sorted_streams = {name: stream.by_time() for name, stream in streams.items()}
+    sorted_streams = {name: by_time(stream) for name, stream in streams.items()}
     return MappingProxyType(
         {
             name: VectorSamples(stream.timestamps_ns, stream.values, stream.seconds)

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.formats.recording.columns import nanoseconds
+from sceneloom.formats.recording.column_arrays import nanoseconds
 
 _SECOND_NS = 1_000_000_000
 _EXACT_BELOW_NS = 2**53

@@ -13,7 +13,8 @@ from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.identity import FileIdentity
-from sceneloom.formats.recording.columns import CameraColumns, FrameColumns, nanoseconds, time_order, view
+from sceneloom.formats.recording.column_arrays import nanoseconds, time_order, view
+from sceneloom.formats.recording.columns import CameraColumns, FrameColumns
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.line_shapes import FrameEntry
 from sceneloom.formats.recording.old_forms import has_old_frame, with_frames

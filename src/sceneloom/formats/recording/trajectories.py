@@ -9,7 +9,8 @@ from sceneloom.arrays import BoolArray, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.poses import GREATEST_NORM_ERROR
-from sceneloom.formats.recording.columns import PoseColumns, SortedColumns
+from sceneloom.formats.recording.column_arrays import SortedColumns, by_time
+from sceneloom.formats.recording.columns import PoseColumns
 from sceneloom.scene import NoticeKind, Trajectory
 
 RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
@@ -47,7 +48,7 @@ def build_trajectories(
 
 
 def _trajectory(name: str, columns: PoseColumns, path: Path, ledger: Ledger) -> Trajectory | None:
-    samples = columns.samples.by_time()
+    samples = by_time(columns.samples)
     lines = np.asarray(columns.lines)[samples.order]
     quaternions = samples.values[:, 3:]
     oriented = bool(np.isfinite(quaternions[:, 0]).any())

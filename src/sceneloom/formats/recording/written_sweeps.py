@@ -12,9 +12,10 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.errors import PoseError
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.recording.columns import nanoseconds
+from sceneloom.formats.recording.column_arrays import nanoseconds
 from sceneloom.formats.recording.kept_texts import completed, rows_of
-from sceneloom.formats.recording.lidar_files import LIDAR_MODELS, XYZIRT
+from sceneloom.formats.recording.lidar_files import XYZIRT
+from sceneloom.formats.recording.lidar_words import LIDAR_MODELS
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
 from sceneloom.formats.recording.written_lines import make_line
 from sceneloom.formats.recording.written_times import TimeWriter
@@ -24,7 +25,7 @@ from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, ro
 from sceneloom.scene import Coordinates, LidarFrame, LidarPoints, LidarSensor, PointsFrame, PosePath
 from sceneloom.scene.pose_source import PoseSource
 
-LIDAR_MODEL = next(iter(LIDAR_MODELS))
+LIDAR_MODEL = LIDAR_MODELS[0]
 """The one model that the format describes."""
 
 _ABSENT = (

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.formats.recording.columns import nanoseconds
+from sceneloom.formats.recording.column_arrays import nanoseconds
 from sceneloom.formats.recording.number_texts import decimal_text, seconds_texts, written_seconds
 
 

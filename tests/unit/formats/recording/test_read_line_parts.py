@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording import line_parts
+from sceneloom.formats.recording.column_arrays import line_seconds, lines_of
 from sceneloom.formats.recording.columns import RecordingColumns
-from sceneloom.formats.recording.columns_joining import can_join, join
+from sceneloom.formats.recording.columns_joining import ColumnsJoiner
 from sceneloom.formats.recording.line_parts import LineParts, reading_processes
 from sceneloom.formats.recording.line_worker import read_part
 from sceneloom.formats.recording.lines import read_lines
@@ -64,9 +65,9 @@ def content(value: Any) -> Any:
 
 
 def told(columns: RecordingColumns) -> tuple[Any, ...]:
-    lines = {key: columns.log.lines_of(stream.code).tolist() for key, stream in columns.streams().items()}
+    lines = {key: lines_of(columns.log, stream.code).tolist() for key, stream in columns.streams().items()}
     shared = {line: (found.text, len(found.rows)) for line, found in columns.log.shared.items()}
-    return content(columns), lines, shared, list(map(str, columns.line_seconds()))
+    return content(columns), lines, shared, list(map(str, line_seconds(columns)))
 
 
 @pytest.fixture
@@ -106,12 +107,14 @@ def test_parts_of_any_lengths_join_to_the_whole(tmp_path, monkeypatch, kinds, le
     size = path.stat().st_size
     whole, joined = read_part(path, 0, size), RecordingColumns()
     assert whole is not None
+    joiner = ColumnsJoiner(joined)
     for start in range(0, size, length):
         part = read_part(path, start, min(start + length, size))
         assert part is not None
-        if not can_join(joined, part.columns):
+        if not joiner.can_join(part.columns):
             return
-        join(joined, part.columns)
+        joiner.join(part.columns)
+    joiner.finish()
     assert told(joined) == told(whole.columns)
 
 
@@ -126,7 +129,7 @@ def test_samples_whose_width_an_earlier_part_decides_are_read_once_more(tmp_path
 def test_a_process_that_dies_leaves_its_parts_to_the_others(tmp_path, monkeypatch, small_parts):
     path = tmp_path / "data.jsonl"
     write(path, LINES)
-    monkeypatch.setattr(line_parts, "START", "raise SystemExit(1)")
+    monkeypatch.setattr(line_parts, "command", lambda path: [sys.executable, "-c", "raise SystemExit(1)"])
     assert told(read(path, 2, monkeypatch)[0]) == told(read(path, 1, monkeypatch)[0])
 
 

@@ -7,8 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.fusion.messages.array_bytes import array_of, bytes_of
 from sceneloom.fusion.messages.basic_types import shown
 from sceneloom.fusion.messages.records import (
     RECORD_KINDS,
@@ -153,21 +153,11 @@ def _write(message: Any, record: Any, table: Table) -> None:
             timestamp.s, timestamp.ns = value.s, value.ns
             timestamp.SetInParent()
         elif row.type in ARRAY_DTYPES:
-            setattr(message, row.name, array_bytes(value))
+            setattr(message, row.name, bytes_of(value))
         elif isinstance(value, tuple):
             getattr(message, row.name).extend(value)
         else:
             setattr(message, row.name, value)
-
-
-def array_bytes(array: AnyArray) -> bytes:
-    """Give the bytes of a flat array: those that it is a view of, where it shows all of them, else a copy."""
-    base = array.base
-    while isinstance(base, np.ndarray):
-        base = base.base
-    if isinstance(base, bytes) and len(base) == array.nbytes and array.dtype.byteorder in "=|<":
-        return base
-    return array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
 def _read(message: Any, table: Table) -> dict[str, Any]:
@@ -181,7 +171,7 @@ def _from_wire(message: Any, row: Row, owner: str) -> Any:
         return timestamp_from_protobuf(getattr(message, row.name), owner, row.name)
     value = getattr(message, row.name)
     if row.type in ARRAY_DTYPES:
-        return array_of_bytes(value, ARRAY_DTYPES[row.type], owner, row.name)
+        return array_of(value, ARRAY_DTYPES[row.type], owner, row.name)
     if row.value_type is not None and row.value_type.form is ValueForm.ARRAY and not isinstance(value, bytes):
         return tuple(value) if row.required or value else None
     if row.required:
@@ -194,18 +184,6 @@ def _if_said(message: Any, row: Row, value: Any) -> Any:
     if message.DESCRIPTOR.fields_by_name[row.name].has_presence:
         return value if message.HasField(row.name) else None
     return value or None
-
-
-def array_of_bytes(content: bytes, dtype: np.dtype[Any], owner: str, place: str) -> AnyArray:
-    """Give the flat array that little-endian bytes hold, a read-only view of them.
-
-    Raises:
-        DataError: they are no whole number of values.
-    """
-    if len(content) % dtype.itemsize:
-        problem = f"{len(content)} bytes; expected a multiple of {dtype.itemsize}"
-        raise DataError(owner, place, problem)
-    return np.frombuffer(content, dtype.newbyteorder("<")).astype(dtype, copy=False)
 
 
 # lists of records, field by field

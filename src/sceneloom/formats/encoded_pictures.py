@@ -1,0 +1,100 @@
+"""JPEG and PNG files in memory, decoded to red, green and blue."""
+
+import io
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import cast
+
+import numpy as np
+
+from sceneloom.arrays import UInt8Array
+from sceneloom.errors import DataError
+
+_PNG_HEAD = struct.Struct(">8s4x4sIIBB")
+_PNG_MARK = b"\x89PNG\r\n\x1a\n"
+_FAULTS = (OSError, ValueError, SyntaxError, EOFError, MemoryError, RuntimeError, struct.error)
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedPicture:
+    """A JPEG or PNG file in memory; called, it gives the picture.
+
+    Attributes:
+        content: the file.
+        form: "jpeg" or "png".
+        width, height: the size that it has to have [px].
+        owner: what it belongs to, for messages.
+        place: the field that holds it, for messages.
+    """
+
+    content: bytes
+    form: str
+    width: int
+    height: int
+    owner: str = "picture"
+    place: str = ""
+
+    def __call__(self) -> UInt8Array:
+        """Decode the picture.
+
+        Returns:
+            (height, width, 3) uint8, red green blue; grey is repeated, transparency dropped.
+
+        Raises:
+            DataError: it is no such file, damaged, of another size, or of more than 8 bits.
+        """
+        try:
+            width, height = _SIZES[self.form](self.content)
+        except _FAULTS as error:
+            raise DataError(self.owner, self.place, f"is no {self.form} file: {error}") from error
+        if (width, height) != (self.width, self.height):
+            problem = f"a picture of {width}x{height}; expected {self.width}x{self.height}"
+            raise DataError(self.owner, self.place, problem)
+        try:
+            return _DECODERS[self.form](self.content)
+        except _FAULTS as error:
+            problem = f"cannot be decoded as {self.form}: {error}"
+            raise DataError(self.owner, self.place, problem) from error
+
+    def encoded(self) -> bytes:
+        """The file."""
+        return self.content
+
+
+def _jpeg_size(content: bytes) -> tuple[int, int]:
+    from simplejpeg import decode_jpeg_header
+
+    height, width = decode_jpeg_header(content)[:2]
+    return int(width), int(height)
+
+
+def _png_size(content: bytes) -> tuple[int, int]:
+    mark, chunk, width, height, bits, _ = _PNG_HEAD.unpack_from(content)
+    if (mark, chunk) != (_PNG_MARK, b"IHDR"):
+        raise ValueError("it begins otherwise")
+    if bits > 8:
+        raise ValueError(f"it has {bits} bits a value; expected 8 or less")
+    return width, height
+
+
+def _decode_jpeg(content: bytes) -> UInt8Array:
+    from simplejpeg import decode_jpeg
+
+    return cast("UInt8Array", decode_jpeg(content, "RGB"))
+
+
+def _decode_png(content: bytes) -> UInt8Array:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
+        return np.array(image.convert("RGB"), np.uint8)
+
+
+_SIZES: Mapping[str, Callable[[bytes], tuple[int, int]]] = MappingProxyType(
+    {"jpeg": _jpeg_size, "png": _png_size}
+)
+_DECODERS: Mapping[str, Callable[[bytes], UInt8Array]] = MappingProxyType(
+    {"jpeg": _decode_jpeg, "png": _decode_png}
+)

@@ -1,0 +1,35 @@
+"""Arrays as bytes, little-endian, without copies where there need be none."""
+
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray
+from sceneloom.errors import DataError
+
+
+def bytes_of(array: AnyArray) -> bytes:
+    """Give the bytes of an array in C order: those that it is a view of, where it shows all of them, else a copy."""
+    base = array.base
+    while isinstance(base, np.ndarray):
+        base = base.base
+    whole = isinstance(base, bytes) and len(base) == array.nbytes and array.flags.c_contiguous
+    if whole and array.dtype.newbyteorder("<") == array.dtype:
+        return base  # type: ignore[return-value]
+    return array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
+
+
+def array_of(content: bytes, dtype: np.dtype[Any], owner: str, place: str) -> AnyArray:
+    """Give the flat array that bytes hold, a read-only view of them.
+
+    Args:
+        owner: what they belong to, for the message.
+        place: the field, for the message.
+
+    Raises:
+        DataError: they are no whole number of values.
+    """
+    if len(content) % dtype.itemsize:
+        problem = f"{len(content)} bytes; expected a multiple of {dtype.itemsize}"
+        raise DataError(owner, place, problem)
+    return np.frombuffer(content, dtype.newbyteorder("<")).astype(dtype, copy=False)

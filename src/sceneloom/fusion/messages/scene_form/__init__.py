@@ -1,0 +1,51 @@
+"""Records of DB34/T 4101-2022 as objects of the scene model, and back."""
+
+from sceneloom.fusion.messages.scene_form.boxes import (
+    boxes_2d_of,
+    boxes_2d_record,
+    boxes_3d_of,
+    boxes_3d_record,
+    whole_corners,
+)
+from sceneloom.fusion.messages.scene_form.clouds import (
+    fields_of,
+    lidar_frame_of,
+    lidar_frame_of_raw,
+    lidar_frame_of_result,
+    point_cloud_of,
+    point_columns,
+    points_of,
+)
+from sceneloom.fusion.messages.scene_form.pictures import (
+    image_data_of,
+    picture_of,
+    picture_of_raw,
+    picture_of_result,
+    pixels_of_rgb,
+    rgb_of_pixels,
+)
+from sceneloom.fusion.messages.scene_form.results import depth_frame_of, range_image, sensor_fusion_of
+
+__all__ = [
+    "boxes_2d_of",
+    "boxes_2d_record",
+    "boxes_3d_of",
+    "boxes_3d_record",
+    "depth_frame_of",
+    "fields_of",
+    "image_data_of",
+    "lidar_frame_of",
+    "lidar_frame_of_raw",
+    "lidar_frame_of_result",
+    "picture_of",
+    "picture_of_raw",
+    "picture_of_result",
+    "pixels_of_rgb",
+    "point_cloud_of",
+    "point_columns",
+    "points_of",
+    "range_image",
+    "rgb_of_pixels",
+    "sensor_fusion_of",
+    "whole_corners",
+]

@@ -70,6 +70,7 @@ class FusedFrame:
         times: what the times of its points were; where they could not be taken as they are, `points` has them as they
             were read, or none.
         extras: further fields of the frame, by name.
+        standing: whether it was fused as if the ego had not moved, because its way did not reach.
     """
 
     lidar_id: Identifier
@@ -84,3 +85,4 @@ class FusedFrame:
     unfused: str | None = None
     times: TimesFound = SOUND
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+    standing: bool = False

@@ -10,10 +10,14 @@ class FusionConfiguration:
     """How the fusion system works.
 
     Attributes:
-        fusion_algorithm: a name out of `sceneloom.colouring.ALGORITHMS`.
+        fusion_algorithm: name of an algorithm of sensor-data fusion, as `fusion.algorithms` has them.
         pairing_tolerance_ns: how far a picture may be from a sweep's reference time; None for one sweep period.
         lateness_ns: how much later than its time a picture may arrive and still be waited for.
         visibility: what counts as hidden behind a nearer surface.
+        detection_algorithm: the same for detections.
+        most_waiting: sweeps, and pictures of each camera, that may wait for one another; None for as many as come.
+        stand_beyond_way: whether a sweep beyond the ego's way is fused as if the ego had not moved; else it says why
+            it was not fused.
 
     Source: DB34/T 4101-2022, table 2 names the algorithm's property.
     """
@@ -22,3 +26,6 @@ class FusionConfiguration:
     pairing_tolerance_ns: int | None = None
     lateness_ns: int = 0
     visibility: VisibilitySettings = field(default_factory=VisibilitySettings)
+    detection_algorithm: str = "projection"
+    most_waiting: int | None = None
+    stand_beyond_way: bool = False

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.fusion.pairing import PictureQueue
+from sceneloom.fusion.pairing import TimedQueue
 from sceneloom.scene import Picture
 
 CAMERA = Camera("pinhole", 2, 2, 1.0, 1.0, 0.5, 0.5)
@@ -15,8 +15,8 @@ def picture(time_ns: int) -> Picture:
     return Picture.of(time_ns, CAMERA, np.zeros((2, 2, 3), np.uint8))
 
 
-def queue_of(times_ns: list[int]) -> PictureQueue:
-    queue = PictureQueue("camera0")
+def queue_of(times_ns: list[int]) -> TimedQueue[Picture]:
+    queue = TimedQueue("camera0")
     for time_ns in times_ns:
         queue.add(picture(time_ns))
     return queue
@@ -57,4 +57,4 @@ def test_a_picture_is_known_to_be_nearest_only_when_one_at_or_after_the_time_has
     queue = queue_of([10])
     assert queue.reaches(10)
     assert not queue.reaches(11)
-    assert not PictureQueue("camera0").reaches(0)
+    assert not TimedQueue("camera0").reaches(0)

@@ -202,7 +202,7 @@ def test_pictures_do_not_pile_up_where_no_sweep_comes() -> None:
     system = system_with()
     for second in range(1000):
         system.send("camera0", picture(second * 1_000_000_000))
-    assert len(system._cameras["camera0"].queue.pictures) <= 12
+    assert len(system._sweeps.queues["camera0"].items) <= 12
 
 
 def test_one_time_for_all_points_far_from_the_sweep_is_no_time() -> None:
@@ -278,8 +278,8 @@ def test_memory_holds_what_waits_and_not_what_has_passed() -> None:
         system.send("camera0", picture(start))
         system.send("lidar", sweep(start))
         list(results(system))
-    assert len(system._waiting) <= 2
-    assert len(system._cameras["camera0"].queue.pictures) <= 3
+    assert len(system._sweeps.waiting) <= 2
+    assert len(system._sweeps.queues["camera0"].items) <= 3
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -292,7 +292,7 @@ def test_the_algorithm_is_told_from_where_the_lidar_measured(
         ways.append(way)
         return ALGORITHMS["projection"](points_world, requests, visibility, way=way)
 
-    monkeypatch.setattr("sceneloom.fusion.system.ALGORITHMS", {"projection": algorithm})
+    monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda fusion_type, name: algorithm)
     system = FusionSystem()
     mount = RigidTransform(np.eye(3), np.array([0.0, 0.0, 1.5]))
     source = PoseSource(STILL, mount)

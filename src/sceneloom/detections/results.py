@@ -1,0 +1,101 @@
+"""What detection fusion takes and gives: the boxes of a sweep and of a picture, and the objects behind them."""
+
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, check_array, read_only
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import ArrayError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+
+NO_BOX = -1
+"""In an array of numbers of boxes: none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionPair:
+    """The boxes of one sweep and of one picture.
+
+    Attributes:
+        boxes_3d: in the lidar's frame (x forward, y left, z up) at the time of the sweep.
+        boxes_2d: in the picture.
+        camera: its lens.
+        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of the picture.
+    """
+
+    boxes_3d: Boxes3D
+    boxes_2d: Boxes2D
+    camera: Camera
+    camera_from_lidar: RigidTransform
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedBoxes:
+    """The objects behind the boxes of one sweep and one picture.
+
+    Attributes:
+        timestamp_ns: of the sweep [ns].
+        centers: (N, 3) float64 [m], lidar frame.
+        center_covariances: (N, 3, 3) float64 [m²], lidar frame.
+        sizes_lwh: (N, 3) float64 [m].
+        size_covariances: (N, 3, 3) float64 [m²], length, width, height.
+        yaws: (N,) float64 [rad], heading about z, counter-clockwise from x.
+        velocities: (N, 3) float64 [m/s], lidar frame, or None.
+        scores: (N,) float64, probability that the object exists.
+        labels: N classes.
+        corners_xyxy: (N, 4) float64 [px], corner convention, as in `Boxes2D`; zeros where the picture does not show it.
+        ids: (N,) int64, numbers of the objects in this pair.
+        rows_3d: (N,) int64, which box of the sweep, or NO_BOX.
+        rows_2d: (N,) int64, which box of the picture, or NO_BOX.
+
+    Raises:
+        ArrayError: shapes or dtypes are wrong.
+
+    Source: DB34/T 4101-2022, table 10.
+    """
+
+    timestamp_ns: int
+    centers: Float64Array
+    center_covariances: Float64Array
+    sizes_lwh: Float64Array
+    size_covariances: Float64Array
+    yaws: Float64Array
+    velocities: Float64Array | None
+    scores: Float64Array
+    labels: tuple[str, ...]
+    corners_xyxy: Float64Array
+    ids: Int64Array
+    rows_3d: Int64Array
+    rows_2d: Int64Array
+
+    def __post_init__(self) -> None:
+        count = check_array("fused.centers", self.centers, (None, 3), np.float64)
+        check_array("fused.center_covariances", self.center_covariances, (count, 3, 3), np.float64)
+        check_array("fused.sizes_lwh", self.sizes_lwh, (count, 3), np.float64)
+        check_array("fused.size_covariances", self.size_covariances, (count, 3, 3), np.float64)
+        check_array("fused.yaws", self.yaws, (count,), np.float64)
+        check_array("fused.velocities", self.velocities, (count, 3), np.float64, optional=True)
+        check_array("fused.scores", self.scores, (count,), np.float64)
+        check_array("fused.corners_xyxy", self.corners_xyxy, (count, 4), np.float64)
+        for name in ("ids", "rows_3d", "rows_2d"):
+            check_array(f"fused.{name}", getattr(self, name), (count,), np.int64)
+        if len(self.labels) != count:
+            raise ArrayError(f"fused.labels: {len(self.labels)}; expected {count}")
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, f.name, read_only(value))
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+
+class DetectionAlgorithm(Protocol):
+    """How an algorithm of detection fusion is called."""
+
+    def __call__(self, pair: DetectionPair, /) -> FusedBoxes:
+        """Fuse the boxes of one sweep with those of one picture."""
+        ...

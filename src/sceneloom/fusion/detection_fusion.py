@@ -1,0 +1,120 @@
+"""Detection fusion: the boxes of a sweep and those of the pictures that belong to it become objects."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.detections import DetectionAlgorithm, DetectionPair, FusedBoxes
+from sceneloom.fusion.pairing import Pairing, Waiting
+from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Identifier
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.pose_source import PoseSource
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenBoxes:
+    """The boxes of a picture, and the lens that it was seen through.
+
+    Attributes:
+        boxes: in the picture.
+        camera: the lens.
+        mount: `ego_from_camera` where this picture has a mounting of its own, else None.
+    """
+
+    boxes: Boxes2D
+    camera: Camera
+    mount: RigidTransform | None = None
+
+    @property
+    def timestamp_ns(self) -> int:
+        """Of the picture [ns]."""
+        return self.boxes.timestamp_ns
+
+
+BoxPairing = Pairing[Boxes3D, SeenBoxes]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedDetectionFrame:
+    """The objects of one pair of a sweep and a picture.
+
+    Attributes:
+        lidar_id, camera_id: the sensors.
+        index: number of the list of boxes in its lidar.
+        timestamp_ns: of the sweep [ns].
+        picture_timestamp_ns: of the picture [ns].
+        fused: the objects.
+        standing: whether it was fused as if the ego had not moved, because its way did not reach.
+    """
+
+    lidar_id: Identifier
+    camera_id: Identifier
+    index: int
+    timestamp_ns: int
+    picture_timestamp_ns: int
+    fused: FusedBoxes
+    standing: bool = False
+
+
+@dataclass(slots=True)
+class BoxFusion:
+    """Fuses the boxes of sweeps with those of pictures.
+
+    Attributes:
+        algorithm: how.
+        lidars, cameras: what is known of the sensors.
+    """
+
+    algorithm: DetectionAlgorithm
+    lidars: Mapping[Identifier, KnownLidar]
+    cameras: Mapping[Identifier, KnownCamera]
+
+    def fuse(self, waiting: Waiting[Boxes3D], pairing: BoxPairing) -> Iterator[FusedDetectionFrame]:
+        """Fuse the boxes of a sweep with those of each picture that belongs to it."""
+        lidar = self.lidars[waiting.lidar_id]
+        for camera in self.cameras.values():
+            seen = pairing.partner(waiting, camera.id)
+            if seen is None:
+                continue
+            camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=False)
+            stands = camera_from_lidar is None
+            if camera_from_lidar is None:
+                camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=True)
+            if camera_from_lidar is None:
+                continue
+            pair = DetectionPair(waiting.frame, seen.boxes, seen.camera, camera_from_lidar)
+            yield FusedDetectionFrame(
+                waiting.lidar_id,
+                camera.id,
+                waiting.index,
+                waiting.frame.timestamp_ns,
+                seen.timestamp_ns,
+                self.algorithm(pair),
+                standing=stands,
+            )
+
+
+def _camera_from_lidar(
+    lidar: KnownLidar, camera: KnownCamera, reference_ns: int, seen: SeenBoxes, *, still: bool
+) -> RigidTransform | None:
+    """Give the transform between a sweep and a picture of another time; None where the ego's way does not reach."""
+    place = lidar.place or lidar.source
+    sources = (standing(place), standing(camera.source)) if still else (place, camera.source)
+    if sources[0] is None or sources[1] is None:
+        return None
+    world_from_lidar = _at(sources[0], reference_ns)
+    world_from_camera = _at(sources[1].mounted(seen.mount), seen.timestamp_ns)
+    if world_from_lidar is None or world_from_camera is None:
+        return None
+    return world_from_camera.inverse() @ world_from_lidar
+
+
+def _at(source: PoseSource, time_ns: int) -> RigidTransform | None:
+    pose = source.at(np.array([time_ns], np.int64))
+    if pose.coverage[0] == 2:
+        return None
+    return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])

@@ -1,0 +1,58 @@
+"""What the fusion system knows of each sensor."""
+
+from dataclasses import dataclass, replace
+
+from sceneloom.scene import Identifier, LidarFrame
+from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+
+
+@dataclass(slots=True)
+class KnownLidar:
+    """A lidar.
+
+    Attributes:
+        source: takes its points into the world; None where they come in world coordinates.
+        place: `world_from_lidar`, whatever frame its points come in; None where that is not known.
+        period_ns: the nominal time from sweep to sweep [ns].
+        received: how many sweeps have come.
+        received_boxes: how many lists of boxes have come.
+        last_raw: times of the last sweep's points as they were read.
+    """
+
+    source: PoseSource | None
+    place: PoseSource | None
+    period_ns: int
+    received: int = 0
+    received_boxes: int = 0
+    last_raw: RawTimes | None = None
+
+    def timed(self, frame: LidarFrame) -> tuple[LidarFrame, TimesFound]:
+        """Bring the times of the points onto the scene's clock, and say what they were."""
+        timed = timed_frame(frame, self.period_ns, previous=self.last_raw)
+        self.last_raw = timed.raw
+        return timed.frame, timed.found
+
+
+@dataclass(slots=True)
+class KnownCamera:
+    """A camera.
+
+    Attributes:
+        id: the camera.
+        index: what its points bear as `camera_index`.
+        source: `world_from_camera`.
+    """
+
+    id: Identifier
+    index: int
+    source: PoseSource
+
+
+STILL = PosePath.identity()
+
+
+def standing(source: PoseSource | None) -> PoseSource | None:
+    """The same sensor on an ego that does not move."""
+    return None if source is None else replace(source, path=STILL)

@@ -1,13 +1,18 @@
-"""How fast recordings are read: lines into columns, video into pictures, lidar files into points.
+"""How fast recordings are read and written: lines and columns, video into pictures, lidar files into points.
 
-Run with `python -m benchmarks.recording [lines|video|lidar …] [--lines 1000000] [--repetitions 5]`; orjson is in the
-extra `bench`. Both sides of each comparison take turns, and the least time of each counts. A ratio of 1.2 means that
-the other side takes 1.2 times as long.
+Run with `python -m benchmarks.recording [lines|writing|video|lidar …] [--lines 1000000] [--repetitions 5]`; orjson is
+in the extra `bench`. Both sides of each comparison take turns, and the least time of each counts. A ratio of 1.2 means
+that the other side takes 1.2 times as long.
 
 Lines: a drive with accelerometer and gyroscope at 200 Hz, ground truth at 100 Hz, pictures of two cameras at 20 Hz and
 fixes at 1 Hz, all numbers with the digits that a 64-bit number needs. The other side is a plain loop of `orjson.loads`
 that checks nothing and fills the same arrays. The peak is what reading allocates at most, beside the arrays that it
 ends with. Processor seconds are those of this process and, with two, of the busier one: what two idle processors take.
+Two processors are seldom twice one: the row below these has two processes read a log each at the same time, which share
+nothing and wait for nothing, and shows the time for a log. Nothing can be faster on that machine.
+
+Writing: such a drive without pictures, from the scene to the folder, against a plain loop of `orjson.dumps` over the
+same arrays in the order of their times. Ours finds the exact number of each time and the order of its lines besides.
 
 Video: 1080p H.264, against a bare loop of PyAV as it decodes by itself (one thread for pictures of one slice), against
 one that asks it for red, green and blue, too, by its fast converter, which is a level dark, and against a bare loop
@@ -20,192 +25,20 @@ an array of its own.
 """
 
 import argparse
-import os
-import resource
 import tempfile
-import time
-import tracemalloc
-from array import array
-from collections.abc import Callable, Mapping
-from math import nan
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import av
 import numpy as np
-import orjson
 
-from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.recording.columns import RecordingColumns
+from benchmarks.recording_lines import measure_lines, measure_writing
+from benchmarks.sides import measure, show
 from sceneloom.formats.recording.lidar_files import XYZIRT, read_points
-from sceneloom.formats.recording.line_parts import PROCESSES
-from sceneloom.formats.recording.lines import read_lines
 from sceneloom.formats.video import open_video
 
-Arrays = dict[str, tuple[Any, ...]]
 LIDAR_FILES, LIDAR_POINTS = 36, 120_000
 PICTURES = 240
-
-
-def write_lines(path: Path, count: int) -> None:
-    """Write a drive of so many lines, in the order of time."""
-    random = np.random.default_rng(0)
-    written, tick = 0, 0
-    with path.open("wb") as file:
-        while written < count:
-            lines = list(_lines_of_tick(tick, random))
-            file.writelines(orjson.dumps(line, option=orjson.OPT_APPEND_NEWLINE) for line in lines)
-            written, tick = written + len(lines), tick + 1
-
-
-def _lines_of_tick(tick: int, random: np.random.Generator) -> list[dict[str, Any]]:
-    seconds = 0.005 * tick + 1e-5 * random.random()
-    lines: list[dict[str, Any]] = [
-        {"sensor": {"type": sensor, "values": random.normal(size=3).tolist()}, "time": seconds}
-        for sensor in ("accelerometer", "gyroscope")
-    ]
-    if tick % 2 == 0:
-        position, turn = random.normal(size=3).tolist(), random.normal(size=4)
-        orientation = dict(zip("xyzw", (turn / np.linalg.norm(turn)).tolist(), strict=True))
-        pose = {"position": dict(zip("xyz", position, strict=True)), "orientation": orientation}
-        lines.append({"groundTruth": pose, "time": seconds})
-    if tick % 10 == 0:
-        entries = [{"cameraInd": index, "time": seconds} for index in range(2)]
-        lines.append({"frames": entries, "number": tick // 10, "time": seconds})
-    if tick % 200 == 0:
-        latitude, longitude, altitude = random.normal(size=3).tolist()
-        fix = {"latitude": latitude, "longitude": longitude, "altitude": altitude, "accuracy": 4.0}
-        lines.append({"gps": fix, "time": seconds})
-    return lines
-
-
-def read_plainly(path: Path) -> Arrays:
-    """As one would write it in ten minutes: no check of any kind."""
-    arrays: dict[str, Any] = {}
-    with path.open("rb") as file:
-        for text in file:
-            line = orjson.loads(text)
-            if "sensor" in line:
-                sensor = line["sensor"]
-                columns = arrays.get(sensor["type"])
-                if columns is None:
-                    columns = arrays[sensor["type"]] = (array("d"), array("d"))
-                columns[0].append(line["time"])
-                columns[1].extend(sensor["values"])
-            elif "groundTruth" in line:
-                pose = line["groundTruth"]
-                place, turn = pose["position"], pose["orientation"]
-                columns = arrays.setdefault("groundTruth", (array("d"), array("d")))
-                columns[0].append(line["time"])
-                columns[1].extend(
-                    (place["x"], place["y"], place["z"], turn["x"], turn["y"], turn["z"], turn["w"])
-                )
-            elif "frames" in line:
-                columns = arrays.setdefault("frames", (array("d"), array("q"), array("q"), array("d")))
-                columns[0].append(line["time"])
-                columns[1].append(line["number"])
-                for entry in line["frames"]:
-                    columns[2].append(entry["cameraInd"])
-                    columns[3].append(entry["time"])
-            else:
-                fix = line["gps"]
-                columns = arrays.setdefault("gps", (array("d"), array("d")))
-                columns[0].append(line["time"])
-                columns[1].extend(
-                    (
-                        fix["latitude"],
-                        fix["longitude"],
-                        fix["altitude"],
-                        fix.get("accuracy", nan),
-                        fix.get("verticalAccuracy", nan),
-                    )
-                )
-    return arrays
-
-
-def read_here(path: Path, processes: int) -> RecordingColumns:
-    """As the package reads."""
-    os.environ[PROCESSES] = str(processes)
-    return read_lines(path, Ledger(lenient=False))
-
-
-def check_equal(path: Path) -> None:
-    """Refuse to compare sides that do different work."""
-    theirs = read_plainly(path)
-    for processes in (1, 2):
-        ours = read_here(path, processes)
-        streams = {**ours.sensors, "gps": ours.gnss}
-        streams["groundTruth"] = ours.poses["groundTruth", "groundTruth"].samples
-        assert streams.keys() | {"frames"} == theirs.keys()
-        for name, stream in streams.items():
-            np.testing.assert_array_equal(stream.seconds, theirs[name][0])
-            np.testing.assert_array_equal(stream.values, theirs[name][1])
-        assert ours.frames.seconds == theirs["frames"][0]
-        assert ours.frames.numbers == theirs["frames"][1]
-
-
-def size_of(columns: RecordingColumns) -> int:
-    """The length of all arrays [bytes]."""
-    frames = columns.frames
-    arrays = [columns.log.codes, frames.numbers, frames.seconds, frames.lines, frames.offsets]
-    for stream in columns.streams().values():
-        arrays += [stream.seconds, stream.values]
-    arrays += [poses.lines for poses in columns.poses.values()]
-    for camera in frames.cameras.values():
-        arrays += [camera.rows, camera.seconds, camera.parameters, camera.mounts, camera.missing]
-    return sum(len(numbers) * numbers.itemsize for numbers in arrays)
-
-
-def measure(sides: Mapping[str, Callable[[], object]], repetitions: int) -> dict[str, tuple[float, float]]:
-    """Give the least seconds, and the least processor seconds of the busiest process, of each side."""
-    least = dict.fromkeys(sides, (float("inf"), float("inf")))
-    for _ in range(repetitions):
-        for name, run in sides.items():
-            begun, ours, theirs = time.perf_counter(), _busy(0), _busy(1)
-            run()
-            taken = time.perf_counter() - begun, max(_busy(0) - ours, _busy(1) - theirs)
-            least[name] = (min(least[name][0], taken[0]), min(least[name][1], taken[1]))
-    return least
-
-
-def _busy(which: int) -> float:
-    used = resource.getrusage((resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)[which])
-    return used.ru_utime + used.ru_stime
-
-
-def peak_ratio(path: Path, processes: int) -> float:
-    """What reading allocates at most, for each byte of the arrays that it ends with."""
-    tracemalloc.start()
-    try:
-        columns = read_here(path, processes)
-        return tracemalloc.get_traced_memory()[1] / size_of(columns)
-    finally:
-        tracemalloc.stop()
-
-
-def show(title: str, against: str, found: Mapping[str, tuple[float, float]]) -> None:
-    print(title)
-    wall, busy = found[against]
-    for name, (seconds, processor) in found.items():
-        print(
-            f"  {name:28} {seconds:8.3f} s, ratio {wall / seconds:5.2f}; "
-            f"processor {processor:8.3f} s, ratio {busy / processor:5.2f}"
-        )
-
-
-def measure_lines(folder: Path, given: argparse.Namespace) -> None:
-    path = folder / "data.jsonl"
-    write_lines(path, given.lines)
-    check_equal(path)
-    sides: dict[str, Callable[[], object]] = {
-        "plain loop of orjson": lambda: read_plainly(path),
-        "one process": lambda: read_here(path, 1),
-        "two processes": lambda: read_here(path, 2),
-    }
-    title = f"lines: {given.lines:,} in {path.stat().st_size / 1e6:.0f} MB"
-    show(title, "plain loop of orjson", measure(sides, given.repetitions))
-    for processes in (1, 2):
-        print(f"  peak with {processes}: {peak_ratio(path, processes):.2f} times the arrays")
 
 
 def write_video(path: Path) -> None:
@@ -290,6 +123,7 @@ def measure_lidar(folder: Path, given: argparse.Namespace) -> None:
 
 PARTS: dict[str, Callable[[Path, argparse.Namespace], None]] = {
     "lines": measure_lines,
+    "writing": measure_writing,
     "video": measure_video,
     "lidar": measure_lidar,
 }

@@ -1,12 +1,13 @@
 """In which order lines of one time stand: told by a rank of each stream, and by what deviates from that."""
 
 from collections.abc import Mapping, Sequence
+from heapq import heappop, heappush
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, UInt16Array
 from sceneloom.formats.recording.column_arrays import is_sorted, line_seconds, nanoseconds
 from sceneloom.formats.recording.columns import NOTHING, SEVERAL, TEXT, RecordingColumns
 
@@ -93,11 +94,8 @@ def line_order(
     tied = np.flatnonzero((seconds[1:] == seconds[:-1]) & (codes[1:] != codes[:-1]))
     if not len(tied):
         return {}
-    wins = np.zeros(int(codes.max()) + 1, np.int64)
-    np.add.at(wins, codes[tied], 1)
-    np.subtract.at(wins, codes[tied + 1], 1)
-    by_rank = sorted(np.unique(codes).tolist(), key=lambda code: (-wins[code], code))
-    ranks = np.zeros(len(wins), np.int64)
+    by_rank = _usual_order(codes, tied)
+    ranks = np.zeros(int(codes.max()) + 1, np.int64)
     ranks[by_rank] = np.arange(len(by_rank))
     against = tied[ranks[codes[tied]] > ranks[codes[tied + 1]]]
     stamps = _stamps(seconds)
@@ -108,6 +106,33 @@ def line_order(
     special = {TEXT: OTHER, SEVERAL: SHARED, columns.frames.code: FRAMES}
     streams = [special.get(code) or names.get(code, "") for code in by_rank]
     return {"streams": streams, **({"exceptions": exceptions} if exceptions else {})}
+
+
+def _usual_order(codes: UInt16Array, tied: Int64Array) -> list[int]:
+    """Order streams by which of them stands behind which other one at most times.
+
+    Where that leads round in a circle, the stream is next of which the fewest lines stand behind those still left.
+    """
+    pairs, counts = np.unique(np.stack([codes[tied], codes[tied + 1]]), axis=1, return_counts=True)
+    found = dict(zip(map(tuple, pairs.T.tolist()), counts.tolist(), strict=True))
+    followers: dict[int, list[tuple[int, int]]] = {code: [] for code in np.unique(codes).tolist()}
+    held = dict.fromkeys(followers, 0)
+    for (first, second), count in found.items():
+        more = count - found.get((second, first), 0)
+        if more > 0:
+            followers[first].append((second, more))
+            held[second] += more
+    order: dict[int, None] = {}
+    waiting = sorted((weight, code) for code, weight in held.items())
+    while waiting:
+        _, code = heappop(waiting)
+        if code in order:
+            continue
+        order[code] = None
+        for follower, count in followers[code]:
+            held[follower] -= count
+            heappush(waiting, (held[follower], follower))
+    return list(order)
 
 
 def _stamps(seconds: Float64Array) -> Int64Array:

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from sceneloom.formats.recording.column_arrays import line_seconds, lines_of
 from sceneloom.formats.recording.columns import RecordingColumns
 from sceneloom.formats.recording.columns_joining import ColumnsJoiner
 from sceneloom.formats.recording.line_parts import LineParts, reading_processes
-from sceneloom.formats.recording.line_worker import read_part
+from sceneloom.formats.recording.line_worker import command, read_part
 from sceneloom.formats.recording.lines import read_lines
 
 TURN = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
@@ -43,6 +44,9 @@ KINDS: list[Callable[[int], dict[str, Any] | str]] = [
     lambda k: {"sdkVersion": str(k)},
     lambda k: f'{{"torn": {k}',
 ]
+ODD = ["", '{"sensor": {"type": "odd1", "values": [1, 2, 3]}, "time": 1}', '{"time": NaN}']
+"""Lines that are empty, no JSON, or whose samples are as wide as those of no other line."""
+
 LINES = [KINDS[k * 5 % len(KINDS)](k) for k in range(60)]
 
 
@@ -118,6 +122,28 @@ def test_parts_of_any_lengths_join_to_the_whole(tmp_path, monkeypatch, kinds, le
     assert told(joined) == told(whole.columns)
 
 
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    kinds=st.lists(st.integers(0, len(KINDS) + 2), max_size=30),
+    length=st.integers(40, 400),
+    feed=st.sampled_from(["\n", "\r\n"]),
+    ends=st.booleans(),
+)
+def test_parts_find_the_faults_and_notices_of_the_whole(
+    tmp_path, monkeypatch, small_parts, kinds, length, feed, ends
+):
+    lines = [ODD[kind - len(KINDS)] if kind >= len(KINDS) else KINDS[kind](k) for k, kind in enumerate(kinds)]
+    texts = [line if isinstance(line, str) else json.dumps(line) for line in lines]
+    path = tmp_path / "data.jsonl"
+    path.write_text('{"time": 0}' + feed + feed.join(texts) + (feed if ends else ""), newline="")
+    monkeypatch.setattr(line_parts, "PART", length)
+    monkeypatch.setattr(line_parts, "_start", lambda path: None)
+    alone, ledger = read(path, 1, monkeypatch)
+    together, other = read(path, 2, monkeypatch)
+    assert told(together) == told(alone)
+    assert other.notices == ledger.notices
+
+
 def test_samples_whose_width_an_earlier_part_decides_are_read_once_more(tmp_path, monkeypatch, small_parts):
     path = tmp_path / "data.jsonl"
     write(path, [{"sensor": {"type": "odd", "values": [1] * (1 + k // 10)}, "time": k} for k in range(20)])
@@ -131,6 +157,47 @@ def test_a_process_that_dies_leaves_its_parts_to_the_others(tmp_path, monkeypatc
     write(path, LINES)
     monkeypatch.setattr(line_parts, "command", lambda path: [sys.executable, "-c", "raise SystemExit(1)"])
     assert told(read(path, 2, monkeypatch)[0]) == told(read(path, 1, monkeypatch)[0])
+
+
+SAYS_WRONG = [
+    "print(0); input(); print(17); input()",
+    "print(0); print(open(__import__('json').loads(input())[2], 'wb').write(b'torn')); input()",
+    "print(0); input(); print(0); input()",
+    "print('what?'); input()",
+]
+
+
+@pytest.mark.parametrize("script", SAYS_WRONG)
+def test_parts_that_another_process_does_not_give_are_read_here(tmp_path, monkeypatch, small_parts, script):
+    path = tmp_path / "data.jsonl"
+    write(path, LINES)
+    monkeypatch.setattr(line_parts, "command", lambda path: [sys.executable, "-u", "-c", script])
+    assert told(read(path, 2, monkeypatch)[0]) == told(read(path, 1, monkeypatch)[0])
+
+
+def test_without_a_place_for_parts_this_process_reads_alone(tmp_path, monkeypatch, small_parts):
+    path = tmp_path / "data.jsonl"
+    write(path, LINES)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    assert told(read(path, 2, monkeypatch)[0]) == told(read(path, 1, monkeypatch)[0])
+
+
+def test_nothing_is_left_among_temporary_files(tmp_path, monkeypatch, small_parts):
+    path, folder = tmp_path / "data.jsonl", tmp_path / "temporary"
+    write(path, LINES)
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    read(path, 2, monkeypatch)
+    assert not list(folder.iterdir())
+
+
+def test_another_process_loads_only_what_reading_lines_needs(tmp_path):
+    python, *rest = command(tmp_path / "data.jsonl")
+    found = subprocess.run([python, "-X", "importtime", *rest], input=b"", capture_output=True, check=True)
+    assert found.stdout == b"0\n"
+    loaded = {line.rpartition(b"|")[2].strip().decode() for line in found.stderr.splitlines()}
+    assert "sceneloom.formats.recording.line_reading" in loaded
+    assert not loaded & {"numpy", "sceneloom.scene", "sceneloom.formats.recording.column_arrays"}
 
 
 def test_no_process_is_left_when_reading_is_broken_off(tmp_path, small_parts):

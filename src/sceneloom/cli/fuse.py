@@ -13,13 +13,7 @@ from sceneloom.cli.printing import print_json, progress_bar
 @click.command()
 @click.argument("path", type=options.place)
 @click.option("-o", "--output", type=options.target, help="The .sfs file to write.")
-@click.option(
-    "--trajectory",
-    metavar="NAME",
-    help="The ego's way to use; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the sweeps; "
-    "`identity`: it stood still. [default: the drive's first, else `gnss`, else `lidar`]",
-)
-@options.heading
+@options.way(further="`identity`: it stood still")
 @click.option("--depth", type=options.target, help="Folder for depth images.")
 @click.option(
     "--depth-form",
@@ -34,9 +28,7 @@ from sceneloom.cli.printing import print_json, progress_bar
     help="Draw every Nth sweep. [default: eight spread over the drive]",
 )
 @options.part
-@options.writing_scenes
-@options.reading
-@options.printing
+@options.rewriting
 def fuse(
     path: Path | str,
     output: Path | None,

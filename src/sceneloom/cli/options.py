@@ -89,12 +89,23 @@ reading = _stacked(
 )
 """On every verb that reads a drive."""
 
-heading = click.option(
-    "--heading",
-    type=click.Choice(["motion"]),
-    help="Derive orientations where the trajectory has positions only.",
-)
-"""On every verb that moves something along the ego's way."""
+
+def way(*, further: str = "") -> Callable[[Command], Command]:
+    """On every verb that moves something along the ego's way: which one it is; `further` names one more choice."""
+    return _stacked(
+        click.option(
+            "--trajectory",
+            metavar="NAME",
+            help="The ego's way; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the sweeps"
+            f"{further and '; '}{further}. [default: the drive's first, else `gnss`, else `lidar`]",
+        ),
+        click.option(
+            "--heading",
+            type=click.Choice(["motion"]),
+            help="Derive orientations where the trajectory has positions only.",
+        ),
+    )
+
 
 part = _stacked(
     click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp."),
@@ -142,6 +153,9 @@ writing_scenes = _stacked(
     ),
 )
 """On every verb that writes `.sfs`."""
+
+rewriting = _stacked(writing_scenes, reading, printing)
+"""On every verb that reads a drive and writes one."""
 
 
 def trajectories(side: str, path: str) -> Callable[[Command], Command]:

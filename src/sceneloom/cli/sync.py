@@ -46,9 +46,7 @@ if TYPE_CHECKING:
     "--apply", "output", type=options.target, metavar="OUT", help="Write the drive with clocks corrected."
 )
 @options.part
-@options.writing_scenes
-@options.reading
-@options.printing
+@options.rewriting
 def sync(
     path: Path | str,
     reference: str | None,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.edit.running import editing
 from sceneloom.cli.identifiers import known_id
 from sceneloom.cli.printing import (
     print_json,
@@ -21,15 +22,8 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 
 
 @click.command()
-@click.argument("path", type=options.place)
-@click.option("-o", "--output", type=options.target, required=True, help="The .sfs file or folder to write.")
-@click.option(
-    "--trajectory",
-    metavar="NAME",
-    help="The ego's way to deskew by; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the "
-    "sweeps; `imu`: only the turning that the IMU tells. [default: the drive's first, else `gnss`, else `lidar`]",
-)
-@options.heading
+@editing
+@options.way(further="`imu`: only the turning that the IMU tells")
 @click.option(
     "--at",
     type=click.Choice(["start", "middle", "end"]),
@@ -39,9 +33,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 )
 @click.option("--lidar", metavar="ID", help="The only lidar to deskew. [default: all]")
 @options.part
-@options.writing_scenes
-@options.reading
-@options.printing
+@options.rewriting
 def deskew(
     path: Path | str,
     output: Path,

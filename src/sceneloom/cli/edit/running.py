@@ -32,15 +32,8 @@ annotations_in = click.option(
 """On the verbs that bring annotations into another frame."""
 
 
-def way(command: Callable[..., None]) -> Callable[..., None]:
-    """The options that choose the ego's way."""
-    trajectory = click.option(
-        "--trajectory",
-        metavar="NAME",
-        help="The ego's way; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the sweeps. "
-        "[default: the drive's first, else `gnss`, else `lidar`]",
-    )
-    return trajectory(options.heading(command))
+way = options.way()
+"""The options that choose the ego's way."""
 
 
 def chosen_way(scene: "Scene", trajectory: str | None, heading: str | None) -> "EgoMotion | str | None":
@@ -59,9 +52,8 @@ def editing(command: Callable[..., None]) -> Callable[..., None]:
     return argument(OUTPUT(command))
 
 
-def common(command: Callable[..., None]) -> Callable[..., None]:
-    """The options of reading, writing and printing, below those of the verb; with `editing` what `run_edit` takes."""
-    return options.writing_scenes(options.reading(options.printing(command)))
+common = options.rewriting
+"""The options of reading, writing and printing, below those of the verb; with `editing` what `run_edit` takes."""
 
 
 def run_edit(

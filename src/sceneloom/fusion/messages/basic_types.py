@@ -1,5 +1,7 @@
 """The basic types of table 1, and the exact check of one value of each."""
 
+import math
+import sys
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
@@ -36,8 +38,8 @@ INTEGER_RANGES: Mapping[BasicType, tuple[int, int]] = MappingProxyType(
 )
 """Smallest and largest value of each type of whole numbers; an enumeration's numbers are of 32 bits."""
 
-LARGEST_FLOAT = float(np.finfo(np.float32).max)
-"""The largest number of 32 bits."""
+FLOAT_BOUND = float(2**128 - 2**103)
+"""Numbers below it, whose nearest number of 32 bits is finite, can be a `float`: half a step beyond the largest one."""
 
 _LONGEST_SHOWN = 60
 
@@ -95,8 +97,8 @@ def _whole_number(kind: BasicType, value: Any, owner: str, place: str) -> int:
 
 
 def _broken_number(kind: BasicType, value: Any, owner: str, place: str) -> float:
-    largest = LARGEST_FLOAT if kind is BasicType.FLOAT else float(np.finfo(np.float64).max)
-    if is_number(value) and -largest <= value <= largest:
+    bound = FLOAT_BOUND if kind is BasicType.FLOAT else math.inf
+    if is_number(value) and -bound < value < bound and abs(value) <= sys.float_info.max:
         return float(np.float32(value)) if kind is BasicType.FLOAT else float(value)
     raise DataError(owner, place, f"{shown(value)}; expected a finite {kind}")
 

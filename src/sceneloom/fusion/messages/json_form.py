@@ -15,7 +15,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
 from sceneloom.fusion.messages.array_bytes import array_of, bytes_of
-from sceneloom.fusion.messages.basic_types import LARGEST_FLOAT, BasicType, shown
+from sceneloom.fusion.messages.basic_types import FLOAT_BOUND, BasicType, shown
 from sceneloom.fusion.messages.records import RECORD_KINDS, ListLayout, Record, RecordKind, kind_of
 from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM, TIME, Row
 from sceneloom.fusion.messages.tables import Table
@@ -167,8 +167,8 @@ def _timestamp(value: Any, row: Row, owner: str) -> Timestamp:
 def _array(values: list[Any], dtype: np.dtype[Any], row: Row, owner: str) -> AnyArray:
     kinds = set(map(type, values))
     whole = dtype.kind in "iu"
-    low, high = (np.iinfo(dtype).min, np.iinfo(dtype).max) if whole else (-LARGEST_FLOAT, LARGEST_FLOAT)
-    if kinds <= ({int} if whole else {int, float}) and all(low <= value <= high for value in values):
+    low, high = (np.iinfo(dtype).min - 1, np.iinfo(dtype).max + 1) if whole else (-FLOAT_BOUND, FLOAT_BOUND)
+    if kinds <= ({int} if whole else {int, float}) and all(low < value < high for value in values):
         return np.array(values, dtype)
     name = str(BasicType(dtype.name)) if whole else "finite float"
     raise DataError(owner, row.name, f"{shown(values)}; expected a list of {name}")

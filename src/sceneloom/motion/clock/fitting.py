@@ -28,12 +28,21 @@ class Linearised:
         jacobian: (N, K, P), derivative of what is modelled.
         nuisances: (N, K, M), columns whose amounts are free in every window.
         known: (N,) whether a row can be used.
+        expected: (M,), standard deviation of the nuisances' amounts, infinite where free; None: all are.
     """
 
     residuals: Float64Array
     jacobian: Float64Array
     nuisances: Float64Array
     known: BoolArray
+    expected: Float64Array | None = None
+
+    @property
+    def precision(self) -> Float64Array:
+        """What is known of the nuisances' amounts before, (M,)."""
+        if self.expected is None:
+            return np.zeros(self.nuisances.shape[2])
+        return np.asarray(self.expected**-2.0, np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +114,13 @@ def fit(
     first = _solve(at, windows, colour, fixed_scales, precision, parameters - start)
     if first is None:
         return None
-    amounts = first[1]
+    _, amounts, state = first
     for round_number in range(_ROUNDS if whiten or fixed_colour is not None else 2):
         for _ in range(_STEPS):
             at = model(parameters, amounts)
-            solved = _solve(at, windows, colour, fixed_scales, precision, parameters - start)
+            solved = _solve(
+                at, windows, colour, fixed_scales, precision, parameters - start, scales=state.scales
+            )
             if solved is None:
                 return None
             step, amounts, state = solved
@@ -142,7 +153,7 @@ def misfit_of(
         return float("inf")
     state = solved[2]
     if scales is not None:
-        return float((state.residuals**2).sum())
+        return state.misfit
     sizes = np.abs(state.residuals[state.used]) * state.scales
     return float(sizes.mean() ** 2)
 
@@ -155,6 +166,30 @@ class _State:
     used: BoolArray
     scales: Float64Array
     raw: Float64Array
+    held: "_Held"
+
+    @property
+    def misfit(self) -> float:
+        return float((self.residuals**2).sum() + (self.held.residuals**2).sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """What is known before of nuisances' amounts counts as measurements, too.
+
+    Attributes:
+        residuals, jacobian: (H,) and (H, P), in standard deviations.
+        spent: how many nuisances the measurements decide.
+    """
+
+    residuals: Float64Array
+    jacobian: Float64Array
+    spent: float
+
+    @property
+    def information(self) -> Float64Array:
+        """What they tell of the parameters, (P, P)."""
+        return np.asarray(self.jacobian.T @ self.jacobian, np.float64)
 
 
 def _solve(
@@ -164,6 +199,8 @@ def _solve(
     fixed_scales: Float64Array | None,
     precision: Float64Array,
     moved: Float64Array,
+    *,
+    scales: Float64Array | None = None,
 ) -> tuple[Float64Array, Float64Array, _State] | None:
     """One step of the parameters, the amounts of the nuisances, and what belongs to the covariance."""
     residuals, used = _filtered(at.residuals, at.known, windows, colour)
@@ -174,21 +211,21 @@ def _solve(
         return None
     # twice: the weights come from residuals without nuisances, and decide how these are taken out
     weights = used.astype(np.float64)
-    scales = np.ones(residuals.shape[1])
+    scales = np.ones(residuals.shape[1]) if scales is None else scales
     for _ in range(2):
-        clean_r, clean_j, amounts = _without_nuisances(
-            residuals, jacobian, nuisances, weights, scales, windows
+        clean_r, clean_j, amounts, held = _without_nuisances(
+            residuals, jacobian, nuisances, weights, scales, windows, at.precision
         )
         scales = _scales(clean_r, used) if fixed_scales is None else fixed_scales
         weights = used * _weights(clean_r / scales)
     root = np.sqrt(weights)[:, None]
     r = clean_r / scales * root
     j = clean_j / scales[None, :, None] * root[:, :, None]
-    information = np.einsum("nkp,nkq->pq", j, j)
-    gradient = np.einsum("nkp,nk->p", j, r) - precision * moved
+    information = np.einsum("nkp,nkq->pq", j, j) + held.information
+    gradient = np.einsum("nkp,nk->p", j, r) + held.jacobian.T @ held.residuals - precision * moved
     step = np.linalg.lstsq(information + np.diag(precision), gradient, rcond=None)[0]
     raw = at.residuals - _explained(at.nuisances, amounts, windows)
-    return step, amounts, _State(information, r, j, used & (weights > 0), scales, raw)
+    return step, amounts, _State(information, r, j, used & (weights > 0), scales, raw, held)
 
 
 def _without_nuisances(
@@ -198,29 +235,36 @@ def _without_nuisances(
     weights: Float64Array,
     scales: Float64Array,
     windows: Int64Array,
-) -> tuple[Float64Array, Float64Array, Float64Array]:
+    precision: Float64Array,
+) -> tuple[Float64Array, Float64Array, Float64Array, _Held]:
     """Take out of residuals and derivatives what the nuisances of each window can explain."""
     clean_r, clean_j = residuals.copy(), jacobian.copy()
     count, columns = int(windows[-1]) + 1, nuisances.shape[2]
     amounts = np.zeros((count, columns))
-    if columns == 0:
-        return clean_r, clean_j, amounts
-    edges = np.searchsorted(windows, np.arange(count + 1))
     size = jacobian.shape[2]
+    if columns == 0:
+        return clean_r, clean_j, amounts, _Held(np.zeros(0), np.zeros((0, size)), 0.0)
+    edges = np.searchsorted(windows, np.arange(count + 1))
+    known_before = precision > 0
+    held, spent = [], 0.0
     for window in range(count):
         rows = slice(edges[window], edges[window + 1])
         root = np.sqrt(weights[rows])[:, None] / scales
         basis = (nuisances[rows] * root[:, :, None]).reshape(-1, columns)
         told = np.concatenate([residuals[rows, :, None], jacobian[rows]], axis=2)
         targets = (told * root[:, :, None]).reshape(-1, 1 + size)
-        products = basis.T @ basis
+        products = basis.T @ basis + np.diag(precision)
         lengths = np.sqrt(np.maximum(np.diag(products), 1e-300))
         normal = products / np.outer(lengths, lengths) + 1e-10 * np.eye(columns)
         solution = np.linalg.solve(normal, basis.T @ targets / lengths[:, None]) / lengths[:, None]
         amounts[window] = solution[:, 0]
         left = told - np.einsum("nkm,mp->nkp", nuisances[rows], solution)
         clean_r[rows], clean_j[rows] = left[:, :, 0], left[:, :, 1:]
-    return clean_r, clean_j, amounts
+        held.append(np.sqrt(precision[known_before])[:, None] * solution[known_before])
+        kept = np.diag(np.linalg.inv(normal))[known_before] / lengths[known_before] ** 2
+        spent += columns - float(kept @ precision[known_before])
+    before = np.concatenate(held)
+    return clean_r, clean_j, amounts, _Held(before[:, 0], before[:, 1:], spent)
 
 
 def _explained(nuisances: Float64Array, amounts: Float64Array, windows: Int64Array) -> Float64Array:
@@ -304,8 +348,8 @@ def _finished(
 ) -> Fit:
     rows = int(state.used.sum())
     scores = np.einsum("nkp,nk->np", state.jacobian, state.residuals)
-    meat = _long_run(scores, windows)
-    freedom = rows / max(rows - len(parameters) - amounts.size / state.residuals.shape[1], 1.0)
+    meat = _long_run(scores, windows) + state.held.information
+    freedom = rows / max(rows - len(parameters) - state.held.spent / state.residuals.shape[1], 1.0)
     inverse = np.linalg.pinv(state.information + np.diag(precision))
     # the scales are medians, which know nothing of the tails that the weights leave
     plain = np.diag(inverse) * float((state.residuals[state.used] ** 2).mean())
@@ -316,7 +360,7 @@ def _finished(
         parameters,
         covariance,
         state.information,
-        float((state.residuals**2).sum()),
+        state.misfit,
         rows,
         state.scales,
         state.jacobian,

@@ -8,8 +8,9 @@ from typing import Any
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import SceneloomError
+from sceneloom.motion.clock.reckoning import ReckonedWay, Unit
 from sceneloom.motion.clock.turning import Turning
-from sceneloom.motion.clock.ways import Fixes, ReckonedWay, TrajectoryWay, Way
+from sceneloom.motion.clock.ways import Fixes, TrajectoryWay, Way
 from sceneloom.motion.imu_samples import ACCELEROMETER, GYROSCOPE
 from sceneloom.scene import (
     CameraSensor,
@@ -128,7 +129,7 @@ def _of_imu(stream: Stream, progress: Progress | None) -> MotionTold:
     turning = Turning.of_rates(rates.timestamps_ns, rates.values[:, :3])
     if forces is None:
         return MotionTold(turning)
-    return MotionTold(turning, way=lambda origin_ns: ReckonedWay(rates, forces, origin_ns))
+    return MotionTold(turning, way=lambda origin_ns: ReckonedWay(Unit.of(rates, forces), origin_ns))
 
 
 def _of_trajectory(stream: Stream, progress: Progress | None) -> MotionTold:

@@ -9,7 +9,7 @@ from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.motion.clock.estimate import ClockEstimate
 from sceneloom.motion.clock.fitting import Fit, Linearised, fit, misfit_of
 from sceneloom.motion.clock.outcome import Candidate, Clocks, concluded
-from sceneloom.motion.clock.ways import Fixes, Way
+from sceneloom.motion.clock.ways import Fixes, Way, WaySamples
 
 _LEAST_FIXES = 12
 _LEAST_COMMON = 5.0
@@ -23,6 +23,12 @@ _MOST_SEARCHED = 3000
 
 LEVER_SIGMA = 1.0
 """How far from the ego's origin a receiver's antenna may be on each axis, where nothing is said [m]."""
+
+_FAR = 1.0
+"""Longer windows tell an offset better, not another one [s]."""
+
+_MOST_WORSE = 0.15
+"""Logarithm of how much more may be left of the fixes over longer windows: there a bad IMU is not told by its noise."""
 
 _PRIORS = (10.0, 2e-3)
 """How far offset [s] and skew may be from the start."""
@@ -75,8 +81,24 @@ def compare_ways(
     for lag in _lags(model, reach):
         found = fit(model, np.array([lag, 0.0, *place]), priors, model.windows)
         if found is not None and abs(found.parameters[0]) <= reach + 2 * _LAG:
-            candidates.append(_candidate(model, found, common))
+            candidates.append(_candidate(*_refined(model, found, fixes, place, priors), common))
     return concluded(candidates, clocks)
+
+
+def _refined(
+    model: "_WayModel", found: Fit, fixes: Fixes, place: Float64Array, priors: Float64Array
+) -> tuple["_WayModel", Fit]:
+    """Fit the way over longer windows, where it has them and they tell the fixes as well as the short ones."""
+    at, refined = model, found
+    while (way := at.way.finer(at.drifts_of(refined.amounts))) is not None:
+        longer = _WayModel.of(fixes, way, model.origin_ns)
+        start = np.array([refined.parameters[0], 0.0, *place])
+        better = fit(longer, start, priors, longer.windows)
+        if better is None or abs(better.parameters[0] - found.parameters[0]) > _FAR:
+            return model, found
+        at, refined = longer, better
+    worse = float(np.log(refined.scales / found.scales).mean())
+    return (at, refined) if worse < _MOST_WORSE else (model, found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +112,7 @@ class _WayModel:
     polynomials: Float64Array
     way: Way
     middle: float
+    origin_ns: int
 
     @classmethod
     def of(cls, fixes: Fixes, way: Way, origin_ns: int) -> "_WayModel":
@@ -108,7 +131,9 @@ class _WayModel:
         sums = np.zeros(len(bounds), np.complex128)
         np.add.at(sums, windows, fixes.places)
         places = fixes.places - (sums / np.bincount(windows))[windows]
-        return cls(places, times, windows, bounds, polynomials, way, 0.5 * float(times[0] + times[-1]))
+        return cls(
+            places, times, windows, bounds, polynomials, way, 0.5 * float(times[0] + times[-1]), origin_ns
+        )
 
     def part(self, most: int) -> "_WayModel":
         """Some of the windows, spread over the drive, with about so many fixes."""
@@ -125,35 +150,44 @@ class _WayModel:
             self.polynomials[rows],
             self.way,
             self.middle,
+            self.origin_ns,
         )
+
+    def drifts_of(self, amounts: Float64Array) -> Float64Array:
+        """The amounts of the way's drifts (W, E) among those of all nuisances."""
+        return amounts[:, 2 * (self.way.degree + 1) : -2]
 
     def known_at(self, lag: float) -> AnyArray:
         """Which fixes the way tells of, (N,) bool."""
-        return np.isfinite(self._way(np.full(len(self.times), lag))[0])
+        return np.isfinite(self._way(np.full(len(self.times), lag)).places)
 
-    def _way(self, shifts: Float64Array) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+    def _way(self, shifts: Float64Array) -> WaySamples:
         edges = np.searchsorted(self.windows, np.arange(len(self.bounds) + 1))
         parts = [
             self.way.at(self.bounds[k], (self.times + shifts)[edges[k] : edges[k + 1]])
             for k in range(len(self.bounds))
         ]
-        return (
+        return WaySamples(
             np.concatenate([_centred(part.places) for part in parts]),
             np.concatenate([part.velocities for part in parts]),
             np.concatenate([part.axes for part in parts]),
             np.concatenate([part.drifts for part in parts]),
+            np.concatenate([part.drift_velocities for part in parts]),
+            parts[0].held,
         )
 
     def __call__(self, parameters: Float64Array, amounts: Float64Array) -> Linearised:
         offset, skew, lever = parameters[0], parameters[1], parameters[2:5]
         since = self.times - self.middle
-        places, velocities, axes, drifts = self._way(offset + skew * since)
-        known = np.isfinite(places) & np.isfinite(velocities)
-        places, velocities = (np.where(known, x, 0.0) for x in (places, velocities))
-        axes, drifts = (np.where(known[:, None], x, 0.0) for x in (axes, drifts))
+        told = self._way(offset + skew * since)
+        known = np.isfinite(told.places) & np.isfinite(told.velocities)
+        places, velocities = (np.where(known, x, 0.0) for x in (told.places, told.velocities))
+        axes, drifts = (np.where(known[:, None], x, 0.0) for x in (told.axes, told.drifts))
         turn = np.zeros(len(places), np.complex128)
         if amounts.shape[1]:
             turn = (amounts[:, -2] + 1j * amounts[:, -1])[self.windows]
+            drifting = np.where(known[:, None], told.drift_velocities, 0.0)
+            velocities = velocities + (drifting * self.drifts_of(amounts)[self.windows]).sum(axis=1)
         moved = places + axes @ lever
         nuisances = np.concatenate(
             [
@@ -168,7 +202,9 @@ class _WayModel:
         slopes = np.concatenate(
             [(turn * velocities)[:, None], (turn * velocities * since)[:, None], turn[:, None] * axes], axis=1
         )
-        return Linearised(_split(self.places), _split(slopes), _split(nuisances), known)
+        free = np.full(2 * (self.way.degree + 1), np.inf)
+        expected = np.concatenate([free, told.held, [np.inf, np.inf]])
+        return Linearised(_split(self.places), _split(slopes), _split(nuisances), known, expected)
 
 
 def _centred(places: AnyArray) -> AnyArray:

@@ -146,7 +146,7 @@ def _open_scene_sink(
     else:
         _add_readable(writer, scene, skips)
     writer.set_metadata(provenance(woven))
-    return SceneSink(writer, sources, wanted.time_unit)
+    return SceneSink(writer, sources, wanted.time_unit, woven.scene.source, skips)
 
 
 def _add_readable(writer: SceneWriter, scene: Scene, skips: Skips) -> None:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.errors import DataError
 from sceneloom.formats import LossReport
 from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
 from sceneloom.formats.file_names import file_stems
@@ -16,6 +17,7 @@ from sceneloom.formats.sfs import SceneWriter
 from sceneloom.formats.sfs.times import TICKS_NS
 from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.pictures import DriveCloud, save_pictures
+from sceneloom.pipeline.play import Skips
 from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, PosePath, Scene
 from sceneloom.scene.pose_source import PoseSource
 
@@ -36,22 +38,39 @@ class SceneSink:
         writer: the open file.
         sources: `world_from_sensor` of the lidars whose place is known.
         time_unit: the file's unit of time.
+        origin: what the sweeps are read from, for messages.
+        skips: collects sweeps that the file cannot hold; None where they are errors.
     """
 
     writer: SceneWriter
     sources: Mapping[Identifier, PoseSource]
     time_unit: str
+    origin: str = ""
+    skips: Skips | None = None
     _starts_ns: dict[Identifier, list[int]] = field(default_factory=dict)
     _stops_ns: dict[Identifier, int] = field(default_factory=dict)
     _extrapolated_ns: dict[Identifier, list[int]] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame) -> None:
-        """Write one sweep; an unfused one goes, in its sensor's frame, under the file's metadata."""
+        """Write one sweep; an unfused one goes, in its sensor's frame, under the file's metadata.
+
+        Raises:
+            DataError: a point of it is too far away.
+        """
         sweep = LidarFrame(frame.timestamp_ns, frame.points, frame.extras)
         if frame.unfused is not None:
             self.writer.add_unfused(frame.lidar_id, sweep, frame.unfused)
             return
-        self.writer.add_frame(frame.lidar_id, sweep)
+        try:
+            self.writer.add_frame(frame.lidar_id, sweep)
+        except DataError as error:
+            row = error.place.partition(".points.")[2]
+            place = f"sensors[{frame.lidar_id}].frames[{frame.index}].points.{row}"
+            told = DataError(self.origin, place, error.problem)
+            if self.skips is None:
+                raise told from error
+            self.skips.add(told)
+            return
         tick_ns = TICKS_NS[self.time_unit]
         start_ns, stop_ns = _start_ns(frame, tick_ns), _stop_ns(frame, tick_ns)
         self._starts_ns.setdefault(frame.lidar_id, []).append(start_ns)

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from sceneloom.arrays import Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraSensor
@@ -32,6 +33,9 @@ from sceneloom.scene.types import Key, key_of
 
 _POSES_AROUND_NS = 1_000_000_000
 """Poses so long before and after a part stay in it: its last sweep ends later than it begins."""
+
+_SAME_TIME_NS = 100_000
+"""A frame that comes so long before a bound comes with it: two firings of a lidar."""
 
 _LONGEST = 9.2e9
 """What int64 nanoseconds hold, nearly [s]."""
@@ -60,7 +64,25 @@ def chosen_interval(
         raise OptionError(f"from {start_s} s to {stop_s} s; expected 0 <= start < stop")
     first_ns = span_ns[0] + round(min(start_s, _LONGEST) * 1e9)
     last_ns = span_ns[0] + round(min(stop_s, _LONGEST) * 1e9)
-    return first_ns, min(last_ns, span_ns[1] + 1)
+    stamps_ns = _frame_stamps(scene)
+    return _taking_near(first_ns, stamps_ns), min(_taking_near(last_ns, stamps_ns), span_ns[1] + 1)
+
+
+def _frame_stamps(scene: Scene) -> Int64Array:
+    """The times of all frames and pictures (N,) int64 [ns], in order."""
+    kinds = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
+    times = [frame_times(sensor) for sensor in scene.sensors if isinstance(sensor, kinds)]
+    return np.sort(np.concatenate(times)) if times else np.zeros(0, np.int64)
+
+
+def _taking_near(bound_ns: int, stamps_ns: Int64Array) -> int:
+    """A bound, or the earliest frame that is as good as on it.
+
+    The first sweep of a fused drive begins with its earliest point, some microseconds after the stamp of the sensor:
+    counted from there, whole seconds would pass over frames that come at whole seconds of the sensor's clock.
+    """
+    row = int(np.searchsorted(stamps_ns, bound_ns - _SAME_TIME_NS))
+    return min(bound_ns, int(stamps_ns[row])) if row < len(stamps_ns) else bound_ns
 
 
 def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = None) -> Scene:

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+import sceneloom
+
 Call = Callable[..., Any]
 
 Spoil = Callable[[Path], object]
@@ -284,3 +286,23 @@ def test_sweeps_that_could_not_be_read_are_told_where_the_others_could_not_be_fu
     *skipped, error = outcome.err.splitlines()
     assert any("000001.bin" in line for line in skipped)
     assert "could be fused" in error
+
+
+def test_a_stray_point_beyond_what_the_file_can_hold_is_told_as_a_fault_of_the_data(
+    call: Call, recording: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(recording, folder)
+    file = folder / "lidar" / "000001.bin"
+    records = bytearray(file.read_bytes())
+    records[23 * 5 : 23 * 5 + 12] = struct.pack("<fff", 2e4, 3.0, 1.0)
+    file.write_bytes(records)
+    outcome = call("fuse", folder, "-o", tmp_path / "out.sfs")
+    assert outcome.code == 1
+    for word in (str(folder), "sensors[lidar].frames[1].points.positions[5]", "m from the origin"):
+        assert word in outcome.err
+    report = json.loads(call("fuse", folder, "-o", tmp_path / "out.sfs", "--lenient", "--json").out)
+    (skipped,) = report["skipped"]
+    assert "frames[1].points.positions[5]" in skipped
+    with sceneloom.open(tmp_path / "out.sfs") as scene:
+        assert len(scene.lidars[0].frames) == 2

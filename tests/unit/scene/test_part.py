@@ -159,3 +159,22 @@ def test_a_part_is_counted_from_the_first_frame_and_not_from_poses_before_it():
 def test_a_scene_of_poses_alone_is_counted_from_its_first_pose():
     poses = PosePath(np.array([5, 9]), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
     assert time_span(Scene((OdometrySensor("ego", poses),))) == (5, 9)
+
+
+def scene_at(stamps_ns: list[int]) -> Scene:
+    frames = [LidarFrame(t, LidarPoints(np.zeros((1, 3), np.float32))) for t in stamps_ns]
+    return Scene((LidarSensor("lidar", LazyFrames.of(frames, stamps_ns)),))
+
+
+@pytest.mark.parametrize("early_ns", [0, 1, 1000, 90_000])
+def test_a_first_sweep_that_begins_late_by_some_points_takes_no_sweep_out_of_the_part(early_ns: int) -> None:
+    stamps_ns = [early_ns, 100_000_000, 200_000_000, 299_999_000, 400_001_000]
+    scene = scene_at(stamps_ns)
+    before, after = cut_scene(scene, stop=0.3), cut_scene(scene, start=0.3)
+    assert after.lidars[0].frames.timestamps_ns.tolist() == stamps_ns[3:]
+    assert before.lidars[0].frames.timestamps_ns.tolist() == stamps_ns[:3]
+
+
+def test_a_sweep_that_begins_well_before_a_part_is_not_in_it() -> None:
+    scene = scene_at([0, 100_000_000, 199_800_000, 300_000_000])
+    assert cut_scene(scene, start=0.2).lidars[0].frames.timestamps_ns.tolist() == [300_000_000]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array
-from sceneloom.errors import OptionError
+from sceneloom.errors import DataError
 from sceneloom.formats.sfs.clock_keeper import ClockKeeper, check_stamps, stamp_dtype
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
 from sceneloom.formats.sfs.profiles import Profile
@@ -42,7 +42,8 @@ class CloudWriter:
         """Spool one sweep.
 
         Raises:
-            OptionError: positions too far away, or times that the file cannot hold.
+            DataError: positions too far away.
+            OptionError: times that the file cannot hold.
         """
         points = frame.points
         self._check_reach(draft, points.positions)
@@ -60,7 +61,8 @@ class CloudWriter:
         """Spool one cycle.
 
         Raises:
-            OptionError: positions too far away, or times that the file cannot hold.
+            DataError: positions too far away.
+            OptionError: times that the file cannot hold.
         """
         points = frame.points
         self._check_reach(draft, points.positions)
@@ -145,8 +147,11 @@ class CloudWriter:
         # a point that is infinitely far is no point, as one that is no number
         farthest = float(np.max(distances, initial=0.0, where=np.isfinite(distances)))
         if farthest > FARTHEST:
-            raise OptionError(
-                f"{draft.place}.frames[{len(draft.frames or [])}].points.positions: {farthest:.6g} m from the origin; "
-                f"float32 holds millimetres up to {FARTHEST:.0f} m: take the point out if it is wrong, else write the "
-                "drive in parts (--start, --stop), each with an origin of its own"
+            row = int(np.flatnonzero((distances == farthest).any(axis=1))[0])
+            raise DataError(
+                "",
+                f"{draft.place}.frames[{len(draft.frames or [])}].points.positions[{row}]",
+                f"{farthest:.6g} m from the origin; float32 holds millimetres up to {FARTHEST:.0f} m: take the point "
+                "out if it is wrong, else write the drive in parts, each with an origin of its own (of a recording "
+                "`sceneloom fuse` with `--start`, `--stop`)",
             )

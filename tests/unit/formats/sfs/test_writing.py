@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.errors import OptionError, OutputError
+from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
 from sceneloom.scene import (
     Coordinates,
@@ -250,7 +250,7 @@ def test_microseconds_in_32_bits_end_after_71_minutes(written):
 def test_positions_in_the_world_stay_within_ten_kilometres(written):
     far = np.array([[10_001, 0, 0], [0, 0, 0]], np.float32)
     frame = LidarFrame(0, LidarPoints(far))
-    with pytest.raises(OptionError, match=r"sensors\[top\].frames\[0\].points.positions: 10001 m"):
+    with pytest.raises(DataError, match=r"sensors\[top\].frames\[0\].points.positions\[0\]: 10001 m"):
         written(frame)
     written(frame, sensor=lidar(points_frame=PointsFrame.SENSOR))
 
@@ -492,5 +492,5 @@ def test_a_point_without_a_place_is_written_as_it_is(written, far):
 
 def test_a_point_too_far_for_float32_is_refused_though_another_is_infinitely_far(written):
     positions = np.array([[np.inf, 0, 0], [0, -20_000, 0]], np.float32)
-    with pytest.raises(OptionError, match=r"frames\[0\].points.positions: 20000 m from .* in parts"):
+    with pytest.raises(DataError, match=r"frames\[0\].points.positions\[1\]: 20000 m from .* in parts"):
         written(LidarFrame(0, LidarPoints(positions)))

@@ -1,14 +1,14 @@
 """From fits to a verdict: is there motion in common, is the offset the only one, and how well is it known."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.motion.clock.estimate import ClockEstimate, OffsetPiece, judged
-from sceneloom.motion.clock.fitting import Fit
+from sceneloom.motion.clock.fitting import Fit, Linearised, Model, misfit_of
 
 LEAST_EVIDENCE = 12.0
 """Logarithm of the likelihood ratio that an offset needs, against no common motion and against another offset: the
@@ -87,6 +87,25 @@ class Candidate:
         if freedom < 2:
             return 1.0
         return float(np.sqrt(max(1.0, sum((step / sigma) ** 2 for _, step, sigma in blocks) / freedom)))
+
+
+def misfit_without_motion(found: Fit, windows: Int64Array, told: Callable[[], Linearised]) -> float:
+    """The misfit of the rows of a fit where the motion is left out, in the fit's units.
+
+    Args:
+        found: the fit.
+        windows: (N,), number of the window of each of its rows.
+        told: gives the rows, and the nuisances that tell them alone.
+    """
+
+    def still(parameters: Float64Array, amounts: Float64Array) -> Linearised:
+        # a parameter that does nothing stands for the motion
+        del parameters, amounts
+        at = told()
+        return replace(at, jacobian=np.zeros((*at.residuals.shape, 1)))
+
+    model: Model = still
+    return misfit_of(model, np.zeros(1), windows, colour=found.colour, scales=found.scales)
 
 
 @dataclass(frozen=True, slots=True)

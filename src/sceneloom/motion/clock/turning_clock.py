@@ -11,8 +11,15 @@ from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from
 from sceneloom.motion.clock.correlation import Peak, correlation_peaks
 from sceneloom.motion.clock.drift import Line, robust_line
 from sceneloom.motion.clock.estimate import ClockEstimate
-from sceneloom.motion.clock.fitting import Fit, Linearised, fit, misfit_of
-from sceneloom.motion.clock.outcome import LEAST_MARGIN, Candidate, Clocks, ambiguous, concluded
+from sceneloom.motion.clock.fitting import Fit, Linearised, fit
+from sceneloom.motion.clock.outcome import (
+    LEAST_MARGIN,
+    Candidate,
+    Clocks,
+    ambiguous,
+    concluded,
+    misfit_without_motion,
+)
 from sceneloom.motion.clock.turning import Steps, Turning, TurningCurve, finite_rows, rate_noise, steps_of
 
 REACH_NS = 5_000_000_000
@@ -245,36 +252,20 @@ class _TurningModel:
 
     def candidate(self, found: Fit, peak: Peak) -> Candidate:
         """The fit with what is needed to judge it."""
-        still = misfit_of(
-            _Still(self, found.parameters),
-            np.zeros(1),
-            self.windows,
-            colour=found.colour,
-            scales=found.scales,
-        )
         return Candidate(
             fit=found,
             times=self.row_times,
             middle=self.middle,
             span=self.pair.common,
-            without_motion=still,
+            without_motion=misfit_without_motion(found, self.windows, lambda: self._still(found)),
             score=peak.score,
             margin=peak.margin,
             rotation=self.turned(found.parameters),
         )
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Still:
-    """The same turns, told by biases alone: a parameter that does nothing stands for the motion."""
-
-    model: _TurningModel
-    parameters: Float64Array
-
-    def __call__(self, parameters: Float64Array, amounts: Float64Array) -> Linearised:
-        del parameters
-        at = self.model(self.parameters, amounts)
-        return Linearised(self.model.vectors, np.zeros((*at.residuals.shape, 1)), at.nuisances, at.known)
+    def _still(self, found: Fit) -> Linearised:
+        """The same turns, told by biases alone."""
+        return replace(self(found.parameters, found.amounts), residuals=self.vectors)
 
 
 def _numbered(parts: Int64Array, pieces: Int64Array) -> Int64Array:

@@ -1,6 +1,6 @@
 """The clocks of two streams that tell where one body was, or how it moved on the ground."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -8,7 +8,7 @@ from numpy.polynomial.legendre import legvander
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.motion.clock.estimate import ClockEstimate
 from sceneloom.motion.clock.fitting import Fit, Linearised, fit, misfit_of
-from sceneloom.motion.clock.outcome import Candidate, Clocks, concluded
+from sceneloom.motion.clock.outcome import Candidate, Clocks, concluded, misfit_without_motion
 from sceneloom.motion.clock.ways import Fixes, Way, WaySamples
 
 _LEAST_FIXES = 12
@@ -228,32 +228,18 @@ def _lags(model: _WayModel, reach: float) -> list[float]:
 
 
 def _candidate(model: _WayModel, found: Fit, common: float) -> Candidate:
-    still = misfit_of(
-        _Unmoved(model, found.parameters),
-        np.zeros(1),
-        model.windows,
-        colour=found.colour,
-        scales=found.scales,
-    )
     return Candidate(
         fit=found,
         times=model.times,
         middle=model.middle,
         span=common,
-        without_motion=still,
+        without_motion=misfit_without_motion(found, model.windows, lambda: _unmoved(model, found)),
         score=None,
         model_sigma=model.way.model_sigma,
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Unmoved:
+def _unmoved(model: _WayModel, found: Fit) -> Linearised:
     """The same fixes, told by polynomials alone."""
-
-    model: _WayModel
-    parameters: Float64Array
-
-    def __call__(self, parameters: Float64Array, amounts: Float64Array) -> Linearised:
-        del parameters
-        at = self.model(self.parameters, amounts[:, :0])
-        return Linearised(at.residuals, np.zeros((*at.residuals.shape, 1)), at.nuisances[:, :, :-2], at.known)
+    at = model(found.parameters, found.amounts[:, :0])
+    return replace(at, nuisances=at.nuisances[:, :, :-2], expected=None)

@@ -56,6 +56,11 @@ class VideoIndex:
         """(N,) float64 [s], presentation time of each picture."""
         return self.pts.astype(np.float64) * (self.time_base.numerator / self.time_base.denominator)
 
+    @property
+    def independent(self) -> bool:
+        """Whether each picture is a key frame."""
+        return bool(np.array_equal(self.entries, np.arange(len(self))))
+
     def part(self, taken: Int64Array) -> "VideoIndex":
         """The list of some of the pictures, (M,) ascending, as if the others had never been stored."""
         order = np.argsort(np.argsort(self.positions[taken])).astype(np.int64)

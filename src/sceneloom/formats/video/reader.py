@@ -212,14 +212,15 @@ class VideoReader:
             if not self._ahead or self._closed:
                 raise
         # a decoder that works ahead does not say which packet is damaged
-        self._ahead = False
-        self._open_file().close()
-        self._opened = self._cursor = None
+        self._stop_working_ahead()
         return self._decoded(index)
 
     def _decoded(self, index: int) -> VideoFrame:
         cursor = self._cursor
         if cursor is None or not cursor.reaches(index):
+            if cursor is not None and index > 0 and self._ahead and self._known_index().independent:
+                # of pictures that need no other, jumps would decode several for each one
+                self._stop_working_ahead()
             cursor = self._cursor = self._seek(index) or self._restart()
         frame = cursor.advance(index)
         if frame is None and cursor.first > 0:
@@ -258,6 +259,12 @@ class VideoReader:
         if self._ahead:
             opened.decode_ahead()
         return opened
+
+    def _stop_working_ahead(self) -> None:
+        self._ahead = False
+        if self._opened is not None:
+            self._opened.close()
+        self._opened = self._cursor = None
 
     def _check_unchanged(self) -> None:
         if self._identity is not None:

@@ -201,6 +201,16 @@ def test_as_many_pictures_are_decoded_at_once_as_there_are_processors_for_and_fo
         assert len(decoded_packets) == most + 1
 
 
+def test_jumps_among_pictures_that_need_no_other_decode_one_each(videos, decoded_packets, monkeypatch):
+    monkeypatch.setattr("sceneloom.formats.video.source.processors", lambda: 64)
+    content = videos.make(videos.Recipe(codec="ffv1", pixel_format="bgr0", options={"g": "1"}))
+    jumps = [5, 20, 3, 17, 18, 0, 39]
+    with open_video(content) as reader:
+        assert [videos.number(reader.rgb(index)) for index in jumps] == jumps
+    # the first is decoded together with the three after it
+    assert len(decoded_packets) == 4 + len(jumps) - 1
+
+
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the system does not list threads")
 def test_no_thread_of_a_decoder_is_left_when_reading_stops_half_way(mkv_bytes, monkeypatch):
     monkeypatch.setattr("sceneloom.formats.video.source.processors", lambda: 8)

@@ -271,7 +271,7 @@ FAULTS = {
     '{"sensor":{"type":"gyroscope","values":[1,2,3]}}': ["time: missing", "expected seconds"],
     '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":null}': ["time: missing"],
     '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":"1.5"}': ["time", '"1.5"', "a number"],
-    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":1e10}': ["time", "10000000000.0", "9200000000"],
+    '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":1e10}': ["time", "10000000000.0", "9.2e+09"],
     '{"sensor":{"type":"gyroscope","values":[1,2]},"time":1}': ["sensor.values", "[1.0, 2.0]", "expected 3"],
     '{"sensor":{"type":"odd","values":[]},"time":1}': ["sensor.values", "at least one"],
     '{"sensor":{"type":"gyroscope","values":[1,"two",3]},"time":1}': [

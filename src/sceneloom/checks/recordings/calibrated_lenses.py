@@ -15,10 +15,12 @@ MOST_UNEQUAL = 1.1
 """Focal lengths of square pixels differ by less."""
 OFF_CENTRE = 0.2
 """The principal point lies within this part of the picture's width and height around its centre."""
-_MILLIMETRES = 50.0
-_PARTS = 2.0
+_PARTS, _MILLIMETRES = 2.0, 50.0
+"""A focal length up to the first number is none in pixels but in widths of the picture, up to the second in mm."""
 _HALVES = (2.0, 4.0, 0.5, 0.25)
+"""A principal point at so many times the centre comes from pictures that were made smaller or larger."""
 _NEAR = 0.05
+"""Lengths in pixels are alike within this share."""
 
 
 @dataclass(frozen=True, slots=True)

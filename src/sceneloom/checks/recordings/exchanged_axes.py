@@ -7,6 +7,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 
 _ALIKE = 0.005
+"""Correlations this near to each other do not choose between axes."""
 
 
 def _signed(order: tuple[int, ...], signs: tuple[float, ...]) -> Float64Array:
@@ -37,7 +38,7 @@ def best_axes(measured: Float64Array, told: Float64Array) -> tuple[Float64Array,
 
 
 def axes_in_words(axes: Float64Array) -> str:
-    """`-y, x, z`: what stands in place of x, y, z."""
+    """`-y, x, z`: what stands in place of x, y, z; `axes` is (3, 3), in each row one ±1 and else 0."""
     columns = np.abs(axes).argmax(axis=1)
     return ", ".join(
         f"{'-' if axes[row, column] < 0 else ''}{'xyz'[column]}" for row, column in enumerate(columns)

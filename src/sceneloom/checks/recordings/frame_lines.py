@@ -17,6 +17,7 @@ from sceneloom.scene import Severity
 IN_STEP = 0.002
 """Pictures of a stereo pair are taken within this time [s]."""
 _NO_STEP = 0.1
+"""Taken for the time from line to line [s] where the lines tell none."""
 
 
 def _frames(subject: Subject) -> FrameColumns | None:

@@ -17,7 +17,9 @@ FEWEST_INTERVALS = 10
 GREATEST_SHIFT = 1.0
 """Shifts between the clocks of poses and IMU are looked for up to this [s]."""
 _SHIFT_STEP = 0.02
+"""Shifts are tried in steps of so long [s]."""
 _SHIFTS_SHARE = 0.2
+"""Shifts are tried up to this share of the time that both streams cover."""
 """And no farther than this part of the time that both have."""
 
 
@@ -115,7 +117,12 @@ class Gravity:
         return up
 
     def felt_and_moved(self, quaternions_xyzw: Float64Array, positions: Float64Array) -> float:
-        """Correlation of what was felt along the ground with how the positions sped up and turned."""
+        """Correlation of what was felt along the ground with how the positions sped up and turned.
+
+        Args:
+            quaternions_xyzw: (N, 4) `world_from_device` of each pose.
+            positions: (N, 3) [m], world.
+        """
         intervals = self.intervals
         felt = intervals.to_world(quaternions_xyzw, self.measured)
         joined = np.flatnonzero(intervals.first[1:] == intervals.last[:-1])
@@ -129,7 +136,7 @@ class Gravity:
 
 
 def centred(rates: Float64Array) -> Float64Array:
-    """Rates without their mean, which a bias may be."""
+    """Rates (M, K) without their mean, which a bias may be."""
     without: Float64Array = rates - rates.mean(axis=0) if len(rates) else rates
     return without
 

@@ -28,13 +28,17 @@ from sceneloom.scene import (
 FARTHEST = 5.0
 """A sensor is no farther from the IMU [m]."""
 _MILLIMETRES = 50.0
-"""What is farther than this is in millimetres or centimetres."""
+"""What is farther [m] than this is in millimetres or centimetres."""
 WIDEST_BASELINE = 1.0
 _NARROWEST_BASELINE = 0.005
+"""Two cameras that look the same way are so far apart [m]."""
 _SAME_PLACE, _SAME_TURN = 1e-4, 1e-6
+"""Mountings whose translations [m] and rotation matrices differ by less were copied, not calibrated."""
 _UPRIGHT_DEG, _ROLLED_DEG = 20.0, 45.0
+"""A camera stands upright below the first angle off it, and is on its way to its side beyond the second."""
 _STEEP_DEG = 65.0
 _SAMPLES = 20_000
+"""So many samples of the accelerometer, spread over all, tell where up is."""
 _MATRICES = ("imuToCamera", "imuToCameraMatrix", "imuToLidar", "imuToLidarMatrix")
 
 
@@ -115,6 +119,7 @@ class _Posture:
 
 
 def _posture(camera_from_imu: Float64Array, up_imu: Float64Array) -> _Posture:
+    """How a camera of that rotation (3, 3) stands where `up_imu` (3,), of length 1, points up."""
     _, down, ahead = np.clip(camera_from_imu @ up_imu * (1.0, -1.0, 1.0), -1.0, 1.0)
     return _Posture(
         float(np.degrees(np.arccos(down))), float(np.degrees(abs(np.arcsin(ahead)))), bool(ahead > 0)

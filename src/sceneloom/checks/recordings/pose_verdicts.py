@@ -113,7 +113,15 @@ def _verdicts(subject: Subject) -> list[PoseVerdict]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Case:
-    """One trajectory beside what the IMU tells of it."""
+    """One trajectory beside what the IMU tells of it.
+
+    Attributes:
+        way: the trajectory.
+        quaternions_xyzw: (N, 4) its orientations, `world_from_device` if they are told as they should be.
+        intervals: those between its poses that are compared.
+        turning: what the gyroscope measured over them; None where that is too little to tell from noise.
+        gravity: what the accelerometer measured over them, or None.
+    """
 
     way: Trajectory
     quaternions_xyzw: Float64Array
@@ -161,7 +169,7 @@ class _Case:
         )
 
     def explanation(self, subject: Subject) -> tuple[Float64Array | None, str]:
-        """The correlations under the reading that explains all, and what it says is wrong; None and "" for none."""
+        """The correlations (3,) under the reading that explains all, and what it says is wrong, or None and ""."""
         tried = [
             self.agreement(reading) for reading in orientation_readings(subject) if reading is not AS_GIVEN
         ]

@@ -53,11 +53,11 @@ class _Case:
     vertical: float
 
     def places(self, shift: float = 0.0) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
-        """Where the trajectory was at the time of each fix, or so much later [s]."""
+        """Where the trajectory was at the time of each fix, or so much later [s]: (N,) x + iy [m], world."""
         return np.asarray(self._at(shift, 0) + 1j * self._at(shift, 1))
 
     def heights(self) -> Float64Array:
-        """How high the trajectory was at the time of each fix."""
+        """How high the trajectory was at the time of each fix, (N,) [m]."""
         return self._at(0.0, 2)
 
     def _at(self, shift: float, axis: int) -> Float64Array:

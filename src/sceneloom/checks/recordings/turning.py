@@ -153,13 +153,13 @@ class PoseIntervals:
         return velocities
 
     def to_world(self, quaternions_xyzw: Float64Array, vectors: Float64Array) -> Float64Array:
-        """Turn vectors, one per interval, by the orientation in its middle."""
+        """Turn vectors (M, 3), one per interval, from the axes of the device into the world's in its middle."""
         middle = (self.first + self.last) // 2
         return rotate_vectors(quaternions_xyzw[middle], vectors)
 
 
 def orientation_noise(quaternions_xyzw: Float64Array) -> float:
-    """Deviation of each orientation from those beside it, all axes together [rad]; see `CleanSamples.noise`."""
+    """Deviation of each orientation (N, 4) from those beside it, all axes together [rad]; see `CleanSamples.noise`."""
     some = quaternions_xyzw[:_ENOUGH_FOR_NOISE]
     steps = rotation_vector_from_quaternion(multiply_quaternions(conjugate_quaternion(some[:-1]), some[1:]))
     if len(steps) < 2:

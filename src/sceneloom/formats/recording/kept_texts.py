@@ -104,7 +104,7 @@ class SharedLines:
         return self._of_hosts.get(stream, {})
 
     def rows(self, stream: str, timestamps_ns: Int64Array) -> dict[int, int]:
-        """Find the rows of a stream that have a part in such lines, each with the line's place."""
+        """Find the rows of a stream, at times (N,) [ns], that have a part in such lines, each with the line's place."""
         keys = self._index.get(stream, {})
         return {row: keys[key] for key, row in rows_of(keys, timestamps_ns).items()}
 

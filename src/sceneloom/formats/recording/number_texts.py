@@ -83,7 +83,7 @@ def decimal_text(timestamp_ns: int) -> str:
 
 
 def number_texts(numbers: Float64Array) -> list[str]:
-    """Write finite numbers, each as the shortest text that is read as it."""
+    """Write finite numbers, (N,) float64, each as the shortest text that is read as it."""
     return _encode(numbers.tolist()).decode()[1:-1].split(",") if len(numbers) else []
 
 

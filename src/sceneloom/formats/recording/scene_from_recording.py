@@ -64,7 +64,11 @@ def check_values(altitude: str, camera_shift: str) -> None:
 def read_recording(
     place: RecordingPlace, altitude: str, ledger: Ledger, *, camera_shift: str = "ignore"
 ) -> tuple[Scene, RecordingContents]:
-    """Read a recording with a ledger that decides what becomes of its faults; as `open_recording` else."""
+    """Read a recording with a ledger that decides what becomes of its faults; as `open_recording` else.
+
+    Raises:
+        DataError: it has a fault that the ledger does not take, or cannot be read.
+    """
     try:
         with ledger.telling():
             return _read(place, altitude, camera_shift, ledger)

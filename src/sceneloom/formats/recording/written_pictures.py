@@ -81,7 +81,14 @@ class CopiedVideo:
 
 
 class Images(Protocol):
-    """Makes the images of one camera as a video takes them."""
+    """Makes the images of one camera as a video takes them.
+
+    Attributes:
+        codec: of the video, as `VideoWriter` calls it.
+        width, height: of the video [px].
+        blank: (height, width, 3) or (height, width), what a line before the first image gets.
+        losses: what the video cannot hold, added to as images are made.
+    """
 
     codec: str
     width: int
@@ -94,7 +101,7 @@ class Images(Protocol):
         ...
 
     def image(self, shot: Shot) -> UInt8Array | UInt16Array | None:
-        """Give what is encoded; None of what is none of this camera's."""
+        """Give what is encoded, of the shape of `blank`; None of what is none of this camera's."""
         ...
 
 
@@ -116,7 +123,7 @@ class ColorImages:
         return {}
 
     def image(self, shot: Shot) -> UInt8Array | None:
-        """Give a picture, cut to the size of the video; None of what is no picture."""
+        """Give a picture, (height, width, 3), cut to the size of the video; None of what is no picture."""
         if not isinstance(shot, Picture):
             return None
         rgb = shot.rgb

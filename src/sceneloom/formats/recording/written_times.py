@@ -65,7 +65,15 @@ class TimeWriter:
 
 
 def writing_order(timestamps_ns: Int64Array, file_seconds: Float64Array | None) -> Int64Array:
-    """The order in which samples are written: by time, those of one nanosecond by the numbers that they came from."""
+    """The order in which samples are written: by time, those of one nanosecond by the numbers that they came from.
+
+    Args:
+        timestamps_ns: (N,) int64 [ns].
+        file_seconds: (N,) float64 [s], the numbers, or None where there are none.
+
+    Returns:
+        (N,) int64, row that stands at each place.
+    """
     if file_seconds is None:
         return np.argsort(timestamps_ns, kind="stable").astype(np.int64)
     return np.lexsort((file_seconds, timestamps_ns)).astype(np.int64)

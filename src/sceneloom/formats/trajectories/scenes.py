@@ -34,7 +34,9 @@ def read_scene_trajectory(
         form: the format of the scene.
         place: what the format opens.
         reading: its `name`: a name out of `scene.trajectories`, "lidar" or "gnss" to find the way from the sweeps or
-            from GNSS and IMU, "fixes" or "fixes:ID" for what a satellite receiver told; None: the default one.
+            from GNSS and IMU, "fixes" or "fixes:ID" for what a satellite receiver told. None: the default one; where
+            there is none and no lidar, the fixes as received, since what is compared is what was told, and not what
+            a smoother makes of it where a scene is placed; else what `find_ego_motion` finds.
         options: reading options of the format.
         progress: told after each sweep, where the way is found from the sweeps.
 

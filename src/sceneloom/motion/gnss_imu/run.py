@@ -12,6 +12,7 @@ from sceneloom.motion.gnss_imu.fixes import GnssFixes, gnss_fixes
 from sceneloom.motion.gnss_imu.samples import InertialSamples, inertial_samples
 from sceneloom.motion.gnss_imu.settings import DEFAULTS, SmootherSettings
 from sceneloom.motion.gnss_imu.smoother import Measurements, Smoothed, smoothed
+from sceneloom.motion.gnss_imu.times import check_times
 from sceneloom.motion.gnss_imu.wander import Wander, wandering
 from sceneloom.motion.gnss_imu.way import Way, pose_covariances, way_between, way_times
 from sceneloom.motion.gnss_receivers import gnss_receivers
@@ -74,6 +75,7 @@ def gnss_imu_motion(
     found = inertial_samples(scene)
     samples = None if found is None else found[1]
     gravity = settings.gravity or normal_gravity(float(fixes.origin_lla[0]), float(fixes.origin_lla[2]))
+    check_times(scene.source, fixes, samples)
     bias = None if samples is None else _standing_bias(samples)
     drive = Measurements(fixes, samples, lidar, gravity, bias)
     return _run(scene, drive, smoothed(drive, settings))
@@ -116,16 +118,16 @@ def _with_wander(
     """Positions as the receiver would tell them, its slow errors included, and what these do to the covariances.
 
     Errors that are alike count as fewer: with a correlation ρ of neighbours, the variance of a mean is larger by
-    (1 + ρ) / (1 - ρ).
+    (1 + ρ) / (1 - ρ). What fixes across tell (place, orientation) grows by their factor, the height by its own.
     """
-    positions, offset = way.positions.copy(), offset.copy()
-    for slow, axes in zip(wander, (slice(0, 2), slice(2, 3)), strict=True):
+    positions, offset, growth = way.positions.copy(), offset.copy(), np.ones(6)
+    for slow, axes, grown in zip(wander, (slice(0, 2), slice(2, 3)), ([0, 1, 2, 3, 4], [5]), strict=True):
         if slow is None:
             continue
         positions[:, axes] += slow.at(way.timestamps_ns)
         offset[axes] = np.maximum(offset[axes], slow.sigma)
-        poses = poses * ((1.0 + slow.alike) / (1.0 - slow.alike))
-    return positions, poses, offset
+        growth[grown] = np.sqrt((1.0 + slow.alike) / (1.0 - slow.alike))
+    return positions, growth[:, None] * poses * growth, offset
 
 
 def _common_offset(fixes: GnssFixes, sigmas: Float64Array) -> Float64Array:

@@ -360,6 +360,28 @@ def test_a_wrong_time_is_not_bridged_by_states(wrong_ns, town):
         town.run(gnss=replace(town.gnss, timestamps_ns=times))
 
 
+@pytest.mark.parametrize("late", ["all", "imu", "gnss", "gnss alone"])
+def test_milliseconds_taken_for_seconds_are_told(late, town):
+    gnss = replace(town.gnss, timestamps_ns=town.gnss.timestamps_ns * (1 if late == "imu" else 1000))
+    times = 1 if late == "gnss" else 1000
+    streams = {n: VectorSamples(s.timestamps_ns * times, s.values) for n, s in town.imu.streams.items()}
+    sensors = (gnss,) if late == "gnss alone" else (ImuSensor("imu", streams), gnss)
+    with pytest.raises(PoseError, match="milliseconds"):
+        gnss_imu_motion(Scene(sensors, source="made up"))
+
+
+def test_slow_errors_of_heights_leave_the_covariances_across_as_they_are(town):
+    times = town.gnss.timestamps_ns * 1e-9
+    heights = np.stack([0 * times, 0 * times, 3.0 * np.sin(0.8 * times)], axis=1)
+    plain, wavy = town.run(), town.run(gnss=moved(town.gnss, enu(town.gnss) + heights))
+    before, after = (np.median(run.trajectory.covariances[:, 3, 3]) for run in (plain, wavy))
+    # by as much as the receiver's heights tell the IMU less: far from the factor (1 + ρ) / (1 - ρ), here above 2
+    assert after < 1.5 * before
+    assert np.median(wavy.trajectory.covariances[:, 5, 5]) > 4.0 * np.median(
+        plain.trajectory.covariances[:, 5, 5]
+    )
+
+
 @pytest.mark.parametrize(("stream", "torn"), [("accelerometer", 1e200), ("gyroscope", -1e12)])
 def test_samples_that_nothing_measures_are_left_out(stream, torn, town):
     samples = town.imu.streams[stream]

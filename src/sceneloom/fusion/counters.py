@@ -17,7 +17,9 @@ class Counters:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def add(self, name: str, count: int = 1) -> None:
-        """Count something that happened."""
+        """Count something that happened, if it did."""
+        if count == 0:
+            return
         with self._lock:
             self._counts[name] += count
 

@@ -109,6 +109,12 @@ class Pairing(Generic[Frame, Partner]):
     _lags_ns: dict[Identifier, int] = field(default_factory=dict)
     _latest_ns: int | None = None
 
+    def configure(self, lateness_ns: int, most: int | None) -> None:
+        """Wait so long, and keep so many sweeps and pictures of each camera, from now on."""
+        self.lateness_ns, self.most_waiting = lateness_ns, most
+        for queue in self.queues.values():
+            queue.most = most
+
     def add_camera(self, camera_id: Identifier, *, most: int | None = None) -> None:
         """Make a camera known; `most` of its pictures are kept."""
         self.queues[camera_id] = TimedQueue(camera_id, most)

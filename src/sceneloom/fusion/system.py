@@ -92,6 +92,22 @@ class FusionSystem:
         for camera in self._cameras.values():
             camera.source = replace(camera.source, path=path, reach_ns=reach_ns)
 
+    def configure(self, configuration: FusionConfiguration, *, period_ns: int) -> None:
+        """Go by other settings from the next measurement on; sweeps that wait keep their tolerance.
+
+        Raises:
+            OptionError: an algorithm is not installed.
+        """
+        by_name = algorithm(FusionType.SENSOR_DATA, configuration.fusion_algorithm)
+        self._sweep_fusion.algorithm, self._sweep_fusion.visibility = by_name, configuration.visibility
+        if configuration.detection_algorithm != self.configuration.detection_algorithm:
+            self._box_fusion = None
+        self.configuration = configuration
+        for pairing in (self._sweeps, self._boxes):
+            pairing.configure(configuration.lateness_ns, configuration.most_waiting)
+        for lidar in self._lidars.values():
+            lidar.period_ns = period_ns
+
     def send(self, sensor_id: Identifier, measurement: Measurement) -> None:
         """Hand in a sweep or its boxes for a lidar, a picture or its boxes for a camera.
 
@@ -124,6 +140,11 @@ class FusionSystem:
     def get_detections(self) -> FusedDetectionFrame | None:
         """Fetch the oldest fused boxes that have not been fetched; None where there are none yet."""
         return self._detections.popleft() if self._detections else None
+
+    @property
+    def waits(self) -> bool:
+        """Whether a sweep or its boxes wait for a picture."""
+        return bool(self._sweeps.waiting or self._boxes.waiting)
 
     def flush(self) -> None:
         """Fuse everything that waits with the pictures that have come."""

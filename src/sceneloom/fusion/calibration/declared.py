@@ -8,9 +8,9 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
+from sceneloom.fusion.calibration.axes import DeclaredAxes, SensorKind
 from sceneloom.fusion.calibration.layouts import MatrixLayout, matrix_of, numbers_of, possible_layouts
 from sceneloom.fusion.messages.calibration_data import CalibrationData
-from sceneloom.fusion.properties.axes import DeclaredAxes, SensorKind
 from sceneloom.geometry.rigid import RigidTransform
 
 _SLOPPIEST = 0.02

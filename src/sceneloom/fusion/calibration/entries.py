@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.errors import DataError
-from sceneloom.fusion.calibration.layouts import possible_layouts
+from sceneloom.fusion.calibration.declared import check_calibration
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.tables import CALIBRATION
 
@@ -34,7 +34,7 @@ def parse_calibrations(text: str) -> tuple[CalibrationEntry, ...]:
 
     Raises:
         DataError: it is no JSON list of records of table 3 with `camera_id` and `lidar_id`, or two are of one pair.
-        CalibrationError: an extrinsic_matrix is a transform in neither layout.
+        CalibrationError: the numbers of one are no lens or no transform.
     """
     if not text.strip():
         return ()
@@ -61,7 +61,7 @@ def entry_of(item: Any, place: str) -> CalibrationEntry:
 
     Raises:
         DataError: it is no such record.
-        CalibrationError: its extrinsic_matrix is a transform in neither layout.
+        CalibrationError: its numbers are no lens or no transform.
     """
     if not isinstance(item, dict):
         raise DataError(_OWNER, place, f"{item!r}; expected an object")
@@ -77,7 +77,7 @@ def entry_of(item: Any, place: str) -> CalibrationEntry:
         data = CalibrationData(**{_FIELDS[name]: value for name, value in item.items() if name not in _IDS})
     except DataError as error:
         raise DataError(_OWNER, f"{place}.{error.place}", error.problem) from error
-    possible_layouts(data.extrinsic_matrix)
+    check_calibration(data)
     return CalibrationEntry(camera_id, lidar_id, data)
 
 

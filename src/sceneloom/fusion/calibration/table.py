@@ -6,11 +6,9 @@ from types import MappingProxyType
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
-from sceneloom.fusion.calibration.declared import CalibratedPair, axes_of, calibrated_pair
+from sceneloom.fusion.calibration.axes import DeclaredAxes
+from sceneloom.fusion.calibration.declared import CalibratedPair, calibrated_pair
 from sceneloom.fusion.calibration.entries import CalibrationEntry
-from sceneloom.fusion.calibration.lenses import LENSES, parse_lenses
-from sceneloom.fusion.properties.axes import DeclaredAxes
-from sceneloom.fusion.properties.store import Snapshot
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,24 +47,6 @@ class DeclaredFrames:
 
     camera: DeclaredAxes
     lidar: DeclaredAxes
-
-    @classmethod
-    def of(cls, properties: Snapshot) -> "DeclaredFrames":
-        """Read them from the properties."""
-        left_handed = properties["chirality"] == 1
-        camera = axes_of(properties["camera_axes"], properties["camera_coordinate"], left_handed=left_handed)
-        lidar = axes_of(properties["lidar_axes"], properties["lidar_coordinate"], left_handed=left_handed)
-        return cls(camera, lidar)
-
-
-def lenses_of(properties: Snapshot) -> Mapping[int, Camera]:
-    """Read the added property `lenses`; none where it is not there or not set.
-
-    Raises:
-        DataError, CalibrationError: its text cannot be read.
-    """
-    found = properties.properties.get(LENSES)
-    return parse_lenses(found.value) if found is not None and isinstance(found.value, str) else {}
 
 
 def resolve_pair(

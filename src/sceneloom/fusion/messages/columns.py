@@ -71,8 +71,12 @@ def settle_classes(record: Any, table: Table, count: int, *, group: str) -> None
     if not isinstance(names, tuple | list) or len(names) != count:
         raise table.fault("class", f"{shown(names)}; expected a tuple of {count}")
     row = table.row("class")
-    checked = (row.check_class(name, table.owner, f"{group}[{k}].class") for k, name in enumerate(names))
-    object.__setattr__(record, "class_names", tuple(checked))
+    for name in set(names) if all(isinstance(name, str) for name in names) else names:
+        try:
+            row.check_class(name, table.owner)
+        except DataError as error:
+            raise table.fault(f"{group}[{names.index(name)}].class", error.problem) from error
+    object.__setattr__(record, "class_names", tuple(names))
 
 
 def settle_ids(record: Any, attribute: str, row: Row, table: Table, count: int) -> None:
@@ -105,7 +109,8 @@ def _check_shape(values: Any, column: Column, table: Table, count: int | None) -
 
 def _check_values(values: AnyArray, column: Column, table: Table, group: str) -> None:
     rows = [table.row(name) for name in column.names]
-    if len({(row.low, row.high, row.above) for row in rows}) == 1 and rows[0].admits(values):
+    alike = all((row.low, row.high, row.above) == (rows[0].low, rows[0].high, rows[0].above) for row in rows)
+    if alike and rows[0].admits(values):
         return
     flat = values.reshape(len(values), math.prod(values.shape[1:]))
     for j in range(flat.shape[1]):

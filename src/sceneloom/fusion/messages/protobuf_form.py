@@ -1,7 +1,7 @@
 """Records as protobuf messages: field k of a message is row k of its table, arrays are bytes, little-endian."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any, cast
 
@@ -227,7 +227,8 @@ def _field_lists(
     return scalars, vectors
 
 
-def _read_list(messages: Any, layout: ListLayout, common: Mapping[str, Any]) -> dict[str, Any]:
+def _read_list(repeated: Any, layout: ListLayout, common: Mapping[str, Any]) -> dict[str, Any]:
+    messages = list(repeated)
     _check_shared(messages, layout, common)
     values: dict[str, Any] = {"class_names": tuple(map(attrgetter("class"), messages))}
     for column in layout.columns:
@@ -249,20 +250,22 @@ def _read_list(messages: Any, layout: ListLayout, common: Mapping[str, Any]) -> 
     return values
 
 
-def _check_shared(messages: Iterable[Any], layout: ListLayout, common: Mapping[str, Any]) -> None:
+def _check_shared(messages: Sequence[Any], layout: ListLayout, common: Mapping[str, Any]) -> None:
     """Check that each record of a list says of itself what the list says of all."""
-    expected = common["timestamp"]
-    for k, message in enumerate(messages):
-        if expected is not None:
-            found = message.timestamp
-            if found.s != expected.s or found.ns != expected.ns or not message.HasField("timestamp"):
-                text = f"{found.s}.{found.ns:09d}" if message.HasField("timestamp") else "missing"
-                place = f"{layout.group}[{k}].timestamp"
-                raise layout.table.fault(place, f"{text}; expected {expected} as all of them")
-        for name, shared in layout.shared.items():
-            if name != "timestamp" and getattr(message, name) != common[shared]:
-                problem = f"{getattr(message, name)}; expected {common[shared]} as all of them"
-                raise layout.table.fault(f"{layout.group}[{k}].{name}", problem)
+    timestamp = common["timestamp"]
+    if timestamp is None:
+        return
+    seqs = [(name, common[shared]) for name, shared in layout.shared.items() if name != "timestamp"]
+    expected = (timestamp.s, timestamp.ns, *(seq for _, seq in seqs))
+    told = attrgetter("timestamp.s", "timestamp.ns", *(name for name, _ in seqs))
+    if not set(map(told, messages)) - {expected}:
+        return
+    k, found = next((k, found) for k, found in enumerate(map(told, messages)) if found != expected)
+    wrong = found[:2] != expected[:2]
+    name = "timestamp" if wrong else seqs[0][0]
+    value = f"{found[0]}.{found[1]:09d}" if wrong else found[2]
+    problem = f"{value}; expected {timestamp if wrong else expected[2]} as all of them"
+    raise layout.table.fault(f"{layout.group}[{k}].{name}", problem)
 
 
 def _check_lengths(rows: Sequence[tuple[Any, ...]], length: int, layout: ListLayout, name: str) -> None:

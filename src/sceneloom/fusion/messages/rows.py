@@ -1,6 +1,6 @@
 """A row of one of the standard's tables: what a field is called, what it holds, and the check that it does."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -24,6 +24,9 @@ STREAM = "int8[]"
 ARRAY_DTYPES: Mapping[str, np.dtype[Any]] = {"uint8[]": np.dtype(np.uint8), "float[]": np.dtype(np.float32)}
 """The types of fields that are arrays of any length, and what they are in memory."""
 
+_FEW = 1000
+"""Of fewer numbers it is quicker to look at each than for the smallest and the largest."""
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -43,6 +46,8 @@ class Row:
         example: the standard's.
         attribute: of the record in Python; "" for `name`.
         aliases: names that are read, too: those of the same field in other tables.
+        value_type: what `type` means; None for a time stamp.
+        whole: smallest and largest value of a whole number, else None.
     """
 
     number: int
@@ -60,11 +65,23 @@ class Row:
     attribute: str = ""
     aliases: tuple[str, ...] = ()
     value_type: ValueType | None = field(init=False)
+    whole: tuple[int, int] | None = field(init=False)
 
     def __post_init__(self) -> None:
-        composed = self.type == TIME
-        object.__setattr__(self, "value_type", None if composed else ValueType.parse(self.type))
+        value_type = None if self.type == TIME else ValueType.parse(self.type)
+        object.__setattr__(self, "value_type", value_type)
         object.__setattr__(self, "attribute", self.attribute or self.name)
+        object.__setattr__(self, "whole", self._whole(value_type))
+
+    def _whole(self, value_type: ValueType | None) -> tuple[int, int] | None:
+        """Smallest and largest value where it is one whole number."""
+        if value_type is None or value_type.form is not ValueForm.SCALAR or self.type == CLASS:
+            return None
+        bounds = INTEGER_RANGES.get(value_type.elements[0])
+        if bounds is None:
+            return None
+        low, high = self.low, self.high
+        return bounds[0] if low is None else int(low), bounds[1] if high is None else int(high)
 
     @property
     def is_extension(self) -> bool:
@@ -74,11 +91,7 @@ class Row:
     @property
     def range(self) -> str:
         """The values that make sense, in words."""
-        low, high = self.low, self.high
-        kind = BasicType.STRING if self.value_type is None else self.value_type.elements[0]
-        if kind in INTEGER_RANGES and self.type != CLASS:
-            type_low, type_high = INTEGER_RANGES[kind]
-            low, high = type_low if low is None else low, type_high if high is None else high
+        low, high = (self.low, self.high) if self.whole is None else self.whole
         if low is None:
             return ""
         if self.above:
@@ -103,19 +116,14 @@ class Row:
         Raises:
             DataError: it is missing, of another type or out of range.
         """
+        if type(value) is int and self.whole is not None and self.whole[0] <= value <= self.whole[1]:
+            return value
         if value is None:
             if self.required:
                 raise DataError(owner, self.name, f"missing; expected {self._expected()}")
             return self.default
-        if self.type == TIME:
-            return self._time(value, owner)
-        if self.type == STREAM:
-            return self._stream(value, owner)
-        if self.type == CLASS:
-            return self.check_class(value, owner)
-        if self.type in ARRAY_DTYPES:
-            return self._array(value, owner)
-        return self._plain_value(value, owner)
+        check = _CHECKS.get(self.type)
+        return self._plain_value(value, owner) if check is None else check(self, value, owner)
 
     def check_class(self, value: Any, owner: str, place: str = "") -> str:
         """Check the name of a class.
@@ -123,21 +131,19 @@ class Row:
         Raises:
             DataError: it is no text, or empty where a class is required.
         """
+        if type(value) is str and value.isascii() and value:
+            return value
         name = check_basic(BasicType.STRING, value, owner=owner, place=place or self.name)
         if self.required and not name:
             raise DataError(owner, place or self.name, "''; expected the name of a class")
         return str(name)
 
-    def _array(self, values: Any, owner: str) -> AnyArray:
-        dtype = ARRAY_DTYPES[self.type]
-        if not isinstance(values, np.ndarray) or values.dtype != dtype:
-            raise DataError(owner, self.name, f"{shown(values)}; expected an array of {dtype.name}")
-        flat = read_only(values.reshape(-1))
-        if dtype.kind == "f" or self.low is not None:
-            self._refuse_any(flat, owner)
-        return flat
+    def refuse_any(self, flat: AnyArray, owner: str) -> None:
+        """Refuse an array in which a number is not finite or out of range.
 
-    def _refuse_any(self, flat: AnyArray, owner: str) -> None:
+        Raises:
+            DataError: one is; the message names the first.
+        """
         if not self.admits(flat):
             k = self.first_refused(flat)
             raise DataError(owner, f"{self.name}[{k}]", f"{flat[k]}; {self.wanted}")
@@ -146,6 +152,8 @@ class Row:
         """Whether all numbers of an array are finite and in the range of this field."""
         if values.size == 0:
             return True
+        if self.low is None and self.high is None and values.size < _FEW:
+            return values.dtype.kind != "f" or bool(np.isfinite(values).all())
         smallest, largest = values.min(), values.max()
         finite = values.dtype.kind != "f" or bool(np.isfinite(smallest) and np.isfinite(largest))
         return finite and self._is_in_range(smallest) and self._is_in_range(largest)
@@ -158,20 +166,6 @@ class Row:
         if self.high is not None:
             good &= values <= self.high
         return int(np.argmin(good))
-
-    def _time(self, value: Any, owner: str) -> Timestamp:
-        if not isinstance(value, Timestamp):
-            raise DataError(owner, self.name, f"{shown(value)}; expected a Timestamp")
-        return value
-
-    def _stream(self, value: Any, owner: str) -> bytes:
-        if isinstance(value, bytes):
-            return value
-        if isinstance(value, np.ndarray) and value.dtype in (np.int8, np.uint8):
-            return value.tobytes()
-        if isinstance(value, bytearray | memoryview):
-            return bytes(value)
-        raise DataError(owner, self.name, f"{shown(value)}; expected bytes")
 
     def _plain_value(self, value: Any, owner: str) -> Any:
         value_type = cast("ValueType", self.value_type)
@@ -198,5 +192,39 @@ class Row:
         return ", ".join(word for word in words if word)
 
 
+def _time(row: Row, value: Any, owner: str) -> Timestamp:
+    if not isinstance(value, Timestamp):
+        raise DataError(owner, row.name, f"{shown(value)}; expected a Timestamp")
+    return value
+
+
+def _stream(row: Row, value: Any, owner: str) -> bytes:
+    if isinstance(value, bytes):
+        return value
+    if isinstance(value, np.ndarray) and value.dtype in (np.int8, np.uint8):
+        return value.tobytes()
+    if isinstance(value, bytearray | memoryview):
+        return bytes(value)
+    raise DataError(owner, row.name, f"{shown(value)}; expected bytes")
+
+
+def _array(row: Row, values: Any, owner: str) -> AnyArray:
+    dtype = ARRAY_DTYPES[row.type]
+    if not isinstance(values, np.ndarray) or values.dtype != dtype:
+        raise DataError(owner, row.name, f"{shown(values)}; expected an array of {dtype.name}")
+    flat = read_only(values.reshape(-1))
+    row.refuse_any(flat, owner)
+    return flat
+
+
 def _plain(number: float) -> str:
     return str(int(number)) if number == int(number) else str(number)
+
+
+_CHECKS: Mapping[str, Callable[[Row, Any, str], Any]] = {
+    TIME: _time,
+    STREAM: _stream,
+    CLASS: Row.check_class,
+    **dict.fromkeys(ARRAY_DTYPES, _array),
+}
+"""How fields of these types are checked; others hold a value or a few of table 1."""

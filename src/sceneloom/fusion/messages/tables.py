@@ -4,7 +4,7 @@ Source: DB34/T 4101-2022, clauses 6.1 to 6.8. Rows from 100 on are extensions.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -28,6 +28,10 @@ class Table:
     clause: str
     title: str
     rows: tuple[Row, ...]
+    _by_name: dict[str, Row] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_by_name", {row.name: row for row in self.rows})
 
     @property
     def owner(self) -> str:
@@ -40,10 +44,7 @@ class Table:
         Raises:
             KeyError: there is none.
         """
-        found = next((row for row in self.rows if row.name == name), None)
-        if found is None:
-            raise KeyError(name)
-        return found
+        return self._by_name[name]
 
     def settle(self, record: Any) -> None:
         """Check all fields of a record that is being made, and put what they come to in their places.

@@ -6,8 +6,8 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.errors import CalibrationError, DataError
+from sceneloom.fusion.calibration.axes import DeclaredAxes
 from sceneloom.fusion.calibration.entries import parse_calibrations
-from sceneloom.fusion.properties.axes import DeclaredAxes
 from sceneloom.fusion.properties.sensors import parse_sensors
 
 Check = Callable[[Any], object]

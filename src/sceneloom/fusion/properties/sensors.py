@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.errors import DataError
-from sceneloom.fusion.properties.axes import SensorKind
+from sceneloom.fusion.calibration.axes import SensorKind
 
 _PLACE = "sensors"
 

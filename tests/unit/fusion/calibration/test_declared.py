@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
+from sceneloom.fusion.calibration.axes import DeclaredAxes
 from sceneloom.fusion.calibration.declared import (
     calibrated_pair,
     calibration_data,
@@ -16,7 +17,6 @@ from sceneloom.fusion.calibration.declared import (
 )
 from sceneloom.fusion.calibration.layouts import MatrixLayout, matrix_of, numbers_of, possible_layouts
 from sceneloom.fusion.messages import CalibrationData
-from sceneloom.fusion.properties.axes import DeclaredAxes
 from sceneloom.geometry.rigid import RigidTransform
 
 EXAMPLE = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import CalibrationError
-from sceneloom.fusion.properties import DeclaredAxes, SensorKind
+from sceneloom.fusion.calibration.axes import DeclaredAxes, SensorKind
 
 
 @pytest.mark.parametrize(

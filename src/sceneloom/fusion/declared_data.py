@@ -1,0 +1,37 @@
+"""Points and boxes between the frame that a session declares and the one used inside."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Float64Array, read_only
+from sceneloom.fusion.messages.boxes import Boxes3d
+from sceneloom.scene import LidarFrame
+
+
+def turned(vectors: Float32Array, matrix: Float64Array) -> Float32Array:
+    """Take (N, 3) vectors into other axes by a signed permutation, exactly; the same array where nothing turns."""
+    if np.array_equal(matrix, np.eye(3)):
+        return vectors
+    columns = np.abs(matrix).argmax(axis=1)
+    signs = matrix[range(3), columns].astype(np.float32)
+    return read_only(np.ascontiguousarray(vectors[:, columns] * signs))
+
+
+def standard_frame(frame: LidarFrame, standard_from_declared: Float64Array) -> LidarFrame:
+    """Take a sweep out of its declared frame."""
+    positions = turned(frame.points.positions, standard_from_declared)
+    if positions is frame.points.positions:
+        return frame
+    return replace(frame, points=replace(frame.points, positions=positions))
+
+
+def standard_boxes(boxes: Boxes3d, standard_from_declared: Float64Array) -> Boxes3d:
+    """Take boxes out of their declared frame."""
+    vectors = boxes.velocity_vectors
+    return replace(
+        boxes,
+        centers=turned(boxes.centers, standard_from_declared),
+        directions=turned(boxes.directions, standard_from_declared),
+        velocity_vectors=None if vectors is None else turned(vectors, standard_from_declared),
+    )

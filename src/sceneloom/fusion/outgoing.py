@@ -1,0 +1,134 @@
+"""Results of the fusion system as records of tables 9 and 10, in the frames that a session declares."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt32Array
+from sceneloom.colouring.colours import colour_points
+from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.detections.results import NO_BOX, FusedBoxes
+from sceneloom.fusion.calibration.axes import SensorKind
+from sceneloom.fusion.detection_fusion import FusedDetectionFrame
+from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
+from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData
+from sceneloom.fusion.messages.scene_form import sensor_fusion_of, whole_corners
+from sceneloom.fusion.messages.timestamps import Timestamp
+from sceneloom.fusion.setting import Setting
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import LidarPoints
+
+
+def sensor_fusion_record(
+    frame: FusedFrame,
+    view: FusedView,
+    world_from_lidar: RigidTransform,
+    setting: Setting,
+    *,
+    camera_id: int,
+    lidar_id: int,
+    image_seq: int,
+    points_seq: int,
+    motion_compensated: bool,
+) -> SensorFusionData:
+    """Give the record of a sweep and one of its pictures.
+
+    Args:
+        world_from_lidar: the lidar at the sweep's reference time; where the ego stood, the identity.
+
+    Source: DB34/T 4101-2022, table 9; READINGS of table 9 in docs/CONVENTIONS.md.
+    """
+    of_lidar = setting.properties["reference_frame"] == 1
+    world_from_frame = world_from_lidar if of_lidar else view.world_from_camera
+    axes, kind = (
+        (setting.frames.lidar, SensorKind.LIDAR) if of_lidar else (setting.frames.camera, SensorKind.CAMERA)
+    )
+    colors, _ = colour_points(len(frame.points), [view], [0])
+    points = replace(
+        frame.points,
+        positions=_moved(frame.points, world_from_frame, axes.standard_from_declared(kind).T),
+        colors=colors,
+        camera_index=None,
+    )
+    return sensor_fusion_of(
+        frame,
+        view,
+        points,
+        camera_id=camera_id,
+        lidar_id=lidar_id,
+        image_seq=image_seq,
+        points_seq=points_seq,
+        depth_kind=setting.properties["depth_kind"],
+        point_frame="lidar" if of_lidar else "camera",
+        motion_compensated=motion_compensated,
+    )
+
+
+def _moved(
+    points: LidarPoints, world_from_frame: RigidTransform, declared_from_standard: Float64Array
+) -> Float32Array:
+    """Give points of the world in a frame of declared axes, (N, 3) float32 [m]."""
+    frame_from_world = world_from_frame.inverse()
+    rotation = declared_from_standard @ frame_from_world.rotation
+    translation = declared_from_standard @ frame_from_world.translation
+    if np.array_equal(rotation, np.eye(3)) and not translation.any():
+        return points.positions
+    return (points.positions @ rotation.T + translation).astype(np.float32)
+
+
+def fused_detections_record(
+    frame: FusedDetectionFrame,
+    boxes_3d: Boxes3d,
+    boxes_2d: Boxes2d,
+    setting: Setting,
+    *,
+    motion_compensated: bool,
+) -> FusedDetections:
+    """Give the records of the objects of a sweep and a picture.
+
+    Args:
+        boxes_3d, boxes_2d: what was sent.
+
+    Source: DB34/T 4101-2022, table 10.
+    """
+    fused = frame.fused
+    declared = setting.frames.lidar.standard_from_declared(SensorKind.LIDAR).T
+    directions = np.column_stack([np.cos(fused.yaws), np.sin(fused.yaws), np.zeros(len(fused))])
+    velocities = np.zeros((len(fused), 3)) if fused.velocities is None else fused.velocities
+    return FusedDetections(
+        timestamp=boxes_3d.timestamp,
+        image_seq=boxes_2d.seq,
+        points_seq=boxes_3d.seq,
+        camera_id=boxes_2d.sensor_id,
+        lidar_id=boxes_3d.sensor_id,
+        id=fused.ids.astype(np.int32),
+        class_names=fused.labels,
+        confidence=np.clip(fused.scores, 0.0, 1.0).astype(np.float32),
+        centers=(fused.centers @ declared.T).astype(np.float32),
+        center_covs=_symmetric(declared @ fused.center_covariances @ declared.T),
+        sizes_lwh=fused.sizes_lwh.astype(np.float32),
+        size_covs=_symmetric(fused.size_covariances),
+        directions=(directions @ declared.T).astype(np.float32),
+        velocities=(velocities * directions).sum(axis=1).astype(np.float32),
+        velocity_vectors=None if fused.velocities is None else (velocities @ declared.T).astype(np.float32),
+        corners_xyxy=_corners(fused, boxes_2d, setting),
+        box_3d_ids=_numbers(fused.rows_3d, boxes_3d),
+        box_2d_ids=_numbers(fused.rows_2d, boxes_2d),
+        motion_compensated=int(motion_compensated),
+        image_timestamp=Timestamp.of(frame.picture_timestamp_ns),
+    )
+
+
+def _symmetric(covariances: Float64Array) -> Float32Array:
+    both: Float32Array = ((covariances + covariances.transpose(0, 2, 1)) / 2.0).astype(np.float32)
+    return both
+
+
+def _corners(fused: FusedBoxes, boxes_2d: Boxes2d, setting: Setting) -> UInt32Array:
+    camera = setting.camera(boxes_2d.sensor_id)
+    return whole_corners(fused.corners_xyxy, (camera.width, camera.height))
+
+
+def _numbers(rows: Int64Array, boxes: Boxes3d | Boxes2d) -> tuple[int | None, ...]:
+    ids = boxes.id.tolist()
+    return tuple(None if row == NO_BOX else ids[row] for row in rows.tolist())

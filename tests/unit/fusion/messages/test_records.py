@@ -1,0 +1,312 @@
+"""Records of tables 3 to 10: the standard's examples, and every fault by its field's name."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError, OptionError
+from sceneloom.fusion.messages import (
+    Box2d,
+    Box3d,
+    Boxes2d,
+    Boxes3d,
+    CalibrationData,
+    FusedDetection,
+    FusedDetections,
+    ImageData,
+    PointCloudData,
+    RawData,
+    SensorFusionData,
+    Timestamp,
+    kind_of,
+)
+
+TIME = Timestamp(1595682678, 715705367)
+COV = (0.2, 0.01, 0.01, 0.01, 0.2, 0.01, 0.01, 0.01, 0.2)
+
+CALIBRATION = CalibrationData(
+    image_size=(640, 480),
+    distortion_coeffs=(-0.3995, 0.1803, 0, 0, 0.0429),
+    intrinsic_matrix=(468.3708, 0.0, 339.7596, 0.0, 470.2517, 235.6143, 0.0, 0.0, 1.0),
+    reference_frame=0,
+    extrinsic_matrix=(
+        *(0.0070, 1e-06, 0.9999, 0, -0.9999, -0.0016, 0.0070, 0),
+        *(0.0016, -0.9999, -1e-06, 0, -0.0062, 0.0756, 0.0337, 1),
+    ),
+)
+RAW = RawData(sensor_id=1, timestamp=TIME, seq=1, length=1, data=b"\x80")
+IMAGE = ImageData(
+    sensor_id=1,
+    timestamp=TIME,
+    seq=1,
+    height=480,
+    width=360,
+    encoding="rgb8",
+    channel=3,
+    data=np.zeros((480, 360, 3), np.uint8),
+)
+CLOUD = PointCloudData(
+    sensor_id=0,
+    timestamp=TIME,
+    seq=1,
+    number=1000,
+    fields=("x", "y", "z", "reflectivity"),
+    fields_number=4,
+    data=np.zeros((1000, 4), np.float32),
+    sensor_type=0,
+    beam=32,
+    ring=0,
+)
+BOX_3D = Box3d(
+    id=1,
+    class_name="Car",
+    points_seq=2,
+    confidence=0.8,
+    timestamp=TIME,
+    X=1.0,
+    Y=1.0,
+    Z=1.0,
+    length=1.0,
+    width=1.0,
+    height=1.0,
+    direction=(2.0, 3.0, 0.0),
+    velocity=1,
+)
+BOX_2D = Box2d(
+    id=1, class_name="Car", image_seq=1, confidence=0.8, timestamp=TIME, x1=103, y1=103, x2=204, y2=204
+)
+FUSION = SensorFusionData(
+    timestamp=TIME,
+    image_seq=1,
+    points_seq=1,
+    camera_id=1,
+    lidar_id=1,
+    height=480,
+    width=360,
+    encoding="rgb8",
+    image_channel=3,
+    image_data=np.zeros(480 * 360 * 3, np.uint8),
+    image_depth=np.zeros(480 * 360, np.float32),
+    point_num=10000,
+    point_fields=("x", "y", "z"),
+    fields_number=3,
+    point_data=np.zeros((10000, 3), np.float32),
+)
+DETECTION = FusedDetection(
+    id=1,
+    confidence=0.8,
+    timestamp=TIME,
+    class_name="Car",
+    X=1.0,
+    Y=1.0,
+    Z=1.0,
+    center_cov=COV,
+    length=1.0,
+    width=1.0,
+    height=1.0,
+    size_cov=COV,
+    direction=(2.0, 3.0, 0.0),
+    velocity=1,
+    x1=103,
+    y1=103,
+    x2=204,
+    y2=204,
+)
+BOXES_3D = BOX_3D.alone(0)
+BOXES_2D = BOX_2D.alone(1)
+DETECTIONS = FusedDetections(
+    timestamp=TIME,
+    image_seq=1,
+    points_seq=1,
+    camera_id=1,
+    lidar_id=0,
+    id=np.array([1, 2], np.int32),
+    class_names=("Car", "Car"),
+    confidence=np.array([0.8, 0.5], np.float32),
+    centers=np.ones((2, 3), np.float32),
+    center_covs=np.tile(np.reshape(COV, (3, 3)).astype(np.float32), (2, 1, 1)),
+    sizes_lwh=np.array([[4, 2, 1], [0, 0, 0]], np.float32),
+    size_covs=np.zeros((2, 3, 3), np.float32),
+    directions=np.array([[1, 0, 0], [0, 0, 0]], np.float32),
+    velocities=np.zeros(2, np.float32),
+    corners_xyxy=np.array([[1, 2, 3, 4], [5, 5, 5, 5]], np.uint32),
+    box_3d_ids=(7, None),
+    box_2d_ids=(None, -1),
+)
+
+
+def nan_in(array):
+    """A copy in which one number is none."""
+    changed = array.copy()
+    changed.reshape(-1)[-1] = np.nan
+    return changed
+
+
+def test_numbers_of_32_bits_are_kept_as_such():
+    assert BOX_3D.confidence == float(np.float32(0.8))
+    assert BOX_3D.velocity == 1.0
+    assert BOXES_3D.confidence[0] == np.float32(0.8)
+    assert BOXES_3D[0] == BOX_3D
+    assert BOXES_2D[0] == BOX_2D
+
+
+def test_distortion_is_zero_where_it_is_missing():
+    assert replace(CALIBRATION, distortion_coeffs=None).distortion_coeffs == (0.0,) * 5
+
+
+def test_arrays_are_flat_read_only_views_with_shaped_views_beside_them():
+    assert IMAGE.data.shape == (480 * 360 * 3,)
+    assert IMAGE.pixels.shape == (480, 360, 3)
+    assert CLOUD.points.shape == (1000, 4)
+    assert FUSION.depths.shape == (480, 360)
+    assert FUSION.pixels.shape == (480, 360, 3)
+    assert FUSION.points.shape == (10000, 3)
+    with pytest.raises(ValueError, match="read-only"):
+        IMAGE.pixels[0, 0, 0] = 1
+
+
+def test_some_fields_of_a_cloud_can_be_taken():
+    cloud = replace(CLOUD, number=2, data=np.arange(8, dtype=np.float32))
+    assert cloud.columns(("reflectivity", "x")).tolist() == [[3, 0], [7, 4]]
+    with pytest.raises(KeyError, match="ring"):
+        cloud.columns(("ring",))
+
+
+def test_a_file_of_a_picture_has_no_pixels_before_it_is_decoded():
+    jpeg = replace(IMAGE, encoding="jpeg", data=np.zeros(7, np.uint8))
+    assert jpeg.pixels is None
+
+
+def test_lists_without_boxes_are_records_too():
+    assert len(Boxes3d.empty(0, 1, TIME)) == len(Boxes2d.empty(0, 1, TIME)) == 0
+    empty = FusedDetections.empty(TIME, image_seq=1, points_seq=2, camera_id=3, lidar_id=4)
+    assert (len(empty), empty.box_3d_ids) == (0, ())
+
+
+def test_a_detection_without_a_box_in_space_has_no_size():
+    assert DETECTIONS[1].length == 0.0
+    assert (DETECTIONS[0].box_3d_id, DETECTIONS[1].box_3d_id) == (7, None)
+
+
+def test_bytes_can_be_given_in_several_forms():
+    for data in (bytearray(b"\x80"), memoryview(b"\x80"), np.array([-128], np.int8)):
+        assert replace(RAW, data=data).data == b"\x80"
+
+
+FAULTS = [
+    (CALIBRATION, {"image_size": (0, 480)}, "image_size", "(0, 480); expected 1 or more"),
+    (CALIBRATION, {"intrinsic_matrix": (1.0,) * 8}, "intrinsic_matrix", "expected double[9]"),
+    (
+        CALIBRATION,
+        {"extrinsic_matrix": (float("nan"),) * 16},
+        "extrinsic_matrix[0]",
+        "nan; expected a finite double",
+    ),
+    (CALIBRATION, {"reference_frame": 2}, "reference_frame", "2; expected 0 to 1"),
+    (RAW, {"length": 2}, "length", "2; expected 1, as there are bytes in data"),
+    (RAW, {"data": "a"}, "data", "'a'; expected bytes"),
+    (RAW, {"seq": 2**32}, "seq", "4294967296; expected 0 to 4294967295"),
+    (RAW, {"seq": -1}, "seq", "-1; expected 0 to 4294967295"),
+    (RAW, {"timestamp": 1595682678.7}, "timestamp", "1595682678.7; expected a Timestamp"),
+    (RAW, {"timestamp": None}, "timestamp", "missing; expected uint32. uint32"),
+    (IMAGE, {"height": 0}, "height", "0; expected 1 to 4294967295"),
+    (IMAGE, {"height": 481}, "data", "518400 values; expected 519480 (width * height * channel)"),
+    (IMAGE, {"sensor_id": 256}, "sensor_id", "256; expected 0 to 255"),
+    (IMAGE, {"sensor_id": 1.0}, "sensor_id", "1.0; expected 0 to 255"),
+    (IMAGE, {"encoding": "yuv"}, "encoding", "'yuv'; expected one of rgb8"),
+    (IMAGE, {"encoding": "mono8"}, "channel", "3 of mono8; expected 1"),
+    (IMAGE, {"encoding": "png", "data": np.zeros(0, np.uint8)}, "data", "empty; expected a file of png"),
+    (IMAGE, {"data": np.zeros(480 * 360 * 3)}, "data", "expected an array of uint8"),
+    (CLOUD, {"number": 999}, "data", "4000 values; expected 3996 (number * fields_number)"),
+    (CLOUD, {"fields_number": 3}, "fields_number", "3; expected 4, as there are names in fields"),
+    (CLOUD, {"fields": ("x", "y", "r", "i")}, "fields", "expected x, y and z among them"),
+    (CLOUD, {"fields": ("x", "y", "z", "x")}, "fields", "expected different names"),
+    (CLOUD, {"fields": ("x", "y", "z", "")}, "fields", "expected different names"),
+    (CLOUD, {"data": nan_in(np.zeros(4000, np.float32))}, "data[3999]", "nan; expected a finite number"),
+    (CLOUD, {"data": np.full(4000, np.inf, np.float32)}, "data[0]", "inf; expected a finite number"),
+    (CLOUD, {"data": np.zeros(4000)}, "data", "expected an array of float32"),
+    (CLOUD, {"sensor_type": 2}, "sensor_type", "2; expected 0 to 1"),
+    (CLOUD, {"sensor_type": 1}, "beam", "32 of a solid-state lidar; expected none"),
+    (BOX_3D, {"confidence": 1.5}, "confidence", "1.5; expected 0 to 1"),
+    (BOX_3D, {"length": 0.0}, "length", "0.0; expected more than 0"),
+    (BOX_3D, {"X": float("nan")}, "X", "nan; expected a finite float"),
+    (BOX_3D, {"direction": (0, 0, 0)}, "direction", "expected a vector other than 0"),
+    (BOX_3D, {"direction": (1, 0)}, "direction", "(1, 0); expected float[3]"),
+    (BOX_3D, {"class_name": ""}, "class", "expected the name of a class"),
+    (BOX_3D, {"class_name": 3}, "class", "3; expected a string"),
+    (BOX_3D, {"id": 2**31}, "id", "2147483648; expected -2147483648 to 2147483647"),
+    (BOX_2D, {"x2": 102}, "x2", "102; expected 103 or more, as x1"),
+    (BOX_2D, {"y1": 205}, "y2", "204; expected 205 or more, as y1"),
+    (BOX_2D, {"x1": -1}, "x1", "-1; expected 0 to 4294967295"),
+    (
+        BOXES_3D,
+        {"centers": np.full((1, 3), np.nan, np.float32)},
+        "boxes[0].X",
+        "nan; expected a finite number",
+    ),
+    (
+        BOXES_3D,
+        {"sizes_lwh": np.array([[1, 1, -1]], np.float32)},
+        "boxes[0].height",
+        "-1.0; expected more than 0",
+    ),
+    (
+        BOXES_3D,
+        {"directions": np.zeros((1, 3), np.float32)},
+        "boxes[0].direction",
+        "expected a vector other than 0",
+    ),
+    (
+        BOXES_3D,
+        {"directions": np.array([[1, 0, np.inf]], np.float32)},
+        "boxes[0].direction[2]",
+        "inf; expected",
+    ),
+    (BOXES_3D, {"confidence": np.array([2], np.float32)}, "boxes[0].confidence", "2.0; expected 0 to 1"),
+    (BOXES_3D, {"confidence": np.ones(2, np.float32)}, "confidence", "expected an array (1) float32"),
+    (BOXES_3D, {"id": np.array([1])}, "id", "expected an array (N) int32"),
+    (BOXES_3D, {"class_names": ("Car", "Car")}, "class", "expected a tuple of 1"),
+    (BOXES_3D, {"class_names": ([],)}, "boxes[0].class", "[]; expected a string"),
+    (
+        BOXES_2D,
+        {"corners_xyxy": np.array([[2, 0, 1, 0]], np.uint32)},
+        "boxes[0].x2",
+        "1; expected 2 or more, as x1",
+    ),
+    (BOXES_2D, {"corners_xyxy": np.array([[2, 0, 3, 0]])}, "corners_xyxy", "expected an array (1, 4) uint32"),
+    (
+        FUSION,
+        {"image_depth": np.zeros(5, np.float32)},
+        "image_depth",
+        "5 values; expected 172800 (width * height)",
+    ),
+    (FUSION, {"image_depth": np.full(172800, -1, np.float32)}, "image_depth[0]", "-1.0; expected 0 or more"),
+    (FUSION, {"depth_kind": "disparity"}, "depth_kind", "'disparity'; expected one of z, range"),
+    (FUSION, {"point_frame": "world"}, "point_frame", "'world'; expected one of lidar, camera"),
+    (FUSION, {"image_channel": 1}, "image_channel", "1 of rgb8; expected 3"),
+    (FUSION, {"point_num": 1}, "point_data", "30000 values; expected 3 (point_num * fields_number)"),
+    (DETECTION, {"center_cov": (1, 2, 0, 0, 1, 0, 0, 0, 1)}, "center_cov", "expected a symmetric 3x3 matrix"),
+    (DETECTION, {"size_cov": (-1, 0, 0, 0, 1, 0, 0, 0, 1)}, "size_cov", "without negative variances"),
+    (DETECTION, {"box_3d_id": 1, "length": 0}, "length", "0.0; expected more than 0"),
+    (DETECTION, {"box_3d_id": 1, "direction": (0, 0, 0)}, "direction", "expected a vector other than 0"),
+    (DETECTION, {"length": -1}, "length", "-1; expected 0 or more"),
+    (DETECTIONS, {"box_3d_ids": (7, 8)}, "detections[1].length", "expected more than 0"),
+    (DETECTIONS, {"box_3d_ids": (7,)}, "box_3d_id", "expected a tuple of 2"),
+    (DETECTIONS, {"box_2d_ids": (None, 2**31)}, "box_2d_id", "2147483648; expected"),
+    (DETECTIONS, {"motion_compensated": 2}, "motion_compensated", "2; expected 0 to 1"),
+]
+
+
+@pytest.mark.parametrize(("record", "changes", "place", "problem"), FAULTS, ids=lambda value: str(value)[:40])
+def test_a_fault_names_table_field_value_and_what_was_expected(record, changes, place, problem):
+    with pytest.raises(DataError) as fault:
+        replace(record, **changes)
+    assert fault.value.file.endswith(f"(table {kind_of(record).table.number})")
+    assert fault.value.place == place
+    assert problem in fault.value.problem
+
+
+def test_what_is_no_record_has_no_kind():
+    with pytest.raises(OptionError, match="a str; expected one of RawData"):
+        kind_of("record")

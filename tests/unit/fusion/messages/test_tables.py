@@ -1,0 +1,100 @@
+"""The rows of tables 3 to 10 against the standard's text and against the `.proto`."""
+
+import pytest
+
+from sceneloom.fusion.messages import RECORD_KINDS, TABLES
+from sceneloom.fusion.messages.wire import fusion_pb2
+
+NAMES = {
+    3: "image_size distortion_coeffs intrinsic_matrix reference_frame extrinsic_matrix",
+    4: "sensor_id timestamp seq length data",
+    5: "sensor_id timestamp seq height width encoding channel data",
+    6: "sensor_id timestamp seq number fields fields_number data sensor_type beam ring",
+    7: "id class points_seq confidence timestamp X Y Z length width height direction velocity",
+    8: "id class image_seq confidence timestamp x1 y1 x2 y2",
+    9: "timestamp class image_seq points_seq camera_id lidar_id height width encoding image_channel image_data "
+    "image_depth point_num point_fields fields_number point_data",
+    10: "id confidence timestamp class X Y Z center_cov length width height size_cov direction velocity x1 y1 x2 y2",
+}
+"""As the standard's tables have them, in order."""
+
+TYPES = {
+    3: "uint32[2] double[5] double[9] bool double[16]",
+    4: "uint8 time uint32 uint32 int8[]",
+    5: "uint8 time uint32 uint32 uint32 string uint8 uint8[]",
+    6: "uint8 time uint32 uint32 string[] uint8 float[] bool uint32 uint32",
+    7: "int32 enum uint32 float time float float float float float float float[3] float",
+    8: "int32 enum uint32 float time uint32 uint32 uint32 uint32",
+    9: "time enum uint32 uint32 uint8 uint8 uint32 uint32 string uint8 uint8[] float[] uint32 string[] uint8 float[]",
+    10: "int32 float time enum float float float float[9] float float float float[9] float[3] float uint32 uint32 "
+    "uint32 uint32",
+}
+
+MESSAGES = {
+    3: "Calibration",
+    4: "RawData",
+    5: "ImageData",
+    6: "PointCloudData",
+    7: "Box3d",
+    8: "Box2d",
+    9: "SensorFusionData",
+    10: "FusedDetection",
+}
+
+
+def standard_rows(number):
+    return [row for row in TABLES[number].rows if not row.is_extension]
+
+
+@pytest.mark.parametrize("number", NAMES)
+def test_rows_have_the_names_and_types_of_the_standard_in_its_order(number):
+    rows = standard_rows(number)
+    assert [row.name for row in rows] == NAMES[number].split()
+    types = [row.type.replace("uint32. uint32", "time") for row in rows]
+    assert types == TYPES[number].split()
+    assert [row.number for row in rows] == list(range(1, len(rows) + 1))
+
+
+@pytest.mark.parametrize("number", MESSAGES)
+def test_field_numbers_of_the_messages_are_the_numbers_of_the_rows(number):
+    fields = getattr(fusion_pb2, MESSAGES[number]).DESCRIPTOR.fields
+    assert {field.name: field.number for field in fields} == {
+        row.name: row.number for row in TABLES[number].rows
+    }
+
+
+@pytest.mark.parametrize("kind", RECORD_KINDS.values(), ids=lambda kind: kind.name)
+def test_messages_of_all_kinds_have_the_fields_of_their_tables(kind):
+    fields = {field.name: field.number for field in getattr(fusion_pb2, kind.message_name).DESCRIPTOR.fields}
+    if kind.layout is not None:
+        fields.pop(kind.layout.group)
+    assert fields == {row.name: row.number for row in kind.table.rows}
+    attributes = {row.attribute for row in kind.table.rows}
+    assert attributes <= set(kind.record_type.__dataclass_fields__)
+
+
+def test_kinds_have_the_names_of_what_requests_and_replies_carry():
+    sent = fusion_pb2.SendRequest.DESCRIPTOR.oneofs_by_name["data"].fields
+    got = fusion_pb2.GetReply.DESCRIPTOR.oneofs_by_name["result"].fields
+    carried = {field.name: field.message_type.name for field in (*sent, *got) if field.name != "no_data"}
+    assert {name: RECORD_KINDS[name].message_name for name in carried} == carried
+
+
+@pytest.mark.parametrize("number", NAMES)
+def test_examples_of_the_standard_pass_their_checks(number):
+    table = TABLES[number]
+    examples = [row for row in standard_rows(number) if row.example is not None]
+    assert len(examples) >= 2
+    for row in examples:
+        row.check(row.example, table.owner)
+
+
+def test_a_row_says_its_range_in_words():
+    assert TABLES[5].row("height").range == "1 to 4294967295"
+    assert TABLES[5].row("sensor_id").range == "0 to 255"
+    assert TABLES[7].row("confidence").range == "0 to 1"
+    assert TABLES[7].row("length").range == "more than 0"
+    assert TABLES[9].row("image_depth").range == "0 or more"
+    assert TABLES[7].row("X").range == ""
+    with pytest.raises(KeyError):
+        TABLES[7].row("pitch")

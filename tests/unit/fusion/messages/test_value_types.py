@@ -1,0 +1,118 @@
+"""The types of table 1, tuples and arrays of them, and what their values may be."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError
+from sceneloom.fusion.messages import BasicType, ValueForm, ValueType
+
+
+def test_table_1_has_these_types():
+    names = "bool int8 uint8 int32 uint32 float double string enum"
+    assert [str(kind) for kind in BasicType] == names.split()
+
+
+@pytest.mark.parametrize(
+    ("text", "form", "elements", "length"),
+    [
+        ("uint32", ValueForm.SCALAR, ["uint32"], None),
+        ("(int8, int8, int8)", ValueForm.TUPLE, ["int8"] * 3, None),
+        (" ( float ,string ) ", ValueForm.TUPLE, ["float", "string"], None),
+        ("(bool,)", ValueForm.TUPLE, ["bool"], None),
+        ("uint32[2]", ValueForm.ARRAY, ["uint32"], 2),
+        ("string[]", ValueForm.ARRAY, ["string"], None),
+        ("double[ 9 ]", ValueForm.ARRAY, ["double"], 9),
+    ],
+)
+def test_a_type_is_read_as_the_standard_writes_it(text, form, elements, length):
+    value_type = ValueType.parse(text)
+    assert (value_type.form, value_type.length) == (form, length)
+    assert [str(kind) for kind in value_type.elements] == elements
+    assert ValueType.parse(str(value_type)) == value_type
+
+
+@pytest.mark.parametrize(
+    "text", ["", "int16", "uint32[0]", "uint32[-1]", "()", "(int8", "int8,int8", "(int8[2])", 3]
+)
+def test_what_is_no_type_is_refused(text):
+    with pytest.raises(DataError, match="expected one of bool, int8"):
+        ValueType.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high"),
+    [
+        ("int8", -128, 127),
+        ("uint8", 0, 255),
+        ("int32", -2147483648, 2147483647),
+        ("uint32", 0, 4294967295),
+        ("bool", 0, 1),
+    ],
+)
+def test_whole_numbers_do_not_wrap(kind, low, high):
+    value_type = ValueType.parse(kind)
+    assert value_type.check(low) == low
+    assert value_type.check(high) == high
+    for beyond in (low - 1, high + 1, 2**64, -(2**200)):
+        with pytest.raises(DataError, match=f"{low} to {high}"):
+            value_type.check(beyond)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [
+        ("uint32", 20.0),
+        ("uint32", "20"),
+        ("uint32", True),
+        ("uint32", None),
+        ("uint32", [20]),
+        ("bool", "true"),
+        ("bool", 0.0),
+        ("float", math.nan),
+        ("float", math.inf),
+        ("float", 3.5e38),
+        ("float", "1.0"),
+        ("float", True),
+        ("double", -math.inf),
+        ("double", 10**400),
+        ("string", b"MV3d"),
+        ("string", "\ud800"),
+        ("(int8, int8)", (1,)),
+        ("(int8, int8)", 5),
+        ("(int8, int8)", (1, 200)),
+        ("uint32[2]", (1, 2, 3)),
+        ("uint32[2]", "12"),
+        ("uint32[2]", np.zeros((1, 2), np.uint32)),
+        ("string[]", "xyz"),
+    ],
+)
+def test_a_value_of_another_type_or_size_is_refused(kind, value):
+    with pytest.raises(DataError) as fault:
+        ValueType.parse(kind).check(value, owner="properties", place="p")
+    assert (fault.value.file, fault.value.place[:1]) == ("properties", "p")
+    assert "expected" in fault.value.problem
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "kept"),
+    [
+        ("bool", True, 1),
+        ("bool", np.False_, 0),
+        ("uint8", np.uint8(200), 200),
+        ("float", 1, 1.0),
+        ("float", 0.1, float(np.float32(0.1))),
+        ("float", 3.4028235e38, float(np.finfo(np.float32).max)),
+        ("double", 0.1, 0.1),
+        ("enum", "Car", "Car"),
+        ("enum", 3, 3),
+        ("(int8, int8, int8)", [2, 0, -1], (2, 0, -1)),
+        ("uint32[2]", np.array([640, 480]), (640, 480)),
+        ("string[]", [], ()),
+    ],
+)
+def test_a_value_is_kept_as_plain_python(kind, value, kept):
+    found = ValueType.parse(kind).check(value)
+    assert found == kept
+    assert type(found) is type(kept)

@@ -1,0 +1,160 @@
+"""Clause 5 in one process: what is sent comes back fused, and what cannot be is refused with a reason."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import OptionError
+from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.fusion.outcome import Cause
+
+WIDTH, HEIGHT = 64, 48
+FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
+"""extrinsic_matrix, by columns, of a camera that looks forward from where the lidar is."""
+
+
+def calibration(**changed):
+    return CalibrationData(
+        **{
+            "image_size": (WIDTH, HEIGHT),
+            "intrinsic_matrix": (50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
+            "reference_frame": 0,
+            "extrinsic_matrix": FORWARD,
+            **changed,
+        }
+    )
+
+
+def stamp(milliseconds):
+    return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
+
+
+def image(milliseconds, seq, level=7, sensor_id=1):
+    pixels = np.full(HEIGHT * WIDTH * 3, level, np.uint8)
+    return ImageData(
+        sensor_id=sensor_id,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        height=HEIGHT,
+        width=WIDTH,
+        encoding="rgb8",
+        channel=3,
+        data=pixels,
+    )
+
+
+def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)), sensor_id=0):
+    data = np.array(points, np.float32)
+    return PointCloudData(
+        sensor_id=sensor_id,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        number=len(data),
+        fields=("x", "y", "z"),
+        fields_number=3,
+        data=data,
+    )
+
+
+@pytest.fixture(params=[True, False], ids=["inline", "threaded"])
+def fusion(request):
+    with FusionInterface(inline=request.param) as interface:
+        assert interface.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        yield interface
+
+
+def test_a_pair_comes_back_as_a_record_of_table_9(fusion):
+    assert fusion.send(image(0, 5))
+    assert fusion.send(cloud(0, 9))
+    fusion.flush()
+    result = fusion.get(0)
+    record = result.record
+    assert (result.number, record.image_seq, record.points_seq) == (0, 5, 9)
+    assert (record.camera_id, record.lidar_id) == (1, 0)
+    assert record.timestamp == stamp(0)
+    assert record.point_fields == ("x", "y", "z", "r", "g", "b")
+    np.testing.assert_array_equal(record.points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 255, 255, 255]])
+    assert (
+        record.depths[23, 31] == 10.0 or record.depths[24, 32] == 10.0
+    )  # the axis meets the corner of four pixels
+    assert np.count_nonzero(record.depths) == 1
+    assert result.configuration["fusion_type"] == 0
+    assert fusion.get(0) is None
+
+
+def test_axes_that_were_declared_turn_points_on_the_way_in_and_back(fusion):
+    assert fusion.set_property("lidar_coordinate", (1, 0, 2))  # y forward, x right, z up
+    by_columns = (1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1)
+    assert fusion.set_calibration(calibration(extrinsic_matrix=by_columns), camera_id=1, lidar_id=0)
+    assert fusion.send(image(0, 1))
+    assert fusion.send(cloud(0, 1, points=[(0.0, 10.0, 0.0), (10.0, 0.0, 0.0)]))
+    fusion.flush()
+    points = fusion.get(0).record.points
+    np.testing.assert_array_equal(points, [[0, 10, 0, 7, 7, 7], [10, 0, 0, 255, 255, 255]])
+
+
+def test_results_of_points_can_be_in_the_camera_frame_and_depths_ranges(fusion):
+    assert fusion.set_property("reference_frame", 0)
+    assert fusion.set_property("depth_kind", "range")
+    assert fusion.send(image(0, 1))
+    assert fusion.send(cloud(0, 1, points=[(3.0, 0.0, -1.0)]))
+    fusion.flush()
+    record = fusion.get(0).record
+    np.testing.assert_allclose(record.points[:, :3], [[0, 1, 3]], atol=1e-6)
+    assert record.depths.max() == pytest.approx(10**0.5)
+    assert (record.point_frame, record.depth_kind) == ("camera", "range")
+
+
+def test_a_calibration_that_is_replaced_counts_for_what_comes_after(fusion):
+    longer = calibration(intrinsic_matrix=(100.0, 0, 31.5, 0, 100.0, 23.5, 0, 0, 1))
+    point = [(10.0, -2.0, 0.0)]
+    for seq in range(4):
+        if seq == 2:
+            assert fusion.set_calibration(longer, camera_id=1, lidar_id=0)
+        assert fusion.send(image(100 * seq, seq))
+        assert fusion.send(cloud(100 * seq, seq, points=point))
+    fusion.flush()
+    columns = [int(np.nonzero(result.record.depths)[1][0]) for result in fusion.results(0)]
+    assert columns == [42, 42, 52, 52]  # 31.5 + f * 2 / 10, to the pixel that it falls into
+
+
+@pytest.mark.parametrize(
+    ("record", "cause"),
+    [
+        (image(0, 1, sensor_id=3), Cause.NO_CALIBRATION),
+        (cloud(0, 1, sensor_id=3), Cause.NO_CALIBRATION),
+        (calibration(), Cause.BAD_RECORD),
+        ("text", Cause.BAD_RECORD),
+    ],
+)
+def test_what_cannot_be_taken_gets_0_and_the_reason(fusion, record, cause):
+    outcome = fusion.send(record)
+    assert (outcome.status, outcome.cause) == (0, cause)
+    assert outcome.reason
+    assert fusion.counters.counts() == {f"refused.{cause}": 1}
+
+
+def test_the_same_number_again_is_refused(fusion):
+    assert fusion.send(cloud(0, 1))
+    assert fusion.send(cloud(0, 1)).cause is Cause.DUPLICATE
+
+
+def test_a_picture_of_another_size_is_refused(fusion):
+    assert fusion.set_calibration(calibration(image_size=(32, 24)), camera_id=1, lidar_id=0)
+    assert fusion.send(image(0, 1)).cause is Cause.BAD_RECORD
+
+
+def test_an_algorithm_that_is_not_installed_is_refused_with_what_it_needs(fusion):
+    outcome = fusion.set_property("fusion_algorithm", "MV3d")
+    assert (outcome.status, outcome.cause) == (0, Cause.UNKNOWN_ALGORITHM)
+    assert "trained network" in outcome.reason
+
+
+def test_an_unknown_fusion_type_is_an_error(fusion):
+    with pytest.raises(OptionError, match="fusion type 2"):
+        fusion.get(2)
+
+
+def test_after_the_end_nothing_is_taken(fusion):
+    fusion.close()
+    assert fusion.send(cloud(0, 1)).cause is Cause.CLOSED

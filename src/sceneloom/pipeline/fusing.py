@@ -8,9 +8,10 @@ from pathlib import Path
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, PoseError
+from sceneloom.formats.loss import LossReport
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.motion.ego_motion import placeable_lidars
-from sceneloom.pipeline.outputs import FusionOutputs, checked_outputs, open_sinks
+from sceneloom.pipeline.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.report import CameraTally, FusionReport, FusionTally, told_once
 from sceneloom.pipeline.woven import Woven, weave
@@ -109,8 +110,22 @@ def fuse(
             steps.fusing(done, total)
         _refuse_nothing_fused(scene, tally)
         losses = sinks.finish()
+    seconds = time.perf_counter() - begun
+    return _report(woven, wanted, tally, sinks, skips, seconds=seconds, losses=losses)
+
+
+def _report(
+    woven: Woven,
+    wanted: FusionOutputs,
+    tally: FusionTally,
+    sinks: Sinks,
+    skips: Skips | None,
+    *,
+    seconds: float,
+    losses: LossReport,
+) -> FusionReport:
     return FusionReport(
-        source=scene.source,
+        source=woven.scene.source,
         output=None if wanted.scene is None else str(wanted.scene),
         trajectory=None if woven.ego is None else woven.ego.name,
         frames=tally.frames,
@@ -123,7 +138,7 @@ def fuse(
         cameras=tuple(camera.report(camera_id) for camera_id, camera in tally.cameras.items()),
         files=sinks.files,
         depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
-        seconds=time.perf_counter() - begun,
+        seconds=seconds,
         losses=losses,
         notices=told_once(woven.scene.notices, tally.notices()),
     )

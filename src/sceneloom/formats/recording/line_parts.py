@@ -14,6 +14,7 @@ from pathlib import Path
 from threading import Condition, Thread
 
 from sceneloom.errors import OptionError
+from sceneloom.formats.processors import processors
 from sceneloom.formats.recording.line_worker import ReadPart, command, read_part
 
 PROCESSES = "SCENELOOM_PROCESSES"
@@ -53,19 +54,13 @@ def reading_processes(size: int) -> int:
         return 1
     if text is not None:
         return int(text)
-    return 1 if multiprocessing.parent_process() is not None else min(_processors(), _MOST_BY_ITSELF)
+    return 1 if multiprocessing.parent_process() is not None else min(processors(), _MOST_BY_ITSELF)
 
 
 def _runs_python() -> bool:
     """Whether this process was started by a Python program that can be started again."""
     name = Path(sys.executable or "").name.lower()
     return not getattr(sys, "frozen", False) and name.startswith(("python", "pypy"))
-
-
-def _processors() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class LineParts:

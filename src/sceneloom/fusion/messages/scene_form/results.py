@@ -112,7 +112,7 @@ def depth_frame_of(record: SensorFusionData, camera: Camera) -> DepthFrame:
 
 def _along_axis(ranges: Float32Array, camera: Camera) -> Float32Array:
     rows, columns = np.nonzero(ranges)
-    rays, seen = unproject(camera, np.column_stack([columns, rows]).astype(np.float64))
+    rays = unproject(camera, np.column_stack([columns, rows]).astype(np.float64))
     depth = np.zeros_like(ranges)
-    depth[rows[seen], columns[seen]] = ranges[rows[seen], columns[seen]] * np.maximum(rays[seen, 2], 0)
+    depth[rows, columns] = ranges[rows, columns] * np.nan_to_num(np.maximum(rays[:, 2], 0.0))
     return depth

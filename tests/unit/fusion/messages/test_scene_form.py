@@ -1,0 +1,414 @@
+"""Records and the objects of the scene model."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom.cameras import Camera
+from sceneloom.colouring import FusedFrame, view_points
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.recording.lidar_files import XYZIRT
+from sceneloom.fusion.messages import Box2d, Boxes3d, ImageData, PointCloudData, RawData, Timestamp
+from sceneloom.fusion.messages.scene_form import (
+    boxes_2d_of,
+    boxes_2d_record,
+    boxes_3d_of,
+    boxes_3d_record,
+    depth_frame_of,
+    image_data_of,
+    lidar_frame_of,
+    lidar_frame_of_raw,
+    lidar_frame_of_result,
+    picture_of,
+    picture_of_raw,
+    picture_of_result,
+    point_cloud_of,
+    sensor_fusion_of,
+)
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Boxes2D, Boxes3D, LidarFrame, LidarPoints, Picture, PointsFrame, ScoreForm
+
+TIME = Timestamp(1595682678, 715705367)
+CAMERA = Camera("pinhole", 4, 3, 5.0, 5.0, 1.5, 1.0)
+RGB = np.arange(36, dtype=np.uint8).reshape(3, 4, 3)
+
+
+def cloud(fields, *columns, **changes):
+    data = np.column_stack(columns).astype(np.float32)
+    values = {
+        "sensor_id": 3,
+        "timestamp": TIME,
+        "seq": 9,
+        "number": len(data),
+        "fields": fields,
+        "fields_number": len(fields),
+        "data": data,
+    }
+    return PointCloudData(**{**values, **changes})
+
+
+def image(pixels, encoding):
+    return ImageData(
+        sensor_id=1,
+        timestamp=TIME,
+        seq=4,
+        height=3,
+        width=4,
+        encoding=encoding,
+        channel=pixels.shape[2] if pixels.ndim == 3 else 3,
+        data=pixels,
+    )
+
+
+def file_of(rgb, form):
+    target = io.BytesIO()
+    Image.fromarray(rgb).save(target, form)
+    return np.frombuffer(target.getvalue(), np.uint8)
+
+
+def test_fields_of_a_cloud_become_parts_of_the_points():
+    record = cloud(
+        ("z", "y", "x", "reflectivity", "ring", "time"),
+        *([3, 6], [2, 5], [1, 4], [0, 255], [0, 127], [0, 0.0625]),
+        beam=128,
+    )
+    frame = lidar_frame_of(record)
+    assert frame.timestamp_ns == 1595682678715705367
+    assert frame.points.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert frame.points.intensities.tolist() == [0, 255]
+    assert frame.points.rings.tolist() == [0, 127]
+    assert (frame.points.timestamps_ns - frame.timestamp_ns).tolist() == [0, 62_500_000]
+    assert not frame.points.extras
+    assert (frame.extras["seq"], frame.extras["sensor_id"]) == (9, 3)
+    back = point_cloud_of(frame, sensor_id=3, seq=9)
+    assert (back.fields, back.beam) == (record.fields, 128)
+    np.testing.assert_array_equal(back.data, record.data)
+
+
+@pytest.mark.parametrize(
+    ("values", "intensities"),
+    [
+        ([0.0, 0.5, 1.0], [0, 128, 255]),
+        ([0.0, 1.0, 7.0], [0, 1, 7]),
+        ([0.25, 254.75, 3.0], [0, 255, 3]),
+        ([0.0, 65535.0, 257.0], [0, 255, 1]),
+        ([-1.0, 0.0, 1.0], None),
+        ([0.0, 1e9, 1.0], None),
+    ],
+)
+def test_brightness_of_every_scale_is_kept_exactly(values, intensities):
+    record = cloud(("x", "y", "z", "intensity"), *np.zeros((3, 3)), values)
+    points = lidar_frame_of(record).points
+    assert (None if points.intensities is None else points.intensities.tolist()) == intensities
+    back = point_cloud_of(lidar_frame_of(record), sensor_id=3, seq=9)
+    np.testing.assert_array_equal(back.data, record.data)
+
+
+def test_fields_of_no_known_meaning_and_odd_values_stay_as_they_are():
+    record = cloud(("x", "y", "z", "ring", "time", "range"), *np.zeros((3, 2)), [0.5, 1], [1e9, 0], [7, 8])
+    points = lidar_frame_of(record).points
+    assert points.rings is None
+    assert points.timestamps_ns is None
+    assert sorted(points.extras) == ["range", "ring", "time"]
+    np.testing.assert_array_equal(
+        point_cloud_of(lidar_frame_of(record), sensor_id=3, seq=9).data, record.data
+    )
+
+
+def test_a_cloud_without_points_is_a_sweep_without_points():
+    record = cloud(("x", "y", "z", "reflectivity", "r", "g", "b"), *np.zeros((7, 0)))
+    frame = lidar_frame_of(record)
+    assert len(frame.points) == 0
+    assert point_cloud_of(frame, sensor_id=3, seq=9).data.shape == (0,)
+
+
+def test_a_sweep_of_the_model_gives_all_that_its_points_have():
+    points = LidarPoints(
+        np.array([[1, 2, 3], [np.nan, 0, 0]], np.float32),
+        np.array([9, 8], np.uint8),
+        colors=np.array([[1, 2, 3], [4, 5, 6]], np.uint8),
+        timestamps_ns=np.array([TIME.nanoseconds + 10**6, TIME.nanoseconds]),
+    )
+    record = point_cloud_of(LidarFrame(TIME.nanoseconds, points), sensor_id=0, seq=1)
+    assert record.fields == ("x", "y", "z", "reflectivity", "time", "r", "g", "b")
+    np.testing.assert_array_equal(record.points, np.float32([[1, 2, 3, 9, 0.001, 1, 2, 3]]))
+    only = point_cloud_of(LidarFrame(TIME.nanoseconds, points), sensor_id=0, seq=1, fields=("x", "y", "z"))
+    assert only.points.tolist() == [[1, 2, 3]]
+    with pytest.raises(OptionError, match="field 'ring'; the points have x, y, z, reflectivity"):
+        point_cloud_of(LidarFrame(0, points), sensor_id=0, seq=1, fields=("x", "y", "z", "ring"))
+
+
+def test_raw_bytes_of_a_lidar_are_the_records_of_the_recording_format():
+    rows = np.zeros(2, XYZIRT)
+    rows["x"], rows["intensity"], rows["ring"], rows["timestamp"] = (
+        [1, 2],
+        [7, 255],
+        [0, 300],
+        [10.5, 0.000000001],
+    )
+    raw = RawData(sensor_id=3, timestamp=TIME, seq=1, length=46, data=rows.tobytes())
+    points = lidar_frame_of_raw(raw).points
+    assert points.positions[:, 0].tolist() == [1, 2]
+    assert points.intensities.tolist() == [7, 255]
+    assert points.rings.tolist() == [0, 300]
+    assert points.timestamps_ns.tolist() == [10_500_000_000, 1]
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"1" * 47, "a remainder of 1 bytes"),
+        (np.full(23, 255, np.uint8).tobytes(), "nan; expected a finite number"),
+    ],
+)
+def test_raw_bytes_that_are_no_records_are_refused(content, problem):
+    raw = RawData(sensor_id=3, timestamp=TIME, seq=1, length=len(content), data=content)
+    with pytest.raises(DataError, match=problem):
+        lidar_frame_of_raw(raw)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels"),
+    [
+        ("rgb8", RGB),
+        ("bgr8", RGB[:, :, ::-1]),
+        ("rgba8", np.dstack([RGB, np.full((3, 4), 255, np.uint8)])),
+        ("bgra8", np.dstack([RGB[:, :, ::-1], np.full((3, 4), 255, np.uint8)])),
+        ("raw", RGB),
+        ("png", file_of(RGB, "PNG")),
+    ],
+)
+def test_a_picture_of_every_encoding_is_red_green_blue(encoding, pixels):
+    record = image(pixels, encoding)
+    picture = picture_of(record, CAMERA)
+    np.testing.assert_array_equal(picture.rgb, RGB)
+    assert picture.timestamp_ns == TIME.nanoseconds
+    if encoding not in ("raw", "png"):
+        back = image_data_of(picture, sensor_id=1, seq=4, encoding=encoding)
+        np.testing.assert_array_equal(back.data, record.data)
+
+
+def test_a_grey_picture_has_equal_colours():
+    record = image(RGB[:, :, :1], "mono8")
+    picture = picture_of(record, CAMERA)
+    np.testing.assert_array_equal(picture.rgb, np.repeat(RGB[:, :, :1], 3, axis=2))
+    np.testing.assert_array_equal(
+        image_data_of(picture, sensor_id=1, seq=4, encoding="mono8").data, record.data
+    )
+
+
+def test_a_jpeg_is_passed_on_as_it_is():
+    record = image(file_of(RGB, "JPEG"), "jpeg")
+    picture = picture_of(record, CAMERA)
+    decoded = np.asarray(Image.open(io.BytesIO(record.data.tobytes())).convert("RGB"))
+    # two decoders may round differently by a level or two
+    assert np.abs(picture.rgb.astype(int) - decoded).max() <= 3
+    np.testing.assert_array_equal(
+        image_data_of(picture, sensor_id=1, seq=4, encoding="jpeg").data, record.data
+    )
+
+
+def test_pixels_in_order_are_not_copied():
+    record = image(RGB, "rgb8")
+    assert np.shares_memory(picture_of(record, CAMERA).rgb, RGB)
+
+
+@pytest.mark.parametrize("form", ["jpeg", "png"])
+@pytest.mark.parametrize("damage", ["cut", "other", "size"])
+def test_a_damaged_file_is_a_fault_when_it_is_decoded(form, damage):
+    good = file_of(RGB if damage != "size" else RGB[:2], form.upper())
+    data = {"cut": good[: len(good) // 2], "other": np.zeros(50, np.uint8), "size": good}[damage]
+    picture = picture_of(image(data, form), CAMERA)
+    if damage == "cut" and form == "jpeg":
+        data = good[:20]
+        picture = picture_of(image(data, form), CAMERA)
+    with pytest.raises(DataError, match=r"image data \(table 5\): data"):
+        _ = picture.rgb
+
+
+def test_a_png_of_16_bits_is_refused():
+    target = io.BytesIO()
+    Image.fromarray(np.zeros((3, 4), np.uint16)).save(target, "PNG")
+    picture = picture_of(image(np.frombuffer(target.getvalue(), np.uint8), "png"), CAMERA)
+    with pytest.raises(DataError, match="16 bits a value; expected 8 or less"):
+        _ = picture.rgb
+
+
+def test_a_picture_of_another_size_than_the_calibration_is_refused():
+    with pytest.raises(DataError, match="width: 4; expected 8 as in the calibration"):
+        picture_of(image(RGB, "rgb8"), Camera("pinhole", 8, 3, 5.0, 5.0, 1.5, 1.0))
+
+
+def test_raw_pixels_that_cannot_be_shown_are_refused():
+    with pytest.raises(DataError, match="channel: 2 of raw; expected 1, 3 or 4"):
+        picture_of(image(RGB[:, :, :2], "raw"), CAMERA)
+
+
+def test_raw_bytes_of_a_camera_are_what_the_encoding_says():
+    raw = RawData(sensor_id=1, timestamp=TIME, seq=1, length=36, data=RGB.tobytes())
+    np.testing.assert_array_equal(picture_of_raw(raw, CAMERA, "bgr8").rgb, RGB[:, :, ::-1])
+    with pytest.raises(DataError, match="length: 36; expected 12, as 4x3 pixels of mono8 have"):
+        picture_of_raw(raw, CAMERA, "mono8")
+    with pytest.raises(OptionError, match="expected one of rgb8"):
+        picture_of_raw(raw, CAMERA, "raw")
+    content = file_of(RGB, "PNG").tobytes()
+    png = RawData(sensor_id=1, timestamp=TIME, seq=1, length=len(content), data=content)
+    np.testing.assert_array_equal(picture_of_raw(png, CAMERA, "png").rgb, RGB)
+
+
+def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity():
+    record = Boxes3d(
+        sensor_id=0,
+        seq=2,
+        timestamp=TIME,
+        id=np.array([5], np.int32),
+        class_names=("Car",),
+        confidence=np.array([0.8], np.float32),
+        centers=np.array([[1, 2, 3]], np.float32),
+        sizes_lwh=np.array([[4, 2, 1]], np.float32),
+        directions=np.array([[0, -3, 0]], np.float32),
+        velocities=np.array([-2], np.float32),
+    )
+    boxes = boxes_3d_of(record, sensor_id="roof")
+    np.testing.assert_allclose(boxes.yaws, [-np.pi / 2], atol=1e-12)
+    np.testing.assert_allclose(boxes.velocities, [[0, 2, 0]], atol=1e-12)
+    assert (boxes.sensor_id, boxes.timestamp_ns, boxes.frame) == (
+        "roof",
+        TIME.nanoseconds,
+        PointsFrame.SENSOR,
+    )
+    back = boxes_3d_record(boxes, sensor_id=0, seq=2)
+    np.testing.assert_allclose(back.directions, [[0, -1, 0]], atol=1e-7)
+    np.testing.assert_allclose(back.velocities, [-2], atol=1e-6)
+    np.testing.assert_array_equal(back.centers, record.centers)
+    np.testing.assert_array_equal(back.sizes_lwh, record.sizes_lwh)
+    assert (back.id.tolist(), back.class_names) == ([5], ("Car",))
+
+
+def test_a_velocity_of_its_own_wins_over_the_speed():
+    vectors = np.array([[1, 2, 3]], np.float32)
+    columns = {
+        "id": np.array([5], np.int32),
+        "class_names": ("Car",),
+        "confidence": np.ones(1, np.float32),
+        "centers": np.ones((1, 3), np.float32),
+        "sizes_lwh": np.ones((1, 3), np.float32),
+        "directions": np.array([[1, 0, 0]], np.float32),
+        "velocities": np.ones(1, np.float32),
+    }
+    record = Boxes3d(sensor_id=0, seq=2, timestamp=TIME, **columns, velocity_vectors=vectors)
+    assert boxes_3d_of(record).velocities.tolist() == [[1, 2, 3]]
+
+
+def test_boxes_without_ids_and_velocities_are_numbered_and_stand_still():
+    boxes = Boxes3D(
+        7,
+        np.zeros((2, 3)),
+        np.ones((2, 3)),
+        np.zeros(2),
+        np.array([0.0, 2.0]),
+        ("Car", "车"),
+        score_form=ScoreForm.LOGIT,
+    )
+    record = boxes_3d_record(boxes, sensor_id=1, seq=3)
+    assert record.id.tolist() == [0, 1]
+    assert record.velocities.tolist() == [0, 0]
+    assert record.velocity_vectors is None
+    # 1 / (1 + e^-2), to 32 bits
+    np.testing.assert_allclose(record.confidence, [0.5, 0.880797078], rtol=1e-7)
+
+
+def test_boxes_in_another_frame_than_the_lidars_are_refused():
+    with pytest.raises(OptionError, match="boxes in the ego frame"):
+        boxes_3d_record(Boxes3D.empty(0, frame=PointsFrame.EGO), sensor_id=0, seq=0)
+
+
+def test_boxes_with_broken_edges_get_the_whole_pixels_that_they_touch():
+    corners = np.array([[-3.5, 1.25, 10.0, 19.5], [2.0, 3.0, 4.0, 5.0], [30.0, 40.0, 50.0, 60.0]])
+    boxes = Boxes2D(5, corners, np.ones(3), ("a", "b", "c"))
+    record = boxes_2d_record(boxes, sensor_id=0, seq=1, size_wh=(16, 12))
+    assert record.corners_xyxy.tolist() == [[0, 1, 10, 12], [2, 3, 4, 5], [16, 12, 16, 12]]
+    unbounded = boxes_2d_record(boxes, sensor_id=0, seq=1)
+    assert unbounded.corners_xyxy.tolist() == [[0, 1, 10, 20], [2, 3, 4, 5], [30, 40, 50, 60]]
+
+
+def test_boxes_with_whole_edges_come_back_as_they_were():
+    record = Box2d(
+        id=-4, class_name="Car", image_seq=1, confidence=0.8, timestamp=TIME, x1=103, y1=103, x2=204, y2=205
+    ).alone(2)
+    back = boxes_2d_record(boxes_2d_of(record), sensor_id=2, seq=1, size_wh=(640, 480))
+    assert back[0] == record[0]
+
+
+@pytest.fixture
+def fused():
+    """Three points before a camera, one of them hidden behind another, in a picture of 4x3."""
+    camera_points = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, 10.0], [3.0, 2.0, 10.0]])
+    world_from_camera = RigidTransform.from_quaternion(np.array([10.0, 0, 0]), np.array([0.0, 0, 0, 1]))
+    points_world = world_from_camera.apply(camera_points)
+    view = view_points(points_world, CAMERA, world_from_camera, RGB, camera_id="front", timestamp_ns=2_000)
+    points = LidarPoints(points_world.astype(np.float32), np.array([1, 2, 3], np.uint8))
+    frame = FusedFrame("roof", 0, 1_000, 1_000, points, views=(view,))
+    return frame, view, camera_points
+
+
+def record_of(fused, depth_kind):
+    frame, view, camera_points = fused
+    in_lidar = LidarPoints((camera_points + 1).astype(np.float32), frame.points.intensities)
+    return sensor_fusion_of(
+        frame,
+        view,
+        in_lidar,
+        camera_id=1,
+        lidar_id=2,
+        image_seq=3,
+        points_seq=4,
+        depth_kind=depth_kind,
+        motion_compensated=True,
+    )
+
+
+def test_a_result_holds_picture_depths_and_points(fused):
+    record = record_of(fused, "z")
+    assert (record.timestamp, record.image_timestamp) == (Timestamp(0, 1_000), Timestamp(0, 2_000))
+    assert (record.camera_id, record.lidar_id, record.image_seq, record.points_seq) == (1, 2, 3, 4)
+    np.testing.assert_array_equal(record.pixels, RGB)
+    assert record.point_fields == ("x", "y", "z", "reflectivity")
+    assert record.points[0].tolist() == [1, 1, 6, 1]
+    assert (record.depth_kind, record.point_frame, record.motion_compensated) == ("z", "lidar", 1)
+    # u = 5 x / z + 1.5, v = 5 y / z + 1
+    expected = np.zeros((3, 4), np.float32)
+    expected[1, 2], expected[2, 3] = 5.0, 10.0
+    np.testing.assert_allclose(record.depths, expected, rtol=1e-6)
+
+
+def test_a_result_can_hold_distances_along_the_rays(fused):
+    record = record_of(fused, "range")
+    expected = np.zeros((3, 4), np.float32)
+    expected[1, 2], expected[2, 3] = 5.0, np.sqrt(9 + 4 + 100)
+    np.testing.assert_allclose(record.depths, expected, rtol=1e-6)
+    with pytest.raises(OptionError, match="expected one of z, range"):
+        record_of(fused, "disparity")
+
+
+@pytest.mark.parametrize("depth_kind", ["z", "range"])
+def test_a_result_comes_back_into_the_model(fused, depth_kind):
+    record = record_of(fused, depth_kind)
+    np.testing.assert_array_equal(picture_of_result(record, CAMERA).rgb, RGB)
+    frame = lidar_frame_of_result(record)
+    assert frame.points.intensities.tolist() == [1, 2, 3]
+    depth = depth_frame_of(record, CAMERA)
+    ray = [(3 - 1.5) / 5, (2 - 1) / 5, 1]
+    along = 10.0 if depth_kind == "z" else np.sqrt(113) / np.linalg.norm(ray)
+    np.testing.assert_allclose(depth.depth[2, 3], along, rtol=1e-6)
+    assert depth.timestamp_ns == 2_000
+    assert isinstance(picture_of_result(record, CAMERA), Picture)
+
+
+def test_a_result_of_another_size_than_the_camera_is_refused(fused):
+    other = Camera("pinhole", 8, 3, 5.0, 5.0, 1.5, 1.0)
+    for read in (depth_frame_of, picture_of_result):
+        with pytest.raises(DataError, match=r"fused sensor data \(table 9\): width: 4; expected 8"):
+            read(record_of(fused, "z"), other)

@@ -115,6 +115,24 @@ def test_a_standing_receiver_tells_nothing(scene):
     assert found.reason
 
 
+def test_a_straight_road_at_one_speed_tells_nothing(scene):
+    receiver, way = scene.sensor("gnss"), scene.trajectories["groundTruth"]
+    draw = np.random.default_rng(0)
+
+    def along(times, noise):
+        places = np.zeros((len(times), 3))
+        places[:, 0] = 8.0 * (times - times[0]) * 1e-9
+        return places + noise * draw.standard_normal(places.shape)
+
+    fixes = geodetic_from_enu(along(receiver.timestamps_ns, 0.4), receiver.positions_lla[0])
+    straight = Trajectory("groundTruth", way.timestamps_ns, along(way.timestamps_ns, 0.002))
+    moved = with_receiver(scene, replace(receiver, positions_lla=fixes))
+    found = compared(replace(moved, trajectories={"groundTruth": straight}), "groundTruth")[1]
+    assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+    assert found.offset_ns is None
+    assert found.reason
+
+
 @pytest.mark.parametrize("kept", [0, 1, 6])
 def test_too_few_fixes_are_named(scene, kept):
     receiver = scene.sensor("gnss")

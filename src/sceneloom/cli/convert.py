@@ -31,7 +31,7 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices, prog
 @click.option(
     "--origin",
     "origin_lla",
-    type=(float, float, float),
+    type=(options.finite, options.finite, options.finite),
     metavar="LAT LON ALT",
     help="Where on earth the world's origin is, for `--to gnss`. [default: that of GNSS, where it is known]",
 )

@@ -19,13 +19,33 @@ MOST = 10 * SHOWN
 @click.command()
 @click.argument("first", type=options.place)
 @click.argument("second", type=options.place)
-@click.option("--tolerance-m", type=float, default=0.0, metavar="M", help="Distances up to this are none.")
-@click.option("--tolerance-deg", type=float, default=0.0, metavar="DEG", help="Turns up to this are none.")
 @click.option(
-    "--tolerance-ns", type=float, default=0.0, metavar="NS", help="Stamps up to this apart are equal."
+    "--tolerance-m",
+    type=options.not_negative,
+    default=0.0,
+    metavar="M",
+    help="Distances up to this are none.",
 )
 @click.option(
-    "--tolerance-px", type=float, default=0.0, metavar="PX", help="The same of what is drawn into pictures."
+    "--tolerance-deg",
+    type=options.not_negative,
+    default=0.0,
+    metavar="DEG",
+    help="Turns up to this are none.",
+)
+@click.option(
+    "--tolerance-ns",
+    type=options.not_negative,
+    default=0.0,
+    metavar="NS",
+    help="Stamps up to this apart are equal.",
+)
+@click.option(
+    "--tolerance-px",
+    type=options.not_negative,
+    default=0.0,
+    metavar="PX",
+    help="The same of what is drawn into pictures.",
 )
 @click.option(
     "--other-stamps", is_flag=True, help="Paths may be told at other stamps, if they are the same ways."

@@ -34,6 +34,28 @@ def positive(number: str | float) -> float:
     return value
 
 
+def finite(number: str | float) -> float:
+    """Take a value as a number that is neither infinite nor none."""
+    try:
+        value = float(number)
+    except ValueError as error:
+        raise click.BadParameter(f"{number!r} is no number") from error
+    if not -float("inf") < value < float("inf"):
+        raise click.BadParameter(f"{number}; expected a finite number")
+    return value
+
+
+def not_negative(number: str | float) -> float:
+    """Take a value as a number of 0 or more."""
+    try:
+        value = float(number)
+    except ValueError as error:
+        raise click.BadParameter(f"{number!r} is no number") from error
+    if not value >= 0.0:
+        raise click.BadParameter(f"{number}; expected 0 or more")
+    return value
+
+
 def target(text: str) -> Path:
     """Take an argument as the path of what is to be written."""
     from sceneloom.formats.urls import is_url
@@ -173,7 +195,7 @@ def trajectories(side: str, path: str) -> Callable[[Command], Command]:
         click.option(
             f"--{side}-rate",
             f"{side}_rate_hz",
-            type=float,
+            type=positive,
             metavar="HZ",
             help="Poses per second in place of times.",
         ),

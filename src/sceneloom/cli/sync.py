@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--lever",
-    type=click.FloatRange(min=0),
+    type=options.not_negative,
     default=1.0,
     show_default=True,
     metavar="M",

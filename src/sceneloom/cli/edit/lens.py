@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.edit.running import common, editing, run_edit
 from sceneloom.cli.identifiers import known_ids
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--limit",
-    type=float,
+    type=options.not_negative,
     default=1.0,
     show_default=True,
     metavar="PX",
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--share",
-    type=float,
+    type=options.not_negative,
     default=0.99,
     show_default=True,
     metavar="S",

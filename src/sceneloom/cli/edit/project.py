@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.edit.running import chosen_way, common, editing, run_edit, way
 from sceneloom.cli.identifiers import known_id, known_ids
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--min-pixels",
-    type=float,
+    type=options.not_negative,
     default=1.0,
     show_default=True,
     metavar="N",

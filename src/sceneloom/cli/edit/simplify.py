@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.edit.running import common, editing, run_edit
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ PATHS = ("cuboids", "keypoints", "poses")
 @editing
 @click.option(
     "--tolerance-m",
-    type=float,
+    type=options.not_negative,
     default=0.01,
     show_default=True,
     metavar="M",
@@ -26,7 +27,7 @@ PATHS = ("cuboids", "keypoints", "poses")
 )
 @click.option(
     "--tolerance-deg",
-    type=float,
+    type=options.not_negative,
     default=0.1,
     show_default=True,
     metavar="DEG",

@@ -23,7 +23,12 @@ if TYPE_CHECKING:
     show_default=True,
     help="Lay EST onto REF first: by the first pose; shift and heading; shift and turn; and scale.",
 )
-@click.option("--align-first", type=int, metavar="N", help="Align by the first N pairs only. [default: all]")
+@click.option(
+    "--align-first",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Align by the first N pairs only. [default: all]",
+)
 @click.option(
     "--associate",
     type=click.Choice(["interpolate", "nearest"]),

@@ -45,10 +45,7 @@ class EncodedPicture:
         Raises:
             DataError: it is no such file, damaged, of another size, or of more than 8 bits.
         """
-        try:
-            width, height = _SIZES[self.form](self.content)
-        except _FAULTS as error:
-            raise DataError(self.owner, self.place, f"is no {self.form} file: {error}") from error
+        width, height = picture_size(self.content, self.form, owner=self.owner, place=self.place)
         if (width, height) != (self.width, self.height):
             problem = f"a picture of {width}x{height}; expected {self.width}x{self.height}"
             raise DataError(self.owner, self.place, problem)
@@ -61,6 +58,23 @@ class EncodedPicture:
     def encoded(self) -> bytes:
         """The file."""
         return self.content
+
+
+def picture_size(content: bytes, form: str, *, owner: str = "picture", place: str = "") -> tuple[int, int]:
+    """Width and height of a file in memory [px], from its head.
+
+    Args:
+        form: "jpeg" or "png".
+        owner: what it belongs to, for messages.
+        place: the field that holds it, for messages.
+
+    Raises:
+        DataError: it is no such file, or of more than 8 bits.
+    """
+    try:
+        return _SIZES[form](content)
+    except _FAULTS as error:
+        raise DataError(owner, place, f"is no {form} file: {error}") from error
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int]:

@@ -90,17 +90,7 @@ class Intake:
         Raises:
             RefusedError: it is not taken; the answer says why.
         """
-        kind = self._kind(record, setting)
-        sensor_id = record.sensor_id
-        known = {pair[kind is SensorKind.LIDAR] for pair in setting.pairs}
-        if sensor_id not in known:
-            listed = ", ".join(map(str, sorted(known))) or "none"
-            _refuse(Cause.NO_CALIBRATION, f"no calibration of {kind} {sensor_id}; calibrated are {listed}")
-        try:
-            received = _received(record, sensor_id, setting)
-        except SceneloomError as error:
-            raise RefusedError(refused(Cause.BAD_RECORD, error)) from error
-        admitted = Admitted(sensor_id, kind, record, received, setting)
+        admitted = admitted_alone(record, setting)
         self._check_order(admitted)
         return admitted
 
@@ -135,20 +125,40 @@ class Intake:
                 f"most {lateness_ns / 1e6:g} ms (pairing_timeout_ms, or a period of lidar_frequency)",
             )
 
-    def _kind(self, record: WholeRecord, setting: Setting) -> SensorKind:
-        declared = setting.sensors.get(record.sensor_id)
-        wanted = _KINDS.get(type(record))
-        if wanted is None:
-            if declared is None or declared.raw is None:
-                _refuse(
-                    Cause.UNKNOWN_SENSOR,
-                    f"raw data of sensor {record.sensor_id}, of which the property sensors says neither kind nor raw",
-                )
-            return declared.kind
-        if setting.sensors and (declared is None or declared.kind is not wanted):
-            listed = ", ".join(f"{sensor.sensor_id} ({sensor.kind})" for sensor in setting.sensors.values())
-            _refuse(Cause.UNKNOWN_SENSOR, f"{wanted} {record.sensor_id}; the property sensors has {listed}")
-        return wanted
+
+def admitted_alone(record: WholeRecord, setting: Setting) -> Admitted:
+    """Take a record by what it says itself, whatever came before it.
+
+    Raises:
+        RefusedError: it is not taken; the answer says why.
+    """
+    kind = _kind(record, setting)
+    sensor_id = record.sensor_id
+    known = {pair[kind is SensorKind.LIDAR] for pair in setting.pairs}
+    if sensor_id not in known:
+        listed = ", ".join(map(str, sorted(known))) or "none"
+        _refuse(Cause.NO_CALIBRATION, f"no calibration of {kind} {sensor_id}; calibrated are {listed}")
+    try:
+        received = _received(record, sensor_id, setting)
+    except SceneloomError as error:
+        raise RefusedError(refused(Cause.BAD_RECORD, error)) from error
+    return Admitted(sensor_id, kind, record, received, setting)
+
+
+def _kind(record: WholeRecord, setting: Setting) -> SensorKind:
+    declared = setting.sensors.get(record.sensor_id)
+    wanted = _KINDS.get(type(record))
+    if wanted is None:
+        if declared is None or declared.raw is None:
+            _refuse(
+                Cause.UNKNOWN_SENSOR,
+                f"raw data of sensor {record.sensor_id}, of which the property sensors says neither kind nor raw",
+            )
+        return declared.kind
+    if setting.sensors and (declared is None or declared.kind is not wanted):
+        listed = ", ".join(f"{sensor.sensor_id} ({sensor.kind})" for sensor in setting.sensors.values())
+        _refuse(Cause.UNKNOWN_SENSOR, f"{wanted} {record.sensor_id}; the property sensors has {listed}")
+    return wanted
 
 
 _KINDS: dict[type, SensorKind] = {

@@ -57,7 +57,18 @@ class Refused:
     outcome: Outcome
 
 
-Event = Admitted | Refused | Moved | Flushed | Result
+@dataclass(frozen=True, slots=True, eq=False)
+class Dropped:
+    """A record that had been taken and was dropped before it was fused, because too many waited.
+
+    Attributes:
+        admitted: the record.
+    """
+
+    admitted: Admitted
+
+
+Event = Admitted | Refused | Dropped | Moved | Flushed | Result
 """What an observer is told, in the order in which it counts."""
 
 
@@ -154,7 +165,7 @@ class FusionInterface:
             except SceneloomError as error:
                 return refused(Cause.BAD_MOTION, error)
             self.counters.add("received.motion", len(path.timestamps_ns))
-            self._do(Moved(recent))
+            self._do(Moved(recent, path))
         return DONE
 
     def send(self, record: SentRecord) -> Outcome:
@@ -198,6 +209,17 @@ class FusionInterface:
             flushed = Flushed()
             self._do(flushed)
         flushed.done.wait()
+
+    def repeat(self, task: Task) -> None:
+        """Do what an observer was told that a session did; what that one admitted is not judged again.
+
+        Raises:
+            OptionError: the interface has a thread of its own, which could drop it.
+        """
+        if self._worker is not None:
+            raise OptionError("a session with a thread of its own; expected one that was made with `inline`")
+        with self._lock:
+            self._perform(task)
 
     def close(self) -> None:
         """End: fuse what waits, let all who wait for results go."""
@@ -280,7 +302,9 @@ class FusionInterface:
         properties = self.properties.snapshot()
         most, refuses = properties["queue_length"], properties["queue_policy"] == "refuse"
         dropped = self._tasks.put(task, most=most, refuses=refuses)
-        self.counters.add("dropped.queue-full", dropped)
+        self.counters.add("dropped.queue-full", len(dropped))
+        for admitted in dropped:
+            self._tell(Dropped(admitted))
 
     def _work(self) -> None:
         while True:

@@ -14,10 +14,12 @@ class Moved:
     """The vehicle's way of the last while is known anew.
 
     Attributes:
-        path: that way.
+        path: that way, from an origin of its own.
+        sent: the piece of it that came now.
     """
 
     path: PosePath
+    sent: PosePath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +49,8 @@ class TaskQueue:
     def __len__(self) -> int:
         return len(self._tasks)
 
-    def put(self, task: Task, *, most: int, refuses: bool) -> int:
-        """Append a task; gives how many older records of the same stream were dropped to make room.
+    def put(self, task: Task, *, most: int, refuses: bool) -> list[Admitted]:
+        """Append a task; gives the older records of the same stream that were dropped to make room.
 
         Args:
             most: how many records of one stream may wait.
@@ -57,7 +59,7 @@ class TaskQueue:
         Raises:
             RefusedError: there is no room.
         """
-        dropped = 0
+        dropped: list[Admitted] = []
         with self._changed:
             if isinstance(task, Admitted):
                 full = self._waiting[task.stream] >= most
@@ -65,8 +67,7 @@ class TaskQueue:
                     reason = f"{most} records of {task.kind} {task.sensor_id} wait already (queue_length)"
                     raise RefusedError(refused(Cause.QUEUE_FULL, reason))
                 while self._waiting[task.stream] >= most:
-                    self._drop_oldest(task.stream)
-                    dropped += 1
+                    dropped.append(self._drop_oldest(task.stream))
                 self._waiting[task.stream] += 1
             self._tasks.append(task)
             self._changed.notify()
@@ -89,9 +90,12 @@ class TaskQueue:
             self.closed = True
             self._changed.notify_all()
 
-    def _drop_oldest(self, stream: tuple[str, int]) -> None:
-        oldest = next(
-            k for k, task in enumerate(self._tasks) if isinstance(task, Admitted) and task.stream == stream
+    def _drop_oldest(self, stream: tuple[str, int]) -> Admitted:
+        k, oldest = next(
+            (k, task)
+            for k, task in enumerate(self._tasks)
+            if isinstance(task, Admitted) and task.stream == stream
         )
-        del self._tasks[oldest]
+        del self._tasks[k]
         self._waiting[stream] -= 1
+        return oldest

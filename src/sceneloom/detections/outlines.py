@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Boxes3D
-from sceneloom.visibility.outlines import edge_extents
+from sceneloom.visibility.outlines import box_extents
 
 _NEAR = 0.05
 """A box nearer to the camera than this holds it, and has no outline [m]."""
@@ -22,12 +22,12 @@ class Outlines:
     Attributes:
         corners_xyxy: (N, 4) float64 [px], corner convention, cut at the picture; zeros where it does not show them.
         depths: (N,) float64 [m], distance of the middle from the camera.
-        whole: (N,) bool, whether the picture shows all of it.
+        shares: (N,) float64, which share of a box is in the picture.
     """
 
     corners_xyxy: Float64Array
     depths: Float64Array
-    whole: BoolArray
+    shares: Float64Array
 
 
 def project_outlines(camera: Camera, camera_from_lidar: RigidTransform, boxes: Boxes3D) -> Outlines:
@@ -46,7 +46,7 @@ def project_outlines(camera: Camera, camera_from_lidar: RigidTransform, boxes: B
     corners = centers[:, None] + (halves[:, None] * CORNER_SIGNS) @ axes.transpose(0, 2, 1)
     cameras_box = -np.einsum("bij,bi->bj", axes, centers)
     away = np.linalg.norm(np.maximum(np.abs(cameras_box) - halves, 0.0), axis=1) > _NEAR
-    extents, whole = np.zeros((len(boxes), 4)), np.zeros(len(boxes), np.bool_)
-    extents[away], whole[away] = edge_extents(camera, corners[away])
+    extents, shares = np.zeros((len(boxes), 4)), np.zeros(len(boxes))
+    extents[away], shares[away] = box_extents(camera, corners[away])
     extents[~(extents[:, 2:] > extents[:, :2]).all(axis=1)] = 0.0
-    return Outlines(extents, np.linalg.norm(centers, axis=1), whole)
+    return Outlines(extents, np.linalg.norm(centers, axis=1), shares)

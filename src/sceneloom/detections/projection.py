@@ -113,8 +113,7 @@ def _sound_2d(boxes: Boxes2D) -> Int64Array:
 def _chances_2d(outlines: Outlines, settings: ProjectionSettings) -> Float64Array:
     """The chances that the detector of the picture had to find boxes of the sweep, (N,)."""
     heights = outlines.corners_xyxy[:, 3] - outlines.corners_xyxy[:, 1]
-    seen = (heights >= settings.least_height_px) & outlines.whole
-    return np.where(seen, settings.recall_2d, 0.0)
+    return np.where(heights >= settings.least_height_px, settings.recall_2d * outlines.shares, 0.0)
 
 
 def _chances_3d(placed: Placed, settings: ProjectionSettings) -> Float64Array:

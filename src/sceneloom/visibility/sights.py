@@ -12,7 +12,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions
 from sceneloom.kernels.box_sight import count_evidence, count_sights
 from sceneloom.scene import Boxes
-from sceneloom.visibility.outlines import CENTRE_TO_CORNER, edge_extents, picture_corner_rays, widest_angle
+from sceneloom.visibility.outlines import CENTRE_TO_CORNER, box_extents, widest_angle
 
 NEAR = 0.05
 """A box nearer to the camera than this holds the camera: it is not seen, and hides nothing [m]."""
@@ -86,14 +86,8 @@ def sight(
     """
     rows, near = _in_view(camera, world_from_camera, boxes)
     corners = box_corners(near.centers, near.sizes, near.quaternions)
-    extents, whole = edge_extents(camera, corners)
-    pictures, rays = picture_corner_rays(camera)
-    looks_at = near.met_by(rays)
-    for pixel, met in zip(pictures, looks_at.T, strict=True):
-        extents[met, :2], extents[met, 2:] = (
-            np.minimum(extents[met, :2], pixel),
-            np.maximum(extents[met, 2:], pixel),
-        )
+    extents, shares = box_extents(camera, corners)
+    whole = shares == 1.0
     there = np.flatnonzero((extents[:, 2:] > extents[:, :2]).all(axis=1))
     rows, near, extents, whole = rows[there], near.some(there), extents[there], whole[there]
     solid = np.ones(len(rows), np.bool_) if hides is None else hides[rows]
@@ -130,19 +124,6 @@ class _Near:
         """Where the camera is in the frame of each box, (B, 3) [m]."""
         place: Float64Array = -np.einsum("bij,bi->bj", self.axes, self.centers)
         return place
-
-    def met_by(self, rays: Float64Array) -> BoolArray:
-        """Which boxes rays (R, 3) meet, (B, R); one with a NaN meets none.
-
-        Source: as in `count_sights`.
-        """
-        directions = np.einsum("bij,ri->brj", self.axes, rays)
-        origins, halves = self.cameras_box[:, None], self.sizes[:, None] / 2.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            first, last = (-halves - origins) / directions, (halves - origins) / directions
-        enter, leave = np.minimum(first, last).max(axis=2), np.maximum(first, last).min(axis=2)
-        met: BoolArray = (enter <= leave) & (enter > 0.0)
-        return met
 
 
 def _in_view(camera: Camera, world_from_camera: RigidTransform, boxes: Boxes) -> tuple[Int64Array, _Near]:

@@ -8,6 +8,7 @@ SceneloomError
 ├── CalibrationError      a lens or a mounting cannot be used
 ├── PoseError             the poses that a computation needs are missing
 ├── OptionError           a value given by the caller is not one that can be followed
+│   └── UnknownOptionError    an option that the format at hand does not take
 ├── OutputError           an output exists already or cannot be written
 └── MissingExtraError     an optional part of the package is not installed
 ```
@@ -15,6 +16,7 @@ SceneloomError
 Every class keeps its constructor's arguments in `args`, so instances survive pickling between processes.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -61,6 +63,28 @@ class PoseError(SceneloomError):
 
 class OptionError(SceneloomError):
     """A value given by the caller is not one that can be followed."""
+
+
+class UnknownOptionError(OptionError):
+    """An option that the format at hand does not take; the message names those that it does."""
+
+    def __init__(self, option: str, doing: str, known: tuple[str, ...]) -> None:
+        super().__init__(option, doing, known)
+        self.option, self.doing, self.known = option, doing, known
+
+    def __str__(self) -> str:
+        return f"option {self.option!r}; {self.doing} takes {', '.join(self.known)}"
+
+
+def check_option_names(doing: str, given: Iterable[str], known: tuple[str, ...]) -> None:
+    """Refuse options that are not among the known ones; `doing` is what takes them, as in "writing a recording".
+
+    Raises:
+        UnknownOptionError: there is one.
+    """
+    for name in given:
+        if name not in known:
+            raise UnknownOptionError(name, doing, known)
 
 
 class OutputError(SceneloomError):

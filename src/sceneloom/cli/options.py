@@ -7,7 +7,7 @@ from typing import Any, TypeVar, cast
 
 import click
 
-from sceneloom.errors import SceneloomError
+from sceneloom.errors import OptionError, SceneloomError, UnknownOptionError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -136,13 +136,40 @@ part = _stacked(
 """On every verb that can take a part of a drive."""
 
 
+_PREFIXES = {"opening": ("from_", "est_", "ref_", ""), "writing": ("to_", "")}
+"""What names of flags begin with, before the library's name of the option, by what is done."""
+
+
+def _naming_flags(command: Callable[..., Any], *arguments: Any, **values: Any) -> Any:
+    """Call a verb, and name options that a format does not take as the user said them."""
+    try:
+        return command(*arguments, **values)
+    except UnknownOptionError as error:
+        option, *known = (_flag(name, error.doing.split()[0]) for name in (error.option, *error.known))
+        if option is None:
+            raise
+        taken = ", ".join(filter(None, known)) or "no option of this verb"
+        told = OptionError(f"{option} does not count here: {error.doing} takes {taken}")
+        told.remember(error.notices)
+        raise told from error
+
+
+def _flag(name: str, doing: str) -> str | None:
+    flags = {
+        parameter.name: parameter.opts[0]
+        for parameter in click.get_current_context().command.params
+        if isinstance(parameter, click.Option)
+    }
+    return next((flags[side + name] for side in _PREFIXES.get(doing, ("",)) if side + name in flags), None)
+
+
 def _telling_notices(command: Command) -> Command:
     """Print what a lenient reading left out also where a verb ends in an error."""
 
     @wraps(command)
     def run(*arguments: Any, **values: Any) -> Any:
         try:
-            return command(*arguments, **values)
+            return _naming_flags(command, *arguments, **values)
         except SceneloomError as error:
             if error.notices and values.get("lenient") and not values["quiet"]:
                 from sceneloom.cli.printing import print_notices

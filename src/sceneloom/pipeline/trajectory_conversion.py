@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sceneloom.errors import OptionError, UnknownFormatError
+from sceneloom.errors import UnknownFormatError, check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.table import format_named, format_names
 from sceneloom.formats.trajectories import (
@@ -61,11 +61,7 @@ def write_trajectory_file(
         DataError: the source is wrong.
         OutputError: the target exists, or cannot be written.
     """
-    for option in writing:
-        if option not in _WRITING:
-            raise OptionError(
-                f"{target}: option {option!r}; writing a trajectory takes {', '.join(_WRITING)}"
-            )
+    check_option_names("writing a trajectory", writing, _WRITING)
     form = form_for_output(target).name if to is None else to
     content = read_trajectory_file(source, name=name, progress=progress, **reading)
     losses = write_trajectory(content, target, form=form, overwrite=overwrite, **writing)

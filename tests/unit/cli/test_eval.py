@@ -192,7 +192,7 @@ def test_options_of_scenes_are_refused_for_files_of_trajectories(
 ) -> None:
     outcome = call("convert", ways[1], tmp_path / "a.csv", "--profile", "scale")
     assert outcome.code == 2
-    assert "option 'profile'; writing a trajectory takes optical, origin_lla" in outcome.err
+    assert "--profile does not count here: writing a trajectory takes --to-optical, --origin" in outcome.err
 
 
 def test_a_way_is_written_as_fixes_around_an_origin(

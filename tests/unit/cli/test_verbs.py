@@ -115,6 +115,28 @@ def test_demo_looks_at_all_its_outputs_before_it_makes_one(call: Call, tmp_path:
 
 
 @pytest.mark.parametrize(
+    ("target", "option", "takes"),
+    [
+        ("a.sfs", ("--origin", "1", "2", "3"), "writing a scene file takes --profile, --time-unit"),
+        ("a", ("--profile", "scale"), "writing a recording takes --pictures"),
+        ("a.tum", ("--pictures", "png"), "writing a trajectory takes --to-optical, --origin"),
+        (
+            "a.sfs",
+            ("--from-rate", "10"),
+            "opening a recording takes --lenient, --altitude, --camera-shift",
+        ),
+    ],
+)
+def test_an_option_that_the_format_does_not_take_is_named_as_it_was_said(
+    call: Call, recording: Path, tmp_path: Path, target: str, option: tuple[str, ...], takes: str
+) -> None:
+    outcome = call("convert", recording, tmp_path / target, *option)
+    assert outcome.code == 2
+    assert outcome.err == f"sceneloom: {option[0]} does not count here: {takes}\n"
+    assert not (tmp_path / target).exists()
+
+
+@pytest.mark.parametrize(
     ("option", "value", "needed"),
     [("--depth-form", "npz", "--depth"), ("--pictures-every", "2", "--pictures")],
 )

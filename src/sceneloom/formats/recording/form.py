@@ -1,10 +1,9 @@
 """What the recording format offers to the table of formats."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from sceneloom.errors import OptionError
+from sceneloom.errors import check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.recording.examination import RecordingExamination, examine_recording
 from sceneloom.formats.recording.place import DATA_FILE, is_log, near_miss
@@ -38,20 +37,20 @@ class RecordingFormat:
         """Open a recording; `open_recording` describes the options.
 
         Raises:
-            OptionError: an option is unknown.
+            UnknownOptionError: an option is unknown.
             DataError: files are missing or wrong.
             CalibrationError: a lens or a mounting is unusable.
         """
-        _check_options("opening", options, _READING_OPTIONS)
+        check_option_names("opening a recording", options, _READING_OPTIONS)
         return open_recording(path, **options)
 
     def examine(self, path: Path, **options: Any) -> RecordingExamination:
         """Give all faults of a recording; `examine_recording` describes the options.
 
         Raises:
-            OptionError: an option is unknown.
+            UnknownOptionError: an option is unknown.
         """
-        _check_options("examining", options, _READING_OPTIONS[1:])
+        check_option_names("examining a recording", options, _READING_OPTIONS[1:])
         return examine_recording(path, **options)
 
     def check_place(self, path: Path) -> None:
@@ -66,17 +65,11 @@ class RecordingFormat:
         """Write a scene as a recording; `write_recording` describes the options.
 
         Raises:
-            OptionError: an option is unknown.
+            UnknownOptionError: an option is unknown.
             OutputError: the folder exists, or cannot be written.
         """
-        _check_options("writing", options, _WRITING_OPTIONS)
+        check_option_names("writing a recording", options, _WRITING_OPTIONS)
         return write_recording(scene, path, overwrite=overwrite, **options)
-
-
-def _check_options(verb: str, options: Iterable[str], known: tuple[str, ...]) -> None:
-    for name in options:
-        if name not in known:
-            raise OptionError(f"option {name!r}; {verb} a recording takes {', '.join(known)}")
 
 
 FORMAT = RecordingFormat()

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sceneloom.errors import OptionError, OutputError
+from sceneloom.errors import OutputError, check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.rig.manifest import looks_like_manifest
 from sceneloom.formats.rig.scene_from_rig import open_rig
@@ -29,12 +29,10 @@ class RigFormat:
         """Open a folder or its manifest; `open_rig` describes the options.
 
         Raises:
-            OptionError: an option is unknown.
+            UnknownOptionError: an option is unknown.
             DataError: the manifest, or what it names, is at fault.
         """
-        for name in options:
-            if name not in _READING_OPTIONS:
-                raise OptionError(f"option {name!r}; opening a rig takes {', '.join(_READING_OPTIONS)}")
+        check_option_names("opening a rig", options, _READING_OPTIONS)
         return open_rig(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:

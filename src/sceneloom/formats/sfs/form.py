@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sceneloom.errors import OptionError
+from sceneloom.errors import check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.sfs.container import has_scene_header
 from sceneloom.formats.sfs.examination import examine
@@ -35,7 +35,7 @@ class SfsFormat:
             OptionError: an option or its value is not known.
         """
         given = {name: value for name, value in options.items() if value is not None}
-        _check_options(given, tuple(ReadingOptions.__dataclass_fields__))
+        check_option_names("opening a scene file", given, tuple(ReadingOptions.__dataclass_fields__))
         return read_scene(path_or_url(path), ReadingOptions(**given))
 
     def examine(self, path: Path | str, **options: Any) -> Examination:
@@ -45,7 +45,7 @@ class SfsFormat:
             OptionError: an option or its value is not known.
         """
         given = {name: value for name, value in options.items() if value is not None}
-        _check_options(given, tuple(ReadingOptions.__dataclass_fields__))
+        check_option_names("opening a scene file", given, tuple(ReadingOptions.__dataclass_fields__))
         return examine(path_or_url(path), ReadingOptions(**given))
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
@@ -57,16 +57,8 @@ class SfsFormat:
             OutputError: the file exists, or cannot be written.
         """
         given = {name: value for name, value in options.items() if value is not None}
-        _check_options(given, ("profile", "time_unit", "time_offset_ns"))
+        check_option_names("writing a scene file", given, ("profile", "time_unit", "time_offset_ns"))
         return write_scene(scene, path, overwrite=overwrite, **given)
-
-
-def _check_options(given: dict[str, Any], known: tuple[str, ...]) -> None:
-    for name in given:
-        if name not in known:
-            raise OptionError(
-                f"option {name!r} is not known to the format sfs; expected one of {', '.join(known)}"
-            )
 
 
 FORMAT = SfsFormat()

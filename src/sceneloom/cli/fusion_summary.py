@@ -65,7 +65,8 @@ def _print_left_out(report: "FusionReport", *, quiet: bool, verbose: bool) -> No
     for reason, count in report.unfused.items():
         click.echo(f"{several(count, 'sweep')} kept unfused: {reason}")
     if report.skipped:
-        click.echo(f"{len(report.skipped)} unreadable sweeps or pictures skipped")
+        count = len(report.skipped)
+        click.echo("1 sweep or picture skipped" if count == 1 else f"{count} sweeps or pictures skipped")
         if not quiet:
             print_lines([f"skipped: {reason}" for reason in report.skipped], verbose=verbose)
     if report.depth_beyond_range:

@@ -129,7 +129,7 @@ def _report(
         output=None if wanted.scene is None else str(wanted.scene),
         trajectory=None if woven.ego is None else woven.ego.name,
         frames=tally.frames,
-        fused=tally.fused,
+        fused=tally.fused - (0 if sinks.scene is None else sinks.scene.left_out),
         extrapolated=tally.extrapolated,
         unfused=tally.unfused,
         skipped=() if skips is None else tuple(skips.reasons),

@@ -44,10 +44,10 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
         output: the scene file written, or None.
         trajectory: name of the ego's way that the scene stands on, or None where its own poses were used.
         frames: sweeps that were read.
-        fused: sweeps that were fused.
+        fused: sweeps that were fused, and that the scene file, where one is written, can hold.
         extrapolated: sweeps that needed poses beyond the trajectory's ends.
         unfused: why the others were not fused, with counts.
-        skipped: sweeps that could not be read, one line each.
+        skipped: sweeps and pictures that could not be read, and sweeps that the file cannot hold, one line each.
         points: points of all sweeps.
         coloured_percent: share of them that got a colour.
         cameras: one report per camera.

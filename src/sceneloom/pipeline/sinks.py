@@ -40,6 +40,7 @@ class SceneSink:
         time_unit: the file's unit of time.
         origin: what the sweeps are read from, for messages.
         skips: collects sweeps that the file cannot hold; None where they are errors.
+        left_out: how many these were.
     """
 
     writer: SceneWriter
@@ -47,6 +48,7 @@ class SceneSink:
     time_unit: str
     origin: str = ""
     skips: Skips | None = None
+    left_out: int = 0
     _starts_ns: dict[Identifier, list[int]] = field(default_factory=dict)
     _stops_ns: dict[Identifier, int] = field(default_factory=dict)
     _extrapolated_ns: dict[Identifier, list[int]] = field(default_factory=dict)
@@ -70,6 +72,7 @@ class SceneSink:
             if self.skips is None:
                 raise told from error
             self.skips.add(told)
+            self.left_out += 1
             return
         tick_ns = TICKS_NS[self.time_unit]
         start_ns, stop_ns = _start_ns(frame, tick_ns), _stop_ns(frame, tick_ns)

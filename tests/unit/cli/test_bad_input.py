@@ -304,5 +304,9 @@ def test_a_stray_point_beyond_what_the_file_can_hold_is_told_as_a_fault_of_the_d
     report = json.loads(call("fuse", folder, "-o", tmp_path / "out.sfs", "--lenient", "--json").out)
     (skipped,) = report["skipped"]
     assert "frames[1].points.positions[5]" in skipped
+    assert (report["frames"], report["fused"]) == (3, 2)
+    summary = call("fuse", folder, "-o", tmp_path / "out.sfs", "--lenient", "--overwrite").out
+    assert summary.startswith("fused 2 of 3 sweeps by trajectory groundTruth")
+    assert "\n1 sweep or picture skipped\n" in summary
     with sceneloom.open(tmp_path / "out.sfs") as scene:
         assert len(scene.lidars[0].frames) == 2

@@ -175,7 +175,7 @@ def test_only_the_first_skipped_frames_are_listed(call: Call, recording: Path, t
     arguments = ("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient", "--overwrite")
     outcome = call(*arguments)
     assert outcome.code == 0
-    assert "3 unreadable sweeps or pictures skipped" in outcome.out
+    assert "3 sweeps or pictures skipped" in outcome.out
     assert outcome.err.count("skipped: ") == 3
     assert "skipped: " not in call(*arguments, "--quiet").err
 

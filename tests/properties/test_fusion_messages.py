@@ -28,6 +28,7 @@ from sceneloom.fusion.messages.json_form import format_json, from_json, parse_js
 from sceneloom.fusion.messages.protobuf_form import (
     decode,
     encode,
+    encode_in,
     from_protobuf,
     from_send_request,
     parse_message,
@@ -270,6 +271,14 @@ def test_a_record_comes_back_from_protobuf_as_it_was(kind, seed, assert_same):
     assert_same(decode(kind, encode(record)), record)
 
 
+@KINDS
+@settings(max_examples=15)
+@given(seed=SEEDS)
+def test_bytes_put_together_are_those_that_protobuf_writes(kind, seed):
+    record = RECORDS[kind](Draws(seed))
+    assert encode(record) == to_protobuf(record).SerializeToString(deterministic=True)
+
+
 @pytest.mark.parametrize("kind", SENDABLE)
 @settings(max_examples=10)
 @given(seed=SEEDS)
@@ -279,6 +288,7 @@ def test_a_record_comes_back_from_a_request_as_it_was(kind, seed, assert_same):
     assert (request.WhichOneof("data"), request.session) == (kind, "rig")
     sent = fusion_pb2.SendRequest.FromString(request.SerializeToString())
     assert_same(from_send_request(sent), record)
+    assert encode_in(fusion_pb2.SendRequest(session="rig"), record) == request.SerializeToString()
 
 
 @KINDS

@@ -19,6 +19,12 @@ def bytes_of(array: AnyArray) -> bytes:
     return array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
+def bytes_view(array: AnyArray) -> memoryview:
+    """Give the bytes of an array in C order, without a copy where it has this order and is little-endian."""
+    plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    return plain.reshape(-1).view(np.uint8).data
+
+
 def array_of(content: bytes, dtype: np.dtype[Any], owner: str, place: str) -> AnyArray:
     """Give the flat array that bytes hold, a read-only view of them.
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from sceneloom.errors import DataError, MissingExtraError
-from sceneloom.fusion.messages.array_bytes import array_of, bytes_of
+from sceneloom.fusion.messages.array_bytes import array_of, bytes_of, bytes_view
 from sceneloom.fusion.messages.basic_types import shown
 from sceneloom.fusion.messages.records import (
     RECORD_KINDS,
@@ -18,10 +18,11 @@ from sceneloom.fusion.messages.records import (
     SentRecord,
     kind_of,
 )
-from sceneloom.fusion.messages.rows import ARRAY_DTYPES, TIME, Row
+from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM, TIME, Row
 from sceneloom.fusion.messages.tables import Table
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.messages.value_types import ValueForm
+from sceneloom.fusion.messages.wire_bytes import enclosed, field_head
 
 try:
     from google.protobuf.message import DecodeError, Message
@@ -74,8 +75,44 @@ def from_protobuf(message: Message) -> Any:
 
 
 def encode(record: Record) -> bytes:
-    """Give the bytes of a record's message; equal records have equal bytes."""
-    return to_protobuf(record).SerializeToString(deterministic=True)
+    """Give the bytes of a record's message; equal records have equal bytes, and arrays are copied once."""
+    return b"".join(encoded_parts(record))
+
+
+def encoded_parts(record: Record) -> list[bytes | memoryview]:
+    """Give the bytes of a record's message in parts: those of large arrays are the arrays themselves."""
+    kind = kind_of(record)
+    message_type = getattr(fusion_pb2, kind.message_name)
+    if kind.layout is not None:
+        return [to_protobuf(record).SerializeToString(deterministic=True)]
+    parts: list[bytes | memoryview] = []
+    message = message_type()
+    for row in kind.table.rows:
+        value = getattr(record, row.attribute)
+        if row.type not in ARRAY_DTYPES and row.type != STREAM:
+            _write_field(message, row, value)
+            continue
+        view = memoryview(value) if isinstance(value, bytes) else bytes_view(value)
+        if len(view):
+            parts += [message.SerializeToString(deterministic=True), field_head(row.number, len(view)), view]
+            message = message_type()
+    parts.append(message.SerializeToString(deterministic=True))
+    return parts
+
+
+def encode_in(container: Message, record: Record) -> bytes:
+    """Give the bytes of a request or reply with a record in the field of its kind.
+
+    Args:
+        container: the message without it, whose other fields come after it.
+        record: to be put into it.
+
+    Raises:
+        OptionError: it is no record.
+    """
+    field = container.DESCRIPTOR.fields_by_name[kind_of(record).name]
+    rest = container.SerializeToString(deterministic=True)
+    return b"".join([*enclosed(field.number, encoded_parts(record)), rest])
 
 
 def decode(name: str, content: bytes) -> Any:
@@ -145,19 +182,22 @@ def timestamp_from_protobuf(message: fusion_pb2.Timestamp, owner: str, place: st
 
 def _write(message: Any, record: Any, table: Table) -> None:
     for row in table.rows:
-        value = getattr(record, row.attribute)
-        if value is None:
-            continue
-        if row.type == TIME:
-            timestamp = getattr(message, row.name)
-            timestamp.s, timestamp.ns = value.s, value.ns
-            timestamp.SetInParent()
-        elif row.type in ARRAY_DTYPES:
-            setattr(message, row.name, bytes_of(value))
-        elif isinstance(value, tuple):
-            getattr(message, row.name).extend(value)
-        else:
-            setattr(message, row.name, value)
+        _write_field(message, row, getattr(record, row.attribute))
+
+
+def _write_field(message: Any, row: Row, value: Any) -> None:
+    if value is None:
+        return
+    if row.type == TIME:
+        timestamp = getattr(message, row.name)
+        timestamp.s, timestamp.ns = value.s, value.ns
+        timestamp.SetInParent()
+    elif row.type in ARRAY_DTYPES:
+        setattr(message, row.name, bytes_of(value))
+    elif isinstance(value, tuple):
+        getattr(message, row.name).extend(value)
+    else:
+        setattr(message, row.name, value)
 
 
 def _read(message: Any, table: Table) -> dict[str, Any]:

@@ -152,10 +152,11 @@ class Row:
         """Whether all numbers of an array are finite and in the range of this field."""
         if values.size == 0:
             return True
-        if self.low is None and self.high is None and values.size < _FEW:
-            return values.dtype.kind != "f" or bool(np.isfinite(values).all())
+        broken = values.dtype.kind == "f"
+        if self.low is None and self.high is None and (not broken or values.size < _FEW):
+            return not broken or bool(np.isfinite(values).all())
         smallest, largest = values.min(), values.max()
-        finite = values.dtype.kind != "f" or bool(np.isfinite(smallest) and np.isfinite(largest))
+        finite = not broken or bool(np.isfinite(smallest) and np.isfinite(largest))
         return finite and self._is_in_range(smallest) and self._is_in_range(largest)
 
     def first_refused(self, values: AnyArray) -> int:

@@ -137,7 +137,7 @@ def points_of(values: Float32Array, fields: Sequence[str], timestamp_ns: int) ->
     if colors is not None:
         parts["colors"] = read_only(colors)
         exact.update(COLOR_NAMES)
-    positions = values if tuple(fields) == ("x", "y", "z") else np.column_stack([columns[c] for c in "xyz"])
+    positions = values if tuple(fields) == ("x", "y", "z") else _together([columns[axis] for axis in "xyz"])
     extras = {name: read_only(column) for name, column in columns.items() if name not in exact}
     return LidarPoints(cast("Float32Array", read_only(positions)), extras=MappingProxyType(extras), **parts)
 
@@ -173,8 +173,12 @@ def point_columns(points: LidarPoints, fields: Sequence[str], timestamp_ns: int)
     values = np.empty((len(points), len(fields)), np.float32)
     for k, name in enumerate(fields):
         values[:, k] = _column(points, name, timestamp_ns)
-    finite = np.isfinite(points.positions).all(axis=1)
-    return values if finite.all() else values[finite]
+    # to look for the largest number takes a fortieth of the time of looking at each row
+    return values if _are_finite(points.positions) else values[np.isfinite(points.positions).all(axis=1)]
+
+
+def _are_finite(positions: Float32Array) -> bool:
+    return positions.size == 0 or bool(np.isfinite(positions.min()) and np.isfinite(positions.max()))
 
 
 def _column(points: LidarPoints, name: str, timestamp_ns: int) -> AnyArray:
@@ -189,6 +193,13 @@ def _column(points: LidarPoints, name: str, timestamp_ns: int) -> AnyArray:
         if name in names and found is not None:
             return _BACK[part](found, timestamp_ns)
     raise OptionError(f"field {name!r}; the points have {', '.join(fields_of(points))}")
+
+
+def _together(columns: Sequence[Float32Array]) -> Float32Array:
+    table = np.empty((len(columns[0]), len(columns)), np.float32)
+    for k, column in enumerate(columns):
+        table[:, k] = column
+    return table
 
 
 def _intensities(values: Float32Array, timestamp_ns: int) -> UInt8Array | None:
@@ -222,7 +233,7 @@ def _times(values: Float32Array, timestamp_ns: int) -> Int64Array | None:
 def _colors(columns: Mapping[str, Float32Array]) -> UInt8Array | None:
     if not all(name in columns for name in COLOR_NAMES):
         return None
-    colors = np.column_stack([columns[name] for name in COLOR_NAMES])
+    colors = _together([columns[name] for name in COLOR_NAMES])
     return colors.astype(np.uint8) if not colors.size or _are_bytes(colors) else None
 
 

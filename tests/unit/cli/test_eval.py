@@ -229,6 +229,7 @@ def test_the_way_of_gnss_and_imu_is_compared_with_the_fixes_from_one_origin(
         "--align",
         "none",
     )
+    assert outcome.code == 0, outcome.err
     told = json.loads(outcome.out)
     assert told["estimate"] == "gnss"
     assert told["reference"] == "fixes"

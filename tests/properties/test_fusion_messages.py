@@ -27,6 +27,7 @@ from sceneloom.fusion.messages.foxglove_form import from_foxglove, to_foxglove
 from sceneloom.fusion.messages.json_form import format_json, from_json, parse_json, to_json
 from sceneloom.fusion.messages.protobuf_form import (
     decode,
+    decode_send_request,
     encode,
     encode_in,
     from_protobuf,
@@ -289,6 +290,7 @@ def test_a_record_comes_back_from_a_request_as_it_was(kind, seed, assert_same):
     sent = fusion_pb2.SendRequest.FromString(request.SerializeToString())
     assert_same(from_send_request(sent), record)
     assert encode_in(fusion_pb2.SendRequest(session="rig"), record) == request.SerializeToString()
+    assert_same(decode_send_request(request.SerializeToString()), record)
 
 
 @KINDS
@@ -409,14 +411,18 @@ def test_protobuf_with_other_bytes_somewhere_is_a_record_or_a_fault(kind, seed, 
 
 
 @pytest.mark.parametrize("kind", SENDABLE)
-@settings(max_examples=30)
+@settings(max_examples=60)
 @given(seed=SEEDS, data=st.data())
 def test_a_request_with_other_bytes_somewhere_is_a_record_or_a_fault(kind, seed, data):
     content = bytearray(to_send_request(RECORDS[kind](Draws(seed))).SerializeToString())
     k = data.draw(st.integers(0, len(content)))
     content[k : k + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
     found = record_or_fault(lambda: from_send_request(parse_message(fusion_pb2.SendRequest, bytes(content))))
-    assert isinstance(found, DataError) or kind_of(found).name in SENDABLE
+    quickly = record_or_fault(decode_send_request, bytes(content))
+    assert isinstance(quickly, DataError) == isinstance(found, DataError), (found, quickly)
+    if not isinstance(found, DataError):
+        assert kind_of(found).name in SENDABLE
+        assert encode(quickly) == encode(found)
 
 
 @settings(max_examples=200)

@@ -39,3 +39,26 @@ def array_of(content: bytes, dtype: np.dtype[Any], owner: str, place: str) -> An
         problem = f"{len(content)} bytes; expected a multiple of {dtype.itemsize}"
         raise DataError(owner, place, problem)
     return np.frombuffer(content, dtype.newbyteorder("<")).astype(dtype, copy=False)
+
+
+def array_within(
+    content: bytes, span: tuple[int, int], dtype: np.dtype[Any], owner: str, place: str
+) -> AnyArray:
+    """Give the flat array that a part of bytes holds: a read-only view of it, a copy where numbers are not aligned.
+
+    Args:
+        span: where the part begins and ends.
+        owner: what it belongs to, for the message.
+        place: the field, for the message.
+
+    Raises:
+        DataError: it is no whole number of values.
+    """
+    start, stop = span
+    length = stop - start
+    if length % dtype.itemsize or not length:
+        return array_of(content[start:stop], dtype, owner, place)
+    flat = np.frombuffer(content, dtype.newbyteorder("<"), length // dtype.itemsize, start)
+    if not flat.flags.aligned:
+        return array_of(content[start:stop], dtype, owner, place)
+    return flat.astype(dtype, copy=False)

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from sceneloom.errors import DataError, MissingExtraError
-from sceneloom.fusion.messages.array_bytes import array_of, bytes_of, bytes_view
+from sceneloom.fusion.messages.array_bytes import array_of, array_within, bytes_of, bytes_view
 from sceneloom.fusion.messages.basic_types import shown
 from sceneloom.fusion.messages.records import (
     RECORD_KINDS,
@@ -22,7 +22,7 @@ from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM, TIME, Row
 from sceneloom.fusion.messages.tables import Table
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.messages.value_types import ValueForm
-from sceneloom.fusion.messages.wire_bytes import enclosed, field_head
+from sceneloom.fusion.messages.wire_bytes import LENGTH_TYPE, enclosed, field_head, wire_fields
 
 try:
     from google.protobuf.message import DecodeError, Message
@@ -32,6 +32,13 @@ except ImportError as missing:
     raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[serve]'") from missing
 
 _KIND_OF_MESSAGE: Mapping[str, RecordKind] = {kind.message_name: kind for kind in RECORD_KINDS.values()}
+
+
+_SENT_KINDS: Mapping[int, RecordKind] = {
+    field.number: RECORD_KINDS[field.name]
+    for field in fusion_pb2.SendRequest.DESCRIPTOR.oneofs_by_name["data"].fields
+}
+"""The kinds of records by their field of a request."""
 
 
 def to_protobuf(record: Record) -> Message:
@@ -158,6 +165,63 @@ def from_send_request(request: fusion_pb2.SendRequest) -> SentRecord:
     if name is None:
         raise DataError("request", "data", "missing; expected a record of one of tables 4 to 8")
     return cast("SentRecord", from_protobuf(getattr(request, name)))
+
+
+def decode_send_request(content: bytes) -> SentRecord:
+    """Read the record out of the bytes of a message of clause 5.6; pixels and points are views of these bytes.
+
+    Raises:
+        DataError: they are no such message, carry no record, or the record is faulty.
+    """
+    found = _large_record(content)
+    if found is None:
+        return from_send_request(parse_message(fusion_pb2.SendRequest, content))
+    kind, message, arrays = found
+    values = {
+        row.attribute: arrays[row.number]
+        if row.number in arrays
+        else _from_wire(message, row, kind.table.owner)
+        for row in kind.table.rows
+    }
+    return cast("SentRecord", kind.record_type(**values))
+
+
+def _large_record(content: bytes) -> tuple[RecordKind, Any, dict[int, Any]] | None:
+    """The kind of the only record of a request, its message without arrays, and the arrays by their row numbers.
+
+    None where the library had better read it: it has no arrays, or something is unusual about it.
+    """
+    outer = wire_fields(content, 0, len(content))
+    records = [field for field in outer or () if field.number in _SENT_KINDS]
+    if outer is None or len(records) != 1 or records[0].type != LENGTH_TYPE:
+        return None
+    kind = _SENT_KINDS[records[0].number]
+    large = {row.number: row for row in kind.table.rows if row.type in ARRAY_DTYPES or row.type == STREAM}
+    inner = wire_fields(content, records[0].start, records[0].stop)
+    if kind.layout is not None or not large or inner is None:
+        return None
+    found = {field.number: field for field in inner if field.number in large}
+    if sum(field.number in large for field in inner) != len(found):
+        return None
+    if any(field.type != LENGTH_TYPE for field in found.values()):
+        return None
+    rest = b"".join(content[field.head : field.stop] for field in inner if field.number not in found)
+    message = parse_message(getattr(fusion_pb2, kind.message_name), rest)
+    # what stands beside the record is read, too, so that what the library refuses is refused here
+    parse_message(fusion_pb2.SendRequest, content[: records[0].head] + content[records[0].stop :])
+    arrays = {
+        number: content[field.start : field.stop]
+        if large[number].type == STREAM
+        else array_within(
+            content,
+            (field.start, field.stop),
+            ARRAY_DTYPES[large[number].type],
+            kind.table.owner,
+            large[number].name,
+        )
+        for number, field in found.items()
+    }
+    return kind, message, arrays
 
 
 def timestamp_to_protobuf(timestamp: Timestamp) -> fusion_pb2.Timestamp:

@@ -11,6 +11,7 @@ from sceneloom.fusion.messages import Boxes3d, FusedDetections, ImageData, Point
 from sceneloom.fusion.messages.array_bytes import bytes_of
 from sceneloom.fusion.messages.protobuf_form import (
     decode,
+    decode_send_request,
     encode,
     fill_message,
     from_protobuf,
@@ -153,6 +154,40 @@ def test_bytes_that_are_no_message_are_refused():
         decode("image", b"\xff\xff\xff")
     with pytest.raises(DataError, match="expected a message SendRequest"):
         parse_message(fusion_pb2.SendRequest, b"\x0a\x7f")
+
+
+def test_pixels_of_a_request_are_a_view_of_its_bytes():
+    content = fusion_pb2.SendRequest(image=image(), session="rig").SerializeToString()
+    record = decode_send_request(content)
+    base = record.data
+    while isinstance(base, np.ndarray):
+        base = base.base
+    assert base is content
+    assert record.data.tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("before", range(4))
+def test_points_of_a_request_are_aligned_wherever_they_stand(before):
+    fields = {"timestamp": STAMP, "fields": ["x", "y", "z"], "fields_number": 3, "number": 1}
+    points = fusion_pb2.PointCloudData(**fields, data=np.float32([1, 2, 3]).tobytes())
+    content = (
+        b"\xa2\x06"
+        + bytes([before])
+        + b"a" * before
+        + fusion_pb2.SendRequest(points=points).SerializeToString()
+    )
+    record = decode_send_request(content)
+    assert record.data.flags.aligned
+    assert record.data.tolist() == [1, 2, 3]
+
+
+def test_a_record_that_stands_twice_is_read_as_protobuf_reads_it():
+    first, second = (
+        fusion_pb2.SendRequest(image=image(data)).SerializeToString() for data in (b"123", b"456")
+    )
+    assert decode_send_request(first + second).data.tobytes() == b"456"
+    other = fusion_pb2.SendRequest(raw=fusion_pb2.RawData(timestamp=STAMP)).SerializeToString()
+    assert type(decode_send_request(first + other)).__name__ == "RawData"
 
 
 def test_a_request_without_a_record_is_refused():

@@ -4,7 +4,7 @@ import pytest
 from google.protobuf.internal.encoder import _VarintBytes
 
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.messages.wire_bytes import enclosed, field_head, varint
+from sceneloom.fusion.messages.wire_bytes import enclosed, field_head, varint, wire_fields
 
 
 @pytest.mark.parametrize("number", [0, 1, 127, 128, 300, 16383, 16384, 2**31, 2**35 + 5])
@@ -22,3 +22,23 @@ def test_the_parts_of_a_message_become_a_field_of_another_one():
     inner = [b"\x18\x05", memoryview(field_head(8, 3)), b"abc"]
     request = fusion_pb2.SendRequest.FromString(b"".join(enclosed(2, inner)))
     assert (request.image.seq, request.image.data) == (5, b"abc")
+
+
+def test_fields_are_found_without_being_read():
+    image = fusion_pb2.ImageData(seq=300, encoding="rgb8", data=b"abc", timestamp=fusion_pb2.Timestamp(s=5))
+    content = b"??" + image.SerializeToString() + b"?"
+    fields = wire_fields(content, 2, len(content) - 1)
+    assert [field.number for field in fields] == [2, 3, 6, 8]
+    assert content[fields[3].start : fields[3].stop] == b"abc"
+    assert content[fields[1].head : fields[1].stop] == b"\x18\xac\x02"
+
+
+@pytest.mark.parametrize(
+    "content", [b"\x0b", b"\x0a\x05ab", b"\x08", b"\x08\xff", b"\x0d123", b"\x08" + b"\xff" * 11]
+)
+def test_what_is_unusual_is_left_to_protobuf(content):
+    assert wire_fields(content, 0, len(content)) is None
+
+
+def test_very_many_fields_are_left_to_protobuf():
+    assert wire_fields(b"\x08\x01" * 1001, 0, 2002) is None

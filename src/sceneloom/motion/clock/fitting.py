@@ -15,6 +15,10 @@ MOST_LAGS = 10
 
 _ROUNDS, _STEPS = 3, 10
 
+_SERIAL = 200_000
+"""Products of matrices are taken in parts of so many multiplications: libraries share larger ones among threads, which
+cost more than they save."""
+
 _CLOSE = 0.02
 """Steps are small enough at this share of a standard deviation."""
 
@@ -85,6 +89,7 @@ def fit(
     prior_sigmas: Float64Array,
     windows: Int64Array,
     *,
+    begin: Float64Array | None = None,
     whiten: bool = True,
     colour: Float64Array | None = None,
     scales: Float64Array | None = None,
@@ -99,13 +104,14 @@ def fit(
         start: (P,).
         prior_sigmas: (P,), how far from the start parameters may be; infinite for anywhere.
         windows: (N,), number of the window of each row, ascending; the noise is not followed from one to the next.
+        begin: (P,), where to begin, near to what will come out; None: at the start.
         whiten: whether to.
         colour, scales: (K, L) and (K,) to take as they are.
 
     Source: whitening before the estimate of Newey and West 1987 is Andrews and Monahan 1992; the autoregression is
     that of Yule 1927 and Walker 1931; weights are those of Huber 1964.
     """
-    parameters = start.astype(np.float64)
+    parameters = (start if begin is None else begin).astype(np.float64)
     count = int(windows[-1]) + 1 if len(windows) else 0
     at = model(parameters, np.zeros((count, 0)))
     fixed_colour, fixed_scales = colour, scales
@@ -156,6 +162,16 @@ def misfit_of(
         return state.misfit
     sizes = np.abs(state.residuals[state.used]) * state.scales
     return float(sizes.mean() ** 2)
+
+
+def bare_slopes(model: Model, found: Fit, windows: Int64Array) -> Float64Array:
+    """What a fit's parameters change of the rows that were used, (R, K, P), beyond what the nuisances may do."""
+    at = model(found.parameters, found.amounts)
+    told = at.residuals, at.jacobian, at.nuisances
+    used = found.used.astype(np.float64)
+    scales = _scales(at.residuals - _explained(at.nuisances, found.amounts, windows), found.used)
+    slopes = _without_nuisances(*told, used, scales, windows, at.precision)[1]
+    return slopes[found.used]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,9 +237,11 @@ def _solve(
     root = np.sqrt(weights)[:, None]
     r = clean_r / scales * root
     j = clean_j / scales[None, :, None] * root[:, :, None]
-    information = np.einsum("nkp,nkq->pq", j, j) + held.information
-    gradient = np.einsum("nkp,nk->p", j, r) + held.jacobian.T @ held.residuals - precision * moved
-    step = np.linalg.lstsq(information + np.diag(precision), gradient, rcond=None)[0]
+    slopes = j.reshape(r.size, size)
+    told = _inner(slopes, np.concatenate([slopes, r.reshape(-1, 1)], axis=1))
+    information = told[:, :size] + held.information
+    gradient = told[:, size] + held.jacobian.T @ held.residuals - precision * moved
+    step = np.linalg.lstsq(information + np.diag(precision), gradient, rcond=None)[0].astype(np.float64)
     raw = at.residuals - _explained(at.nuisances, amounts, windows)
     return step, amounts, _State(information, r, j, used & (weights > 0), scales, raw, held)
 
@@ -253,18 +271,40 @@ def _without_nuisances(
         basis = (nuisances[rows] * root[:, :, None]).reshape(-1, columns)
         told = np.concatenate([residuals[rows, :, None], jacobian[rows]], axis=2)
         targets = (told * root[:, :, None]).reshape(-1, 1 + size)
-        products = basis.T @ basis + np.diag(precision)
-        lengths = np.sqrt(np.maximum(np.diag(products), 1e-300))
-        normal = products / np.outer(lengths, lengths) + 1e-10 * np.eye(columns)
-        solution = np.linalg.solve(normal, basis.T @ targets / lengths[:, None]) / lengths[:, None]
+        products = _inner(basis, np.concatenate([basis, targets], axis=1))
+        lengths = np.sqrt(np.maximum(np.diag(products) + precision, 1e-300))
+        normal = (products[:, :columns] + np.diag(precision)) / np.outer(lengths, lengths)
+        asked = np.concatenate([products[:, columns:] / lengths[:, None], np.eye(columns)], axis=1)
+        solved = np.linalg.solve(normal + 1e-10 * np.eye(columns), asked) / lengths[:, None]
+        solution = solved[:, : 1 + size]
         amounts[window] = solution[:, 0]
-        left = told - np.einsum("nkm,mp->nkp", nuisances[rows], solution)
+        left = told - _times(nuisances[rows].reshape(-1, columns), solution).reshape(told.shape)
         clean_r[rows], clean_j[rows] = left[:, :, 0], left[:, :, 1:]
         held.append(np.sqrt(precision[known_before])[:, None] * solution[known_before])
-        kept = np.diag(np.linalg.inv(normal))[known_before] / lengths[known_before] ** 2
+        kept = np.diag(solved[:, 1 + size :])[known_before] / lengths[known_before]
         spent += columns - float(kept @ precision[known_before])
     before = np.concatenate(held)
     return clean_r, clean_j, amounts, _Held(before[:, 0], before[:, 1:], spent)
+
+
+def _inner(left: Float64Array, right: Float64Array) -> Float64Array:
+    """The product of (R, A) turned over with (R, B), where R is large."""
+    a, b = left.shape[1], right.shape[1]
+    rows = max(1, _SERIAL // max(a * b, 1))
+    parts = len(left) // rows
+    whole = parts * rows
+    products = left[:whole].reshape(parts, rows, a).swapaxes(1, 2) @ right[:whole].reshape(parts, rows, b)
+    return np.asarray(products.sum(axis=0) + left[whole:].T @ right[whole:], np.float64)
+
+
+def _times(left: Float64Array, right: Float64Array) -> Float64Array:
+    """The product of (R, A) with (A, B), where R is large."""
+    a, b = right.shape
+    rows = max(1, _SERIAL // max(a * b, 1))
+    parts = len(left) // rows
+    whole = parts * rows
+    products = left[:whole].reshape(parts, rows, a) @ right
+    return np.concatenate([products.reshape(whole, b), left[whole:] @ right])
 
 
 def _explained(nuisances: Float64Array, amounts: Float64Array, windows: Int64Array) -> Float64Array:
@@ -347,7 +387,7 @@ def _finished(
     windows: Int64Array,
 ) -> Fit:
     rows = int(state.used.sum())
-    scores = np.einsum("nkp,nk->np", state.jacobian, state.residuals)
+    scores = (state.jacobian * state.residuals[:, :, None]).sum(axis=1)
     meat = _long_run(scores, windows) + state.held.information
     freedom = rows / max(rows - len(parameters) - state.held.spent / state.residuals.shape[1], 1.0)
     inverse = np.linalg.pinv(state.information + np.diag(precision))
@@ -376,10 +416,10 @@ def _long_run(scores: Float64Array, windows: Int64Array) -> Float64Array:
 
     Source: Newey and West 1987, eq. 5; the number of lags is that of their 1994 paper.
     """
-    total = scores.T @ scores
+    total = _inner(scores, scores)
     lags = int(4 * (len(scores) / 100) ** (2 / 9))
     for lag in range(1, lags + 1):
         same = (windows[lag:] == windows[:-lag])[:, None]
-        part = (scores[lag:] * same).T @ scores[:-lag]
+        part = _inner(scores[lag:] * same, scores[:-lag])
         total = total + (1 - lag / (lags + 1)) * (part + part.T)
     return np.asarray(total, np.float64)

@@ -26,8 +26,19 @@ _FORCE_NOISE, _RATE_NOISE = 3e-4, 3e-5
 _FORCE_STEP, _RATE_STEP = 2.0, 4.0
 """Noise of forces and rates is told by one kick in so many seconds."""
 
+_COMPONENTS = 24
+"""All kicks in a window are told by so many principal components of what they make of the way: the 24th is a hundred
+times smaller than the first."""
+
+_GRID = 1.0
+"""What noise makes of the way is told by a smooth curve through places so many seconds apart."""
+
 _LONG = 60.0
 """Seconds of the longer windows: twice as long ones know the offset a twentieth better."""
+
+
+Curve = Callable[..., AnyArray]
+"""Gives values, or with a second argument derivatives, (N, C) at (N,) times [s]; NaN outside of its span."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,10 +85,12 @@ class ReckonedWay:
 
     Where down is comes from the mean force in the window. Over short windows, what that leaves, as biases and the
     motion before, is a polynomial of third degree; over long ones each error is told by itself: tilt, biases, and
-    noise, which kicks the velocity, the tilt and the heading every few seconds.
+    noise, which kicks the velocity, the tilt and the heading every few seconds; of what all kicks of a window make of
+    the way, the largest principal components are taken.
 
     Source: Groves 2013, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 5.2, 5.7 and
-    14.2: the mechanisation, the growth of errors with the second and third power of the time, and their equations.
+    14.2: the mechanisation, the growth of errors with the second and third power of the time, and their equations;
+    Loève 1948, "Fonctions aléatoires du second ordre": few components tell a process that is mostly slow.
     """
 
     def __init__(self, unit: Unit, origin_ns: int, *, long: bool = False, rounds: int = 2) -> None:
@@ -122,43 +135,53 @@ class ReckonedWay:
         velocities, values = reckoning.velocity(seconds), reckoning.way(seconds)
         values[pieces != reckoning.piece] = np.nan
         axes = _across(reckoning.level_from_start @ matrix_from_quaternion(turns))
-        drifts, drift_velocities = values[:, 1:], velocities[:, 1:]
-        if self._long:
-            kicked, gained = self._kicks(window, seconds, reckoning)
-            drifts = np.hstack([drifts, kicked])
-            drift_velocities = np.hstack([drift_velocities, gained])
+        drifts = np.hstack([values[:, 1:], reckoning.noise(seconds)])
+        drift_velocities = np.hstack([velocities[:, 1:], reckoning.noise(seconds, 1)])
         return WaySamples(values[:, 0], velocities[:, 0], axes, drifts, drift_velocities, held)
 
     def _held(self, window: tuple[float, float]) -> Float64Array:
         if not self._long:
             return np.full(3, np.inf)
-        unit = self._unit
-        force, rate = (np.arange(window[0], window[1], step) for step in (_FORCE_STEP, _RATE_STEP))
-        parts = [
-            (3, _FORCE_BIAS),
-            (3, _RATE_BIAS),
-            (2, np.inf),
-            (2 * len(force), unit.force_noise * np.sqrt(_FORCE_STEP)),
-            (3 * len(rate), unit.rate_noise * np.sqrt(_RATE_STEP)),
-        ]
+        kicks = 2 * len(_kick_times(window, _FORCE_STEP)) + 3 * len(_kick_times(window, _RATE_STEP))
+        parts = [(3, _FORCE_BIAS), (3, _RATE_BIAS), (2, np.inf), (min(kicks, _COMPONENTS), 1.0)]
         return np.concatenate([np.full(count, sigma) for count, sigma in parts])
 
+    def _noise(
+        self,
+        window: tuple[float, float],
+        span: tuple[float, float],
+        velocity: Curve,
+        way: Curve,
+    ) -> Curve:
+        """What the noise of the samples may make of the way, as columns whose amounts are expected to be 1."""
+        from scipy.interpolate import CubicSpline
+
+        seconds = np.linspace(*span, max(4, round((span[1] - span[0]) / _GRID) + 1))
+        if not self._long:
+            return CubicSpline(seconds, np.zeros((len(seconds), 0), np.complex128), extrapolate=False)
+        kicks = self._kicks(window, seconds, velocity, way)
+        vectors, sizes, _ = np.linalg.svd(np.vstack([kicks.real, kicks.imag]), full_matrices=False)
+        columns = np.zeros((2 * len(seconds), min(kicks.shape[1], _COMPONENTS)))
+        kept = min(len(sizes), columns.shape[1])
+        columns[:, :kept] = vectors[:, :kept] * sizes[:kept]
+        told = columns[: len(seconds)] + 1j * columns[len(seconds) :]
+        return CubicSpline(seconds, told, extrapolate=False)
+
     def _kicks(
-        self, window: tuple[float, float], seconds: Float64Array, reckoning: "_Reckoning"
-    ) -> tuple[AnyArray, AnyArray]:
-        """What a unit of noise at some times makes of the way later, of velocity, tilt and heading; and how fast."""
-        force, rate = (np.arange(window[0], window[1], step) for step in (_FORCE_STEP, _RATE_STEP))
-        after_force, after_rate = (np.maximum(seconds[:, None] - at, 0.0) for at in (force, rate))
-        started = (after_force > 0).astype(np.float64)
-        tilted, tilting = 0.5 * _GRAVITY * after_rate**2, _GRAVITY * after_rate
-        inside = np.clip(rate, *reckoning.span)
-        way, velocity = reckoning.way(inside)[:, 0], reckoning.velocity(inside)[:, 0]
-        turned = 1j * (reckoning.way(seconds)[:, :1] - way - velocity * after_rate) * (after_rate > 0)
-        turning = 1j * (reckoning.velocity(seconds)[:, :1] - velocity) * (after_rate > 0)
-        return (
-            np.hstack([after_force, 1j * after_force, tilted, 1j * tilted, turned]),
-            np.hstack([started, 1j * started, tilting, 1j * tilting, turning]),
+        self, window: tuple[float, float], seconds: Float64Array, velocity: Curve, way: Curve
+    ) -> AnyArray:
+        """What kicks of velocity, tilt and heading, as large as the noise makes them, make of the way later."""
+        force, rate = (_kick_times(window, step) for step in (_FORCE_STEP, _RATE_STEP))
+        force_size, rate_size = (
+            noise * np.sqrt((window[1] - window[0]) / len(times))
+            for noise, times in ((self._unit.force_noise, force), (self._unit.rate_noise, rate))
         )
+        after_force, after_rate = (np.maximum(seconds[:, None] - at, 0.0) for at in (force, rate))
+        moved, tilted = force_size * after_force, rate_size * 0.5 * _GRAVITY * after_rate**2
+        inside = np.clip(rate, seconds[0], seconds[-1])
+        since_kick = way(seconds)[:, :1] - way(inside)[:, 0] - velocity(inside)[:, 0] * after_rate
+        turned = rate_size * 1j * since_kick * (after_rate > 0)
+        return np.hstack([moved, 1j * moved, tilted, 1j * tilted, turned])
 
     def _reckoned(self, window: tuple[float, float]) -> "_Reckoning | None":
         from scipy.interpolate import CubicSpline
@@ -181,8 +204,16 @@ class ReckonedWay:
         errors = _long_errors if self._long else _short_errors
         columns = errors(since, felt @ level_from_start.T, bodies)
         velocity = CubicSpline(seconds[inside], columns, extrapolate=False).antiderivative()
+        way = velocity.antiderivative()
         span = float(seconds[inside][0]), float(seconds[inside][-1])
-        return _Reckoning(piece, span, level_from_start, velocity, velocity.antiderivative())
+        return _Reckoning(piece, level_from_start, velocity, way, self._noise(window, span, velocity, way))
+
+
+def _kick_times(window: tuple[float, float], step: float) -> Float64Array:
+    """When kicks begin, evenly in a window, about so many seconds apart."""
+    length = window[1] - window[0]
+    count = max(1, round(length / step))
+    return np.asarray(window[0] + length / count * np.arange(count), np.float64)
 
 
 _RATE_BIASES = slice(3, 6)
@@ -215,13 +246,13 @@ def _integral(seconds: Float64Array, values: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reckoning:
-    """In a window: velocity and way as splines over a span [s], each with what errors would add, and their frame."""
+    """In a window: velocity and way as curves, each with what errors would add, what noise does, and their frame."""
 
     piece: int
-    span: tuple[float, float]
     level_from_start: Float64Array
-    velocity: Callable[[Float64Array], AnyArray]
-    way: Callable[[Float64Array], AnyArray]
+    velocity: Curve
+    way: Curve
+    noise: Curve
 
 
 def _across(bodies: Float64Array) -> AnyArray:

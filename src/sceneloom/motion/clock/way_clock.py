@@ -7,7 +7,7 @@ from numpy.polynomial.legendre import legvander
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.motion.clock.estimate import ClockEstimate
-from sceneloom.motion.clock.fitting import Fit, Linearised, fit, misfit_of
+from sceneloom.motion.clock.fitting import Fit, Linearised, bare_slopes, fit, misfit_of
 from sceneloom.motion.clock.outcome import Candidate, Clocks, concluded, misfit_without_motion
 from sceneloom.motion.clock.ways import Fixes, Way, WaySamples
 
@@ -26,6 +26,9 @@ LEVER_SIGMA = 1.0
 
 _LEAST_SHARE = 0.01
 """Where less of the speed tells the offset, errors of the way do that: on made-up streets it is a tenth to a half."""
+
+_FAR_LESS = 100.0
+"""Offsets that are less likely than the best by so much in the logarithm are not looked at any further."""
 
 _FAR = 1.0
 """Longer windows tell an offset better, not another one [s]."""
@@ -78,24 +81,32 @@ def compare_ways(
             "or more"
         )
     priors = np.array([*_PRIORS, *[max(lever_sigma, 1e-6)] * 3])
-    candidates = []
     place = np.zeros(3) if lever is None else lever
     reach = min(reach_ns * 1e-9, common / 2)
+    found = []
     for lag in _lags(model, reach):
-        found = fit(model, np.array([lag, 0.0, *place]), priors, model.windows)
-        if found is not None and abs(found.parameters[0]) <= reach + 2 * _LAG:
-            candidates.append(_candidate(*_refined(model, found, fixes, place, priors), common))
-    telling = [candidate for candidate in candidates if _share_told(model, candidate.fit) > _LEAST_SHARE]
-    if candidates and not telling:
-        return ClockEstimate.unknown(
-            "the motion is too even: another offset is like another place and heading"
-        )
-    return concluded(telling, clocks)
+        near = fit(model, np.array([lag, 0.0, *place]), priors, model.windows)
+        if near is not None and abs(near.parameters[0]) <= reach + 2 * _LAG:
+            found.append((near, _candidate(model, near, common)))
+    best = min((candidate for _, candidate in found), key=lambda candidate: candidate.level, default=None)
+    refined = [
+        _refined(model, near, fixes, place, priors)
+        for near, candidate in found
+        if best is not None and best.evidence_against(candidate) < _FAR_LESS
+    ]
+    candidates = [_candidate(*one, common) for one in refined]
+    if candidates:
+        chosen = min(range(len(candidates)), key=lambda k: candidates[k].level)
+        if _share_told(*refined[chosen]) < _LEAST_SHARE:
+            return ClockEstimate.unknown(
+                "the motion is too even: another offset is like another place and heading"
+            )
+    return concluded(candidates, clocks)
 
 
 def _share_told(model: "_WayModel", found: Fit) -> float:
     """How much of the speed tells the offset, as nothing else that is free does."""
-    told = (found.jacobian[found.used, :, 0] * found.scales) ** 2
+    told = bare_slopes(model, found, model.windows)[:, :, 0] ** 2
     length = model.bounds[0][1] - model.bounds[0][0]
     # of an even motion over a window the places scatter so
     speed = float(np.sqrt(12.0 * (np.abs(model.places) ** 2).mean())) / length
@@ -106,14 +117,14 @@ def _refined(
     model: "_WayModel", found: Fit, fixes: Fixes, place: Float64Array, priors: Float64Array
 ) -> tuple["_WayModel", Fit]:
     """Fit the way over longer windows, where it has them and they tell the fixes as well as the short ones."""
-    at, refined = model, found
+    at, refined, begin = model, found, None
     while (way := at.way.finer(at.drifts_of(refined.amounts))) is not None:
         longer = _WayModel.of(fixes, way, model.origin_ns)
-        start = np.array([refined.parameters[0], 0.0, *place])
-        better = fit(longer, start, priors, longer.windows)
+        start = np.array([found.parameters[0], 0.0, *place])
+        better = fit(longer, start, priors, longer.windows, begin=begin)
         if better is None or abs(better.parameters[0] - found.parameters[0]) > _FAR:
             return model, found
-        at, refined = longer, better
+        at, refined, begin = longer, better, better.parameters
     worse = float(np.log(refined.scales / found.scales).mean())
     return (at, refined) if worse < _MOST_WORSE else (model, found)
 

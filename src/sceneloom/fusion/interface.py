@@ -85,12 +85,19 @@ class FusionInterface:
     Source: DB34/T 4101-2022, clause 5.
     """
 
-    def __init__(self, *, inline: bool = False, observer: Callable[[Event], None] | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        inline: bool = False,
+        observer: Callable[[Event], None] | None = None,
+        on_result: Callable[[], None] | None = None,
+    ) -> None:
         """Make a system with the predefined properties and no calibration.
 
         Args:
             inline: whether the threads that send also fuse.
             observer: told all that is taken, refused and given, one call at a time.
+            on_result: called as soon as a result can be fetched.
         """
         self.properties = PropertyStore(check_algorithm=lambda kind, name: algorithm(FusionType(kind), name))
         self.counters = Counters()
@@ -102,6 +109,7 @@ class FusionInterface:
         self._lock = threading.RLock()
         self._rig = Rig(self.counters)
         self._observer = observer
+        self._on_result = on_result
         self._observing = threading.Lock()
         self._results: dict[FusionType, ResultQueue[Result]] = {kind: ResultQueue() for kind in FusionType}
         self._given = dict.fromkeys(FusionType, 0)
@@ -197,6 +205,14 @@ class FusionInterface:
         if isinstance(chosen, bool) or chosen not in list(FusionType):
             raise OptionError(f"fusion type {chosen!r}; expected 0 (sensor data) or 1 (detections)")
         return self._results[FusionType(chosen)].get(timeout_s)
+
+    def put_back(self, result: Result) -> None:
+        """Take back a result that could not be delivered; it is the next one again."""
+        self._results[_type_of(result.record)].put_back(
+            result, before=lambda other: result.number < other.number
+        )
+        if self._on_result is not None:
+            self._on_result()
 
     def results(self, fusion_type: int | None = None) -> Iterator[Result]:
         """Fetch all results that are there."""
@@ -345,16 +361,21 @@ class FusionInterface:
         return self._rig.flush()
 
     def _give(self, found: RigResult) -> None:
-        detections = isinstance(found.record, FusedDetections)
-        kind = FusionType.DETECTIONS if detections else FusionType.SENSOR_DATA
+        kind = _type_of(found.record)
         result = Result(self._given[kind], found.record, found.setting.properties)
         self._given[kind] += 1
         self.counters.add(f"results.{kind.name.lower()}")
         self._tell(result)
         most = found.setting.properties["result_queue_length"]
         self.counters.add("dropped.results", self._results[kind].put(result, most=most))
+        if self._on_result is not None:
+            self._on_result()
 
     def _tell(self, event: Event) -> None:
         if self._observer is not None:
             with self._observing:
                 self._observer(event)
+
+
+def _type_of(record: ResultRecord) -> FusionType:
+    return FusionType.DETECTIONS if isinstance(record, FusedDetections) else FusionType.SENSOR_DATA

@@ -2,6 +2,7 @@
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -34,6 +35,13 @@ class ResultQueue(Generic[Item]):
             self.dropped += dropped
             self._changed.notify()
         return dropped
+
+    def put_back(self, item: Item, *, before: Callable[[Item], bool]) -> None:
+        """Take back an item that was fetched, to its place: in front of all that it comes before."""
+        with self._changed:
+            place = next((k for k, other in enumerate(self._items) if before(other)), len(self._items))
+            self._items.insert(place, item)
+            self._changed.notify()
 
     def get(self, timeout_s: float = 0.0) -> Item | None:
         """Fetch the oldest result, waiting for one up to `timeout_s`; None where none came or the queue is closed."""

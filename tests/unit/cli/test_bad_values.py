@@ -17,6 +17,7 @@ NEEDED = {
     "salvage": ("DRIVE", "-o", "OUT.sfs"),
     "diff": ("DRIVE", "DRIVE"),
     "sync": ("DRIVE",),
+    "serve": (),
     "eval trajectory": ("DRIVE", "DRIVE"),
     "edit merge": ("DRIVE", "DRIVE", "-o", "OUT.sfs"),
 }

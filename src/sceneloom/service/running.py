@@ -1,0 +1,73 @@
+"""Runs a server until the process is told to end, or beside other work in a thread."""
+
+import asyncio
+import logging
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from sceneloom.service.logs import JsonLines
+from sceneloom.service.server import FusionServer, ServerSettings
+
+_ENDING = (signal.SIGTERM, signal.SIGINT)
+
+
+def serve_until_ended(
+    settings: ServerSettings, *, started: Callable[[FusionServer], None], quiet: bool = False
+) -> None:
+    """Serve until SIGTERM or Ctrl-C; then fuse what waits, deliver it, and return. A second signal ends at once.
+
+    Args:
+        started: told the server once it listens.
+        quiet: log warnings only.
+    """
+    _log_to_standard_error(logging.WARNING if quiet else logging.INFO)
+    asyncio.run(_serve(settings, started))
+
+
+@contextmanager
+def running_server(settings: ServerSettings | None = None) -> Iterator[FusionServer]:
+    """Serve in a thread of this process until the block ends, without waiting for results to be fetched."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, name="fusion server", daemon=True)
+    thread.start()
+
+    async def begin() -> FusionServer:
+        server = FusionServer(settings)
+        await server.start()
+        return server
+
+    try:
+        server = asyncio.run_coroutine_threadsafe(begin(), loop).result()
+        try:
+            yield server
+        finally:
+            asyncio.run_coroutine_threadsafe(server.drain(0.0), loop).result()
+    finally:
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()
+
+
+async def _serve(settings: ServerSettings, started: Callable[[FusionServer], None]) -> None:
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in _ENDING:
+        loop.add_signal_handler(number, ended.set)
+    server = FusionServer(settings)
+    await server.start()
+    started(server)
+    await ended.wait()
+    for number in _ENDING:
+        loop.remove_signal_handler(number)
+    await server.drain()
+
+
+def _log_to_standard_error(level: int) -> None:
+    handler = logging.StreamHandler()
+    handler.setFormatter(JsonLines())
+    logger = logging.getLogger("sceneloom.service")
+    logger.handlers[:] = [handler]
+    logger.setLevel(level)
+    logger.propagate = False

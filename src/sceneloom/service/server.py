@@ -1,0 +1,194 @@
+"""The server: sessions behind gRPC, with health, reflection, and an end that loses nothing."""
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+import grpc
+import grpc.aio
+from grpc_health.v1 import health, health_pb2, health_pb2_grpc
+from grpc_reflection.v1alpha import reflection
+
+from sceneloom.errors import OptionError
+from sceneloom.fusion.interface import Event, FusionInterface
+from sceneloom.service.handlers import Handlers
+from sceneloom.service.limits import ServiceLimits
+from sceneloom.service.methods import SERVICE
+from sceneloom.service.security import Security
+from sceneloom.service.sessions import Session, SessionTable
+
+LOG = logging.getLogger(__name__)
+
+Observer = Callable[[Event], None]
+
+_LOOK_S = 0.05
+"""How often a server that ends looks whether all results were fetched."""
+
+_FETCHES_AGAIN_S = 2.0
+"""Who fetched a result so lately is given time to ask for the next one."""
+
+_LAST_WORDS_S = 1.0
+"""How long calls that are being answered may take in the end."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServerSettings:
+    """How a server is set up.
+
+    Attributes:
+        host: address to listen at.
+        port: 0 for a free one.
+        limits: of the service and its sessions.
+        security: what callers have to prove.
+        configure: told each new session's interface, to set properties and calibrations.
+        observe: given a session's name, gives who is told what happens in it; None for nobody.
+        clock: seconds, by which sessions grow idle.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    limits: ServiceLimits = field(default_factory=ServiceLimits)
+    security: Security = field(default_factory=Security)
+    configure: Callable[[FusionInterface], None] | None = None
+    observe: Callable[[str], Observer] | None = None
+    clock: Callable[[], float] = time.monotonic
+
+
+class FusionServer:
+    """Serves the fusion interface; use it in `async with`, or call `start` and `drain`.
+
+    Attributes:
+        settings: how it is set up.
+        sessions: the rigs.
+        port: where it listens, once it was started.
+    """
+
+    def __init__(self, settings: ServerSettings | None = None) -> None:
+        """Set it up; nothing is opened yet.
+
+        Raises:
+            OptionError: others than this machine could reach it without TLS or without a token.
+        """
+        self.settings = settings or ServerSettings()
+        self.settings.security.check_host(self.settings.host)
+        self.sessions = SessionTable(self._interface, self.settings.limits, clock=self.settings.clock)
+        self.port = 0
+        self._handlers = Handlers(self.sessions)
+        self._health = health.aio.HealthServicer()
+        self._server: grpc.aio.Server | None = None
+        self._sweeper: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.drain(0.0 if kind is not None else None)
+
+    @property
+    def address(self) -> str:
+        """Where clients find it: host and port."""
+        host = self.settings.host
+        return f"[{host}]:{self.port}" if ":" in host and not host.startswith("[") else f"{host}:{self.port}"
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises:
+            OptionError: the address cannot be had.
+        """
+        limits, security = self.settings.limits, self.settings.security
+        server = grpc.aio.server(
+            interceptors=security.interceptors(),
+            options=_channel_options(limits),
+            maximum_concurrent_rpcs=limits.most_calls,
+        )
+        server.add_generic_rpc_handlers((self._handlers.generic_handler(),))
+        health_pb2_grpc.add_HealthServicer_to_server(self._health, server)
+        names = (SERVICE.full_name, health.SERVICE_NAME, reflection.SERVICE_NAME)
+        reflection.enable_server_reflection(names, server)
+        self.port = self.settings.port
+        credentials = security.credentials()
+        try:
+            if credentials is None:
+                self.port = server.add_insecure_port(self.address)
+            else:
+                self.port = server.add_secure_port(self.address, credentials)
+        except RuntimeError as error:
+            raise OptionError(f"cannot listen at {self.address}: {error}") from error
+        await server.start()
+        self._server = server
+        for name in ("", SERVICE.full_name):
+            await self._health.set(name, health_pb2.HealthCheckResponse.SERVING)
+        self._sweeper = asyncio.get_running_loop().create_task(self._sweep())
+        LOG.info("listening", extra={"fields": {"address": self.address}})
+
+    async def wait(self) -> None:
+        """Return when the server has ended."""
+        if self._server is not None:
+            await self._server.wait_for_termination()
+
+    async def drain(self, limit_s: float | None = None) -> None:
+        """End: take nothing more, fuse what waits, let those who fetch have their results, close.
+
+        Args:
+            limit_s: how long they may take; None for what the limits say.
+        """
+        if self._server is None:
+            return
+        server, self._server = self._server, None
+        self._handlers.draining = True
+        LOG.info("draining", extra={"fields": {"sessions": len(self.sessions)}})
+        await self._health.enter_graceful_shutdown()
+        limit_s = self.settings.limits.drain_seconds if limit_s is None else limit_s
+        try:
+            await asyncio.wait_for(self._deliver_the_rest(), limit_s)
+        except TimeoutError:
+            LOG.warning("results were not fetched in time", extra={"fields": {"seconds": limit_s}})
+        if self._sweeper is not None:
+            self._sweeper.cancel()
+        await self.sessions.end_all()
+        await server.stop(min(limit_s, _LAST_WORDS_S))
+        self.sessions.close()
+        LOG.info("ended")
+
+    async def _deliver_the_rest(self) -> None:
+        await asyncio.gather(*(session.run(session.fusion.flush) for session in self.sessions))
+        while any(self._is_fetched(session) for session in self.sessions):
+            await asyncio.sleep(_LOOK_S)
+
+    def _is_fetched(self, session: Session) -> bool:
+        """Whether results wait and somebody is there who fetches them."""
+        lately = self.sessions.clock() - session.last_fetched_s < _FETCHES_AGAIN_S
+        return session.fusion.waiting_results > 0 and (session.fetching > 0 or lately)
+
+    async def _sweep(self) -> None:
+        while True:
+            await asyncio.sleep(min(30.0, 15.0 * self.settings.limits.idle_minutes))
+            for name in self.sessions.end_idle():
+                LOG.info("session ended unused", extra={"fields": {"session": name}})
+
+    def _interface(self, name: str, on_result: Callable[[], None]) -> FusionInterface:
+        observe = self.settings.observe
+        fusion = FusionInterface(observer=None if observe is None else observe(name), on_result=on_result)
+        if self.settings.configure is not None:
+            self.settings.configure(fusion)
+        LOG.info("session begins", extra={"fields": {"session": name}})
+        return fusion
+
+
+def _channel_options(limits: ServiceLimits) -> list[tuple[str, int]]:
+    return [
+        ("grpc.max_receive_message_length", limits.largest_message),
+        ("grpc.max_send_message_length", -1),
+        ("grpc.so_reuseport", 0),  # a second server at the same port is a mistake
+        ("grpc.keepalive_time_ms", 30_000),  # finds connections whose other end has gone without a word
+        ("grpc.keepalive_timeout_ms", 10_000),
+        ("grpc.http2.min_ping_interval_without_data_ms", 5_000),
+    ]

@@ -1,0 +1,234 @@
+"""Sessions: rigs of their own, by name, each with its own interface, limits and threads."""
+
+import asyncio
+import re
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import ParamSpec, Protocol, TypeVar
+
+import grpc
+
+from sceneloom.fusion.interface import FusionInterface, Result
+from sceneloom.fusion.outcome import Cause
+from sceneloom.service.call_errors import CallError
+from sceneloom.service.limits import ServiceLimits
+from sceneloom.service.waiting import Bell
+
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
+
+DEFAULT_SESSION = "default"
+"""The session of calls that name none."""
+
+THREADS_OF_SESSION = 2
+"""Threads that one session may keep busy, so that none waits for another's."""
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,63}")
+
+
+class MakeInterface(Protocol):
+    """Makes the interface of a new session."""
+
+    def __call__(self, name: str, on_result: Callable[[], None]) -> FusionInterface:
+        """Make it as the server is configured."""
+        ...
+
+
+class Session:
+    """One rig. All methods are for the event loop's thread.
+
+    Attributes:
+        name: of the session.
+        fusion: its interface.
+        open_requests: requests that are being answered.
+        fetching: requests that wait for results or deliver them.
+        last_used_s: when the last request began or ended.
+        last_fetched_s: when the last result was delivered.
+        ended: whether its results were the last ones.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        make_interface: MakeInterface,
+        limits: ServiceLimits,
+        pool: ThreadPoolExecutor,
+        now_s: float,
+    ) -> None:
+        """Start; `sessions` makes them."""
+        self.name = name
+        self.bell = Bell(asyncio.get_running_loop())
+        self.fusion = make_interface(name, self.bell.ring)
+        self.open_requests = 0
+        self.fetching = 0
+        self.last_used_s = now_s
+        self.last_fetched_s = -1e9
+        self.ended = False
+        self._limits = limits
+        self._pool = pool
+        self._threads = asyncio.Semaphore(THREADS_OF_SESSION)
+        self._running = 0
+        self._bytes = 0
+
+    @property
+    def idle(self) -> bool:
+        """Whether none of its threads is busy with a request, so that a short one can be answered at once."""
+        return self._running == 0
+
+    @contextmanager
+    def request(self, size: int, clock: Callable[[], float]) -> Iterator[None]:
+        """Count a request while it is answered.
+
+        Raises:
+            CallError: there are too many, or too large ones.
+        """
+        most = self._limits.most_open_requests
+        if self.open_requests >= most:
+            raise _exhausted(f"session {self.name!r} has {most} open requests, as many as it may have")
+        if self._bytes + size > self._limits.most_bytes_waiting:
+            most = self._limits.most_bytes_waiting
+            raise _exhausted(f"{self._bytes} bytes of session {self.name!r} wait; expected at most {most}")
+        self.open_requests += 1
+        self._bytes += size
+        self.last_used_s = clock()
+        try:
+            yield
+        finally:
+            self.open_requests -= 1
+            self._bytes -= size
+            self.last_used_s = clock()
+
+    @contextmanager
+    def delivering(self) -> Iterator[None]:
+        """Count a request that fetches results."""
+        self.fetching += 1
+        try:
+            yield
+        finally:
+            self.fetching -= 1
+
+    async def run(
+        self,
+        function: Callable[Arguments, Answer],
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Answer:
+        """Call a function in one of the session's threads; it goes on where the caller does not wait for it."""
+        await self._threads.acquire()
+        self._running += 1
+        loop = asyncio.get_running_loop()
+        future = loop.run_in_executor(self._pool, lambda: function(*arguments, **options))
+        future.add_done_callback(self._ran)
+        return await asyncio.shield(future)
+
+    def _ran(self, future: asyncio.Future[Answer]) -> None:
+        self._running -= 1
+        self._threads.release()
+        if not future.cancelled():
+            future.exception()  # seen, also where nobody waits any more
+
+    async def next_result(self, fusion_type: int | None, timeout_s: float | None) -> Result | None:
+        """Fetch a result as soon as there is one; None after the timeout, or where the session has ended.
+
+        Raises:
+            OptionError: there is no such type.
+        """
+        loop = asyncio.get_running_loop()
+        deadline = None if timeout_s is None else loop.time() + timeout_s
+        while True:
+            result = self.fusion.get(fusion_type)
+            if result is not None or self.ended:
+                return result
+            left_s = None if deadline is None else deadline - loop.time()
+            if left_s is not None and left_s <= 0:
+                return None
+            await self.bell.wait(left_s)
+
+    async def end(self) -> None:
+        """Fuse what waits; those who fetch get what there is, and then an end."""
+        await asyncio.get_running_loop().run_in_executor(self._pool, self.fusion.close)
+        self.ended = True
+        self.bell.ring()
+
+
+class SessionTable:
+    """All sessions. For the event loop's thread."""
+
+    def __init__(
+        self,
+        make_interface: MakeInterface,
+        limits: ServiceLimits,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Hold no session yet.
+
+        Args:
+            clock: seconds, never backwards.
+        """
+        self.clock = clock
+        self._make_interface = make_interface
+        self._limits = limits
+        self._sessions: dict[str, Session] = {}
+        threads = THREADS_OF_SESSION * limits.most_sessions + limits.most_sessions
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="session")
+        self._ending: set[asyncio.Task[None]] = set()
+
+    def __iter__(self) -> Iterator[Session]:
+        return iter(list(self._sessions.values()))
+
+    def __len__(self) -> int:
+        return len(self._sessions)
+
+    def named(self, name: str) -> Session:
+        """Give a session, a new one where there is none of that name.
+
+        Raises:
+            CallError: the name cannot be one, or there are too many.
+        """
+        session = self._sessions.get(name or DEFAULT_SESSION)
+        return self._begun(name or DEFAULT_SESSION) if session is None else session
+
+    def take(self, name: str) -> Session | None:
+        """Take a session out, so that the name is free; None where there is none."""
+        return self._sessions.pop(name or DEFAULT_SESSION, None)
+
+    def end_idle(self) -> list[str]:
+        """End the sessions that nobody used for long, and give their names."""
+        before_s = self.clock() - 60.0 * self._limits.idle_minutes
+        idle = [s.name for s in self if s.open_requests == 0 and s.last_used_s <= before_s]
+        for name in idle:
+            task = asyncio.get_running_loop().create_task(self._sessions.pop(name).end())
+            self._ending.add(task)
+            task.add_done_callback(self._ending.discard)
+        return idle
+
+    async def end_all(self) -> None:
+        """End all sessions; none can begin."""
+        sessions = list(self)
+        self._sessions.clear()
+        await asyncio.gather(*(session.end() for session in sessions), *self._ending)
+
+    def close(self) -> None:
+        """Let the threads go."""
+        self._pool.shutdown(wait=False)
+
+    def _begun(self, name: str) -> Session:
+        if _NAME.fullmatch(name) is None:
+            wanted = "1 to 64 letters, digits, and . _ : - after the first"
+            raise CallError(
+                grpc.StatusCode.INVALID_ARGUMENT,
+                Cause.OUT_OF_RANGE,
+                f"session {name[:80]!r}; expected {wanted}",
+            )
+        if len(self) + len(self._ending) >= self._limits.most_sessions:
+            raise _exhausted(f"there are {len(self)} sessions, as many as there may be")
+        session = Session(name, self._make_interface, self._limits, self._pool, self.clock())
+        self._sessions[name] = session
+        return session
+
+
+def _exhausted(reason: str) -> CallError:
+    return CallError(grpc.StatusCode.RESOURCE_EXHAUSTED, Cause.TOO_MANY, reason)

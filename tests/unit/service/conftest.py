@@ -1,0 +1,152 @@
+"""A server on a free port of this machine, and a caller that knows no more than the descriptor of the service."""
+
+import contextlib
+
+import grpc
+import numpy as np
+import pytest
+from google.protobuf.message_factory import GetMessageClass
+
+from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.fusion.messages.protobuf_form import fill_message, to_send_request
+from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.service.running import running_server
+from sceneloom.service.server import ServerSettings
+
+SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
+WIDTH, HEIGHT = 64, 48
+FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
+"""extrinsic_matrix, by columns, of a camera that looks forward from where the lidar is."""
+
+DEADLINE_S = 30
+"""For calls that end at once: far more than they take on a busy machine."""
+
+
+class Caller:
+    """Calls methods by name; requests are messages or bytes."""
+
+    def __init__(self, address, *, session="", credentials=None, metadata=()):
+        options = [("grpc.max_receive_message_length", -1), ("grpc.use_local_subchannel_pool", 1)]
+        if credentials is None:
+            self.channel = grpc.insecure_channel(address, options)
+        else:
+            self.channel = grpc.secure_channel(address, credentials, options)
+        self.session, self.metadata = session, metadata
+
+    def method(self, name):
+        found = SERVICE.methods_by_name[name]
+        make = {
+            (False, False): self.channel.unary_unary,
+            (True, False): self.channel.stream_unary,
+            (False, True): self.channel.unary_stream,
+        }[found.client_streaming, found.server_streaming]
+        return make(
+            f"/{SERVICE.full_name}/{name}",
+            request_serializer=lambda message: (
+                message if isinstance(message, bytes) else message.SerializeToString()
+            ),
+            response_deserializer=GetMessageClass(found.output_type).FromString,
+        )
+
+    def request(self, name, /, **fields):
+        return GetMessageClass(SERVICE.methods_by_name[name].input_type)(session=self.session, **fields)
+
+    def __call__(self, name, request=None, /, *, timeout=DEADLINE_S, **fields):
+        asked = self.request(name, **fields) if request is None else request
+        return self.method(name)(asked, timeout=timeout, metadata=self.metadata)
+
+    def send(self, record):
+        return self("Send", to_send_request(record, session=self.session))
+
+    def send_pair(self, seq, level=7):
+        for record in (image(100 * seq, seq, level), cloud(100 * seq, seq)):
+            assert self.send(record).status == 1
+
+    def calibrate(self, **changed):
+        request = self.request("SetCalibration", camera_id=1)
+        fill_message(request.calibration, calibration(**changed))
+        return self("SetCalibration", request)
+
+
+@pytest.fixture
+def serve():
+    """Starts a server with given settings; it ends with the test."""
+    with contextlib.ExitStack() as stack:
+
+        def start(**settings):
+            return stack.enter_context(running_server(ServerSettings(**settings)))
+
+        yield start
+
+
+@pytest.fixture
+def connect():
+    """Opens a caller to a server; it is closed with the test."""
+    with contextlib.ExitStack() as stack:
+
+        def open_caller(server, **options):
+            caller = Caller(server if isinstance(server, str) else server.address, **options)
+            stack.callback(caller.channel.close)
+            return caller
+
+        yield open_caller
+
+
+@pytest.fixture
+def call(serve, connect):
+    """A caller of a server of its own, with one camera calibrated."""
+    caller = connect(serve())
+    assert caller.calibrate().status == 1
+    return caller
+
+
+def calibration(**changed):
+    return CalibrationData(
+        **{
+            "image_size": (WIDTH, HEIGHT),
+            "intrinsic_matrix": (50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
+            "reference_frame": 0,
+            "extrinsic_matrix": FORWARD,
+            **changed,
+        }
+    )
+
+
+def stamp(milliseconds):
+    return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
+
+
+def image(milliseconds, seq, level=7, sensor_id=1):
+    return ImageData(
+        sensor_id=sensor_id,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        height=HEIGHT,
+        width=WIDTH,
+        encoding="rgb8",
+        channel=3,
+        data=np.full(HEIGHT * WIDTH * 3, level, np.uint8),
+    )
+
+
+def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)), sensor_id=0):
+    data = np.array(points, np.float32)
+    return PointCloudData(
+        sensor_id=sensor_id,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        number=len(data),
+        fields=("x", "y", "z"),
+        fields_number=3,
+        data=data,
+    )
+
+
+@pytest.fixture
+def records():
+    """Makes records: `records.image(milliseconds, seq)`, `records.cloud(…)`, `records.stamp(milliseconds)`."""
+
+    class Records:
+        image, cloud, stamp, calibration = map(staticmethod, (image, cloud, stamp, calibration))
+
+    return Records

@@ -4,12 +4,13 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels import box_overlaps
 
 SAME_FAMILY = 0.8
 """What a pair of boxes is worth whose classes are taken for one another, of one with the same class."""
 ONE_UNKNOWN = 0.6
 """What it is worth where a class is in no table."""
-_SURER = 1e-3
+SURER = 1e-3
 """Of boxes that fit equally well, the surer one is worth so much more at most."""
 
 
@@ -28,8 +29,8 @@ def pair_gains(
     The worth is (1 + GIoU) / 2, which is 1 for equal boxes, times a factor for the classes.
 
     Args:
-        outlines_xyxy: (N, 4) [px], of the boxes of the sweep in the picture.
-        corners_xyxy: (M, 4) [px], boxes of the picture.
+        outlines_xyxy: (N, 4) float64 [px], of the boxes of the sweep in the picture.
+        corners_xyxy: (M, 4) float64 [px], boxes of the picture.
         classes_3d, classes_2d: (N, 2) and (M, 2) of `classes.codes`.
         probabilities_3d, probabilities_2d: (N,) and (M,).
         least_iou: boxes that overlap less are worth nothing.
@@ -39,27 +40,24 @@ def pair_gains(
 
     Source: Rezatofighi et al. 2019, "Generalized Intersection over Union".
     """
-    a, b = outlines_xyxy[:, None], corners_xyxy[None]
-    inner = np.maximum(np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2]), 0.0)
-    outer = np.maximum(a[..., 2:], b[..., 2:]) - np.minimum(a[..., :2], b[..., :2])
-    common, hull = inner[..., 0] * inner[..., 1], outer[..., 0] * outer[..., 1]
-    both = _areas(outlines_xyxy)[:, None] + _areas(corners_xyxy) - common
-    with np.errstate(divide="ignore", invalid="ignore"):
-        iou, giou = common / both, common / both - (hull - both) / hull
-    same = classes_3d[:, None, 0] == classes_2d[None, :, 0]
-    family_3d, family_2d = classes_3d[:, None, 1], classes_2d[None, :, 1]
-    known = np.where(family_3d == family_2d, SAME_FAMILY, 0.0)
-    weights = np.where(same, 1.0, np.where((family_3d < 0) | (family_2d < 0), ONE_UNKNOWN, known))
-    surer = 1.0 + _SURER * (probabilities_3d[:, None] + probabilities_2d) / 2.0
-    fits = (common > 0.0) & (iou >= least_iou)
-    gains: Float64Array = np.where(fits, (1.0 + giou) / 2.0 * weights * surer, 0.0)
+    gains: Float64Array = box_overlaps.pair_gains(
+        _plain(outlines_xyxy),
+        _plain(corners_xyxy),
+        classes_3d,
+        classes_2d,
+        probabilities_3d,
+        probabilities_2d,
+        least_iou,
+        SAME_FAMILY,
+        ONE_UNKNOWN,
+        SURER,
+    )
     return gains
 
 
-def _areas(corners_xyxy: Float64Array) -> Float64Array:
-    sides = np.maximum(corners_xyxy[:, 2:] - corners_xyxy[:, :2], 0.0)
-    areas: Float64Array = sides[:, 0] * sides[:, 1]
-    return areas
+def _plain(corners_xyxy: Float64Array) -> Float64Array:
+    """The same numbers as the compiled loop takes them: in one piece, and free to be written to."""
+    return np.require(corners_xyxy, requirements=["C", "W"])
 
 
 def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:

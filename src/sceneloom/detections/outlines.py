@@ -8,6 +8,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.box_overlaps import covered_shares
 from sceneloom.scene.detections import Boxes3D
 from sceneloom.visibility.outlines import box_extents
 
@@ -21,13 +22,15 @@ class Outlines:
 
     Attributes:
         corners_xyxy: (N, 4) float64 [px], corner convention, cut at the picture; zeros where it does not show them.
-        depths: (N,) float64 [m], distance of the middle from the camera.
-        shares: (N,) float64, which share of a box is in the picture.
+        seen_shares: (N,) float64, which share of a box is in the picture and not behind a nearer one.
+        axes_camera: (N, 3, 3) float64, whose columns are the boxes' axes in the camera's frame.
+        corners_camera: (N, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`.
     """
 
     corners_xyxy: Float64Array
-    depths: Float64Array
-    shares: Float64Array
+    seen_shares: Float64Array
+    axes_camera: Float64Array
+    corners_camera: Float64Array
 
 
 def project_outlines(camera: Camera, camera_from_lidar: RigidTransform, boxes: Boxes3D) -> Outlines:
@@ -36,17 +39,22 @@ def project_outlines(camera: Camera, camera_from_lidar: RigidTransform, boxes: B
     Raises:
         CalibrationError: the lens is unknown.
     """
-    cosines, sines = np.cos(boxes.yaws), np.sin(boxes.yaws)
-    axes = np.zeros((len(boxes), 3, 3))
-    axes[:, 0, 0], axes[:, 0, 1], axes[:, 1, 0], axes[:, 1, 1] = cosines, -sines, sines, cosines
-    axes[:, 2, 2] = 1.0
-    axes = camera_from_lidar.rotation @ axes
+    count = len(boxes)
+    upright = np.zeros((count, 3, 3))
+    upright[:, 0, 0] = upright[:, 1, 1] = np.cos(boxes.yaws)
+    upright[:, 1, 0] = np.sin(boxes.yaws)
+    upright[:, 0, 1] = -upright[:, 1, 0]
+    upright[:, 2, 2] = 1.0
+    axes = camera_from_lidar.rotation @ upright
     centers = camera_from_lidar.apply(boxes.centers)
     halves = boxes.sizes_lwh / 2.0
     corners = centers[:, None] + (halves[:, None] * CORNER_SIGNS) @ axes.transpose(0, 2, 1)
-    cameras_box = -np.einsum("bij,bi->bj", axes, centers)
-    away = np.linalg.norm(np.maximum(np.abs(cameras_box) - halves, 0.0), axis=1) > _NEAR
-    extents, shares = np.zeros((len(boxes), 4)), np.zeros(len(boxes))
-    extents[away], shares[away] = box_extents(camera, corners[away])
-    extents[~(extents[:, 2:] > extents[:, :2]).all(axis=1)] = 0.0
-    return Outlines(extents, np.linalg.norm(centers, axis=1), shares)
+    cameras_box = (centers[:, None] @ axes)[:, 0]
+    away = np.maximum(np.abs(cameras_box) - halves, 0.0)
+    extents, shares = box_extents(camera, corners)
+    # one beyond the picture has infinities the wrong way round; of one around the camera nothing is known
+    hidden = (away * away).sum(axis=1) <= _NEAR * _NEAR
+    hidden |= (extents[:, 2] <= extents[:, 0]) | (extents[:, 3] <= extents[:, 1])
+    extents[hidden], shares[hidden] = 0.0, 0.0
+    shares *= 1.0 - covered_shares(extents, (centers * centers).sum(axis=1))
+    return Outlines(extents, shares, axes, corners)

@@ -22,6 +22,7 @@ from sceneloom.detections.camera_only import Placed, place_by_height
 from sceneloom.detections.classes import codes, says_nothing
 from sceneloom.detections.noise import center_and_size_covariances
 from sceneloom.detections.outlines import Outlines, project_outlines
+from sceneloom.detections.refinement import refine
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import OptionError
@@ -76,13 +77,23 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
     odds_alone = existence.missed(odds_2d[alone], _chances_3d(placed, settings))
     corners = outlines.corners_xyxy.copy()
     corners[matched_3d] = boxes_2d.corners_xyxy[matched_2d]
+    states = np.concatenate([boxes_3d.centers, boxes_3d.sizes_lwh], axis=1)
     covariances = center_and_size_covariances(boxes_3d)
+    states[matched_3d], covariances[matched_3d] = refine(
+        pair.camera,
+        pair.camera_from_lidar,
+        outlines.axes_camera[matched_3d],
+        outlines.corners_camera[matched_3d],
+        states[matched_3d],
+        covariances[matched_3d],
+        boxes_2d.corners_xyxy[matched_2d],
+    )
     count = len(boxes_3d) + len(alone)
     return FusedBoxes(
         pair.boxes_3d.timestamp_ns,
-        np.concatenate([boxes_3d.centers, placed.centers]),
+        np.concatenate([states[:, :3], placed.centers]),
         np.concatenate([covariances[:, :3, :3], placed.center_covariances]),
-        np.concatenate([boxes_3d.sizes_lwh, placed.sizes_lwh]),
+        np.concatenate([states[:, 3:], placed.sizes_lwh]),
         np.concatenate([covariances[:, 3:, 3:], placed.size_covariances]),
         np.concatenate([boxes_3d.yaws, np.zeros(len(alone))]),
         _velocities(boxes_3d, len(alone)),
@@ -113,7 +124,7 @@ def _sound_2d(boxes: Boxes2D) -> Int64Array:
 def _chances_2d(outlines: Outlines, settings: ProjectionSettings) -> Float64Array:
     """The chances that the detector of the picture had to find boxes of the sweep, (N,)."""
     heights = outlines.corners_xyxy[:, 3] - outlines.corners_xyxy[:, 1]
-    return np.where(heights >= settings.least_height_px, settings.recall_2d * outlines.shares, 0.0)
+    return np.where(heights >= settings.least_height_px, settings.recall_2d * outlines.seen_shares, 0.0)
 
 
 def _chances_3d(placed: Placed, settings: ProjectionSettings) -> Float64Array:

@@ -25,8 +25,8 @@ class ProjectionSettings:
 
     least_iou: float = 0.3
     prior: float = 0.1
-    recall_2d: float = 0.7
-    recall_3d: float = 0.7
+    recall_2d: float = 0.9
+    recall_3d: float = 0.5
     least_height_px: float = 25.0
     farthest_3d: float = 70.0
     keep_camera_only: bool = True

@@ -111,9 +111,8 @@ class ForeignMessage:
 
 
 def rows_of_three(vectors: Sequence[ArrayLike]) -> Float32Array:
-    """Give vectors as (N, 3) float32; what is too large for 32 bits becomes infinite, which no record holds."""
-    with np.errstate(over="ignore"):
-        return np.array(vectors, np.float64).reshape(len(vectors), 3).astype(np.float32)
+    """Give vectors as (N, 3) float32."""
+    return np.array(vectors, np.float64).reshape(len(vectors), 3).astype(np.float32)
 
 
 def quaternion_of_direction(direction: Sequence[float]) -> Float64Array:

@@ -108,7 +108,11 @@ def from_foxglove(
     content = ForeignMessage(message.schema, message.content)
     if timestamp is None:
         timestamp = _time_of(content)
-    return cast("ForeignRecord", read(content, {"sensor_id": sensor_id, "seq": seq, "timestamp": timestamp}))
+    # what is too large for 32 bits becomes infinite, which no record holds
+    with np.errstate(over="ignore", invalid="ignore"):
+        return cast(
+            "ForeignRecord", read(content, {"sensor_id": sensor_id, "seq": seq, "timestamp": timestamp})
+        )
 
 
 def _time_of(message: ForeignMessage) -> Timestamp:

@@ -74,8 +74,7 @@ def unpack_points(
                 columns[told] = told_values
     if not {"x", "y", "z"} <= set(columns):
         raise DataError(owner, "fields", f"{list(columns)}; expected x, y and z among them")
-    with np.errstate(over="ignore"):
-        table = np.column_stack([values.astype(np.float32) for values in columns.values()])
+    table = np.column_stack([values.astype(np.float32) for values in columns.values()])
     finite = np.isfinite(table[:, [list(columns).index(axis) for axis in "xyz"]]).all(axis=1)
     return tuple(columns), table if finite.all() else table[finite]
 

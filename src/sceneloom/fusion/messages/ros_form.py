@@ -101,7 +101,9 @@ def from_ros(message: RosMessage, *, sensor_id: int, seq: int) -> ForeignRecord:
         raise OptionError(f"a message {message.type!r}; expected one of {', '.join(_READERS)}")
     content = ForeignMessage(message.type, message.content)
     stamp = content.inner("header").inner("stamp").timestamp("sec", "nanosec")
-    return cast("ForeignRecord", read(content, {"sensor_id": sensor_id, "seq": seq, "timestamp": stamp}))
+    # what is too large for 32 bits becomes infinite, which no record holds
+    with np.errstate(over="ignore", invalid="ignore"):
+        return cast("ForeignRecord", read(content, {"sensor_id": sensor_id, "seq": seq, "timestamp": stamp}))
 
 
 def _header(timestamp: Timestamp, frame_id: str) -> dict[str, Any]:

@@ -7,18 +7,22 @@ import grpc
 from grpc.aio import ServicerContext
 
 from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.fusion.interface import Result
+from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import DONE, Cause, Outcome, refused
 from sceneloom.service.call_errors import CallError
-from sceneloom.service.message_fields import text_field
 from sceneloom.service.methods import METHODS, SERVICE, Method
-from sceneloom.service.replies import NO_DATA, reply_bytes, status_bytes
+from sceneloom.service.replies import NO_DATA, status_bytes
 from sceneloom.service.sessions import DEFAULT_SESSION, Session, SessionTable
 
 Context: TypeAlias = "ServicerContext[bytes, bytes]"
 
 _SMALL = 32_768
 """Bytes of a request that is answered at once where its session has nothing else to do."""
+
+_FEW = 100
+"""Detections of a result that is made a reply at once."""
 
 _REFUSALS_TOLD = 100
 
@@ -67,7 +71,7 @@ class Handlers:
 
     def _session_of(self, method: Method, request: bytes) -> Session:
         try:
-            return self.sessions.named(text_field(request, method.session_field))
+            return self.sessions.named(method.session_of(request))
         except DataError as error:
             raise method.fault(error) from error
 
@@ -132,7 +136,7 @@ class Handlers:
                     if result is None:
                         break
                     try:
-                        await context.write(await session.run(reply_bytes, result))
+                        await context.write(await self._reply(session, result))
                     except BaseException:
                         session.fusion.put_back(result)
                         raise
@@ -145,11 +149,15 @@ class Handlers:
         except OptionError as error:
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, str(error))
 
+    async def _reply(self, session: Session, result: Result) -> bytes:
+        if isinstance(result.record, FusedDetections) and len(result.record) <= _FEW:
+            return session.replies.reply(result)
+        return await session.run(session.replies.reply, result)
+
     async def close_session(self, request: bytes, _: Context) -> bytes:
         """End a session."""
         try:
-            name = text_field(request, METHODS["CloseSession"].session_field)
-            METHODS["CloseSession"].parse(request)
+            name: str = METHODS["CloseSession"].parse(request).session
         except DataError as error:
             return status_bytes(refused(Cause.ILL_TYPED, error))
         session = self.sessions.take(name)

@@ -10,7 +10,7 @@ import numpy as np
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
-from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages.protobuf_form import (
     decode_send_request,
@@ -19,6 +19,7 @@ from sceneloom.fusion.messages.protobuf_form import (
     timestamp_from_protobuf,
 )
 from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.fusion.messages.wire_bytes import LENGTH_TYPE, wire_fields
 from sceneloom.fusion.outcome import DONE, Cause, Outcome, refused
 from sceneloom.scene.poses import PosePath
 from sceneloom.service.call_errors import CallError
@@ -110,6 +111,7 @@ class Call:
         perform: given the interface and the request; None where it takes more than one step of the event loop.
         cause: why a message that is none is refused.
         quick: it never waits for records that are being received.
+        in_bytes: it takes the request unread.
         reads_bytes: it is given the bytes of the request.
     """
 
@@ -160,11 +162,22 @@ class Method:
         """Whether it says 1 or 0, as clauses 5.3.3, 5.4.3 and 5.6.3 do."""
         return self.reply_type is fusion_pb2.Status
 
-    @property
-    def session_field(self) -> int:
-        """The number of the field that names the session."""
-        number: int = self.request_type.DESCRIPTOR.fields_by_name["session"].number
-        return number
+    def session_of(self, request: bytes) -> str:
+        """The session that a request names, "" for none; the rest of a large one is not read.
+
+        Raises:
+            DataError: the bytes are no request.
+        """
+        fields = wire_fields(request, 0, len(request))
+        if fields is None:
+            name: str = self.parse(request).session
+            return name
+        number = self.request_type.DESCRIPTOR.fields_by_name["session"].number
+        named = [field for field in fields if field.number == number and field.type == LENGTH_TYPE]
+        try:
+            return request[named[-1].start : named[-1].stop].decode() if named else ""
+        except UnicodeDecodeError as error:
+            raise DataError("request", "session", "no UTF-8; expected a name") from error
 
     def parse(self, request: bytes) -> Any:
         """Read a request.

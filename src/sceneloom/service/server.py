@@ -150,7 +150,8 @@ class FusionServer:
         try:
             await asyncio.wait_for(self._deliver_the_rest(), limit_s)
         except TimeoutError:
-            LOG.warning("results were not fetched in time", extra={"fields": {"seconds": limit_s}})
+            if limit_s > 0:
+                LOG.warning("results were not fetched in time", extra={"fields": {"seconds": limit_s}})
         if self._sweeper is not None:
             self._sweeper.cancel()
         await self.sessions.end_all()

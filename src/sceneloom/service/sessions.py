@@ -14,6 +14,7 @@ from sceneloom.fusion.interface import FusionInterface, Result
 from sceneloom.fusion.outcome import Cause
 from sceneloom.service.call_errors import CallError
 from sceneloom.service.limits import ServiceLimits
+from sceneloom.service.replies import Replies
 from sceneloom.service.waiting import Bell
 
 Arguments = ParamSpec("Arguments")
@@ -42,6 +43,7 @@ class Session:
     Attributes:
         name: of the session.
         fusion: its interface.
+        replies: makes its answers.
         open_requests: requests that are being answered.
         fetching: requests that wait for results or deliver them.
         last_used_s: when the last request began or ended.
@@ -61,6 +63,7 @@ class Session:
         self.name = name
         self.bell = Bell(asyncio.get_running_loop())
         self.fusion = make_interface(name, self.bell.ring)
+        self.replies = Replies()
         self.open_requests = 0
         self.fetching = 0
         self.last_used_s = now_s

@@ -1,0 +1,292 @@
+"""A client of the service: the fusion interface of another process."""
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import grpc
+from google.protobuf.message import Message
+from google.protobuf.message_factory import GetMessageClass
+
+from sceneloom.errors import DataError, OptionError
+from sceneloom.fusion.interface import Result
+from sceneloom.fusion.messages.calibration_data import CalibrationData
+from sceneloom.fusion.messages.protobuf_form import encode_in, fill_message
+from sceneloom.fusion.messages.records import SentRecord
+from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.fusion.outcome import Cause, Outcome, refused
+from sceneloom.fusion.properties import Property
+from sceneloom.scene.poses import PosePath
+from sceneloom.service.client_errors import code_of, service_error
+from sceneloom.service.motion_form import motion_request
+from sceneloom.service.received import Sent, outcome_of, property_of, result_of, sent_of
+from sceneloom.service.values import value_to_protobuf
+
+DEADLINE_S = 30.0
+"""How long an answer may take, beyond what a call itself waits for."""
+
+LARGEST_MESSAGE = 1 << 29
+"""Of an answer [byte]."""
+
+_SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
+_LONGEST_WAIT_MS = 2**32 - 1
+_LOOPBACK = ("localhost", "127.", "[::1]", "unix:")
+Got = TypeVar("Got")
+
+
+class FusionClient:
+    """The fusion interface of DB34/T 4101-2022, clause 5, of a service at an address.
+
+    Its methods are those of `FusionInterface`, with the same records and answers, and can be called from several
+    threads. What is refused is an answer (0 with its reason); errors are for calls that got none. Use it in `with`, or
+    call `close`; the session stays until `end_session` or until it was idle for long.
+
+    Attributes:
+        address: of the service.
+        session: the name of the rig; "" for the service's default one.
+        deadline_s: how long an answer may take [s].
+
+    Raises:
+        OptionError: a token for another machine without `ca`: it could be read on the way.
+        OSError: a file cannot be read.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        token: str | None = None,
+        ca: str | Path | None = None,
+        certificate: tuple[str | Path, str | Path] | None = None,
+        session: str = "",
+        deadline_s: float = DEADLINE_S,
+    ) -> None:
+        """Make a client; it connects with the first call.
+
+        Args:
+            address: HOST:PORT.
+            token: what the service asks for.
+            ca: PEM file of who signed the service's certificate; None for a connection without TLS.
+            certificate: PEM files of this client's certificate and key, where the service asks for them.
+            session: name of the rig.
+            deadline_s: how long an answer may take [s].
+        """
+        if token is not None and ca is None and not address.startswith(_LOOPBACK):
+            raise OptionError(
+                f"a token for {address} without TLS; expected `ca`, the file that tells its certificate"
+            )
+        self.address, self.session, self.deadline_s = address, session, deadline_s
+        self._metadata = () if token is None else (("authorization", f"Bearer {token}"),)
+        self._channel = _channel(address, ca, certificate)
+        self._calls = {method.name: self._call(method) for method in _SERVICE.methods}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the connection; the session stays."""
+        self._channel.close()
+
+    def end_session(self) -> Outcome:
+        """End the session and forget all of it."""
+        return self._status("CloseSession", fusion_pb2.CloseSessionRequest(session=self.session))
+
+    def add_property(self, name: str, description: str, type: str) -> Outcome:
+        """Add a property, clause 5.3."""
+        request = fusion_pb2.AddPropertyRequest(
+            name=name, description=description, type=type, session=self.session
+        )
+        return self._status("AddProperty", request)
+
+    def set_property(self, name: str, value: Any) -> Outcome:
+        """Set a property, clause 5.4; it counts for all records that come after."""
+        try:
+            message = value_to_protobuf(value)
+        except DataError as error:
+            return refused(Cause.ILL_TYPED, error)
+        request = fusion_pb2.SetPropertyRequest(name=name, value=message, session=self.session)
+        return self._status("SetProperty", request)
+
+    def get_property(self, name: str) -> Any:
+        """Give the value of a property, clause 5.5; None where it was added and not set yet.
+
+        Raises:
+            OptionError: there is none of that name.
+        """
+        request = fusion_pb2.GetPropertyRequest(name=name, session=self.session)
+        return property_of(self._ask("GetProperty", request)).value
+
+    def list_properties(self) -> tuple[Property, ...]:
+        """Give all properties, those of table 2 first."""
+        request = fusion_pb2.ListPropertiesRequest(session=self.session)
+        return tuple(map(property_of, self._ask("ListProperties", request).properties))
+
+    def set_calibration(self, data: CalibrationData, *, camera_id: int = 0, lidar_id: int = 0) -> Outcome:
+        """Set or replace the calibration of a camera and a lidar; it counts for all records that come after."""
+        if not all(isinstance(number, int) and 0 <= number <= 255 for number in (camera_id, lidar_id)):
+            return refused(Cause.OUT_OF_RANGE, f"camera {camera_id}, lidar {lidar_id}; expected 0 to 255")
+        request = fusion_pb2.SetCalibrationRequest(
+            camera_id=camera_id, lidar_id=lidar_id, session=self.session
+        )
+        fill_message(request.calibration, data)
+        return self._status("SetCalibration", request)
+
+    def send_motion(self, path: PosePath) -> Outcome:
+        """Tell where the vehicle was."""
+        try:
+            request = motion_request(path, session=self.session)
+        except DataError as error:
+            return refused(Cause.BAD_MOTION, error)
+        return self._status("SendMotion", request)
+
+    def send(self, record: SentRecord) -> Outcome:
+        """Hand in a record of tables 4 to 8, clause 5.6."""
+        if not isinstance(record, SentRecord):
+            reason = f"a {type(record).__name__}; expected a record of tables 4 to 8"
+            return refused(Cause.BAD_RECORD, reason)
+        return self._status("Send", self._sending(record))
+
+    def send_stream(self, records: Iterable[SentRecord], *, deadline_s: float | None = None) -> Sent:
+        """Hand in records as one stream, as fast as the service takes them.
+
+        Args:
+            records: any number of them; what this raises, the call raises.
+            deadline_s: how long all of it may take [s]; None for as long as it takes.
+        """
+        failures: list[BaseException] = []
+
+        def requests() -> Iterator[bytes]:
+            try:
+                for record in records:
+                    yield self._sending(record)
+            except BaseException as error:
+                failures.append(error)
+                raise
+
+        try:
+            answer = self._calls["SendStream"](requests(), timeout=deadline_s, metadata=self._metadata)
+        except grpc.RpcError as error:
+            if failures:
+                raise failures[0] from None
+            raise service_error(self.address, error) from error
+        return sent_of(answer)
+
+    def get(self, fusion_type: int | None = None, timeout_s: float = 0.0) -> Result | None:
+        """Fetch the oldest result that nobody has fetched, clause 5.7; None where there is none.
+
+        Args:
+            fusion_type: 0 sensor data, 1 detections; None for what the property fusion_type says.
+            timeout_s: how long to wait for one.
+
+        Raises:
+            OptionError: there is no such type.
+        """
+        wait_ms = min(max(round(timeout_s * 1e3), 0), _LONGEST_WAIT_MS)
+        request = fusion_pb2.GetRequest(
+            fusion_type=_type_or_none(fusion_type), wait_ms=wait_ms, session=self.session
+        )
+        return result_of(self._ask("Get", request, wait_s=wait_ms / 1e3))
+
+    def results(self, fusion_type: int | None = None) -> Iterator[Result]:
+        """Fetch all results that are there."""
+        return iter(lambda: self.get(fusion_type), None)
+
+    def subscribe(self, fusion_type: int | None = None, *, most: int = 0) -> Iterator[Result]:
+        """Give results as they come, until the session ends or the iteration does.
+
+        Args:
+            fusion_type: 0 sensor data, 1 detections; None for what the property fusion_type says.
+            most: end after so many; 0 for never.
+
+        Raises:
+            OptionError: there is no such type.
+        """
+        request = fusion_pb2.SubscribeRequest(
+            fusion_type=_type_or_none(fusion_type), most=most, session=self.session
+        )
+        call = self._calls["Subscribe"](request, metadata=self._metadata)
+        try:
+            for reply in call:
+                found = result_of(reply)
+                if found is not None:
+                    yield found
+        except grpc.RpcError as error:
+            raise self._failure(error) from error
+        finally:
+            call.cancel()
+
+    def counters(self) -> dict[str, int]:
+        """What came in, what was left out and why."""
+        request = fusion_pb2.GetCountersRequest(session=self.session)
+        return dict(sorted(self._ask("GetCounters", request).counts.items()))
+
+    def flush(self) -> Outcome:
+        """Fuse what waits with what has come, and return when that is done."""
+        return self._status("Flush", fusion_pb2.FlushRequest(session=self.session))
+
+    def _call(self, method: Any) -> Callable[..., Any]:
+        """Make the call of a method of the `.proto`."""
+        reply_type = GetMessageClass(method.output_type)
+        kind = f"{_ARITY[method.client_streaming]}_{_ARITY[method.server_streaming]}"
+        made: Callable[..., Any] = getattr(self._channel, kind)(
+            f"/{_SERVICE.full_name}/{method.name}",
+            request_serializer=_serialised,
+            response_deserializer=reply_type.FromString,
+        )
+        return made
+
+    def _sending(self, record: SentRecord) -> bytes:
+        return encode_in(fusion_pb2.SendRequest(session=self.session), record)
+
+    def _ask(self, name: str, request: Message | bytes, *, wait_s: float = 0.0) -> Any:
+        try:
+            return self._calls[name](request, timeout=self.deadline_s + wait_s, metadata=self._metadata)
+        except grpc.RpcError as error:
+            raise self._failure(error) from error
+
+    def _status(self, name: str, request: Message | bytes) -> Outcome:
+        return outcome_of(self._ask(name, request))
+
+    def _failure(self, error: grpc.RpcError) -> Exception:
+        if code_of(error) in _OF_THE_CALLER:
+            return OptionError(str(getattr(error, "details", lambda: error)()))
+        return service_error(self.address, error)
+
+
+_ARITY = {False: "unary", True: "stream"}
+
+_OF_THE_CALLER = (grpc.StatusCode.NOT_FOUND, grpc.StatusCode.INVALID_ARGUMENT)
+"""What is answered to a value that cannot be followed."""
+
+
+def _channel(
+    address: str, ca: str | Path | None, certificate: tuple[str | Path, str | Path] | None
+) -> grpc.Channel:
+    options = [
+        ("grpc.max_receive_message_length", LARGEST_MESSAGE),
+        ("grpc.max_send_message_length", LARGEST_MESSAGE),
+        ("grpc.enable_http_proxy", 0),
+    ]
+    if ca is None:
+        if certificate is not None:
+            raise OptionError("a certificate of the client without `ca`; expected both, or none")
+        return grpc.insecure_channel(address, options)
+    chain, key = (None, None) if certificate is None else (Path(file).read_bytes() for file in certificate)
+    credentials = grpc.ssl_channel_credentials(Path(ca).read_bytes(), key, chain)
+    return grpc.secure_channel(address, credentials, options)
+
+
+def _serialised(request: Message | bytes) -> bytes:
+    return request if isinstance(request, bytes) else request.SerializeToString()
+
+
+def _type_or_none(fusion_type: int | None) -> int | None:
+    if fusion_type is None or (not isinstance(fusion_type, bool) and fusion_type in (0, 1)):
+        return fusion_type
+    raise OptionError(f"fusion type {fusion_type!r}; expected 0 (sensor data) or 1 (detections)")

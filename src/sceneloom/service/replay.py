@@ -1,0 +1,160 @@
+"""Plays a log of the black box again: the same records under the same configurations give the same results."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sceneloom.errors import DataError
+from sceneloom.fusion.calibration.entries import CalibrationEntry
+from sceneloom.fusion.calibration.table import CalibrationTable
+from sceneloom.fusion.intake import admitted_alone
+from sceneloom.fusion.interface import Event, FusionInterface, Result
+from sceneloom.fusion.messages.protobuf_form import encode, from_protobuf
+from sceneloom.fusion.messages.records import kind_of
+from sceneloom.fusion.motion import RecentWay
+from sceneloom.fusion.properties import Snapshot
+from sceneloom.fusion.queues import Flushed, Moved
+from sceneloom.fusion.setting import Setting
+from sceneloom.service.log_file import LogEntry, is_complete, read_log
+from sceneloom.service.motion_form import path_of
+from sceneloom.service.received import snapshot_of
+from sceneloom.service.values import value_from_protobuf
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayReport:
+    """Whether a log, played again, gave what it says.
+
+    Attributes:
+        equal: by session, how many results were the same, byte for byte.
+        different: by session, those that were not: kind and number.
+        beyond: by session, those that the log does not have. The last ones are none of a log that a crash cut off.
+        complete: whether the log was closed.
+    """
+
+    equal: Mapping[str, int]
+    different: Mapping[str, tuple[str, ...]]
+    beyond: Mapping[str, tuple[str, ...]]
+    complete: bool
+
+    def __bool__(self) -> bool:
+        return not any(self.different.values()) and not (self.complete and any(self.beyond.values()))
+
+
+def replay(path: str | Path, *, session: str | None = None) -> Iterator[tuple[str, Result]]:
+    """Play a log again and give session and result, in the order in which they were.
+
+    Args:
+        session: only that one; None for all.
+
+    Raises:
+        DataError: the file is no log, or what stands in it is faulty.
+    """
+    playing: dict[str, _Session] = {}
+    for entry in read_log(Path(path)):
+        if session is not None and entry.session != session:
+            continue
+        played = playing.setdefault(entry.session, _Session(Path(path)))
+        for result in played.take(entry):
+            yield entry.session, result
+
+
+def compare(path: str | Path) -> ReplayReport:
+    """Play a log again and hold each result against the log's own.
+
+    Raises:
+        DataError: the file is no log, or what stands in it is faulty.
+    """
+    playing: dict[str, _Session] = {}
+    equal: dict[str, int] = {}
+    different: dict[str, list[str]] = {}
+    waiting: dict[str, dict[tuple[str, int], bytes]] = {}
+    for entry in read_log(Path(path)):
+        ours = waiting.setdefault(entry.session, {})
+        played = playing.setdefault(entry.session, _Session(Path(path)))
+        for result in played.take(entry):
+            ours[kind_of(result.record).name, result.number] = encode(result.record)
+        if entry.what == "result":
+            name = entry.message.WhichOneof("result")
+            key = name, entry.message.number
+            logged = encode(from_protobuf(getattr(entry.message, name)))
+            if ours.pop(key, None) == logged:
+                equal[entry.session] = equal.get(entry.session, 0) + 1
+            else:
+                different.setdefault(entry.session, []).append(f"{name} {entry.message.number}")
+    beyond = {name: tuple(f"{kind} {number}" for kind, number in left) for name, left in waiting.items()}
+    told = {name: tuple(found) for name, found in different.items()}
+    return ReplayReport(equal, told, beyond, is_complete(Path(path)))
+
+
+@dataclass(slots=True)
+class _Session:
+    """One session that is played again."""
+
+    path: Path
+    _fusion: FusionInterface = field(init=False)
+    _results: list[Result] = field(default_factory=list)
+    _snapshot: Snapshot | None = None
+    _algorithms: tuple[str, str] | None = None
+    _properties: Any = None
+    _table: CalibrationTable = field(default_factory=CalibrationTable)
+    _setting: Setting | None = None
+    _way: RecentWay = field(default_factory=RecentWay)
+
+    def __post_init__(self) -> None:
+        self._fusion = FusionInterface(inline=True, observer=self._note)
+
+    def take(self, entry: LogEntry) -> list[Result]:
+        """Do what an entry says, and give what it results in."""
+        do = _STEPS.get(entry.what)
+        if do is not None:
+            do(self, entry.message)
+        results, self._results = self._results, []
+        return results
+
+    def _note(self, event: Event) -> None:
+        if isinstance(event, Result):
+            self._results.append(event)
+
+    def properties(self, message: Any) -> None:
+        """Go by other properties."""
+        self._properties, self._setting = message, None
+
+    def algorithms(self, message: Any) -> None:
+        """Go by other algorithms."""
+        sensor_data, detections = value_from_protobuf(message)
+        self._algorithms, self._setting = (sensor_data, detections), None
+
+    def calibration(self, message: Any) -> None:
+        """Go by another calibration of a pair."""
+        entry = CalibrationEntry(message.camera_id, message.lidar_id, from_protobuf(message.calibration))
+        self._table, self._setting = self._table.having([entry]), None
+
+    def record(self, message: Any) -> None:
+        """Fuse a record."""
+        if self._setting is None:
+            if self._properties is None:
+                raise DataError(self.path, "", "a record before any configuration; expected it first")
+            self._setting = Setting.of(snapshot_of(self._properties, self._algorithms), self._table)
+        self._fusion.repeat(admitted_alone(from_protobuf(message), self._setting))
+
+    def motion(self, message: Any) -> None:
+        """Move the vehicle on."""
+        path = path_of(message)
+        self._fusion.repeat(Moved(self._way.extended(path), path))
+
+    def flush(self, _: Any) -> None:
+        """Fuse what waits."""
+        self._fusion.repeat(Flushed())
+
+
+_STEPS = {
+    "properties": _Session.properties,
+    "algorithms": _Session.algorithms,
+    "calibration": _Session.calibration,
+    "record": _Session.record,
+    "motion": _Session.motion,
+    "flush": _Session.flush,
+}
+"""What each entry of a log does; the others are only told."""

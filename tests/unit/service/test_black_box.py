@@ -1,0 +1,408 @@
+"""The black box: what is written any MCAP reader gives back, and played again it gives the same bytes."""
+
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+
+from sceneloom.errors import DataError, OptionError, OutputError
+from sceneloom.fusion.interface import FusionInterface, Result
+from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.fusion.messages.protobuf_form import encode
+from sceneloom.fusion.queues import Flushed
+from sceneloom.fusion.rig import Rig
+from sceneloom.scene.poses import PosePath
+from sceneloom.service.black_box import BlackBox
+from sceneloom.service.log_file import LogWriter, is_complete, read_log, unfinished_path
+from sceneloom.service.replay import compare, replay
+
+WIDTH, HEIGHT = 64, 48
+FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
+
+
+def calibration(focal=50.0):
+    return CalibrationData(
+        image_size=(WIDTH, HEIGHT),
+        intrinsic_matrix=(focal, 0, 31.5, 0, focal, 23.5, 0, 0, 1),
+        reference_frame=0,
+        extrinsic_matrix=FORWARD,
+    )
+
+
+def stamp(milliseconds):
+    return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
+
+
+def image(milliseconds, seq, sensor_id=1):
+    pixels = np.random.default_rng(seq).integers(0, 256, HEIGHT * WIDTH * 3, np.uint8)
+    return ImageData(
+        sensor_id=sensor_id,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        height=HEIGHT,
+        width=WIDTH,
+        encoding="rgb8",
+        channel=3,
+        data=pixels,
+    )
+
+
+def cloud(milliseconds, seq, sensor_id=0):
+    points = np.random.default_rng(seq).uniform((2, -3, -2), (30, 3, 2), (200, 3)).astype(np.float32)
+    return PointCloudData(
+        sensor_id=sensor_id,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        number=len(points),
+        fields=("x", "y", "z"),
+        fields_number=3,
+        data=points,
+    )
+
+
+def boxes_3d(milliseconds, seq):
+    count = 3
+    return Boxes3d(
+        sensor_id=0,
+        seq=seq,
+        timestamp=stamp(milliseconds),
+        id=np.arange(count, dtype=np.int32),
+        class_names=("car", "pedestrian", "car"),
+        confidence=np.array([0.9, 0.5, 0.25], np.float32),
+        centers=np.array([[10, 0, 0], [12, 2, 0], [20, -3, 0]], np.float32),
+        sizes_lwh=np.array([[4, 2, 1.5], [0.6, 0.6, 1.8], [4, 2, 1.5]], np.float32),
+        directions=np.array([[1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32),
+        velocities=np.array([3, 1, 0], np.float32),
+    )
+
+
+def boxes_2d(milliseconds, seq):
+    return Boxes2d(
+        sensor_id=1,
+        seq=seq,
+        timestamp=stamp(milliseconds),
+        id=np.array([4, 5], np.int32),
+        class_names=("car", "pedestrian"),
+        confidence=np.array([0.8, 0.7], np.float32),
+        corners_xyxy=np.array([[24, 18, 40, 30], [20, 16, 24, 30]], np.uint32),
+    )
+
+
+def drive(fusion, frames=4, *, start=0):
+    """Send pairs of every kind, with a hot calibration in the middle, motion, a refusal and a late record."""
+    for seq in range(start, start + frames):
+        at = 100 * seq
+        if seq == start + frames // 2:
+            fusion.set_calibration(calibration(80.0), camera_id=1, lidar_id=0)
+            fusion.set_property("depth_kind", "range")
+        times = np.array([stamp(at).nanoseconds, stamp(at + 50).nanoseconds])
+        places = np.array([[500_000.0 + seq, 0, 0], [500_000.5 + seq, 0, 0]])
+        fusion.send_motion(PosePath(times, places, np.array([[0, 0, 0, 1.0]] * 2)))
+        for record in (image(at, seq), cloud(at + 5, seq), boxes_2d(at, seq), boxes_3d(at + 5, seq)):
+            fusion.send(record)
+        fusion.send(image(at, seq))  # its number came already
+    fusion.send(cloud(100 * (start + frames), 99, sensor_id=7))
+
+
+def begun(observer, *, inline):
+    fusion = FusionInterface(inline=inline, observer=observer)
+    assert fusion.add_property("site", "where it stands", "string")
+    assert fusion.set_property("site", "A1")
+    assert fusion.set_property("pairing_timeout_ms", 60_000)
+    assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    return fusion
+
+
+@pytest.fixture
+def logged(tmp_path):
+    """A log of one inline session, and its results."""
+    path, results = tmp_path / "session.mcap", []
+    with BlackBox(path) as box:
+        observe = box.session("rig")
+
+        def observer(event):
+            observe(event)
+            if isinstance(event, Result):
+                results.append(event)
+
+        with begun(observer, inline=True) as fusion:
+            drive(fusion)
+    return path, results
+
+
+def messages_of(path):
+    """All messages as a reader that knows nothing of ours gives them: classes are made of the file's own schemas."""
+    pools = {}
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            if schema.id not in pools:
+                pool = descriptor_pool.DescriptorPool()
+                for described in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+                    pool.Add(described)
+                pools[schema.id] = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+            assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
+            yield schema.name, channel, pools[schema.id].FromString(message.data)
+
+
+def test_any_reader_gives_back_all_that_came_in_and_went_out(logged):
+    path, results = logged
+    found = list(messages_of(path))
+    counts = {}
+    for name, channel, _ in found:
+        key = channel.metadata["what"], name.removeprefix("sceneloom.db34t4101.v1.")
+        counts[key] = counts.get(key, 0) + 1
+    kinds = ("ImageData", "PointCloudData", "Boxes3d", "Boxes2d")
+    assert {counts[key] for key in counts if key[0] == "record"} == {4}
+    assert {name for what, name in counts if what == "record"} == set(kinds)
+    assert counts["result", "GetReply"] == len(results) == 8
+    assert counts["refused", "Status"] == 5
+    assert (counts["refused-record", "ImageData"], counts["refused-record", "PointCloudData"]) == (4, 1)
+    assert counts["motion", "SendMotionRequest"] == 4
+    assert counts["properties", "Properties"] == counts["calibration", "SetCalibrationRequest"] == 2
+    first = next(message for name, _, message in found if name.endswith("Properties"))
+    assert {prop.name: prop.value.string_value for prop in first.properties}["site"] == "A1"
+    sent = [message for name, _, message in found if name.endswith("SendMotionRequest")]
+    assert sent[3].poses[0].position == [500_003.0, 0, 0]  # as it came, not from an origin of our own
+
+
+def test_viewers_find_pictures_clouds_boxes_and_depths_in_schemas_that_they_know(logged):
+    path, results = logged
+    shown = {}
+    for name, channel, message in messages_of(path):
+        if name.startswith("foxglove."):
+            shown.setdefault(channel.topic, []).append((name.removeprefix("foxglove."), message))
+    kinds = {topic: messages[0][0] for topic, messages in shown.items()}
+    assert kinds == {
+        "/rig/camera/1/image/image_shown": "RawImage",
+        "/rig/camera/1/boxes_2d/boxes_2d_shown": "ImageAnnotations",
+        "/rig/camera/1/lens": "CameraCalibration",
+        "/rig/frames": "FrameTransforms",
+        "/rig/lidar/0/points/points_shown": "PointCloud",
+        "/rig/lidar/0/boxes_3d/boxes_3d_shown": "SceneUpdate",
+        "/rig/fused/camera1_lidar0/depth": "RawImage",
+        "/rig/fused/camera1_lidar0/points": "PointCloud",
+        "/rig/fused/camera1_lidar0/boxes_2d": "ImageAnnotations",
+        "/rig/fused/camera1_lidar0/boxes_3d": "SceneUpdate",
+    }
+    picture = shown["/rig/camera/1/image/image_shown"][0][1]
+    assert (picture.width, picture.height, picture.encoding, picture.step) == (
+        WIDTH,
+        HEIGHT,
+        "rgb8",
+        3 * WIDTH,
+    )
+    assert picture.data == image(0, 0).data.tobytes()
+    points = shown["/rig/lidar/0/points/points_shown"][0][1]
+    assert np.array_equal(np.frombuffer(points.data, "<f4"), cloud(5, 0).data)
+    depth = shown["/rig/fused/camera1_lidar0/depth"][0][1]
+    assert depth.encoding == "32FC1"
+    assert np.array_equal(np.frombuffer(depth.data, "<f4"), results[0].record.image_depth)
+    cubes = [entity.cubes[0] for entity in shown["/rig/lidar/0/boxes_3d/boxes_3d_shown"][0][1].entities]
+    assert [(cube.size.x, cube.size.y) for cube in cubes] == [
+        (4, 2),
+        (pytest.approx(0.6), pytest.approx(0.6)),
+        (4, 2),
+    ]
+    transform = shown["/rig/frames"][0][1].transforms[0]
+    assert (transform.parent_frame_id, transform.child_frame_id) == ("rig/lidar0", "rig/camera1")
+    # a camera that looks forward: x right, y down, z forward seen from x forward, y left, z up
+    q = [transform.rotation.x, transform.rotation.y, transform.rotation.z, transform.rotation.w]
+    assert np.allclose(np.array(q) * np.sign(q[3]), [-0.5, 0.5, -0.5, 0.5])
+    lens = shown["/rig/camera/1/lens"][0][1]
+    assert list(lens.K) == [50, 0, 31.5, 0, 50, 23.5, 0, 0, 1]
+
+
+def test_a_log_played_again_gives_the_same_bytes(logged):
+    path, results = logged
+    again = [result for _, result in replay(path)]
+    assert [encode(result.record) for result in again] == [encode(result.record) for result in results]
+    assert [result.number for result in again] == [result.number for result in results]
+    revisions = [result.configuration.revision for result in results]
+    assert [result.configuration.revision for result in again] == revisions
+    assert again[-1].configuration["site"] == "A1"
+    report = compare(path)
+    assert (report.equal, report.complete, bool(report)) == ({"rig": 8}, True, True)
+
+
+def test_a_result_that_differs_is_named(logged, tmp_path):
+    path, _ = logged
+    changed = tmp_path / "changed.mcap"
+    writer = LogWriter(changed)
+    for entry in read_log(path):
+        if entry.what == "result" and entry.message.number == 2 and entry.message.HasField("detections"):
+            entry.message.detections.image_seq += 1
+        content = entry.message.SerializeToString()
+        writer.add(entry.topic, type(entry.message), content, session=entry.session, what=entry.what)
+    writer.close()
+    report = compare(changed)
+    assert not report
+    assert (report.equal, report.different) == ({"rig": 7}, {"rig": ("detections 2",)})
+
+
+def test_a_live_session_with_drops_idle_flushes_and_hot_calibration_can_be_played_again(
+    tmp_path, monkeypatch
+):
+    path, results = tmp_path / "live.mcap", []
+    gate, held, flushed = threading.Event(), threading.Event(), threading.Event()
+    feed = Rig.feed
+
+    def feed_once_the_gate_is_open(rig, *arguments):
+        held.set()
+        assert gate.wait(30)
+        return feed(rig, *arguments)
+
+    monkeypatch.setattr(Rig, "feed", feed_once_the_gate_is_open)
+    with BlackBox(path) as box:
+        observe = box.session("live")
+
+        def observer(event):
+            observe(event)
+            if isinstance(event, Result):
+                results.append(event)
+            if isinstance(event, Flushed):
+                flushed.set()
+
+        with begun(observer, inline=False) as fusion:
+            assert fusion.set_property("queue_length", 2)
+            fusion.send(image(0, 1000))
+            assert held.wait(30)
+            drive(fusion, 6)  # two of each kind can wait
+            gate.set()
+            fusion.flush()
+            flushed.clear()
+            assert fusion.set_property("pairing_timeout_ms", 1)
+            fusion.send(image(700, 50))
+            fusion.send(cloud(705, 50))  # waits for a later picture until nothing comes any more
+            assert flushed.wait(30)
+            counts = fusion.counters.counts().items()
+            dropped = sum(count for name, count in counts if name.startswith("dropped.queue-full."))
+    assert dropped > 0
+    assert len([entry for entry in read_log(path) if entry.what == "dropped-record"]) == dropped
+    assert [result.record.points_seq for result in results][-1] == 50
+    again = [result for _, result in replay(path, session="live")]
+    assert [encode(result.record) for result in again] == [encode(result.record) for result in results]
+    assert compare(path)
+
+
+def test_several_sessions_stand_side_by_side_in_one_file(tmp_path):
+    path = tmp_path / "rigs.mcap"
+    with BlackBox(path) as box:
+        first, second = (begun(box.session(name), inline=True) for name in ("a", "b"))
+        for seq in range(3):
+            drive(first, 1, start=seq)
+            drive(second, 1, start=2 * seq)
+        first.close()
+        second.close()
+        with begun(box.session("a"), inline=True) as again:
+            drive(again, 1)
+    report = compare(path)
+    assert report
+    assert set(report.equal) == {"a", "b", "a#2"}
+    assert {name for name, _ in replay(path, session="b")} == {"b"}
+    with path.open("rb") as file:
+        told = [record.metadata["session"] for record in make_reader(file).iter_metadata()]
+    assert told == ["a", "b", "a#2"]
+
+
+CRASHING = """
+import os, signal, sys
+sys.path.insert(0, {folder!r})
+from test_black_box import BlackBox, begun, drive
+box = BlackBox({path!r}, kept_back_s=0)
+drive(begun(box.session("rig"), inline=True), 3)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_was_written_before_a_kill_can_be_read_and_played(tmp_path):
+    path = tmp_path / "session.mcap"
+    program = textwrap.dedent(CRASHING).format(folder=str(Path(__file__).parent), path=str(path))
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert not path.exists()
+    left = unfinished_path(path)
+    assert not is_complete(left)
+    report = compare(left)
+    assert report
+    assert report.equal == {"rig": 4}  # the third sweep waits for a picture
+    with pytest.raises(OutputError, match="exists already"):
+        BlackBox(path)
+
+
+def test_a_file_that_was_cut_anywhere_ends_where_it_was_cut(logged, tmp_path):
+    path, _ = logged
+    content = path.read_bytes()
+    whole = len(list(read_log(path)))
+    cut = tmp_path / "cut.mcap"
+    counts = []
+    for length in range(len(content) // 20, len(content), len(content) // 20):
+        cut.write_bytes(content[:length])
+        try:
+            counts.append(len(list(read_log(cut))))
+        except DataError:
+            counts.append(0)
+    assert counts == sorted(counts)
+    assert counts[-1] <= whole
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"no log at all", bytes(range(256))])
+def test_a_file_that_is_no_log_is_refused(tmp_path, content):
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    with pytest.raises(DataError):
+        list(read_log(path))
+
+
+def test_a_log_never_replaces_another_unless_it_may(tmp_path):
+    path = tmp_path / "session.mcap"
+    path.write_bytes(b"mine")
+    with pytest.raises(OutputError, match="exists already"):
+        BlackBox(path)
+    with BlackBox(path, overwrite=True) as box, begun(box, inline=True) as fusion:
+        drive(fusion, 1)
+    assert compare(path).equal == {"default": 2}
+
+
+def test_a_file_that_cannot_be_written_leaves_the_session_alone(tmp_path):
+    path = tmp_path / "session.mcap"
+    box = BlackBox(path, kept_back_s=0)
+    with begun(box.session("rig"), inline=True) as fusion:
+        drive(fusion, 1)
+        box.writer._stream.close()
+        drive(fusion, 1, start=1)
+        assert fusion.counters.counts()["results.sensor_data"] == 1
+    assert isinstance(box.failure, ValueError)
+    with pytest.raises(OutputError, match="cannot be written"):
+        box.close()
+
+
+def test_without_what_viewers_want_the_file_holds_our_messages_alone(tmp_path):
+    path = tmp_path / "session.mcap"
+    with BlackBox(path, shown=False) as box, begun(box, inline=True) as fusion:
+        drive(fusion, 1)
+    assert not [name for name, _, _ in messages_of(path) if name.startswith("foxglove.")]
+    assert compare(path)
+
+
+def test_chunks_and_times_stand_in_order_whatever_the_clock_does(tmp_path):
+    path, ticks = tmp_path / "session.mcap", iter([5_000, 4_000, 9_000] * 1000)
+    with BlackBox(path, clock_ns=lambda: next(ticks)) as box, begun(box, inline=True) as fusion:
+        drive(fusion, 2)
+    with path.open("rb") as file:
+        times = [
+            record.log_time for record in StreamReader(file).records if type(record).__name__ == "Message"
+        ]
+    assert times == sorted(times)
+
+
+def test_a_session_with_a_thread_of_its_own_cannot_be_repeated():
+    with FusionInterface() as fusion, pytest.raises(OptionError, match="inline"):
+        fusion.repeat(None)

@@ -1,0 +1,257 @@
+"""The client: what the interface of another process answers is what the interface itself would answer."""
+
+import asyncio
+import socket
+import threading
+from contextlib import contextmanager
+
+import grpc
+import numpy as np
+import pytest
+
+from sceneloom.errors import OptionError
+from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.fusion.messages.protobuf_form import encode
+from sceneloom.fusion.outcome import Cause, Outcome
+from sceneloom.scene.poses import PosePath
+from sceneloom.service.client import FusionClient
+from sceneloom.service.client_errors import (
+    DeadlineError,
+    ServiceError,
+    TooLargeError,
+    UnauthenticatedError,
+    UnreachableError,
+)
+from sceneloom.service.limits import ServiceLimits
+from sceneloom.service.security import Security
+from sceneloom.service.server import FusionServer, ServerSettings
+
+WIDTH, HEIGHT = 32, 24
+FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
+TOKEN = "a token of sixteen or more".replace(" ", "-")
+
+
+@contextmanager
+def server(**settings):
+    """A server in a thread of its own."""
+    loop, started, ended = asyncio.new_event_loop(), threading.Event(), asyncio.Event()
+    found = {}
+
+    async def serve():
+        async with FusionServer(ServerSettings(**settings)) as running:
+            found["server"] = running
+            started.set()
+            await ended.wait()
+
+    thread = threading.Thread(target=loop.run_until_complete, args=(serve(),), daemon=True)
+    thread.start()
+    try:
+        assert started.wait(30)
+        yield found["server"]
+    finally:
+        loop.call_soon_threadsafe(ended.set)
+        thread.join(60)
+        loop.close()
+
+
+@pytest.fixture(scope="module")
+def running():
+    with server() as found:
+        yield found
+
+
+@pytest.fixture
+def client(running, request):
+    with FusionClient(running.address, session=f"s{abs(hash(request.node.name))}", deadline_s=60) as made:
+        yield made
+        made.end_session()
+
+
+def calibration():
+    return CalibrationData(
+        image_size=(WIDTH, HEIGHT),
+        intrinsic_matrix=(30.0, 0, 15.5, 0, 30.0, 11.5, 0, 0, 1),
+        reference_frame=0,
+        extrinsic_matrix=FORWARD,
+    )
+
+
+def stamp(milliseconds):
+    return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
+
+
+def image(milliseconds, seq):
+    return ImageData(
+        sensor_id=1,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        height=HEIGHT,
+        width=WIDTH,
+        encoding="rgb8",
+        channel=3,
+        data=np.full(HEIGHT * WIDTH * 3, 9, np.uint8),
+    )
+
+
+def cloud(milliseconds, seq, *, count=20):
+    data = np.random.default_rng(seq).uniform((2, -1, -1), (9, 1, 1), (count, 3)).astype(np.float32)
+    return PointCloudData(
+        sensor_id=0,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        number=count,
+        fields=("x", "y", "z"),
+        fields_number=3,
+        data=data,
+    )
+
+
+def used(fusion):
+    """What both sides of a network answer to the same calls."""
+    answers = [
+        fusion.add_property("lane", "where it stands", "(int8, float)"),
+        fusion.add_property("lane", "again", "int8"),
+        fusion.set_property("lane", (3, 0.5)),
+        fusion.set_property("lane", (300, 0.5)),
+        fusion.set_property("camera_frequency", 2**40),
+        fusion.set_property("nothing", 1),
+        fusion.set_property("lane", {"no": "value"}),
+        fusion.set_property("fusion_algorithm", "MV3d"),
+        fusion.get_property("lane"),
+        fusion.get_property("camera_coordinate"),
+        fusion.send(image(0, 1)),
+        fusion.set_calibration(calibration(), camera_id=1, lidar_id=0),
+        fusion.set_calibration(calibration(), camera_id=256, lidar_id=0),
+        fusion.send_motion(PosePath(np.array([0], np.int64), np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))),
+        fusion.send_motion(PosePath.identity()),
+        fusion.send(image(0, 2)),
+        fusion.send(image(0, 2)),
+        fusion.send("text"),
+        fusion.send(calibration()),
+        fusion.send(cloud(0, 7)),
+    ]
+    fusion.flush()
+    results = [fusion.get(0), fusion.get(0), fusion.get(1), fusion.get()]
+    shown = [result and (result.number, encode(result.record)) for result in results]
+    properties = [result and dict(result.configuration.properties) for result in results]
+    return answers, shown, properties, fusion.list_properties()
+
+
+def test_every_call_answers_as_the_interface_itself(client):
+    with FusionInterface() as fusion:
+        expected = used(fusion)
+        counts = fusion.counters.counts()
+    found = used(client)
+    for ours, theirs in zip(found[0], expected[0], strict=True):
+        if isinstance(theirs, Outcome):  # reasons are for people
+            assert (ours.status, ours.cause) == (theirs.status, theirs.cause)
+        else:
+            assert ours == theirs
+    assert found[1:] == expected[1:]
+    counts.pop("refused.bad-record")  # what is no record never leaves the client
+    assert client.counters() == counts
+
+
+def test_results_come_as_a_stream_in_their_order(client):
+    assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    found = []
+    fetching = threading.Thread(target=lambda: found.extend(client.subscribe(0, most=5)))
+    fetching.start()
+    sent = client.send_stream(record for k in range(5) for record in (image(100 * k, k), cloud(100 * k, k)))
+    client.flush()
+    fetching.join(60)
+    assert (sent.accepted, sent.refused, sent.refusals) == (10, 0, ())
+    assert [result.number for result in found] == [0, 1, 2, 3, 4]
+    assert [result.record.points_seq for result in found] == [0, 1, 2, 3, 4]
+
+
+def test_a_stream_that_is_left_lets_the_service_go(client):
+    assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    client.send_stream([image(0, 1), cloud(0, 1)])
+    client.flush()
+    results = client.subscribe(0)
+    assert next(results).number == 0
+    results.close()
+    client.send_stream([image(100, 2), cloud(100, 2)])
+    client.flush()
+    assert client.get(0, timeout_s=60).number == 1
+
+
+def test_what_a_stream_refuses_is_told_with_its_number(client):
+    assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    sent = client.send_stream([image(0, 1), image(0, 1), cloud(0, 1)])
+    assert (sent.accepted, sent.refused) == (2, 1)
+    ((number, outcome),) = sent.refusals
+    assert (number, outcome.cause) == (1, Cause.DUPLICATE)
+
+
+def test_an_error_of_the_records_own_reaches_the_caller(client):
+    def records():
+        yield image(0, 1)
+        raise ZeroDivisionError("of the caller")
+
+    with pytest.raises(ZeroDivisionError, match="of the caller"):
+        client.send_stream(records())
+
+
+def test_values_that_cannot_be_followed_are_errors_of_the_caller(client):
+    with pytest.raises(OptionError, match="nothing"):
+        client.get_property("nothing")
+    for wrong in (2, True, "0"):
+        with pytest.raises(OptionError, match="fusion type"):
+            client.get(wrong)
+    with pytest.raises(OptionError, match="without TLS"):
+        FusionClient("rig.example:7000", token=TOKEN)
+    with pytest.raises(OptionError, match="without `ca`"):
+        FusionClient("localhost:7000", certificate=("a.pem", "b.pem"))
+
+
+def test_nobody_at_the_address_is_told_as_unreachable():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    with FusionClient(address) as client, pytest.raises(UnreachableError, match=f"{address}: unavailable"):
+        client.flush()
+
+
+def test_no_answer_in_time_is_told_as_such():
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        address = f"127.0.0.1:{silent.getsockname()[1]}"
+        with FusionClient(address, deadline_s=0.2) as client, pytest.raises(DeadlineError, match="deadline"):
+            client.flush()
+
+
+def test_a_missing_or_wrong_token_is_told_as_such():
+    with server(security=Security(token=TOKEN)) as running:
+        for token in (None, "another" * 4):
+            with FusionClient(running.address, token=token) as client, pytest.raises(UnauthenticatedError):
+                client.counters()
+        with FusionClient(running.address, token=TOKEN) as client:
+            assert client.counters() == {}
+
+
+def test_a_record_beyond_the_limit_of_the_service_is_told_as_too_large():
+    with (
+        server(limits=ServiceLimits(largest_message=10_000)) as running,
+        FusionClient(running.address) as client,
+    ):
+        assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        with pytest.raises(TooLargeError, match="larger than max"):
+            client.send(cloud(0, 1, count=10_000))
+        assert client.send(cloud(0, 1, count=100))
+
+
+def test_other_failures_keep_their_status_and_words(client):
+    class Failing(grpc.RpcError):
+        def code(self):
+            return grpc.StatusCode.INTERNAL
+
+        def details(self):
+            return "it broke"
+
+    failure = client._failure(Failing())
+    assert type(failure) is ServiceError
+    assert str(failure) == f"{client.address}: internal: it broke"

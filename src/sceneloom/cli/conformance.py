@@ -1,0 +1,126 @@
+"""`sceneloom conformance`."""
+
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import print_json, progress_bar
+
+if TYPE_CHECKING:
+    from sceneloom.service.conformance.catalogue import Check
+    from sceneloom.service.conformance.examination import Examination, Finding
+
+_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+
+
+@click.command()
+@click.argument("address", metavar="HOST:PORT", required=False)
+@click.option(
+    "--report",
+    type=options.target,
+    metavar="FILE",
+    help="Write all that was sent, expected and found to a .json, .md or .html file.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="ID",
+    help="Run this check (5.4-3), or those of a clause or table (5.4, T9); may be said again.",
+)
+@click.option("--checks", "list_checks", is_flag=True, help="List the checks and stop.")
+@click.option("--ca", type=_FILE, help="PEM file: who signed the server's certificate; without it no TLS.")
+@click.option("--token-file", type=_FILE, help="File with the token that the server asks for.")
+@options.printing
+@click.pass_context
+def conformance(
+    context: click.Context,
+    /,
+    address: str | None,
+    report: Path | None,
+    overwrite: bool,
+    only: tuple[str, ...],
+    list_checks: bool,
+    ca: Path | None,
+    token_file: Path | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Check a fusion service against DB34/T 4101-2022, clause by clause and row by row; exit 1 where a check fails.
+
+    Any server of the project's .proto can be checked, whoever wrote it. Each check works in a session of its own,
+    which is ended after it.
+    """
+    from sceneloom.formats.output import check_output
+    from sceneloom.service.conformance.examination import chosen, examine
+    from sceneloom.service.conformance.report import as_builtins, form_of, write_report
+    from sceneloom.service.conformance.transport import Doors, GrpcTransport
+
+    checks = chosen(only)
+    if list_checks:
+        _print_checks(checks, as_json=as_json)
+        return
+    if address is None:
+        raise click.UsageError("Missing argument 'HOST:PORT'.", context)
+    if report is not None:
+        form_of(report)
+        check_output(report, overwrite=overwrite)
+    with (
+        GrpcTransport.connected(address, Doors(ca, token_file)) as transport,
+        progress_bar("checking", quiet=quiet) as progress,
+    ):
+        examination = examine(transport, address=address, only=only, progress=progress)
+    if report is not None:
+        write_report(examination, report, overwrite=overwrite)
+    if as_json:
+        print_json(as_builtins(examination))
+    else:
+        _print_examination(examination, verbose=verbose, report=report)
+    if not examination.passed:
+        context.exit(1)
+
+
+def _print_checks(checks: "tuple[Check, ...]", *, as_json: bool) -> None:
+    rows = [
+        {
+            "id": check.id,
+            "place": check.place,
+            "title": check.title,
+            "basis": str(check.basis),
+            "english": check.quote.english,
+            "chinese": check.quote.chinese,
+        }
+        for check in checks
+    ]
+    if as_json:
+        print_json(rows)
+        return
+    for row in rows:
+        click.echo(f"{row['id']:8} {row['title']} ({row['basis']}: {row['place']})")
+
+
+def _print_examination(examination: "Examination", *, verbose: bool, report: Path | None) -> None:
+    shown = [finding for finding in examination.findings if verbose or finding.failures]
+    for part, findings in groupby(shown, key=lambda finding: finding.check.id.split("-")[0]):
+        click.echo(part)
+        for finding in findings:
+            _print_finding(finding)
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in examination.counts.items())
+    click.echo(f"{examination.address}: {len(examination.findings)} checks: {counts}")
+    if report is not None:
+        click.echo(f"written: {report}")
+
+
+def _print_finding(finding: "Finding") -> None:
+    check = finding.check
+    click.echo(f"  {check.id:7} {finding.verdict}  {check.title} ({check.place})")
+    if not finding.failures:
+        return
+    click.echo(f"          {check.quote.english}")
+    click.echo(f"          {check.quote.chinese}")
+    for seen in finding.failures:
+        click.echo(f"          sent {seen.sent}: expected {seen.expected}, found {seen.found}")

@@ -1,0 +1,60 @@
+"""A server in this process for the kit: the service's own table of methods, without a network in between."""
+
+from collections import defaultdict
+
+from sceneloom.errors import OptionError
+from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.fusion.outcome import refused
+from sceneloom.service.call_errors import CallError
+from sceneloom.service.conformance.transport import CallFailedError
+from sceneloom.service.methods import METHODS
+from sceneloom.service.replies import NO_DATA, reply_bytes, status_bytes
+
+
+class HereTransport:
+    """Calls the fusion interface of a session directly; each session fuses inline, so that nothing has to wait."""
+
+    def __init__(self):
+        self.sessions = defaultdict(lambda: FusionInterface(inline=True))
+
+    def call(self, method, request):
+        if method == "Get":
+            return self.get(request)
+        if method == "CloseSession":
+            known = self.sessions.pop(request.session, None)
+            return fusion_pb2.Status(status=int(known is not None))
+        entry = METHODS[method]
+        try:
+            answer = entry.perform(self.sessions[request.session], request.SerializeToString())
+        except CallError as error:
+            if not entry.answers_status:
+                raise CallFailedError(error.code.name, error.reason) from error
+            answer = status_bytes(refused(error.cause, error.reason))
+        return entry.reply_type.FromString(answer)
+
+    def get(self, request):
+        fusion = self.sessions[request.session]
+        wanted = request.fusion_type if request.HasField("fusion_type") else None
+        try:
+            result = fusion.get(wanted)
+            if result is None and getattr(request, "wait_ms", 0):
+                fusion.flush()  # what another sweep or picture would set free comes when nothing does for a while
+                result = fusion.get(wanted)
+        except OptionError as error:
+            raise CallFailedError("INVALID_ARGUMENT", str(error)) from error
+        return fusion_pb2.GetReply.FromString(NO_DATA if result is None else reply_bytes(result))
+
+    def send_stream(self, requests):
+        summary = fusion_pb2.SendSummary()
+        for number, request in enumerate(requests):
+            status = self.call("Send", request)
+            summary.accepted += status.status
+            summary.refused += 1 - status.status
+            if not status.status:
+                summary.refusals.add(number=number, status=status)
+        return summary
+
+    def subscribe(self, request):
+        for _ in range(request.most):
+            yield self.get(request)

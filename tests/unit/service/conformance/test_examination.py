@@ -1,0 +1,118 @@
+"""The kit: a sound server passes every check, and a broken one fails exactly those that its defect is about."""
+
+import re
+
+import pytest
+
+from sceneloom.errors import OptionError
+from sceneloom.fusion.messages.tables import TABLES
+from sceneloom.service.conformance.catalogue import Basis
+from sceneloom.service.conformance.examination import CHECKS, PARTS, chosen, examine
+from sceneloom.service.conformance.quotes import CLAUSES, PROPERTY_ROWS, ROWS, TYPE_ROWS
+from sceneloom.service.conformance.transport import CallFailedError
+
+from .defects import broken_servers
+from .peers import HereTransport
+
+SERVERS = list(broken_servers())
+
+
+@pytest.fixture(scope="module")
+def sound():
+    """What the kit finds about our own interface."""
+    return examine(HereTransport(), address="here")
+
+
+def test_our_own_interface_passes_all_checks(sound):
+    assert sound.failed_ids == ()
+    assert sound.passed
+    assert [finding.check for finding in sound.findings] == list(CHECKS)
+    assert all(finding.seen for finding in sound.findings)
+
+
+@pytest.mark.parametrize(
+    ("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS]
+)
+def test_a_broken_server_fails_exactly_the_checks_of_its_defect(make, ids):
+    examination = examine(make(HereTransport()))
+    assert sorted(examination.failed_ids) == sorted(ids)
+    assert not examination.passed
+
+
+class Silent:
+    """A server that answers nothing."""
+
+    def call(self, method, request):
+        raise CallFailedError("UNIMPLEMENTED", method)
+
+    def send_stream(self, requests):
+        raise CallFailedError("UNIMPLEMENTED", "SendStream")
+
+    def subscribe(self, request):
+        raise CallFailedError("UNIMPLEMENTED", "Subscribe")
+
+
+def test_a_server_that_answers_nothing_fails_all_checks_and_the_kit_goes_on():
+    assert examine(Silent()).counts == {"passed": 0, "failed": len(CHECKS)}
+
+
+def test_every_row_of_every_table_has_its_check_and_every_number_is_there_once():
+    ids = [check.id for check in CHECKS]
+    assert len(set(ids)) == len(ids)
+    expected = {f"T1-{k + 1}" for k in range(9)} | {f"T2-{k + 1}" for k in range(7)}
+    expected |= {
+        f"T{n}-{row.number}" for n, table in TABLES.items() for row in table.rows if not row.is_extension
+    }
+    assert expected <= set(ids)
+
+
+def test_every_interface_of_clause_5_has_checks():
+    parts = {check.id.split("-")[0] for check in CHECKS}
+    assert {"5.3", "5.4", "5.5", "5.6", "5.7"} <= parts
+    assert {check.basis for check in CHECKS} == set(Basis)
+
+
+def test_quotes_are_what_the_standard_prints(standard_text):
+    # the text at hand has blanks, line breaks and two kinds of commas where the print has none
+    printed = _plain(standard_text)
+    for clause, quote in CLAUSES.items():
+        for part in re.split(r"[;:]", quote.chinese):
+            assert _plain(part) in printed, clause
+    for table in (TYPE_ROWS, PROPERTY_ROWS):
+        for name, quote in table.items():
+            assert name in quote.chinese
+            assert _plain(quote.chinese.split()[1]) in printed, name
+    for number, rows in ROWS.items():
+        assert list(rows) == [row.name for row in TABLES[number].rows if not row.is_extension]
+        for name, text in rows.items():
+            assert _plain(text.split()[0]) in printed, (number, name)
+
+
+def _plain(text):
+    return re.sub(r"[\s,，、。;；:：.\\()（）|/]", "", text)
+
+
+@pytest.fixture
+def standard_text(data_dir):
+    path = data_dir.parent / "specs" / "db34t_4101_2022.txt"
+    if not path.is_file():
+        pytest.skip("the text of the standard is not here")
+    return path.read_text("utf-8")
+
+
+def test_one_check_or_those_of_a_clause_or_table_can_be_chosen():
+    assert [check.id for check in chosen(["5.4-3"])] == ["5.4-3"]
+    assert [check.id for check in chosen(["T8", "5.5-1"])] == ["5.5-1", *(f"T8-{k}" for k in range(1, 10))]
+    assert chosen([]) == CHECKS
+    with pytest.raises(OptionError, match=r"5\.4-99"):
+        chosen(["5.4-99"])
+
+
+def test_parts_have_titles_and_checks():
+    assert all(part.title and part.checks for part in PARTS)
+
+
+def test_sessions_are_ended_after_their_check():
+    transport = HereTransport()
+    examine(transport, only=["5.7", "X-2"])
+    assert not transport.sessions

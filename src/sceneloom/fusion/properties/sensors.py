@@ -17,7 +17,7 @@ class RawForm(StrEnum):
     """What the bytes of a raw record (table 4) are."""
 
     RECORDS = "records"
-    """Lidar: 23-byte records, as of the recording format: x y z float32, intensity uint8, ring uint8, time float64."""
+    """Lidar: 23-byte records, as of the recording format: x y z float32, intensity uint8, ring uint16, time float64."""
     JPEG = "jpeg"
     """Camera: a JPEG file."""
     PNG = "png"

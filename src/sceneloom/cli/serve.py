@@ -1,59 +1,100 @@
 """`sceneloom serve`."""
 
+from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sceneloom.cli.options import positive, said
 from sceneloom.cli.printing import print_json
 
+if TYPE_CHECKING:
+    from sceneloom.service.server import FusionServer
+
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+_PORT = click.IntRange(0, 65535)
 
 
 @click.command()
+@click.option(
+    "--config", type=_FILE, help="TOML file: properties, sensors and calibrations of new sessions, limits."
+)
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address; others need TLS and a token.")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port. [default: a free one]")
+@click.option("--port", type=_PORT, default=0, help="Port; 0 for a free one. [default: 0]")
 @click.option("--tls-cert", type=_FILE, help="PEM file: the server's certificate.")
 @click.option("--tls-key", type=_FILE, help="PEM file: its key.")
 @click.option(
     "--tls-client-ca", type=_FILE, help="PEM file: who signs the certificates that clients must show."
 )
 @click.option("--token-file", type=_FILE, help="File with the token that clients must show.")
+@click.option(
+    "--metrics-port", type=_PORT, help="Answer `GET /metrics` here, for Prometheus on this machine."
+)
 @click.option("--max-sessions", type=click.IntRange(min=1), help="Sessions at once. [default: 16]")
-@click.option("--idle-minutes", type=positive, help="End unused sessions. [default: 30]")
+@click.option(
+    "--idle-minutes", type=positive, help="End sessions that nobody used for so long. [default: 30]"
+)
+@click.option(
+    "--log",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="MCAP file: all that comes in and goes out.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the log if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the address as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="Log warnings only.")
 def serve(
+    config: Path | None,
     host: str,
     port: int,
     tls_cert: Path | None,
     tls_key: Path | None,
     tls_client_ca: Path | None,
     token_file: Path | None,
+    metrics_port: int | None,
     max_sessions: int | None,
     idle_minutes: float | None,
+    log: Path | None,
+    overwrite: bool,
     as_json: bool,
     quiet: bool,
 ) -> None:
     """Serve the fusion interface of DB34/T 4101-2022 over gRPC, until it is told to end."""
-    from sceneloom.service.limits import ServiceLimits
-    from sceneloom.service.running import serve_until_ended
+    from sceneloom.service.running import configured, serve_until_ended
     from sceneloom.service.security import Security, read_token
-    from sceneloom.service.server import FusionServer, ServerSettings
+    from sceneloom.service.server import ServerSettings
 
-    limits = ServiceLimits(**said(most_sessions=max_sessions, idle_minutes=idle_minutes))
+    limits, configure = configured(config, **said(most_sessions=max_sessions, idle_minutes=idle_minutes))
     security = Security(
         tls_certificate=tls_cert,
         tls_key=tls_key,
         tls_client_authority=tls_client_ca,
         token=None if token_file is None else read_token(token_file),
     )
+    security.check_host(host)
+    with ExitStack() as stack:
+        observe: Any = None
+        if log is not None:
+            from sceneloom.service.black_box import BlackBox
 
-    def tell(server: FusionServer) -> None:
-        if as_json:
-            print_json({"address": server.address, "port": server.port})
-        else:
-            click.echo(f"serving at {server.address}")
+            observe = stack.enter_context(BlackBox(log, overwrite=overwrite)).session
+        settings = ServerSettings(
+            host=host,
+            port=port,
+            metrics_port=metrics_port,
+            limits=limits,
+            security=security,
+            configure=configure,
+            observe=observe,
+        )
+        serve_until_ended(settings, started=_print_json if as_json else _print, quiet=quiet)
 
-    settings = ServerSettings(host=host, port=port, limits=limits, security=security)
-    serve_until_ended(settings, started=tell, quiet=quiet)
+
+def _print(server: "FusionServer") -> None:
+    click.echo(f"serving at {server.address}")
+    if server.metrics_port:
+        click.echo(f"metrics at http://127.0.0.1:{server.metrics_port}/metrics")
+
+
+def _print_json(server: "FusionServer") -> None:
+    print_json({"address": server.address, "port": server.port, "metrics_port": server.metrics_port or None})

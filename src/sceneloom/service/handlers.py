@@ -1,18 +1,22 @@
 """The service's methods for gRPC: bytes in, bytes out, so that large ones are parsed beside the event loop."""
 
-from collections.abc import AsyncIterator, Awaitable, Callable
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
 from typing import Any, TypeAlias
 
 import grpc
 from grpc.aio import ServicerContext
 
-from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion.interface import Result
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.outcome import DONE, Cause, Outcome, refused
+from sceneloom.fusion.outcome import DONE, Cause, refused
 from sceneloom.service.call_errors import CallError
 from sceneloom.service.methods import METHODS, SERVICE, Method
+from sceneloom.service.metrics import Metrics
 from sceneloom.service.replies import NO_DATA, status_bytes
 from sceneloom.service.sessions import DEFAULT_SESSION, Session, SessionTable
 
@@ -30,9 +34,10 @@ _REFUSALS_TOLD = 100
 class Handlers:
     """Answers the methods of the service for the sessions of a table."""
 
-    def __init__(self, sessions: SessionTable) -> None:
-        """Answer for these sessions."""
+    def __init__(self, sessions: SessionTable, metrics: Metrics) -> None:
+        """Answer for these sessions, and count how."""
         self.sessions = sessions
+        self.metrics = metrics
         self.draining = False
 
     def generic_handler(self) -> grpc.GenericRpcHandler:
@@ -52,14 +57,32 @@ class Handlers:
 
     def _unary(self, method: Method) -> Callable[[bytes, Context], Awaitable[bytes]]:
         async def answer(request: bytes, context: Context) -> bytes:
-            try:
-                return await self._answer(method, request)
-            except CallError as error:
-                if method.answers_status:
-                    return status_bytes(refused(error.cause, error.reason))
-                await context.abort(error.code, error.reason)
+            with self._counted(method.name) as ended:
+                try:
+                    return await self._answer(method, request)
+                except CallError as error:
+                    ended.append(error.code.name)
+                    if method.answers_status:
+                        return status_bytes(refused(error.cause, error.reason))
+                    await context.abort(error.code, error.reason)
 
         return answer
+
+    @contextmanager
+    def _counted(self, method: str) -> Iterator[list[str]]:
+        """Measure a call; what is put into the list is how it ended, else it is OK, or what was raised."""
+        begun_s = perf_counter()
+        ended: list[str] = []
+        try:
+            yield ended
+        except asyncio.CancelledError:
+            ended.append("CANCELLED")
+            raise
+        except Exception:
+            ended.append("INTERNAL")
+            raise
+        finally:
+            self.metrics.called(method, ended[0] if ended else "OK", perf_counter() - begun_s)
 
     async def _answer(self, method: Method, request: bytes) -> bytes:
         session = self._session_of(method, request)
@@ -83,71 +106,70 @@ class Handlers:
         """Clause 5.6 for a stream of records."""
         summary = fusion_pb2.SendSummary()
         number = 0
-        async for request in requests:
-            outcome = await self._sent(request)
-            if outcome:
-                summary.accepted += 1
-            else:
-                summary.refused += 1
-                if summary.refused <= _REFUSALS_TOLD:
-                    status = fusion_pb2.Status(status=0, cause=str(outcome.cause), reason=outcome.reason)
-                    summary.refusals.append(fusion_pb2.Refusal(number=number, status=status))
-            number += 1
+        with self._counted("SendStream"):
+            async for request in requests:
+                status = await self._sent(request)
+                if status.status == 1:
+                    summary.accepted += 1
+                else:
+                    summary.refused += 1
+                    if summary.refused <= _REFUSALS_TOLD:
+                        summary.refusals.append(fusion_pb2.Refusal(number=number, status=status))
+                number += 1
         return summary.SerializeToString()
 
-    async def _sent(self, request: bytes) -> Outcome:
+    async def _sent(self, request: bytes) -> fusion_pb2.Status:
         try:
-            answer = await self._answer(METHODS["Send"], request)
+            return fusion_pb2.Status.FromString(await self._answer(METHODS["Send"], request))
         except CallError as error:
-            return refused(error.cause, error.reason)
-        status = fusion_pb2.Status.FromString(answer)
-        return DONE if status.status == 1 else Outcome(0, Cause(status.cause), status.reason)
+            return fusion_pb2.Status(status=0, cause=str(error.cause), reason=error.reason)
 
     async def get(self, request: bytes, context: Context) -> None:
         """Clause 5.7."""
-        session, asked = await self._fetching("Get", request, context)
-        await self._deliver(session, asked, context, most=1, timeout_s=asked.wait_ms / 1e3)
+        await self._fetch("Get", request, context)
 
     async def subscribe(self, request: bytes, context: Context) -> None:
         """Clause 5.7 as a stream."""
-        session, asked = await self._fetching("Subscribe", request, context)
-        await self._deliver(session, asked, context, most=asked.most, timeout_s=None)
+        await self._fetch("Subscribe", request, context)
 
-    async def _fetching(self, name: str, request: bytes, context: Context) -> tuple[Session, Any]:
+    async def _fetch(self, name: str, request: bytes, context: Context) -> None:
         method = METHODS[name]
-        try:
-            session = self._session_of(method, request)
-            return session, method.parse(request)
-        except CallError as error:
-            await context.abort(error.code, error.reason)
-        except SceneloomError as error:
-            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, str(error))
+        with self._counted(name) as ended:
+            try:
+                session = self._session_of(method, request)
+                asked = method.parse(request)
+                with session.request(len(request), self.sessions.clock), session.delivering():
+                    await self._deliver(session, asked, context)
+            except CallError as error:
+                ended.append(error.code.name)
+                await context.abort(error.code, error.reason)
+            except (DataError, OptionError) as error:
+                ended.append("INVALID_ARGUMENT")
+                await context.abort(grpc.StatusCode.INVALID_ARGUMENT, str(error))
 
-    async def _deliver(
-        self, session: Session, asked: Any, context: Context, *, most: int, timeout_s: float | None
-    ) -> None:
-        """Write results as they come; one that cannot be written is put back."""
+    async def _deliver(self, session: Session, asked: Any, context: Context) -> None:
+        """Write results as they come: one or no data for Get, else until the caller or the session ends."""
+        once = isinstance(asked, fusion_pb2.GetRequest)
+        most = 1 if once else asked.most
         fusion_type = asked.fusion_type if asked.HasField("fusion_type") else None
+        delivered = 0
+        while not (most and delivered >= most):
+            result = await session.next_result(fusion_type, asked.wait_ms / 1e3 if once else None)
+            if result is None:
+                break
+            await self._write(session, result, context)
+            delivered += 1
+        if once and not delivered:
+            await context.write(NO_DATA)
+
+    async def _write(self, session: Session, result: Result, context: Context) -> None:
+        """Write a result; it is put back where it cannot be written, so that others have it."""
         try:
-            with session.request(0, self.sessions.clock), session.delivering():
-                delivered = 0
-                while not (most and delivered >= most):
-                    result = await session.next_result(fusion_type, timeout_s)
-                    if result is None:
-                        break
-                    try:
-                        await context.write(await self._reply(session, result))
-                    except BaseException:
-                        session.fusion.put_back(result)
-                        raise
-                    delivered += 1
-                    session.last_fetched_s = self.sessions.clock()
-                if timeout_s is not None and delivered == 0:
-                    await context.write(NO_DATA)
-        except CallError as error:
-            await context.abort(error.code, error.reason)
-        except OptionError as error:
-            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, str(error))
+            await context.write(await self._reply(session, result))
+        except BaseException:
+            session.fusion.put_back(result)
+            raise
+        session.last_fetched_s = self.sessions.clock()
 
     async def _reply(self, session: Session, result: Result) -> bytes:
         if isinstance(result.record, FusedDetections) and len(result.record) <= _FEW:

@@ -6,11 +6,37 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
+from sceneloom.fusion.configuration_file import read_configuration_file
+from sceneloom.fusion.interface import FusionInterface
+from sceneloom.service.limits import ServiceLimits
 from sceneloom.service.logs import JsonLines
 from sceneloom.service.server import FusionServer, ServerSettings
 
 _ENDING = (signal.SIGTERM, signal.SIGINT)
+
+
+def configured(
+    path: Path | None, **limits: Any
+) -> tuple[ServiceLimits, Callable[[FusionInterface], None] | None]:
+    """Read what a server starts from: the limits of its table `[service]`, and what sets up new sessions.
+
+    Args:
+        path: of a configuration file, None for the defaults.
+        limits: those that count before the file's.
+
+    Raises:
+        DataError: it is no such file, or a value in it is refused.
+        OSError: it cannot be read.
+    """
+    if path is None:
+        return ServiceLimits(**limits), None
+    found = read_configuration_file(path, further=("service",))
+    table = found.further.get("service", {})
+    ServiceLimits.of(table, file=path, place="service")
+    return ServiceLimits(**{**table, **limits}), found.apply
 
 
 def serve_until_ended(

@@ -18,6 +18,7 @@ from sceneloom.fusion.interface import Event, FusionInterface
 from sceneloom.service.handlers import Handlers
 from sceneloom.service.limits import ServiceLimits
 from sceneloom.service.methods import SERVICE
+from sceneloom.service.metrics import Metrics, serve_metrics
 from sceneloom.service.security import Security
 from sceneloom.service.sessions import Session, SessionTable
 
@@ -42,6 +43,7 @@ class ServerSettings:
     Attributes:
         host: address to listen at.
         port: 0 for a free one.
+        metrics_port: where to answer `GET /metrics` over HTTP, 0 for a free one; None for nowhere.
         limits: of the service and its sessions.
         security: what callers have to prove.
         configure: told each new session's interface, to set properties and calibrations.
@@ -51,6 +53,7 @@ class ServerSettings:
 
     host: str = "127.0.0.1"
     port: int = 0
+    metrics_port: int | None = None
     limits: ServiceLimits = field(default_factory=ServiceLimits)
     security: Security = field(default_factory=Security)
     configure: Callable[[FusionInterface], None] | None = None
@@ -65,6 +68,7 @@ class FusionServer:
         settings: how it is set up.
         sessions: the rigs.
         port: where it listens, once it was started.
+        metrics_port: where numbers for Prometheus are, on this machine alone; 0 for nowhere.
     """
 
     def __init__(self, settings: ServerSettings | None = None) -> None:
@@ -77,10 +81,13 @@ class FusionServer:
         self.settings.security.check_host(self.settings.host)
         self.sessions = SessionTable(self._interface, self.settings.limits, clock=self.settings.clock)
         self.port = 0
-        self._handlers = Handlers(self.sessions)
+        self.metrics_port = 0
+        self._metrics = Metrics()
+        self._handlers = Handlers(self.sessions, self._metrics)
         self._health = health.aio.HealthServicer()
         self._server: grpc.aio.Server | None = None
         self._sweeper: asyncio.Task[None] | None = None
+        self._metrics_server: asyncio.Server | None = None
 
     async def __aenter__(self) -> Self:
         await self.start()
@@ -127,7 +134,19 @@ class FusionServer:
         for name in ("", SERVICE.full_name):
             await self._health.set(name, health_pb2.HealthCheckResponse.SERVING)
         self._sweeper = asyncio.get_running_loop().create_task(self._sweep())
+        await self._open_metrics()
         LOG.info("listening", extra={"fields": {"address": self.address}})
+
+    async def _open_metrics(self) -> None:
+        port = self.settings.metrics_port
+        if port is None:
+            return
+        try:
+            self._metrics_server = await serve_metrics(self._metrics, self.sessions, port)
+        except OSError as error:
+            await self.drain(0.0)
+            raise OptionError(f"cannot answer /metrics at port {port}: {error.strerror}") from error
+        self.metrics_port = self._metrics_server.sockets[0].getsockname()[1]
 
     async def wait(self) -> None:
         """Return when the server has ended."""
@@ -155,6 +174,8 @@ class FusionServer:
         if self._sweeper is not None:
             self._sweeper.cancel()
         await self.sessions.end_all()
+        if self._metrics_server is not None:
+            self._metrics_server.close()
         await server.stop(min(limit_s, _LAST_WORDS_S))
         self.sessions.close()
         LOG.info("ended")

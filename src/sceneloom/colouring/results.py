@@ -70,7 +70,8 @@ class FusedFrame:
         times: what the times of its points were; where they could not be taken as they are, `points` has them as they
             were read, or none.
         extras: further fields of the frame, by name.
-        standing: whether it was fused as if the ego had not moved, because its way did not reach.
+        standing: whether it was fused as if the ego had not moved, because its way did not reach or was not to count.
+        picture_extras: further fields of the pictures that it was paired with, by camera.
     """
 
     lidar_id: Identifier
@@ -86,3 +87,4 @@ class FusedFrame:
     times: TimesFound = SOUND
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
     standing: bool = False
+    picture_extras: Mapping[Identifier, Mapping[str, Any]] = field(default_factory=dict)

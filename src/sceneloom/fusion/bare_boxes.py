@@ -7,6 +7,10 @@ import numpy as np
 
 from sceneloom.fusion.messages.boxes import COLUMNS_2D, COLUMNS_3D, Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.columns import Column
+from sceneloom.fusion.setting import Setting
+
+MOST_BOXES = 100_000
+"""Boxes of one frame: a sender that never begins another is stopped."""
 
 _COLUMNS: dict[type, tuple[Column, ...]] = {Boxes3d: COLUMNS_3D, Boxes2d: COLUMNS_2D}
 
@@ -24,22 +28,24 @@ class BareBoxes:
 
     Attributes:
         sensor_id: the sensor.
+        setting: the configuration in force when the first box of the frame came.
         boxes: those of the frame that is not whole yet.
         latest_s: when the last one came, on the clock that the caller keeps [s].
     """
 
     sensor_id: int
+    setting: Setting
     boxes: list[Box3d | Box2d] = field(default_factory=list)
     latest_s: float = 0.0
 
-    def add(self, box: Box3d | Box2d, now_s: float) -> Boxes3d | Boxes2d | None:
-        """Keep a box; gives the frame before it, if this one begins another."""
-        whole = None
-        if self.boxes and seq_of(self.boxes[0]) != seq_of(box):
-            whole = self.close()
+    def begins(self, box: Box3d | Box2d) -> bool:
+        """Whether a box is the first of another frame than those before."""
+        return not self.boxes or seq_of(self.boxes[0]) != seq_of(box)
+
+    def add(self, box: Box3d | Box2d, now_s: float) -> None:
+        """Keep a box of the frame that is not whole yet."""
         self.boxes.append(box)
         self.latest_s = now_s
-        return whole
 
     def close(self) -> Boxes3d | Boxes2d | None:
         """Give what was gathered as a whole frame; None where there is nothing."""

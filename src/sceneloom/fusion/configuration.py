@@ -18,6 +18,7 @@ class FusionConfiguration:
         most_waiting: sweeps, and pictures of each camera, that may wait for one another; None for as many as come.
         stand_beyond_way: whether a sweep beyond the ego's way is fused as if the ego had not moved; else it says why
             it was not fused.
+        motion_compensation: whether the ego's motion counts; else everything is fused as if it had not moved.
 
     Source: DB34/T 4101-2022, table 2 names the algorithm's property.
     """
@@ -29,3 +30,4 @@ class FusionConfiguration:
     detection_algorithm: str = "projection"
     most_waiting: int | None = None
     stand_beyond_way: bool = False
+    motion_compensation: bool = True

@@ -1,7 +1,8 @@
 """Detection fusion: the boxes of a sweep and those of the pictures that belong to it become objects."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Identifier
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.types import NO_FIELDS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,11 +25,13 @@ class SeenBoxes:
         boxes: in the picture.
         camera: the lens.
         mount: `ego_from_camera` where this picture has a mounting of its own, else None.
+        extras: further fields, by name.
     """
 
     boxes: Boxes2D
     camera: Camera
     mount: RigidTransform | None = None
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     @property
     def timestamp_ns(self) -> int:
@@ -48,7 +52,8 @@ class FusedDetectionFrame:
         timestamp_ns: of the sweep [ns].
         picture_timestamp_ns: of the picture [ns].
         fused: the objects.
-        standing: whether it was fused as if the ego had not moved, because its way did not reach.
+        standing: whether it was fused as if the ego had not moved, because its way did not reach or was not to count.
+        sweep_extras, picture_extras: further fields of the boxes of the sweep and of the picture.
     """
 
     lidar_id: Identifier
@@ -58,6 +63,8 @@ class FusedDetectionFrame:
     picture_timestamp_ns: int
     fused: FusedBoxes
     standing: bool = False
+    sweep_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+    picture_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(slots=True)
@@ -65,22 +72,23 @@ class BoxFusion:
     """Fuses the boxes of sweeps with those of pictures.
 
     Attributes:
-        algorithm: how.
         lidars, cameras: what is known of the sensors.
     """
 
-    algorithm: DetectionAlgorithm
     lidars: Mapping[Identifier, KnownLidar]
     cameras: Mapping[Identifier, KnownCamera]
 
     def fuse(self, waiting: Waiting[Boxes3D], pairing: BoxPairing) -> Iterator[FusedDetectionFrame]:
         """Fuse the boxes of a sweep with those of each picture that belongs to it."""
         lidar = self.lidars[waiting.lidar_id]
+        algorithm: DetectionAlgorithm = waiting.algorithm
         for camera in self.cameras.values():
             seen = pairing.partner(waiting, camera.id)
             if seen is None:
                 continue
-            camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=False)
+            camera_from_lidar = None
+            if waiting.configuration.motion_compensation:
+                camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=False)
             stands = camera_from_lidar is None
             if camera_from_lidar is None:
                 camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=True)
@@ -93,8 +101,10 @@ class BoxFusion:
                 waiting.index,
                 waiting.frame.timestamp_ns,
                 seen.timestamp_ns,
-                self.algorithm(pair),
+                algorithm(pair),
                 standing=stands,
+                sweep_extras=waiting.extras,
+                picture_extras=seen.extras,
             )
 
 

@@ -1,13 +1,14 @@
 """What comes from sensors and detectors: checked against the configuration, and made what is fused."""
 
-from collections import deque
 from dataclasses import dataclass, field
 from typing import NoReturn
 
-from sceneloom.errors import SceneloomError
+from sceneloom.errors import CalibrationError, SceneloomError
+from sceneloom.fusion.admitted import CLOCK_JUMP_NS, Admitted, Received, WholeRecord
+from sceneloom.fusion.bare_boxes import seq_of
 from sceneloom.fusion.calibration.axes import SensorKind
-from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
-from sceneloom.fusion.messages.records import kind_of
+from sceneloom.fusion.ledger import Stream
+from sceneloom.fusion.messages.boxes import Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.scene_form import (
     lidar_frame_of,
     lidar_frame_of_raw,
@@ -16,17 +17,13 @@ from sceneloom.fusion.messages.scene_form import (
 )
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
 from sceneloom.fusion.outcome import Cause, Outcome, refused
-from sceneloom.fusion.rig import Received
 from sceneloom.fusion.setting import Setting
 
-WholeRecord = RawData | ImageData | PointCloudData | Boxes3d | Boxes2d
-"""What is sent of one frame."""
-
 _REMEMBERED = 256
-"""Numbers of each sensor that are kept to tell one that comes again."""
+"""Numbers of each stream that are kept to tell one that comes again."""
 
-CLOCK_JUMP_NS = 10_000_000_000
-"""A record that is so much older than the newest one was not late: its sensor's clock was set back."""
+RESTART_NS = 2_000_000_000
+"""A sensor that was silent for so long may have been started again, and count from 0."""
 
 
 class RefusedError(SceneloomError):
@@ -37,41 +34,18 @@ class RefusedError(SceneloomError):
         self.outcome = outcome
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Admitted:
-    """A record that was taken.
-
-    Attributes:
-        sensor_id: who sent it.
-        kind: camera or lidar.
-        record: as it was sent.
-        received: what is fused.
-        setting: the configuration in force when it came.
-    """
-
-    sensor_id: int
-    kind: SensorKind
-    record: WholeRecord
-    received: Received
-    setting: Setting
-
-    @property
-    def timestamp_ns(self) -> int:
-        """Of the record [ns]."""
-        return self.record.timestamp.nanoseconds
-
-    @property
-    def stream(self) -> tuple[str, int]:
-        """Which queue it waits in: the kind of record and the sensor."""
-        return kind_of(self.record).name, self.sensor_id
-
-
 @dataclass(slots=True)
-class _Stream:
-    """What came of one sensor as records of one kind."""
+class _Arrivals:
+    """What came in one stream: the times of the last numbers, and the newest time [ns]."""
 
-    numbers: deque[int] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    times_ns: dict[int, int] = field(default_factory=dict)
     newest_ns: int = -1
+
+    def note(self, seq: int, time_ns: int) -> None:
+        self.times_ns[seq] = time_ns
+        if len(self.times_ns) > _REMEMBERED:
+            del self.times_ns[next(iter(self.times_ns))]
+        self.newest_ns = max(self.newest_ns, time_ns)
 
 
 @dataclass(slots=True)
@@ -81,8 +55,7 @@ class Intake:
     Source: DB34/T 4101-2022, clause 5.6.
     """
 
-    _streams: dict[tuple[str, int], _Stream] = field(default_factory=dict)
-    _fused_ns: dict[tuple[str, int], int] = field(default_factory=dict)
+    _arrivals: dict[Stream, _Arrivals] = field(default_factory=dict)
 
     def admit(self, record: WholeRecord, setting: Setting) -> Admitted:
         """Take a record.
@@ -94,35 +67,65 @@ class Intake:
         self._check_order(admitted)
         return admitted
 
-    def restart(self) -> None:
-        """Forget numbers and times: a clock was set back, and what comes now begins anew."""
-        self._streams.clear()
-
     def jumped_back(self, admitted: Admitted) -> bool:
         """Whether a record is so old that its sensor's clock must have been set back."""
-        stream = self._streams.get(admitted.stream)
-        return stream is not None and admitted.timestamp_ns < stream.newest_ns - CLOCK_JUMP_NS
+        arrivals = self._arrivals.get(admitted.stream)
+        return arrivals is not None and admitted.timestamp_ns < arrivals.newest_ns - CLOCK_JUMP_NS
 
     def note(self, admitted: Admitted) -> None:
         """Remember a record that was taken."""
-        stream = self._streams.setdefault(admitted.stream, _Stream())
-        stream.numbers.append(admitted.record.seq)
-        stream.newest_ns = max(stream.newest_ns, admitted.timestamp_ns)
+        if self.jumped_back(admitted):
+            self._arrivals.clear()
+        arrivals = self._arrivals.setdefault(admitted.stream, _Arrivals())
+        if admitted.timestamp_ns > arrivals.newest_ns + RESTART_NS:
+            arrivals.times_ns.clear()
+        arrivals.note(admitted.record.seq, admitted.timestamp_ns)
+
+    def sender_of(self, box: Box3d | Box2d, setting: Setting) -> int:
+        """Tell whose a box is that names no sensor: of the frame with its number, else of the only sensor there is.
+
+        Raises:
+            RefusedError: there is none, or more than one.
+
+        Source: READING of missing ids in docs/CONVENTIONS.md.
+        """
+        kind = SensorKind.LIDAR if isinstance(box, Box3d) else SensorKind.CAMERA
+        seq, time_ns = seq_of(box), box.timestamp.nanoseconds
+        calibrated = setting.calibrated[kind]
+        if len(calibrated) == 1:
+            return calibrated[0]
+        stamps = {
+            sensor_id: arrivals.times_ns[seq]
+            for (name, sensor_id), arrivals in self._arrivals.items()
+            if name in _FRAME_STREAMS[kind] and seq in arrivals.times_ns and sensor_id in calibrated
+        }
+        found = [sensor_id for sensor_id, stamp_ns in stamps.items() if stamp_ns == time_ns] or list(stamps)
+        if len(found) != 1:
+            _refuse(
+                Cause.UNKNOWN_SENSOR if calibrated else Cause.NO_CALIBRATION,
+                f"a box of frame {seq} that names no sensor: {len(found)} of {len(calibrated)} calibrated {kind}s sent "
+                "a frame of that number; expected one, or lists of boxes, which say theirs",
+            )
+        return found[0]
+
+    def has_come(self, stream: Stream, seq: int) -> bool:
+        """Whether a number of a stream has come lately."""
+        arrivals = self._arrivals.get(stream)
+        return arrivals is not None and seq in arrivals.times_ns
 
     def _check_order(self, admitted: Admitted) -> None:
-        stream = self._streams.get(admitted.stream)
-        if stream is None or self.jumped_back(admitted):
+        arrivals = self._arrivals.get(admitted.stream)
+        if arrivals is None or self.jumped_back(admitted):
             return
-        seq = admitted.record.seq
-        if seq in stream.numbers:
+        seq, late_ns = admitted.record.seq, arrivals.newest_ns - admitted.timestamp_ns
+        if seq in arrivals.times_ns and -late_ns <= RESTART_NS:
             _refuse(Cause.DUPLICATE, f"seq {seq} of {admitted.kind} {admitted.sensor_id} came already")
-        late_ns = stream.newest_ns - admitted.timestamp_ns
-        lateness_ns = max(admitted.setting.timeout_ns, admitted.setting.sweep_period_ns)
+        lateness_ns = admitted.setting.lateness_ns
         if late_ns > lateness_ns:
             _refuse(
                 Cause.TIME_BACKWARDS,
                 f"{late_ns / 1e6:.3f} ms older than the newest of {admitted.kind} {admitted.sensor_id}; expected at "
-                f"most {lateness_ns / 1e6:g} ms (pairing_timeout_ms, or a period of lidar_frequency)",
+                f"most {lateness_ns / 1e6:g} ms (pairing_timeout_ms, or one period of the sensors' frequencies)",
             )
 
 
@@ -132,33 +135,17 @@ def admitted_alone(record: WholeRecord, setting: Setting) -> Admitted:
     Raises:
         RefusedError: it is not taken; the answer says why.
     """
-    kind = _kind(record, setting)
+    kind = _kind_of_sensor(record, setting)
     sensor_id = record.sensor_id
-    known = {pair[kind is SensorKind.LIDAR] for pair in setting.pairs}
-    if sensor_id not in known:
-        listed = ", ".join(map(str, sorted(known))) or "none"
-        _refuse(Cause.NO_CALIBRATION, f"no calibration of {kind} {sensor_id}; calibrated are {listed}")
+    if sensor_id not in setting.calibrated[kind]:
+        _refuse_uncalibrated(kind, sensor_id, setting)
     try:
         received = _received(record, sensor_id, setting)
+    except CalibrationError as error:
+        raise RefusedError(refused(Cause.BAD_CALIBRATION, error)) from error
     except SceneloomError as error:
         raise RefusedError(refused(Cause.BAD_RECORD, error)) from error
     return Admitted(sensor_id, kind, record, received, setting)
-
-
-def _kind(record: WholeRecord, setting: Setting) -> SensorKind:
-    declared = setting.sensors.get(record.sensor_id)
-    wanted = _KINDS.get(type(record))
-    if wanted is None:
-        if declared is None or declared.raw is None:
-            _refuse(
-                Cause.UNKNOWN_SENSOR,
-                f"raw data of sensor {record.sensor_id}, of which the property sensors says neither kind nor raw",
-            )
-        return declared.kind
-    if setting.sensors and (declared is None or declared.kind is not wanted):
-        listed = ", ".join(f"{sensor.sensor_id} ({sensor.kind})" for sensor in setting.sensors.values())
-        _refuse(Cause.UNKNOWN_SENSOR, f"{wanted} {record.sensor_id}; the property sensors has {listed}")
-    return wanted
 
 
 _KINDS: dict[type, SensorKind] = {
@@ -168,6 +155,36 @@ _KINDS: dict[type, SensorKind] = {
     Boxes3d: SensorKind.LIDAR,
 }
 """Who sends a record; raw data can be of either."""
+
+_FRAME_STREAMS = {
+    SensorKind.CAMERA: ("image", "raw", "boxes_2d"),
+    SensorKind.LIDAR: ("points", "raw", "boxes_3d"),
+}
+"""The kinds of records whose numbers are those of a sensor's frames."""
+
+
+def _kind_of_sensor(record: WholeRecord, setting: Setting) -> SensorKind:
+    declared = setting.sensors.get(record.sensor_id)
+    wanted = _KINDS.get(type(record))
+    if wanted is None:
+        if declared is None or declared.raw is None:
+            _refuse(
+                Cause.UNKNOWN_SENSOR,
+                f"raw data of sensor {record.sensor_id}; expected one whose kind and raw the property sensors says",
+            )
+        return declared.kind
+    if setting.sensors and (declared is None or declared.kind is not wanted):
+        listed = ", ".join(f"{sensor.sensor_id} ({sensor.kind})" for sensor in setting.sensors.values())
+        _refuse(Cause.UNKNOWN_SENSOR, f"{wanted} {record.sensor_id}; the property sensors has {listed}")
+    return wanted
+
+
+def _refuse_uncalibrated(kind: SensorKind, sensor_id: int, setting: Setting) -> NoReturn:
+    fault = setting.fault_of(kind, sensor_id)
+    if fault is not None:
+        _refuse(Cause.BAD_CALIBRATION, fault)
+    listed = ", ".join(map(str, setting.calibrated[kind])) or "none"
+    _refuse(Cause.NO_CALIBRATION, f"no calibration of {kind} {sensor_id}; calibrated are {listed}")
 
 
 def _received(record: WholeRecord, sensor_id: int, setting: Setting) -> Received:

@@ -5,44 +5,48 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.errors import PoseError
+from sceneloom.fusion.admitted import CLOCK_JUMP_NS
 from sceneloom.scene.poses import PosePath
 
-_KEPT_NS = 60_000_000_000
+KEPT_NS = 60_000_000_000
+"""So much of the way is kept."""
+
+_MOST_POSES = 100_000
+"""Of one minute: a sender that tells more than 1600 poses a second is stopped."""
 
 
 @dataclass(slots=True)
 class RecentWay:
-    """Puts together poses that come piece by piece.
-
-    Positions are counted from the first one that came, so that points far from a map's origin keep their digits.
-    """
+    """Puts together poses that come piece by piece."""
 
     _path: PosePath | None = None
-    _origin: tuple[float, ...] = ()
 
     def extended(self, path: PosePath) -> PosePath:
         """Add newer poses, and give the way of the last minute.
 
+        Poses that are very much older begin another way: a clock was set back. Positions are counted from the newest
+        one, so that points far from a map's origin keep their digits.
+
         Raises:
-            PoseError: they are not newer than those that came before.
+            PoseError: they are not newer than those that came before, or too many.
         """
         if path.endless or len(path.timestamps_ns) == 0:
             raise PoseError("no poses with times; expected one or more")
-        if not self._origin:
-            self._origin = tuple(path.positions[0].tolist())
-        near = path.moved(np.array(self._origin))
-        if self._path is None:
-            self._path = near
-            return near
-        if near.start_ns <= self._path.stop_ns:
+        before = self._path
+        if before is not None and path.start_ns < before.stop_ns - CLOCK_JUMP_NS:
+            before = None
+        if before is not None and path.start_ns <= before.stop_ns:
             raise PoseError(
-                f"a pose at {near.start_ns} ns after one at {self._path.stop_ns} ns; expected newer ones"
+                f"a pose at {path.start_ns} ns after one at {before.stop_ns} ns; expected newer ones"
             )
-        times = np.concatenate([self._path.timestamps_ns, near.timestamps_ns])
-        kept = slice(int(np.searchsorted(times, times[-1] - _KEPT_NS)), None)
+        parts = [path] if before is None else [before, path]
+        times = np.concatenate([part.timestamps_ns for part in parts])
+        kept = slice(int(np.searchsorted(times, times[-1] - KEPT_NS)), None)
+        if len(times[kept]) > _MOST_POSES:
+            raise PoseError(f"{len(times[kept])} poses in a minute; expected at most {_MOST_POSES}")
         self._path = PosePath(
             times[kept],
-            np.concatenate([self._path.positions, near.positions])[kept],
-            np.concatenate([self._path.quaternions_xyzw, near.quaternions_xyzw])[kept],
+            np.concatenate([part.positions for part in parts])[kept],
+            np.concatenate([part.quaternions_xyzw for part in parts])[kept],
         )
-        return self._path
+        return self._path.moved(self._path.positions[-1])

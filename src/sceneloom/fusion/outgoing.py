@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt32Array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.colours import colour_points
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.detections.results import NO_BOX, FusedBoxes
+from sceneloom.detections.results import NO_BOX
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
@@ -82,12 +83,16 @@ def fused_detections_record(
     boxes_2d: Boxes2d,
     setting: Setting,
     *,
+    camera: Camera,
+    lidar_id: int,
+    camera_id: int,
     motion_compensated: bool,
 ) -> FusedDetections:
     """Give the records of the objects of a sweep and a picture.
 
     Args:
         boxes_3d, boxes_2d: what was sent.
+        camera: the lens of the picture, to whose size boxes are cut.
 
     Source: DB34/T 4101-2022, table 10.
     """
@@ -99,8 +104,8 @@ def fused_detections_record(
         timestamp=boxes_3d.timestamp,
         image_seq=boxes_2d.seq,
         points_seq=boxes_3d.seq,
-        camera_id=boxes_2d.sensor_id,
-        lidar_id=boxes_3d.sensor_id,
+        camera_id=camera_id,
+        lidar_id=lidar_id,
         id=fused.ids.astype(np.int32),
         class_names=fused.labels,
         confidence=np.clip(fused.scores, 0.0, 1.0).astype(np.float32),
@@ -111,7 +116,7 @@ def fused_detections_record(
         directions=(directions @ declared.T).astype(np.float32),
         velocities=(velocities * directions).sum(axis=1).astype(np.float32),
         velocity_vectors=None if fused.velocities is None else (velocities @ declared.T).astype(np.float32),
-        corners_xyxy=_corners(fused, boxes_2d, setting),
+        corners_xyxy=whole_corners(fused.corners_xyxy, (camera.width, camera.height)),
         box_3d_ids=_numbers(fused.rows_3d, boxes_3d),
         box_2d_ids=_numbers(fused.rows_2d, boxes_2d),
         motion_compensated=int(motion_compensated),
@@ -122,11 +127,6 @@ def fused_detections_record(
 def _symmetric(covariances: Float64Array) -> Float32Array:
     both: Float32Array = ((covariances + covariances.transpose(0, 2, 1)) / 2.0).astype(np.float32)
     return both
-
-
-def _corners(fused: FusedBoxes, boxes_2d: Boxes2d, setting: Setting) -> UInt32Array:
-    camera = setting.camera(boxes_2d.sensor_id)
-    return whole_corners(fused.corners_xyxy, (camera.width, camera.height))
 
 
 def _numbers(rows: Int64Array, boxes: Boxes3d | Boxes2d) -> tuple[int | None, ...]:

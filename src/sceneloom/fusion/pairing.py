@@ -1,11 +1,16 @@
 """Which pictures belong to which sweep, and when that is known: the same for what a detector saw in them."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from enum import StrEnum
+from typing import Any, Generic, Protocol, TypeVar
 
+from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.scene import Identifier
+from sceneloom.scene.types import NO_FIELDS
+
+_DEFAULTS = FusionConfiguration()
 
 _LONGEST_LAG_NS = 10_000_000_000
 """Sweeps that come, or are stamped, later than so long after their points were measured are not paired any more."""
@@ -19,12 +24,44 @@ class Timed(Protocol):
         """When it was [ns]."""
         ...
 
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """Further fields, by name."""
+        ...
 
-Frame = TypeVar("Frame", bound=Timed)
+
+class TimedFrame(Protocol):
+    """Something that a lidar measured, or what a detector saw in it."""
+
+    @property
+    def timestamp_ns(self) -> int:
+        """When it was [ns]."""
+        ...
+
+
+Frame = TypeVar("Frame", bound=TimedFrame)
 """Of a lidar: a sweep, or the boxes in it."""
 
 Partner = TypeVar("Partner", bound=Timed)
 """Of a camera: a picture, or the boxes in it."""
+
+
+class Leave(StrEnum):
+    """Why something is not kept any more."""
+
+    DONE = ""
+    """Nothing can need it."""
+    DROPPED = "dropped.waiting"
+    """It had to make room for others."""
+
+
+OnLeft = Callable[[Mapping[str, Any], Leave], None]
+"""Told the further fields of what is not kept any more, and why."""
+
+
+def nobody(extras: Mapping[str, Any], leave: Leave) -> None:
+    """Listen to nothing."""
+    del extras, leave
 
 
 @dataclass(slots=True)
@@ -34,11 +71,14 @@ class TimedQueue(Generic[Partner]):
     Attributes:
         camera_id: the camera.
         most: how many are kept, the oldest are dropped; None for as many as come.
+        items: what is kept.
+        on_left: told what is not kept any more.
     """
 
     camera_id: Identifier
     most: int | None = None
     items: deque[Partner] = field(default_factory=deque)
+    on_left: OnLeft = nobody
 
     def add(self, item: Partner) -> int:
         """Keep one; one that comes late takes its place in time. Gives how many were dropped to make room."""
@@ -49,7 +89,7 @@ class TimedQueue(Generic[Partner]):
         self.items.extend(reversed(late))
         dropped = 0 if self.most is None else max(len(self.items) - self.most, 0)
         for _ in range(dropped):
-            self.items.popleft()
+            self.on_left(self.items.popleft().extras, Leave.DROPPED)
         return dropped
 
     def reaches(self, time_ns: int) -> bool:
@@ -66,7 +106,12 @@ class TimedQueue(Generic[Partner]):
     def forget_before(self, time_ns: int) -> None:
         """Let go of what no sweep from that time on can be nearest to."""
         while len(self.items) > 1 and self.items[1].timestamp_ns <= time_ns:
-            self.items.popleft()
+            self.on_left(self.items.popleft().extras, Leave.DONE)
+
+    def forget_after(self, time_ns: int) -> None:
+        """Let go of what is later than a time."""
+        while self.items and self.items[-1].timestamp_ns > time_ns:
+            self.on_left(self.items.pop().extras, Leave.DONE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +124,9 @@ class Waiting(Generic[Frame]):
         frame: the sweep.
         reference_ns: the time that it is paired by [ns].
         tolerance_ns: how far a picture may be from it [ns].
+        algorithm: how it is to be fused.
+        configuration: the settings in force when it came.
+        extras: further fields, by name.
     """
 
     lidar_id: Identifier
@@ -86,6 +134,9 @@ class Waiting(Generic[Frame]):
     frame: Frame
     reference_ns: int
     tolerance_ns: int
+    algorithm: Any = None
+    configuration: FusionConfiguration = _DEFAULTS
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(slots=True)
@@ -100,12 +151,14 @@ class Pairing(Generic[Frame, Partner]):
         most_waiting: sweeps that may wait; None for as many as come.
         queues: the pictures of each camera.
         waiting: the sweeps, oldest first.
+        on_left: told what is not kept any more, but for sweeps that became ready.
     """
 
     lateness_ns: int = 0
     most_waiting: int | None = None
     queues: dict[Identifier, TimedQueue[Partner]] = field(default_factory=dict)
     waiting: deque[Waiting[Frame]] = field(default_factory=deque)
+    on_left: OnLeft = nobody
     _lags_ns: dict[Identifier, int] = field(default_factory=dict)
     _latest_ns: int | None = None
 
@@ -117,7 +170,7 @@ class Pairing(Generic[Frame, Partner]):
 
     def add_camera(self, camera_id: Identifier, *, most: int | None = None) -> None:
         """Make a camera known; `most` of its pictures are kept."""
-        self.queues[camera_id] = TimedQueue(camera_id, most)
+        self.queues[camera_id] = TimedQueue(camera_id, most, on_left=self.on_left)
 
     def add_frame(self, waiting: Waiting[Frame]) -> int:
         """Let a sweep wait; gives how many were dropped to make room."""
@@ -127,7 +180,7 @@ class Pairing(Generic[Frame, Partner]):
         self._note(stamp_ns)
         dropped = 0 if self.most_waiting is None else max(len(self.waiting) - self.most_waiting, 0)
         for _ in range(dropped):
-            self.waiting.popleft()
+            self.on_left(self.waiting.popleft().extras, Leave.DROPPED)
         return dropped
 
     def add_partner(self, camera_id: Identifier, partner: Partner) -> int:
@@ -148,6 +201,20 @@ class Pairing(Generic[Frame, Partner]):
             self._forget_before(waiting.frame.timestamp_ns - max(self._lags_ns.values()))
         if not self.waiting and self._latest_ns is not None:
             self._forget_before(self._latest_ns - _LONGEST_LAG_NS)
+
+    def restart(self, time_ns: int) -> None:
+        """Begin anew at a time, because clocks were set back; what is far later belongs to the time before."""
+        for queue in self.queues.values():
+            queue.forget_after(time_ns + _LONGEST_LAG_NS)
+        kept = [queue.items[-1].timestamp_ns for queue in self.queues.values() if queue.items]
+        self._latest_ns = max(kept, default=None)
+        self._lags_ns.clear()
+
+    def end(self) -> None:
+        """Let go of all pictures."""
+        for queue in self.queues.values():
+            while queue.items:
+                self.on_left(queue.items.popleft().extras, Leave.DONE)
 
     def partner(self, waiting: Waiting[Frame], camera_id: Identifier) -> Partner | None:
         """A camera's picture for a sweep; None where none is near enough."""

@@ -4,8 +4,8 @@ import threading
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
-from sceneloom.fusion.intake import Admitted, RefusedError
-from sceneloom.fusion.outcome import Cause, refused
+from sceneloom.fusion.admitted import Admitted
+from sceneloom.fusion.ledger import Stream
 from sceneloom.scene.poses import PosePath
 
 
@@ -28,9 +28,11 @@ class Flushed:
 
     Attributes:
         done: set when it is.
+        final: whether nothing comes after it.
     """
 
     done: threading.Event = field(default_factory=threading.Event)
+    final: bool = False
 
 
 Task = Admitted | Moved | Flushed
@@ -39,50 +41,58 @@ Task = Admitted | Moved | Flushed
 
 @dataclass(slots=True)
 class TaskQueue:
-    """Tasks in the order in which they came; of each sensor's records only so many wait."""
+    """Tasks in the order in which they came; of each sensor's records only so many wait.
+
+    Attributes:
+        closed: whether the worker may end.
+        moves: how many pieces of the vehicle's way wait.
+    """
 
     _tasks: deque[Task] = field(default_factory=deque)
-    _waiting: Counter[tuple[str, int]] = field(default_factory=Counter)
+    _waiting: Counter[Stream] = field(default_factory=Counter)
     _changed: threading.Condition = field(default_factory=threading.Condition)
     closed: bool = False
+    moves: int = 0
+    _woken: bool = False
 
     def __len__(self) -> int:
         return len(self._tasks)
 
-    def put(self, task: Task, *, most: int, refuses: bool) -> list[Admitted]:
+    def put(self, task: Task, *, most: int) -> list[Admitted]:
         """Append a task; gives the older records of the same stream that were dropped to make room.
 
         Args:
             most: how many records of one stream may wait.
-            refuses: whether the record is refused rather than an older one dropped.
-
-        Raises:
-            RefusedError: there is no room.
         """
         dropped: list[Admitted] = []
         with self._changed:
             if isinstance(task, Admitted):
-                full = self._waiting[task.stream] >= most
-                if full and refuses:
-                    reason = f"{most} records of {task.kind} {task.sensor_id} wait already (queue_length)"
-                    raise RefusedError(refused(Cause.QUEUE_FULL, reason))
                 while self._waiting[task.stream] >= most:
                     dropped.append(self._drop_oldest(task.stream))
                 self._waiting[task.stream] += 1
+            self.moves += isinstance(task, Moved)
             self._tasks.append(task)
             self._changed.notify()
         return dropped
 
     def get(self, timeout_s: float) -> Task | None:
-        """Take the oldest task, waiting for one; None where none came or the queue is closed and empty."""
+        """Take the oldest task, waiting for one; None where none came, it was woken, or it is closed and empty."""
         with self._changed:
-            self._changed.wait_for(lambda: self._tasks or self.closed, timeout_s)
+            self._changed.wait_for(lambda: self._tasks or self.closed or self._woken, timeout_s)
+            self._woken = False
             if not self._tasks:
                 return None
             task = self._tasks.popleft()
             if isinstance(task, Admitted):
                 self._waiting[task.stream] -= 1
+            self.moves -= isinstance(task, Moved)
             return task
+
+    def wake(self) -> None:
+        """Let the worker look at the time: something other than a task waits now."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify()
 
     def close(self) -> None:
         """Let the worker end once it has done what is there."""
@@ -90,7 +100,7 @@ class TaskQueue:
             self.closed = True
             self._changed.notify_all()
 
-    def _drop_oldest(self, stream: tuple[str, int]) -> Admitted:
+    def _drop_oldest(self, stream: Stream) -> Admitted:
         k, oldest = next(
             (k, task)
             for k, task in enumerate(self._tasks)

@@ -1,32 +1,36 @@
 """The sensors of one session as fusion systems, one for each lidar, fed in the order of what came."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sceneloom.colouring.results import FusedFrame
+from sceneloom.errors import DataError
+from sceneloom.fusion.admitted import CLOCK_JUMP_NS, Admitted, Received
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.declared_data import standard_boxes, standard_frame
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame, SeenBoxes
-from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
+from sceneloom.fusion.ledger import Ledger, Stream, Ticket
+from sceneloom.fusion.messages.boxes import Boxes3d
 from sceneloom.fusion.messages.records import ResultRecord
 from sceneloom.fusion.messages.scene_form import boxes_2d_of, boxes_3d_of
 from sceneloom.fusion.outgoing import fused_detections_record, sensor_fusion_record
+from sceneloom.fusion.pairing import Leave
 from sceneloom.fusion.sensors import STILL
 from sceneloom.fusion.setting import Setting
 from sceneloom.fusion.system import FusionSystem
+from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, Picture
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
 
-_REACH_NS = 200_000_000
+REACH_NS = 200_000_000
 """How far beyond the last pose the way of the vehicle is continued: poses come later than what they are for."""
-
-Received = LidarFrame | Picture | Boxes3d | Boxes2d
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +46,19 @@ class RigResult:
     setting: Setting
 
 
+class _Sent(NamedTuple):
+    """What a result has to say of what was sent: rides along with it through the fusion system."""
+
+    record: Any
+    seq: int
+    setting: Setting
+    ticket: Ticket
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        return MappingProxyType({"sent": self})
+
+
 @dataclass(slots=True)
 class Rig:
     """What a session's worker feeds: not for several threads at once.
@@ -50,30 +67,49 @@ class Rig:
     two lidars need not agree on where a camera is. A picture goes to all that its camera is calibrated with.
 
     Attributes:
-        counters: where what is left out is counted.
+        counters: where what goes wrong is counted.
+        ledger: told what became of each record.
     """
 
     counters: Counters
+    ledger: Ledger
     _setting: Setting | None = None
     _systems: dict[int, FusionSystem] = field(default_factory=dict)
     _cameras: set[tuple[int, int]] = field(default_factory=set)
     _path: PosePath | None = None
-    _sent: dict[tuple[str, int, int], tuple[int, Setting, Boxes3d | Boxes2d | None]] = field(
-        default_factory=dict
-    )
+    _newest_ns: dict[Stream, int] = field(default_factory=dict)
+    _left: list[tuple[Ticket, Leave]] = field(default_factory=list)
 
-    def feed(self, sensor_id: int, received: Received, seq: int, setting: Setting) -> Iterator[RigResult]:
+    def feed(self, admitted: Admitted, ticket: Ticket) -> Iterator[RigResult]:
         """Take what a sensor sent, and give what could be fused with it."""
+        sensor_id, received, setting = admitted.sensor_id, admitted.received, admitted.setting
         self._adopt(setting)
-        for lidar_id in self._lidars_of(sensor_id, received):
+        yield from self._follow_clock(admitted.stream, admitted.timestamp_ns)
+        of_lidar = isinstance(received, LidarFrame | Boxes3d)
+        kind = SensorKind.LIDAR if of_lidar else SensorKind.CAMERA
+        pairs = setting.pairs_of(kind, sensor_id)
+        lidar_ids = (sensor_id,) if of_lidar and pairs else tuple(sorted(lidar_id for _, lidar_id in pairs))
+        self.ledger.share(ticket, len(lidar_ids))
+        sent = _Sent(received, admitted.record.seq, setting, ticket)
+        for lidar_id in lidar_ids:
             system = self._systems[lidar_id]
-            self._send(system, lidar_id, sensor_id, received, seq, setting)
+            try:
+                self._send(system, lidar_id, sensor_id, sent)
+            except Exception as error:  # noqa: BLE001 - one record must not end the session
+                self._failed(sent.extras, error)
+                self.ledger.settle(ticket, "failed")
             yield from self._fetch(lidar_id, system)
 
     def flush(self) -> Iterator[RigResult]:
         """Fuse all that waits with what has come."""
         for lidar_id, system in self._systems.items():
             system.flush()
+            yield from self._fetch(lidar_id, system)
+
+    def end(self) -> Iterator[RigResult]:
+        """Fuse all that waits, and keep nothing."""
+        for lidar_id, system in self._systems.items():
+            system.end()
             yield from self._fetch(lidar_id, system)
 
     @property
@@ -85,83 +121,100 @@ class Rig:
         """Let the vehicle move along a way from now on."""
         self._path = path
         for system in self._systems.values():
-            self._place(system)
+            system.move(path, reach_ns=REACH_NS)
 
-    def _lidars_of(self, sensor_id: int, received: Received) -> list[int]:
-        """The lidars whose fusion systems something goes to."""
-        if isinstance(received, LidarFrame | Boxes3d):
-            return [sensor_id] if sensor_id in self._systems else []
-        return sorted(lidar_id for camera_id, lidar_id in self._cameras if camera_id == sensor_id)
+    def _follow_clock(self, stream: Stream, time_ns: int) -> Iterator[RigResult]:
+        """Where a sensor's clock was set, fuse all that waits, and where it was set back, begin anew."""
+        newest_ns = self._newest_ns.get(stream, time_ns)
+        self._newest_ns[stream] = max(newest_ns, time_ns)
+        if time_ns > newest_ns + CLOCK_JUMP_NS:
+            self.counters.add("clock.set-forward")
+        if time_ns >= newest_ns - CLOCK_JUMP_NS:
+            return
+        self.counters.add("clock.set-back")
+        self._newest_ns = {stream: time_ns}
+        for lidar_id, system in self._systems.items():
+            system.restart(time_ns)
+            yield from self._fetch(lidar_id, system)
 
-    def _send(
-        self,
-        system: FusionSystem,
-        lidar_id: int,
-        sensor_id: int,
-        received: Received,
-        seq: int,
-        setting: Setting,
-    ) -> None:
-        axes = setting.frames.lidar.standard_from_declared(SensorKind.LIDAR)
-        before = system.dropped
+    def _send(self, system: FusionSystem, lidar_id: int, sensor_id: int, sent: _Sent) -> None:
+        axes = sent.setting.frames.lidar.standard_from_declared(SensorKind.LIDAR)
+        received: Received = sent.record
+        extras = sent.extras
         if isinstance(received, LidarFrame):
-            extras = MappingProxyType({**received.extras, "setting": setting})
             system.send(f"lidar{sensor_id}", replace(standard_frame(received, axes), extras=extras))
         elif isinstance(received, Boxes3d):
-            self._remember("boxes_3d", sensor_id, received.timestamp.nanoseconds, seq, setting, received)
             boxes = boxes_3d_of(standard_boxes(received, axes), sensor_id=f"lidar{sensor_id}")
-            system.send(f"lidar{sensor_id}", boxes)
+            system.send(f"lidar{sensor_id}", boxes, extras=extras)
         else:
-            pair = setting.pairs.get((sensor_id, lidar_id))
-            if pair is None:
-                return
+            pair = sent.setting.pairs[sensor_id, lidar_id]
             mount = pair.camera_from_lidar.inverse()
             if isinstance(received, Picture):
-                self._remember("image", sensor_id, received.timestamp_ns, seq, setting, None)
-                picture = replace(received, camera=pair.camera, mount=mount)
+                picture = replace(received, camera=pair.camera, mount=mount, extras=extras)
                 system.send(f"camera{sensor_id}", picture)
             else:
-                self._remember("boxes_2d", sensor_id, received.timestamp.nanoseconds, seq, setting, received)
-                seen = SeenBoxes(boxes_2d_of(received, sensor_id=f"camera{sensor_id}"), pair.camera, mount)
-                system.send(f"camera{sensor_id}", seen)
-        self.counters.add("dropped.waiting", system.dropped - before)
+                seen = boxes_2d_of(received, sensor_id=f"camera{sensor_id}")
+                system.send(f"camera{sensor_id}", SeenBoxes(seen, pair.camera, mount, extras))
 
     def _fetch(self, lidar_id: int, system: FusionSystem) -> Iterator[RigResult]:
+        """Give what a system has fused, and settle what it does not keep any more."""
         for fused in iter(system.get, None):
             yield from self._sensor_data(lidar_id, fused)
         for found in iter(system.get_detections, None):
-            yield self._detections(lidar_id, found)
+            yield from self._detections(lidar_id, found)
+        left, self._left = self._left, []
+        for ticket, leave in left:
+            self.ledger.settle(ticket, leave.value)
 
     def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[RigResult]:
-        setting: Setting = fused.extras["setting"]
-        self.counters.add("unpaired.points", not fused.views)
-        compensated = self._compensates(setting) and not fused.standing
+        sweep: _Sent = fused.extras["sent"]
+        compensated = self._path is not None and not fused.standing
         world_from_lidar = self._world_from_lidar(fused.reference_ns) if compensated else _HERE
+        if self._path is not None and fused.standing and sweep.setting.configuration.motion_compensation:
+            self.counters.add("motion.beyond-reach")
         for view in fused.views:
-            camera_id = int(str(view.camera_id).removeprefix("camera"))
-            image_seq, _, _ = self._sent["image", camera_id, view.timestamp_ns]
-            record = sensor_fusion_record(
-                fused,
-                view,
-                world_from_lidar,
-                setting,
-                camera_id=camera_id,
+            picture: _Sent = fused.picture_extras[view.camera_id]["sent"]
+            try:
+                record = sensor_fusion_record(
+                    fused,
+                    view,
+                    world_from_lidar,
+                    sweep.setting,
+                    camera_id=_number(view.camera_id),
+                    lidar_id=lidar_id,
+                    image_seq=picture.seq,
+                    points_seq=sweep.seq,
+                    motion_compensated=compensated,
+                )
+            except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
+                self._failed(fused.extras, error)
+                continue
+            sweep.ticket.fused = picture.ticket.fused = True
+            yield RigResult(record, sweep.setting)
+
+    def _detections(self, lidar_id: int, found: FusedDetectionFrame) -> Iterator[RigResult]:
+        boxes_3d: _Sent = found.sweep_extras["sent"]
+        boxes_2d: _Sent = found.picture_extras["sent"]
+        camera_id = _number(found.camera_id)
+        compensated = self._path is not None and not found.standing
+        if self._path is not None and found.standing and boxes_3d.setting.configuration.motion_compensation:
+            self.counters.add("motion.beyond-reach")
+        try:
+            record = fused_detections_record(
+                found,
+                boxes_3d.record,
+                boxes_2d.record,
+                boxes_3d.setting,
+                camera=boxes_2d.setting.pairs[camera_id, lidar_id].camera,
                 lidar_id=lidar_id,
-                image_seq=image_seq,
-                points_seq=fused.extras["seq"],
+                camera_id=camera_id,
                 motion_compensated=compensated,
             )
-            yield RigResult(record, setting)
-
-    def _detections(self, lidar_id: int, found: FusedDetectionFrame) -> RigResult:
-        _, setting, boxes_3d = self._sent["boxes_3d", lidar_id, found.timestamp_ns]
-        camera_id = int(str(found.camera_id).removeprefix("camera"))
-        _, _, boxes_2d = self._sent["boxes_2d", camera_id, found.picture_timestamp_ns]
-        if not isinstance(boxes_3d, Boxes3d) or not isinstance(boxes_2d, Boxes2d):
-            raise TypeError("boxes were remembered as something else")
-        compensated = self._compensates(setting) and not found.standing
-        record = fused_detections_record(found, boxes_3d, boxes_2d, setting, motion_compensated=compensated)
-        return RigResult(record, setting)
+        except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
+            self._failed(found.sweep_extras, error)
+            return
+        boxes_3d.ticket.fused = boxes_2d.ticket.fused = True
+        yield RigResult(record, boxes_3d.setting)
 
     def _adopt(self, setting: Setting) -> None:
         """Go by another configuration from this record on."""
@@ -170,47 +223,51 @@ class Rig:
         self._setting = setting
         for camera_id, lidar_id in setting.pairs:
             if lidar_id not in self._systems:
-                system = FusionSystem(setting.configuration)
-                system.add_lidar(
-                    f"lidar{lidar_id}", _AT_LIDAR, period_ns=setting.sweep_period_ns, place=_AT_LIDAR
-                )
-                self._systems[lidar_id] = system
+                self._systems[lidar_id] = self._system(lidar_id, setting)
             if (camera_id, lidar_id) not in self._cameras:
                 self._systems[lidar_id].add_camera(f"camera{camera_id}", _AT_LIDAR, index=camera_id % 255)
                 self._cameras.add((camera_id, lidar_id))
         for system in self._systems.values():
             system.configure(setting.configuration, period_ns=setting.sweep_period_ns)
-            self._place(system)
+            if self._path is not None:
+                system.move(self._path, reach_ns=REACH_NS)
 
-    def _place(self, system: FusionSystem) -> None:
-        if self._path is not None and self._setting is not None and self._compensates(self._setting):
-            system.move(self._path, reach_ns=_REACH_NS)
-        else:
-            system.move(STILL)
+    def _system(self, lidar_id: int, setting: Setting) -> FusionSystem:
+        system = FusionSystem(
+            setting.configuration,
+            on_unreadable=self._unreadable,
+            on_failed=self._failed,
+            on_left=self._leave,
+        )
+        system.add_lidar(f"lidar{lidar_id}", _AT_LIDAR, period_ns=setting.sweep_period_ns, place=_AT_LIDAR)
+        return system
 
-    def _compensates(self, setting: Setting) -> bool:
-        return self._path is not None and setting.properties["motion_compensation"] == 1
+    def _unreadable(self, error: DataError) -> None:
+        del error
+        self.counters.add("errors.unreadable-picture")
+
+    def _failed(self, extras: Mapping[str, Any], error: Exception) -> None:
+        self.counters.add(f"errors.{type(error).__name__}")
+        sent: _Sent = extras["sent"]
+        sent.ticket.fate = sent.ticket.fate or "failed"
+
+    def _leave(self, extras: Mapping[str, Any], leave: Leave) -> None:
+        sent: _Sent = extras["sent"]
+        self._left.append((sent.ticket, leave))
 
     def _world_from_lidar(self, time_ns: int) -> RigidTransform:
         if self._path is None:
             return _HERE
-        pose = PoseSource(self._path, _HERE, _REACH_NS).at(np.array([time_ns], np.int64))
+        pose = PoseSource(self._path, _HERE, REACH_NS).at(np.array([time_ns], np.int64))
+        if (
+            pose.coverage[0] == OUT_OF_REACH
+        ):  # which only a sweep without points can be, if it was compensated
+            return _HERE
         return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
 
-    def _remember(
-        self,
-        kind: str,
-        sensor_id: int,
-        time_ns: int,
-        seq: int,
-        setting: Setting,
-        boxes: Boxes3d | Boxes2d | None,
-    ) -> None:
-        """Keep what a result has to say of a record, by the time that the result names; the oldest are forgotten."""
-        self._sent[kind, sensor_id, time_ns] = seq, setting, boxes
-        most = 4 * setting.properties["queue_length"] * max(len(self._cameras), 1) + 64
-        while len(self._sent) > most:
-            self._sent.pop(next(iter(self._sent)))
+
+def _number(camera_id: object) -> int:
+    return int(str(camera_id).removeprefix("camera"))
 
 
 _HERE = RigidTransform.identity()

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -9,7 +10,6 @@ from sceneloom.arrays import UInt8Array
 from sceneloom.colouring.algorithms import FusionAlgorithm, ViewRequest
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.errors import DataError, PoseError
 from sceneloom.fusion.pairing import Pairing, Waiting
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
@@ -50,6 +50,7 @@ class _Pairs:
     requests: list[ViewRequest] = field(default_factory=list)
     unpaired: list[Identifier] = field(default_factory=list)
     unposed: list[Identifier] = field(default_factory=list)
+    extras: dict[Identifier, Mapping[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -57,14 +58,10 @@ class SweepFusion:
     """Fuses sweeps with pictures.
 
     Attributes:
-        algorithm: how.
-        visibility: what counts as hidden.
         lidars, cameras: what is known of the sensors.
         on_unreadable: told of a picture that cannot be decoded, which then counts as unpaired; None: it raises.
     """
 
-    algorithm: FusionAlgorithm
-    visibility: VisibilitySettings
     lidars: Mapping[Identifier, KnownLidar]
     cameras: Mapping[Identifier, KnownCamera]
     on_unreadable: Callable[[DataError], None] | None = None
@@ -72,10 +69,11 @@ class SweepFusion:
 
     def fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing) -> FusedFrame:
         """Fuse a sweep; where the ego's way does not reach, the result says so."""
-        return self._fuse(waiting, pairing, lambda source: source)
-
-    def fuse_standing(self, waiting: Waiting[TimedSweep], pairing: SweepPairing) -> FusedFrame:
-        """Fuse a sweep as if the ego had not moved."""
+        settings = waiting.configuration
+        if settings.motion_compensation:
+            fused = self._fuse(waiting, pairing, lambda source: source)
+            if not (settings.stand_beyond_way and (fused.unfused or fused.unposed)):
+                return fused
         return replace(self._fuse(waiting, pairing, standing), standing=True)
 
     def _fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing, placed: Placed) -> FusedFrame:
@@ -105,7 +103,8 @@ class SweepFusion:
         for camera in self.cameras.values():
             self._pair(waiting, pairing, camera, placed(camera.source) or camera.source, pairs)
         way = None if place is None else LidarWay.of(frame, place)
-        coloured = self.algorithm(positions_world, pairs.requests, self.visibility, way=way)
+        algorithm: FusionAlgorithm = waiting.algorithm
+        coloured = algorithm(positions_world, pairs.requests, waiting.configuration.visibility, way=way)
         return replace(
             fused,
             points=replace(points, colors=coloured.colors, camera_index=coloured.camera_index),
@@ -113,6 +112,7 @@ class SweepFusion:
             unpaired=tuple(pairs.unpaired),
             unposed=tuple(pairs.unposed),
             extrapolated=pairs.extrapolated,
+            picture_extras=pairs.extras,
         )
 
     def _pair(
@@ -137,6 +137,7 @@ class SweepFusion:
             pairs.unpaired.append(camera.id)
             return
         pairs.extrapolated |= bool(pose.coverage[0] == 1)
+        pairs.extras[camera.id] = picture.extras
         pairs.requests.append(
             ViewRequest(
                 camera_id=camera.id,

@@ -1,9 +1,12 @@
 """The configuration in force when a record came: properties and calibrations, read once."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.calibration.declared import CalibratedPair, axes_of
 from sceneloom.fusion.calibration.lenses import LENSES, parse_lenses
 from sceneloom.fusion.calibration.table import CalibrationTable, DeclaredFrames, resolve_pair
@@ -13,9 +16,10 @@ from sceneloom.fusion.properties.store import Snapshot
 
 _MILLISECOND = 1_000_000
 _SECOND = 1_000_000_000
+_SHORTEST_WAIT_S = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Setting:
     """What a record is received and fused by.
 
@@ -26,6 +30,7 @@ class Setting:
         lenses: lenses that table 3 cannot say, by camera_id.
         sensors: what the property `sensors` declares, by sensor_id.
         pairs: lens and mounting of each camera and lidar that are calibrated, by (camera_id, lidar_id).
+        faults: why a calibration cannot be used with the declared axes, by the same.
     """
 
     properties: Snapshot
@@ -34,51 +39,131 @@ class Setting:
     lenses: Mapping[int, Camera]
     sensors: Mapping[int, DeclaredSensor]
     pairs: Mapping[tuple[int, int], CalibratedPair]
+    faults: Mapping[tuple[int, int], str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, properties: Snapshot, table: CalibrationTable) -> "Setting":
+    def of(
+        cls, properties: Snapshot, table: CalibrationTable, *, before: "Setting | None" = None
+    ) -> "Setting":
         """Read properties and calibrations.
 
-        Raises:
-            CalibrationError: a calibration contradicts the declared axes.
-            DataError: the added property `lenses` cannot be read.
-        """
-        frames, lenses = declared_frames(properties), lenses_of(properties)
-        pairs = {pair: resolve_pair(table, *pair, frames, lenses) for pair in table.entries}
-        return cls(properties, table, frames, lenses, parse_sensors(properties["sensors"]), pairs)
+        Args:
+            before: the setting until now: what did not change since is taken from there.
 
-    @property
+        Raises:
+            DataError: the added property `lenses` cannot be read.
+            CalibrationError: a lens in it cannot be.
+        """
+        if (
+            before is not None
+            and before.table is table
+            and _geometry(before.properties) == _geometry(properties)
+        ):
+            parts = before.frames, before.lenses, before.sensors, before.pairs, before.faults
+            return cls(properties, table, *parts)
+        frames, lenses = declared_frames(properties), lenses_of(properties)
+        pairs: dict[tuple[int, int], CalibratedPair] = {}
+        faults: dict[tuple[int, int], str] = {}
+        for pair in table.entries:
+            try:
+                pairs[pair] = resolve_pair(table, *pair, frames, lenses)
+            except CalibrationError as error:
+                faults[pair] = str(error)
+        return cls(properties, table, frames, lenses, parse_sensors(properties["sensors"]), pairs, faults)
+
+    @cached_property
     def sweep_period_ns(self) -> int:
         """By `lidar_frequency` [ns]."""
         return int(_SECOND // self.properties["lidar_frequency"])
 
-    @property
+    @cached_property
+    def picture_period_ns(self) -> int:
+        """By `camera_frequency` [ns]."""
+        return int(_SECOND // self.properties["camera_frequency"])
+
+    @cached_property
+    def tolerance_ns(self) -> int:
+        """How far a picture may be from a sweep [ns], by `pairing_tolerance_ms`.
+
+        Where the property is 0: as far as both lie apart at the worst where both sensors keep their frequencies, half
+        of each period.
+        """
+        said_ns = round(self.properties["pairing_tolerance_ms"] * _MILLISECOND)
+        return said_ns or (self.sweep_period_ns + self.picture_period_ns) // 2
+
+    @cached_property
     def timeout_ns(self) -> int:
         """By `pairing_timeout_ms` [ns]."""
         return int(self.properties["pairing_timeout_ms"]) * _MILLISECOND
 
-    @property
-    def configuration(self) -> FusionConfiguration:
-        """What the fusion system itself goes by.
+    @cached_property
+    def lateness_ns(self) -> int:
+        """How much older than the newest of its sensor a record may be [ns]: the timeout, or a period of the sensor."""
+        return max(self.timeout_ns, self.sweep_period_ns, self.picture_period_ns)
 
-        A picture may be as far from a sweep as both lie apart at the worst where both sensors keep their frequencies:
-        half of each period.
-        """
-        tolerance_ns = round(self.properties["pairing_tolerance_ms"] * _MILLISECOND)
-        picture_period_ns = int(_SECOND // self.properties["camera_frequency"])
+    @cached_property
+    def timeout_s(self) -> float:
+        """By `pairing_timeout_ms` [s], but no shorter than what a thread can wait for others."""
+        return max(self.timeout_ns / _SECOND, _SHORTEST_WAIT_S)
+
+    @cached_property
+    def idle_s(self) -> float:
+        """After how much time without any record nothing is waited for any more [s]."""
+        return max((self.timeout_ns + self.tolerance_ns) / _SECOND, _SHORTEST_WAIT_S)
+
+    @cached_property
+    def configuration(self) -> FusionConfiguration:
+        """What the fusion system itself goes by."""
         sensor_data, detections = self.properties.algorithms
         return FusionConfiguration(
             fusion_algorithm=sensor_data,
             detection_algorithm=detections,
-            pairing_tolerance_ns=tolerance_ns or (self.sweep_period_ns + picture_period_ns) // 2,
+            pairing_tolerance_ns=self.tolerance_ns,
             lateness_ns=self.timeout_ns,
             most_waiting=self.properties["queue_length"],
             stand_beyond_way=True,
+            motion_compensation=self.properties["motion_compensation"] == 1,
         )
 
+    @cached_property
+    def calibrated(self) -> Mapping[SensorKind, tuple[int, ...]]:
+        """The numbers of the sensors that a usable calibration is known of, by kind."""
+        cameras, lidars = ({pair[place] for pair in self.pairs} for place in (0, 1))
+        return {SensorKind.CAMERA: tuple(sorted(cameras)), SensorKind.LIDAR: tuple(sorted(lidars))}
+
+    def pairs_of(self, kind: SensorKind, sensor_id: int) -> tuple[tuple[int, int], ...]:
+        """The pairs with a usable calibration that a sensor is in."""
+        place = 1 if kind is SensorKind.LIDAR else 0
+        return tuple(pair for pair in self.pairs if pair[place] == sensor_id)
+
+    def fault_of(self, kind: SensorKind, sensor_id: int) -> str | None:
+        """Why a calibration of a sensor cannot be used; None where there is no such."""
+        place = 1 if kind is SensorKind.LIDAR else 0
+        return next((fault for pair, fault in self.faults.items() if pair[place] == sensor_id), None)
+
     def camera(self, camera_id: int) -> Camera:
-        """The lens of a camera that is calibrated."""
-        return next(pair.camera for (camera, _), pair in self.pairs.items() if camera == camera_id)
+        """The lens of a camera that is calibrated; a camera has one size with all lidars.
+
+        Raises:
+            CalibrationError: its calibrations are of pictures of several sizes.
+        """
+        lenses = [pair.camera for (camera, _), pair in self.pairs.items() if camera == camera_id]
+        sizes = {(lens.width, lens.height) for lens in lenses}
+        if len(sizes) > 1:
+            raise CalibrationError(f"image_size of camera {camera_id}: {sorted(sizes)}; expected one size")
+        return lenses[0]
+
+
+_GEOMETRY = (
+    *("chirality", "camera_coordinate", "lidar_coordinate", "camera_axes", "lidar_axes", "sensors"),
+    LENSES,
+)
+"""The properties that pairs and sensors depend on."""
+
+
+def _geometry(properties: Snapshot) -> tuple[object, ...]:
+    known = properties.properties
+    return tuple(known[name].value if name in known else None for name in _GEOMETRY)
 
 
 def declared_frames(properties: Snapshot) -> DeclaredFrames:

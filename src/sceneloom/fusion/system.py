@@ -1,24 +1,30 @@
 """The fusion system: sensors and detectors send, pairs are fused, results are fetched in order."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.detection_fusion import BoxFusion, BoxPairing, FusedDetectionFrame, SeenBoxes
-from sceneloom.fusion.pairing import Pairing, Waiting
+from sceneloom.fusion.pairing import Leave, OnLeft, Pairing, Waiting, nobody
 from sceneloom.fusion.sensor_fusion import SweepFusion, SweepPairing, TimedSweep
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar
 from sceneloom.scene import Identifier, LidarFrame, Picture
 from sceneloom.scene.detections import Boxes3D
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import NO_FIELDS
 
 Measurement = LidarFrame | Picture | Boxes3D | SeenBoxes
 """What can be sent: sweeps and pictures, and what detectors saw in them."""
+
+OnFailed = Callable[[Mapping[str, Any], Exception], None]
+"""Told the further fields of a sweep that could not be fused, and why."""
 
 
 @dataclass(slots=True)
@@ -31,6 +37,8 @@ class FusionSystem:
     Attributes:
         configuration: the settings.
         on_unreadable: told of a picture that cannot be decoded, which then counts as unpaired; None: it raises.
+        on_failed: told of a sweep, or its boxes, whose fusion raised, which then has no result; None: it raises.
+        on_left: told of what is not kept any more, used or not; the results that it took part in can be fetched then.
         dropped: how many sweeps, pictures and lists of boxes were dropped because too many waited.
 
     Raises:
@@ -39,22 +47,26 @@ class FusionSystem:
 
     configuration: FusionConfiguration = field(default_factory=FusionConfiguration)
     on_unreadable: Callable[[DataError], None] | None = None
+    on_failed: OnFailed | None = None
+    on_left: OnLeft = nobody
     dropped: int = 0
     _lidars: dict[Identifier, KnownLidar] = field(default_factory=dict)
     _cameras: dict[Identifier, KnownCamera] = field(default_factory=dict)
     _sweeps: SweepPairing = field(init=False)
     _boxes: BoxPairing = field(init=False)
     _sweep_fusion: SweepFusion = field(init=False)
-    _box_fusion: BoxFusion | None = field(init=False, default=None)
+    _box_fusion: BoxFusion = field(init=False)
+    _algorithms: dict[tuple[FusionType, str], Any] = field(default_factory=dict)
     _results: deque[FusedFrame] = field(default_factory=deque)
     _detections: deque[FusedDetectionFrame] = field(default_factory=deque)
 
     def __post_init__(self) -> None:
         settings = self.configuration
-        by_name = algorithm(FusionType.SENSOR_DATA, settings.fusion_algorithm)
-        self._sweeps = Pairing(settings.lateness_ns, settings.most_waiting)
-        self._boxes = Pairing(settings.lateness_ns, settings.most_waiting)
-        self._sweep_fusion = SweepFusion(by_name, settings.visibility, self._lidars, self._cameras)
+        self._algorithm(FusionType.SENSOR_DATA, settings.fusion_algorithm)
+        self._sweeps = Pairing(settings.lateness_ns, settings.most_waiting, on_left=self.on_left)
+        self._boxes = Pairing(settings.lateness_ns, settings.most_waiting, on_left=self.on_left)
+        self._sweep_fusion = SweepFusion(self._lidars, self._cameras)
+        self._box_fusion = BoxFusion(self._lidars, self._cameras)
 
     def add_lidar(
         self,
@@ -93,32 +105,34 @@ class FusionSystem:
             camera.source = replace(camera.source, path=path, reach_ns=reach_ns)
 
     def configure(self, configuration: FusionConfiguration, *, period_ns: int) -> None:
-        """Go by other settings from the next measurement on; sweeps that wait keep their tolerance.
+        """Go by other settings from the next measurement on; sweeps that wait keep theirs.
 
         Raises:
             OptionError: an algorithm is not installed.
         """
-        by_name = algorithm(FusionType.SENSOR_DATA, configuration.fusion_algorithm)
-        self._sweep_fusion.algorithm, self._sweep_fusion.visibility = by_name, configuration.visibility
-        if configuration.detection_algorithm != self.configuration.detection_algorithm:
-            self._box_fusion = None
+        self._algorithm(FusionType.SENSOR_DATA, configuration.fusion_algorithm)
         self.configuration = configuration
         for pairing in (self._sweeps, self._boxes):
             pairing.configure(configuration.lateness_ns, configuration.most_waiting)
         for lidar in self._lidars.values():
             lidar.period_ns = period_ns
 
-    def send(self, sensor_id: Identifier, measurement: Measurement) -> None:
+    def send(
+        self, sensor_id: Identifier, measurement: Measurement, *, extras: Mapping[str, Any] = NO_FIELDS
+    ) -> None:
         """Hand in a sweep or its boxes for a lidar, a picture or its boxes for a camera.
 
+        Args:
+            extras: of boxes of a sweep, further fields, which come back with the result; others have their own.
+
         Raises:
-            OptionError: the sensor is not known, or measures something else.
+            OptionError: the sensor is not known, or measures something else, or its algorithm is not installed.
         """
         lidar, camera = self._lidars.get(sensor_id), self._cameras.get(sensor_id)
         if lidar is not None and isinstance(measurement, LidarFrame):
             self._receive_sweep(sensor_id, lidar, measurement)
         elif lidar is not None and isinstance(measurement, Boxes3D):
-            self._receive_boxes(sensor_id, lidar, measurement)
+            self._receive_boxes(sensor_id, lidar, measurement, extras)
         elif camera is not None and isinstance(measurement, Picture):
             self.dropped += self._sweeps.add_partner(sensor_id, measurement)
         elif camera is not None and isinstance(measurement, SeenBoxes):
@@ -150,6 +164,20 @@ class FusionSystem:
         """Fuse everything that waits with the pictures that have come."""
         self._fuse_ready(final=True)
 
+    def restart(self, time_ns: int) -> None:
+        """Fuse everything that waits, and begin anew at a time: clocks were set back."""
+        self.flush()
+        for pairing in (self._sweeps, self._boxes):
+            pairing.restart(time_ns)
+        for lidar in self._lidars.values():
+            lidar.last_raw = None
+
+    def end(self) -> None:
+        """Fuse everything that waits, and let go of all pictures."""
+        self.flush()
+        for pairing in (self._sweeps, self._boxes):
+            pairing.end()
+
     def _refuse_known(self, sensor_id: Identifier) -> None:
         if sensor_id in self._lidars or sensor_id in self._cameras:
             raise OptionError(f"sensor {sensor_id!r} is known already")
@@ -157,13 +185,31 @@ class FusionSystem:
     def _receive_sweep(self, lidar_id: Identifier, lidar: KnownLidar, frame: LidarFrame) -> None:
         frame, times = lidar.timed(frame)
         sweep = TimedSweep(frame, times)
-        waiting = Waiting(lidar_id, lidar.received, sweep, frame.reference_ns, self._tolerance_ns(lidar))
+        waiting = Waiting(
+            lidar_id,
+            lidar.received,
+            sweep,
+            frame.reference_ns,
+            self._tolerance_ns(lidar),
+            self._algorithm(FusionType.SENSOR_DATA, self.configuration.fusion_algorithm),
+            self.configuration,
+            frame.extras,
+        )
         self.dropped += self._sweeps.add_frame(waiting)
         lidar.received += 1
 
-    def _receive_boxes(self, lidar_id: Identifier, lidar: KnownLidar, boxes: Boxes3D) -> None:
+    def _receive_boxes(
+        self, lidar_id: Identifier, lidar: KnownLidar, boxes: Boxes3D, extras: Mapping[str, Any]
+    ) -> None:
         waiting = Waiting(
-            lidar_id, lidar.received_boxes, boxes, boxes.timestamp_ns, self._tolerance_ns(lidar)
+            lidar_id,
+            lidar.received_boxes,
+            boxes,
+            boxes.timestamp_ns,
+            self._tolerance_ns(lidar),
+            self._algorithm(FusionType.DETECTIONS, self.configuration.detection_algorithm),
+            self.configuration,
+            extras,
         )
         self.dropped += self._boxes.add_frame(waiting)
         lidar.received_boxes += 1
@@ -175,19 +221,29 @@ class FusionSystem:
     def _fuse_ready(self, *, final: bool) -> None:
         self._sweep_fusion.on_unreadable = self.on_unreadable
         for sweep in self._sweeps.ready(final=final):
-            fused = self._sweep_fusion.fuse(sweep, self._sweeps)
-            if self.configuration.stand_beyond_way and (fused.unfused or fused.unposed):
-                fused = self._sweep_fusion.fuse_standing(sweep, self._sweeps)
-            self._results.append(fused)
+            with self._told(sweep):
+                self._results.append(self._sweep_fusion.fuse(sweep, self._sweeps))
         for boxes in self._boxes.ready(final=final):
-            self._detections.extend(self._boxes_fused().fuse(boxes, self._boxes))
+            with self._told(boxes):
+                self._detections.extend(self._box_fusion.fuse(boxes, self._boxes))
 
-    def _boxes_fused(self) -> BoxFusion:
-        """Load the algorithm of detections when boxes come: few drives have any."""
-        if self._box_fusion is None:
-            by_name = algorithm(FusionType.DETECTIONS, self.configuration.detection_algorithm)
-            self._box_fusion = BoxFusion(by_name, self._lidars, self._cameras)
-        return self._box_fusion
+    @contextmanager
+    def _told(self, waiting: Waiting[Any]) -> Iterator[None]:
+        """Tell of a failure, where someone listens: an algorithm may be anyone's, and ends only its own sweep."""
+        try:
+            yield
+        except Exception as error:
+            if self.on_failed is None:
+                raise
+            self.on_failed(waiting.extras, error)
+        self.on_left(waiting.extras, Leave.DONE)
+
+    def _algorithm(self, fusion_type: FusionType, name: str) -> Any:
+        """Find an algorithm when it is first needed: few drives have boxes."""
+        found = self._algorithms.get((fusion_type, name))
+        if found is None:
+            found = self._algorithms[fusion_type, name] = algorithm(fusion_type, name)
+        return found
 
 
 def _along(source: PoseSource | None, path: PosePath, reach_ns: int) -> PoseSource | None:

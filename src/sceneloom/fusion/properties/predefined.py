@@ -36,6 +36,15 @@ class PredefinedProperty:
     check: Check | None = None
     source: str = "extension"
 
+    def judge(self, value: Any) -> None:
+        """Check what the type does not say.
+
+        Raises:
+            DataError, CalibrationError: the property cannot take the value.
+        """
+        if self.check is not None:
+            self.check(value)
+
 
 def _at_least(lowest: int) -> Check:
     def check(value: int) -> None:
@@ -153,7 +162,8 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
             ),
             PredefinedProperty(
                 "calibration",
-                "the calibrations, as a JSON list of the records of table 3, each with its camera_id and lidar_id",
+                "all calibrations, as a JSON list of the records of table 3, each with its camera_id and lidar_id; "
+                "setting it replaces them all",
                 "string",
                 "",
                 check=parse_calibrations,
@@ -179,7 +189,8 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
             ),
             PredefinedProperty(
                 "pairing_tolerance_ms",
-                "how far a picture may be from a sweep; 0: one period of lidar_frequency",
+                "how far a picture may be from a sweep; 0: half a period of lidar_frequency and half a period of "
+                "camera_frequency",
                 "double",
                 0.0,
                 unit="ms",
@@ -187,15 +198,15 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
             ),
             PredefinedProperty(
                 "pairing_timeout_ms",
-                "how long a sweep waits, on the clock of the data, for a picture that is late, and a bare box for "
-                "others of its frame",
+                "how late a picture may come and still be waited for, on the clock of the data, and how long a box "
+                "that came alone waits for others of its frame",
                 "uint32",
                 100,
                 unit="ms",
             ),
             PredefinedProperty(
                 "queue_length",
-                "records that may wait for their partners, of each sensor",
+                "records of one kind and one sensor that may wait to be fused, and for their partners",
                 "uint32",
                 32,
                 check=_at_least(1),

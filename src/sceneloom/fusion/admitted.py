@@ -1,0 +1,51 @@
+"""A record that was taken: what is fused of it, and by which configuration."""
+
+from dataclasses import dataclass
+
+from sceneloom.fusion.calibration.axes import SensorKind
+from sceneloom.fusion.ledger import Stream, Ticket
+from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
+from sceneloom.fusion.messages.records import kind_of
+from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
+from sceneloom.fusion.setting import Setting
+from sceneloom.scene import LidarFrame, Picture
+
+WholeRecord = RawData | ImageData | PointCloudData | Boxes3d | Boxes2d
+"""What is sent of one frame."""
+
+Received = LidarFrame | Picture | Boxes3d | Boxes2d
+"""What is fused."""
+
+CLOCK_JUMP_NS = 10_000_000_000
+"""A record that is so much older than the newest one was not late: its sensor's clock was set back."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Admitted:
+    """A record that was taken.
+
+    Attributes:
+        sensor_id: who sent it.
+        kind: camera or lidar.
+        record: as it was sent.
+        received: what is fused.
+        setting: the configuration in force when it came.
+        ticket: what becomes of it; None where nobody counted it yet.
+    """
+
+    sensor_id: int
+    kind: SensorKind
+    record: WholeRecord
+    received: Received
+    setting: Setting
+    ticket: Ticket | None = None
+
+    @property
+    def timestamp_ns(self) -> int:
+        """Of the record [ns]."""
+        return self.record.timestamp.nanoseconds
+
+    @property
+    def stream(self) -> Stream:
+        """Which queue it waits in: the kind of record and the sensor."""
+        return kind_of(self.record).name, self.sensor_id

@@ -1,0 +1,75 @@
+"""What became of every record: none is left out without being counted."""
+
+import threading
+from collections import Counter
+from dataclasses import dataclass, field
+
+from sceneloom.fusion.counters import Counters
+
+Stream = tuple[str, int]
+"""The kind of record and the sensor that sends it."""
+
+
+@dataclass(slots=True, eq=False)
+class Ticket:
+    """One record on its way through the system.
+
+    Attributes:
+        stream: of the record.
+        holders: how many places keep it: a picture goes to each lidar that its camera is calibrated with.
+        fused: whether it took part in a result.
+        fate: what happened to it where it did not, as `dropped.queue-full`; "" for nothing but time.
+    """
+
+    stream: Stream
+    holders: int = 1
+    fused: bool = False
+    fate: str = ""
+
+
+@dataclass(slots=True)
+class Ledger:
+    """Counts every record once when nobody keeps it any more, from any thread.
+
+    It was `fused` if it took part in a result, else `dropped`, or its part in the fusion `failed`, or it is `unpaired`:
+    nothing came that it belongs to. So for each kind of record
+
+        received + gathered = fused + unpaired + dropped + failed + waiting
+
+    Attributes:
+        counters: where.
+    """
+
+    counters: Counters
+    _waiting: Counter[Stream] = field(default_factory=Counter)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def issue(self, stream: Stream) -> Ticket:
+        """Note a record that comes in."""
+        with self._lock:
+            self._waiting[stream] += 1
+        return Ticket(stream)
+
+    def share(self, ticket: Ticket, holders: int) -> None:
+        """Note that so many places keep a record; none of them: it is done."""
+        with self._lock:
+            ticket.holders = holders + 1
+        self.settle(ticket)
+
+    def settle(self, ticket: Ticket, fate: str = "") -> None:
+        """Note that one place does not keep a record any more, and why if not because it was used or is too old."""
+        with self._lock:
+            ticket.holders -= 1
+            ticket.fate = ticket.fate or fate
+            if ticket.holders != 0:
+                return
+            self._waiting[ticket.stream] -= 1
+            if not self._waiting[ticket.stream]:
+                del self._waiting[ticket.stream]
+        outcome = "fused" if ticket.fused else ticket.fate or "unpaired"
+        self.counters.add(f"{outcome}.{ticket.stream[0]}")
+
+    def waiting(self, stream: Stream | None = None) -> int:
+        """How many records of a stream, or of all, have come and are not done with."""
+        with self._lock:
+            return self._waiting.total() if stream is None else self._waiting[stream]

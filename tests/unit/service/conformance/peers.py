@@ -4,12 +4,13 @@ from collections import defaultdict
 
 from sceneloom.errors import OptionError
 from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.messages.protobuf_form import fill_message
+from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.outcome import refused
 from sceneloom.service.call_errors import CallError
 from sceneloom.service.conformance.transport import CallFailedError
 from sceneloom.service.methods import METHODS
-from sceneloom.service.replies import NO_DATA, reply_bytes, status_bytes
+from sceneloom.service.values import property_to_protobuf
 
 
 class HereTransport:
@@ -30,7 +31,7 @@ class HereTransport:
         except CallError as error:
             if not entry.answers_status:
                 raise CallFailedError(error.code.name, error.reason) from error
-            answer = status_bytes(refused(error.cause, error.reason))
+            return fusion_pb2.Status(status=0, cause=str(error.cause), reason=error.reason)
         return entry.reply_type.FromString(answer)
 
     def get(self, request):
@@ -43,7 +44,15 @@ class HereTransport:
                 result = fusion.get(wanted)
         except OptionError as error:
             raise CallFailedError("INVALID_ARGUMENT", str(error)) from error
-        return fusion_pb2.GetReply.FromString(NO_DATA if result is None else reply_bytes(result))
+        if result is None:
+            return fusion_pb2.GetReply(no_data=fusion_pb2.NoData())
+        properties = result.configuration.properties.values()
+        reply = fusion_pb2.GetReply(
+            number=result.number,
+            configuration=fusion_pb2.Properties(properties=map(property_to_protobuf, properties)),
+        )
+        fill_message(getattr(reply, kind_of(result.record).name), result.record)
+        return reply
 
     def send_stream(self, requests):
         summary = fusion_pb2.SendSummary()

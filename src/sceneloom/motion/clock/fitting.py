@@ -78,6 +78,17 @@ class Fit:
     amounts: Float64Array
     colour: Float64Array
 
+    @property
+    def level(self) -> float:
+        """Logarithm of the misfit of a value [in its own unit], so that fits in different units of noise compare."""
+        mean = self.misfit / max(self.rows * self.residuals.shape[1], 1)
+        return float(np.log(max(mean, 1e-300)) + 2 * np.log(self.scales).mean())
+
+    def evidence_against(self, other: "Fit") -> float:
+        """Logarithm of how much likelier the measurements are by this fit than by another one."""
+        values = self.rows * int(self.residuals.shape[1])
+        return 0.5 * values * (other.level - self.level)
+
 
 Model = Callable[[Float64Array, Float64Array], Linearised]
 """Gives the model at parameters (P,) and amounts of the nuisances (W, M)."""

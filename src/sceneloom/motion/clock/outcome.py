@@ -62,18 +62,6 @@ class Candidate:
         return float(self.fit.parameters[0])
 
     @property
-    def level(self) -> float:
-        """Logarithm of the misfit of a value [in its own unit], so that fits in different units of noise compare."""
-        fit = self.fit
-        mean = fit.misfit / max(fit.rows * fit.residuals.shape[1], 1)
-        return float(np.log(max(mean, 1e-300)) + 2 * np.log(fit.scales).mean())
-
-    def evidence_against(self, other: "Candidate") -> float:
-        """Logarithm of how much likelier the fixes or turns are by this offset than by another one."""
-        values = self.fit.rows * int(self.fit.residuals.shape[1])
-        return 0.5 * values * (other.level - self.level)
-
-    @property
     def sigma(self) -> float:
         """Its standard deviation [s]."""
         return float(
@@ -139,7 +127,7 @@ def concluded(candidates: Sequence[Candidate], clocks: Clocks) -> ClockEstimate:
     Evidence is the logarithm of the likelihood ratio, half the number of values times that of the misfits' ratio,
     since the whitened residuals of a row tell nothing of the next one's.
     """
-    ranked = sorted(candidates, key=lambda candidate: candidate.level)
+    ranked = sorted(candidates, key=lambda candidate: candidate.fit.level)
     if not ranked:
         return ClockEstimate.unknown("too few samples in common to fit an offset")
     best = ranked[0]
@@ -150,7 +138,7 @@ def concluded(candidates: Sequence[Candidate], clocks: Clocks) -> ClockEstimate:
         if evidence < LEAST_EVIDENCE:
             return ClockEstimate.unknown("the streams show no motion in common", **told)
     rivals = [other for other in ranked[1:] if abs(other.offset - best.offset) > max(6 * best.sigma, 0.01)]
-    if best.margin is None and any(best.evidence_against(other) < LEAST_EVIDENCE for other in rivals):
+    if best.margin is None and any(best.fit.evidence_against(other.fit) < LEAST_EVIDENCE for other in rivals):
         offsets = [clocks.sign * candidate.offset for candidate in (best, *rivals)]
         return ClockEstimate.unknown(ambiguous(offsets), **told)
     return _judged(best, clocks)

@@ -19,7 +19,7 @@ _LAG = 0.2
 """Step of the search [s]; from so near the fit finds its way."""
 
 _MOST_SEARCHED = 3000
-"""Fixes of a long drive that are looked at in the search."""
+"""Fixes of a long drive that are looked at in the search, and for the biases of an IMU; the last fit is to all."""
 
 LEVER_SIGMA = 1.0
 """How far from the ego's origin a receiver's antenna may be on each axis, where nothing is said [m]."""
@@ -83,25 +83,27 @@ def compare_ways(
     priors = np.array([*_PRIORS, *[max(lever_sigma, 1e-6)] * 3])
     place = np.zeros(3) if lever is None else lever
     reach = min(reach_ns * 1e-9, common / 2)
-    found = []
-    for lag in _lags(model, reach):
-        near = fit(model, np.array([lag, 0.0, *place]), priors, model.windows)
-        if near is not None and abs(near.parameters[0]) <= reach + 2 * _LAG:
-            found.append((near, _candidate(model, near, common)))
-    best = min((candidate for _, candidate in found), key=lambda candidate: candidate.level, default=None)
-    refined = [
-        _refined(model, near, fixes, place, priors)
-        for near, candidate in found
-        if best is not None and best.evidence_against(candidate) < _FAR_LESS
+    part = model.part(_MOST_SEARCHED)
+    found = [
+        near
+        for lag in _lags(part, reach)
+        if (near := fit(part, np.array([lag, 0.0, *place]), priors, part.windows)) is not None
+        and abs(near.parameters[0]) <= reach + 2 * _LAG
     ]
-    candidates = [_candidate(*one, common) for one in refined]
-    if candidates:
-        chosen = min(range(len(candidates)), key=lambda k: candidates[k].level)
-        if _share_told(*refined[chosen]) < _LEAST_SHARE:
-            return ClockEstimate.unknown(
-                "the motion is too even: another offset is like another place and heading"
-            )
-    return concluded(candidates, clocks)
+    if not found:
+        return ClockEstimate.unknown(f"no offset up to {reach:.1f} s makes the motions alike")
+    best = min(found, key=lambda near: near.level)
+    refined = [
+        _refined(part, near, fixes, place, priors)
+        for near in found
+        if best.evidence_against(near) < _FAR_LESS
+    ]
+    told = sorted((one for one in refined if one is not None), key=lambda one: one[1].level)
+    if told and _share_told(*told[0]) < _LEAST_SHARE:
+        return ClockEstimate.unknown(
+            "the motion is too even: another offset is like another place and heading"
+        )
+    return concluded([_candidate(*one, common) for one in told], clocks)
 
 
 def _share_told(model: "_WayModel", found: Fit) -> float:
@@ -114,19 +116,30 @@ def _share_told(model: "_WayModel", found: Fit) -> float:
 
 
 def _refined(
-    model: "_WayModel", found: Fit, fixes: Fixes, place: Float64Array, priors: Float64Array
-) -> tuple["_WayModel", Fit]:
-    """Fit the way over longer windows, where it has them and they tell the fixes as well as the short ones."""
-    at, refined, begin = model, found, None
-    while (way := at.way.finer(at.drifts_of(refined.amounts))) is not None:
-        longer = _WayModel.of(fixes, way, model.origin_ns)
-        start = np.array([found.parameters[0], 0.0, *place])
+    part: "_WayModel", near: Fit, fixes: Fixes, place: Float64Array, priors: Float64Array
+) -> tuple["_WayModel", Fit] | None:
+    """Fit the way over longer windows, where it has them and they tell the fixes as well as the short ones.
+
+    Args:
+        part: the windows that are looked at in the search; which way is taken is decided by so many of them.
+        near: the fit to it.
+    """
+    start = np.array([near.parameters[0], 0.0, *place])
+    at, found, begin = part, near, None
+    while (way := at.way.finer(at.drifts_of(found.amounts))) is not None:
+        longer = _WayModel.of(fixes, way, part.origin_ns).part(_MOST_SEARCHED)
         better = fit(longer, start, priors, longer.windows, begin=begin)
-        if better is None or abs(better.parameters[0] - found.parameters[0]) > _FAR:
-            return model, found
-        at, refined, begin = longer, better, better.parameters
-    worse = float(np.log(refined.scales / found.scales).mean())
-    return (at, refined) if worse < _MOST_WORSE else (model, found)
+        if better is None or abs(better.parameters[0] - near.parameters[0]) > _FAR:
+            at, found = part, near
+            break
+        at, found, begin = longer, better, better.parameters
+    if float(np.log(found.scales / near.scales).mean()) >= _MOST_WORSE:
+        at, found = part, near
+    whole = _WayModel.of(fixes, at.way, part.origin_ns)
+    if len(whole.times) == len(at.times):
+        return at, found
+    last = fit(whole, start, priors, whole.windows, begin=found.parameters)
+    return None if last is None else (whole, last)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +177,9 @@ class _WayModel:
         )
 
     def part(self, most: int) -> "_WayModel":
-        """Some of the windows, spread over the drive, with about so many fixes."""
+        """Some of the windows, spread over the drive, with about so many fixes; all where there are no more."""
+        if len(self.times) <= most:
+            return self
         every = -(-len(self.times) // most)
         chosen = np.unique(self.windows)[::every]
         rows = np.isin(self.windows, chosen)
@@ -245,9 +260,8 @@ def _split(values: AnyArray) -> Float64Array:
     return np.stack([values.real, values.imag], axis=1)
 
 
-def _lags(model: _WayModel, reach: float) -> list[float]:
+def _lags(part: _WayModel, reach: float) -> list[float]:
     """The offsets at which a way fits best, to begin with."""
-    part = model.part(_MOST_SEARCHED) if len(model.times) > _MOST_SEARCHED else model
     lags = np.arange(-np.floor(reach / _LAG), np.floor(reach / _LAG) + 1) * _LAG
     costs = np.array([misfit_of(part, np.array([lag, 0, 0, 0, 0]), part.windows) for lag in lags.tolist()])
     padded = np.concatenate([[np.inf], costs, [np.inf]])

@@ -23,6 +23,7 @@ _BORDER_PX = 2.0
 _CUT_SIGMA = 0.5
 """Deviation of the distance of what the picture cuts at the top or bottom, as a share of it."""
 _ROWS = np.array([[0.5, 0.5], [0.5, 0.0], [0.5, 1.0], [0.0, 0.5], [1.0, 0.5]])
+"""Places in a box through which rays are sent: its middle, top and bottom, left and right."""
 
 
 class Placed(NamedTuple):
@@ -58,32 +59,45 @@ class Placed(NamedTuple):
 
 def place_by_height(camera: Camera, camera_from_lidar: RigidTransform, boxes: Boxes2D) -> Placed:
     """Guess where objects are whose boxes in the picture are all that is known."""
-    corners = boxes.corners_xyxy
+    corners, count = boxes.corners_xyxy, len(boxes)
+    if count == 0:
+        return _NONE
     wide = corners[:, 2:] - corners[:, :2]
     places = corners[:, None, :2] + _ROWS * wide[:, None] - CENTRE_TO_CORNER
-    rays = unproject(camera, places.reshape(-1, 2)).reshape(-1, 5, 3)
+    rays = unproject(camera, places.reshape(-1, 2)).reshape(count, 5, 3)
     sizes, sigmas = typical_sizes(boxes.labels)
-    angles, widths = _angle(rays[:, 1], rays[:, 2]), _angle(rays[:, 3], rays[:, 4])
-    known = np.isfinite(rays).all(axis=(1, 2)) & (wide > 0.0).all(axis=1) & (angles > 0.0)
+    angles, widths = _angles(rays[:, 1::2], rays[:, 2::2]).T
+    known = np.isfinite(rays).all(axis=(1, 2)) & (angles > 0.0)
     angles = np.where(known, angles, 1.0)
     ranges = sizes[:, 2] / (2.0 * np.tan(np.minimum(angles, 3.0) / 2.0)) + sizes[:, 1] / 2.0
     cut = (corners[:, 1] < _BORDER_PX) | (corners[:, 3] > camera.height - _BORDER_PX)
-    spread = (sigmas[:, 2] / sizes[:, 2]) ** 2 + 2.0 * (
-        _EDGE_SHARE + _EDGE_PX / np.maximum(wide[:, 1], 1.0)
-    ) ** 2
-    along = ranges**2 * np.where(cut, spread + _CUT_SIGMA**2, spread)
-    across = (
-        ranges * (_EDGE_SHARE + _EDGE_PX / np.maximum(wide.min(axis=1), 1.0)) * np.maximum(widths, angles)
-    ) ** 2
+    edges = (_EDGE_SHARE + _EDGE_PX / wide) ** 2
+    spread = (sigmas[:, 2] / sizes[:, 2]) ** 2 + 2.0 * edges[:, 1] + np.where(cut, _CUT_SIGMA**2, 0.0)
+    along, across = (
+        ranges**2 * spread,
+        ranges**2 * np.maximum(edges[:, 0] * widths**2, edges[:, 1] * angles**2),
+    )
     rays_lidar = np.where(known[:, None], rays[:, 0], 0.0) @ camera_from_lidar.rotation
     outer = rays_lidar[:, :, None] * rays_lidar[:, None]
-    covariances = across[:, None, None] * (np.eye(3) - outer) + along[:, None, None] * outer
+    covariances = across[:, None, None] * (_EYE - outer) + along[:, None, None] * outer
     origin = -camera_from_lidar.rotation.T @ camera_from_lidar.translation
-    size_covariances = (sigmas**2)[:, :, None] * np.eye(3)
-    return Placed(known, origin + ranges[:, None] * rays_lidar, covariances, sizes, size_covariances, ranges)
+    centers = origin + ranges[:, None] * rays_lidar
+    return Placed(known, centers, covariances, sizes, sigmas[:, :, None] ** 2 * _EYE, ranges)
 
 
-def _angle(one: Float64Array, other: Float64Array) -> Float64Array:
-    cross = np.linalg.norm(np.cross(one, other), axis=1)
-    angles: Float64Array = np.arctan2(cross, (one * other).sum(axis=1))
+def _angles(one: Float64Array, other: Float64Array) -> Float64Array:
+    """Angles between unit vectors (…, 3) [rad], by the chord between them."""
+    apart = one - other
+    angles: Float64Array = 2.0 * np.arcsin(np.minimum(np.sqrt((apart * apart).sum(axis=-1)) / 2.0, 1.0))
     return angles
+
+
+_EYE = np.eye(3)
+_NONE = Placed(
+    np.zeros(0, np.bool_),
+    np.zeros((0, 3)),
+    np.zeros((0, 3, 3)),
+    np.zeros((0, 3)),
+    np.zeros((0, 3, 3)),
+    np.zeros(0),
+)

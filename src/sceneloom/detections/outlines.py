@@ -9,8 +9,9 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.box_overlaps import covered_shares
+from sceneloom.kernels.upright_boxes import place_upright_boxes
 from sceneloom.scene.detections import Boxes3D
-from sceneloom.visibility.outlines import box_extents
+from sceneloom.visibility.outlines import COARSE, box_extents
 
 _NEAR = 0.05
 """A box nearer to the camera than this holds it, and has no outline [m]."""
@@ -39,22 +40,13 @@ def project_outlines(camera: Camera, camera_from_lidar: RigidTransform, boxes: B
     Raises:
         CalibrationError: the lens is unknown.
     """
-    count = len(boxes)
-    upright = np.zeros((count, 3, 3))
-    upright[:, 0, 0] = upright[:, 1, 1] = np.cos(boxes.yaws)
-    upright[:, 1, 0] = np.sin(boxes.yaws)
-    upright[:, 0, 1] = -upright[:, 1, 0]
-    upright[:, 2, 2] = 1.0
-    axes = camera_from_lidar.rotation @ upright
-    centers = camera_from_lidar.apply(boxes.centers)
-    halves = boxes.sizes_lwh / 2.0
-    corners = centers[:, None] + (halves[:, None] * CORNER_SIGNS) @ axes.transpose(0, 2, 1)
-    cameras_box = (centers[:, None] @ axes)[:, 0]
-    away = np.maximum(np.abs(cameras_box) - halves, 0.0)
-    extents, shares = box_extents(camera, corners)
+    numbers = np.column_stack([boxes.centers, boxes.sizes_lwh, boxes.yaws])
+    axes, corners, distances, gaps = place_upright_boxes(
+        numbers, CORNER_SIGNS, camera_from_lidar.rotation, camera_from_lidar.translation
+    )
+    extents, shares = box_extents(camera, corners, steps=COARSE)
     # one beyond the picture has infinities the wrong way round; of one around the camera nothing is known
-    hidden = (away * away).sum(axis=1) <= _NEAR * _NEAR
-    hidden |= (extents[:, 2] <= extents[:, 0]) | (extents[:, 3] <= extents[:, 1])
+    hidden = (gaps <= _NEAR) | (extents[:, 2] <= extents[:, 0]) | (extents[:, 3] <= extents[:, 1])
     extents[hidden], shares[hidden] = 0.0, 0.0
-    shares *= 1.0 - covered_shares(extents, (centers * centers).sum(axis=1))
+    shares *= 1.0 - covered_shares(extents, distances)
     return Outlines(extents, shares, axes, corners)

@@ -2,23 +2,26 @@
 
 What becomes of the boxes:
 
-- A pair is one object: where and how large the sweep's box says; with the class of the surer detector, the picture's
-  box, and the existence that both together make likely.
-- A box of the sweep alone stays an object. If the picture shows its place, and its detector should have found it
+- A pair is one object: where and how large the sweep's box says, sharpened by the picture's (`refinement`); with the
+  class of the surer detector, the picture's box, and the existence that both together make likely (`existence`).
+- A box of the sweep alone stays an object. If the picture shows its place openly, and its detector should have found it
   there, it becomes less likely.
 - A box of the picture alone stays an object too, at the distance that its height in the picture and the usual height
-  of its class give; how little that is worth is in its covariance. Whoever wants measured objects alone takes those
-  with a box in the sweep.
+  of its class give (`camera_only`); how little that is worth is in its covariance. Its heading is not known, and given
+  as 0. Whoever wants measured objects alone takes those with a box in the sweep.
 
 Boxes whose place or size is no number are left out.
 """
 
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.detections import existence
 from sceneloom.detections.assignment import assign, pair_gains
-from sceneloom.detections.camera_only import Placed, place_by_height
+from sceneloom.detections.camera_only import place_by_height
 from sceneloom.detections.classes import codes, says_nothing
 from sceneloom.detections.noise import center_and_size_covariances
 from sceneloom.detections.outlines import Outlines, project_outlines
@@ -30,6 +33,8 @@ from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.types import PointsFrame
 
 DEFAULTS = ProjectionSettings()
+
+Boxes = TypeVar("Boxes", Boxes3D, Boxes2D)
 
 
 def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DEFAULTS) -> FusedBoxes:
@@ -50,101 +55,143 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
     """
     if pair.boxes_3d.frame is not PointsFrame.SENSOR:
         raise OptionError(f"boxes in the {pair.boxes_3d.frame} frame; expected the lidar's")
-    rows_3d, rows_2d = _sound_3d(pair.boxes_3d), _sound_2d(pair.boxes_2d)
-    boxes_3d, boxes_2d = pair.boxes_3d.select(rows_3d), pair.boxes_2d.select(rows_2d)
-    outlines = project_outlines(pair.camera, pair.camera_from_lidar, boxes_3d)
-    odds_3d = existence.log_odds(boxes_3d.scores, boxes_3d.score_form, prior=settings.prior)
-    odds_2d = existence.log_odds(boxes_2d.scores, boxes_2d.score_form, prior=settings.prior)
+    seen = _Seen.of(pair, settings)
+    outlines = project_outlines(pair.camera, pair.camera_from_lidar, seen.boxes_3d)
     gains = pair_gains(
         outlines.corners_xyxy,
-        boxes_2d.corners_xyxy,
-        *codes(boxes_3d.labels, boxes_2d.labels),
-        existence.probabilities(odds_3d),
-        existence.probabilities(odds_2d),
+        seen.boxes_2d.corners_xyxy,
+        *codes(seen.boxes_3d.labels, seen.boxes_2d.labels),
+        existence.probabilities(seen.odds_3d),
+        existence.probabilities(seen.odds_2d),
         least_iou=settings.least_iou,
     )
-    matched_3d, matched_2d = assign(gains)
-    partners = np.full(len(boxes_3d), NO_BOX)
-    partners[matched_3d] = matched_2d
-    alone = (
-        np.setdiff1d(np.arange(len(boxes_2d)), matched_2d) if settings.keep_camera_only else matched_2d[:0]
+    matched = assign(gains)
+    columns = _objects_of_sweep(pair, seen, outlines, matched, settings)
+    labels = _labels(seen, matched)
+    if settings.keep_camera_only and len(matched[1]) < len(seen.boxes_2d):
+        others, other_labels = _objects_of_picture(pair, seen, matched[1], settings)
+        columns = {name: np.concatenate([values, others[name]]) for name, values in columns.items()}
+        labels += other_labels
+    velocities = seen.boxes_3d.velocities
+    if velocities is not None:
+        velocities = np.concatenate([velocities, np.zeros((len(labels) - len(velocities), 3))])
+    return FusedBoxes(
+        timestamp_ns=pair.boxes_3d.timestamp_ns,
+        labels=labels,
+        ids=np.arange(len(labels)),
+        velocities=velocities,
+        **columns,
     )
-    placed = place_by_height(pair.camera, pair.camera_from_lidar, boxes_2d.select(alone))
-    alone, placed = alone[placed.known], placed.some(placed.known)
 
-    odds = odds_3d + np.log1p(-_chances_2d(outlines, settings))
-    odds[matched_3d] = existence.agreed(odds_3d[matched_3d], odds_2d[matched_2d], prior=settings.prior)
-    odds_alone = existence.missed(odds_2d[alone], _chances_3d(placed, settings))
-    corners = outlines.corners_xyxy.copy()
-    corners[matched_3d] = boxes_2d.corners_xyxy[matched_2d]
-    states = np.concatenate([boxes_3d.centers, boxes_3d.sizes_lwh], axis=1)
-    covariances = center_and_size_covariances(boxes_3d)
-    states[matched_3d], covariances[matched_3d] = refine(
+
+Matched = tuple[Int64Array, Int64Array]
+"""Rows of boxes of the sweep, and of their partners in the picture."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """The boxes of a pair that have a place, which rows of it they are, and logarithms of their odds."""
+
+    boxes_3d: Boxes3D
+    boxes_2d: Boxes2D
+    rows_3d: Int64Array
+    rows_2d: Int64Array
+    odds_3d: Float64Array
+    odds_2d: Float64Array
+
+    @classmethod
+    def of(cls, pair: DetectionPair, settings: ProjectionSettings) -> "_Seen":
+        boxes_3d, rows_3d = _some(pair.boxes_3d, _has_place(pair.boxes_3d))
+        boxes_2d, rows_2d = _some(pair.boxes_2d, _has_area(pair.boxes_2d))
+        odds_3d, odds_2d = (
+            existence.log_odds(boxes.scores, boxes.score_form, prior=settings.prior)
+            for boxes in (boxes_3d, boxes_2d)
+        )
+        return cls(boxes_3d, boxes_2d, rows_3d, rows_2d, odds_3d, odds_2d)
+
+
+def _some(boxes: Boxes, sound: BoolArray) -> tuple[Boxes, Int64Array]:
+    rows = np.flatnonzero(sound)
+    return (boxes if len(rows) == len(boxes) else boxes.select(rows)), rows
+
+
+def _has_place(boxes: Boxes3D) -> BoolArray:
+    numbers = np.column_stack([boxes.centers, boxes.sizes_lwh, boxes.yaws])
+    sound: BoolArray = np.all(np.isfinite(numbers), axis=1) & np.all(boxes.sizes_lwh > 0.0, axis=1)
+    return sound
+
+
+def _has_area(boxes: Boxes2D) -> BoolArray:
+    corners = boxes.corners_xyxy
+    sound: BoolArray = np.all(np.isfinite(corners), axis=1) & np.all(corners[:, 2:] > corners[:, :2], axis=1)
+    return sound
+
+
+def _objects_of_sweep(
+    pair: DetectionPair, seen: _Seen, outlines: Outlines, matched: Matched, settings: ProjectionSettings
+) -> dict[str, Any]:
+    """Columns of `FusedBoxes` of the boxes of the sweep."""
+    boxes, (rows, partners) = seen.boxes_3d, matched
+    heights = outlines.corners_xyxy[:, 3] - outlines.corners_xyxy[:, 1]
+    expected = settings.recall_2d * outlines.seen_shares * (heights >= settings.least_height_px)
+    odds = existence.missed(seen.odds_3d, expected)
+    odds[rows] = existence.agreed(seen.odds_3d[rows], seen.odds_2d[partners], prior=settings.prior)
+    corners, rows_2d = outlines.corners_xyxy, np.full(len(boxes), NO_BOX)
+    corners[rows], rows_2d[rows] = seen.boxes_2d.corners_xyxy[partners], seen.rows_2d[partners]
+    states = np.concatenate([boxes.centers, boxes.sizes_lwh], axis=1)
+    covariances = center_and_size_covariances(boxes)
+    states[rows], covariances[rows] = refine(
         pair.camera,
         pair.camera_from_lidar,
-        outlines.axes_camera[matched_3d],
-        outlines.corners_camera[matched_3d],
-        states[matched_3d],
-        covariances[matched_3d],
-        boxes_2d.corners_xyxy[matched_2d],
+        outlines.axes_camera[rows],
+        outlines.corners_camera[rows],
+        states[rows],
+        covariances[rows],
+        corners[rows],
     )
-    count = len(boxes_3d) + len(alone)
-    return FusedBoxes(
-        pair.boxes_3d.timestamp_ns,
-        np.concatenate([states[:, :3], placed.centers]),
-        np.concatenate([covariances[:, :3, :3], placed.center_covariances]),
-        np.concatenate([states[:, 3:], placed.sizes_lwh]),
-        np.concatenate([covariances[:, 3:, 3:], placed.size_covariances]),
-        np.concatenate([boxes_3d.yaws, np.zeros(len(alone))]),
-        _velocities(boxes_3d, len(alone)),
-        existence.probabilities(np.concatenate([odds, odds_alone])),
-        _labels(boxes_3d, boxes_2d, partners, odds_3d, odds_2d)
-        + tuple(boxes_2d.labels[k] for k in alone.tolist()),
-        np.concatenate([corners, boxes_2d.corners_xyxy[alone]]),
-        np.arange(count),
-        np.concatenate([rows_3d, np.full(len(alone), NO_BOX)]),
-        np.concatenate(
-            [np.where(partners == NO_BOX, NO_BOX, np.append(rows_2d, NO_BOX)[partners]), rows_2d[alone]]
-        ),
-    )
+    return {
+        "centers": states[:, :3],
+        "center_covariances": covariances[:, :3, :3],
+        "sizes_lwh": states[:, 3:],
+        "size_covariances": covariances[:, 3:, 3:],
+        "yaws": boxes.yaws,
+        "scores": existence.probabilities(odds),
+        "corners_xyxy": corners,
+        "rows_3d": seen.rows_3d,
+        "rows_2d": rows_2d,
+    }
 
 
-def _sound_3d(boxes: Boxes3D) -> Int64Array:
-    sound = np.isfinite(boxes.centers).all(axis=1) & np.isfinite(boxes.yaws)
-    sound &= (np.isfinite(boxes.sizes_lwh) & (boxes.sizes_lwh > 0.0)).all(axis=1)
-    return np.flatnonzero(sound)
+def _objects_of_picture(
+    pair: DetectionPair, seen: _Seen, partners: Int64Array, settings: ProjectionSettings
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Columns of `FusedBoxes` of the boxes of the picture without a partner, and their classes."""
+    alone = np.ones(len(seen.boxes_2d), np.bool_)
+    alone[partners] = False
+    rows = np.flatnonzero(alone)
+    placed = place_by_height(pair.camera, pair.camera_from_lidar, seen.boxes_2d.select(rows))
+    rows, placed = rows[placed.known], placed.some(placed.known)
+    expected = np.where(placed.ranges <= settings.farthest_3d, settings.recall_3d, 0.0)
+    columns = {
+        "centers": placed.centers,
+        "center_covariances": placed.center_covariances,
+        "sizes_lwh": placed.sizes_lwh,
+        "size_covariances": placed.size_covariances,
+        "yaws": np.zeros(len(rows)),
+        "scores": existence.probabilities(existence.missed(seen.odds_2d[rows], expected)),
+        "corners_xyxy": seen.boxes_2d.corners_xyxy[rows],
+        "rows_3d": np.full(len(rows), NO_BOX),
+        "rows_2d": seen.rows_2d[rows],
+    }
+    return columns, tuple(seen.boxes_2d.labels[k] for k in rows.tolist())
 
 
-def _sound_2d(boxes: Boxes2D) -> Int64Array:
-    corners = boxes.corners_xyxy
-    sound = np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1)
-    return np.flatnonzero(sound)
-
-
-def _chances_2d(outlines: Outlines, settings: ProjectionSettings) -> Float64Array:
-    """The chances that the detector of the picture had to find boxes of the sweep, (N,)."""
-    heights = outlines.corners_xyxy[:, 3] - outlines.corners_xyxy[:, 1]
-    return np.where(heights >= settings.least_height_px, settings.recall_2d * outlines.seen_shares, 0.0)
-
-
-def _chances_3d(placed: Placed, settings: ProjectionSettings) -> Float64Array:
-    """The chances that the detector of the sweep had to find objects of the picture, (N,)."""
-    return np.where(placed.ranges <= settings.farthest_3d, settings.recall_3d, 0.0)
-
-
-def _labels(
-    boxes_3d: Boxes3D, boxes_2d: Boxes2D, partners: Int64Array, odds_3d: Float64Array, odds_2d: Float64Array
-) -> tuple[str, ...]:
+def _labels(seen: _Seen, matched: Matched) -> tuple[str, ...]:
     """The classes of the objects of a sweep: of two detectors what the surer one says, if it says anything."""
-    labels = list(boxes_3d.labels)
-    for k in np.flatnonzero(partners != NO_BOX).tolist():
-        other = boxes_2d.labels[partners[k]]
-        surer = odds_2d[partners[k]] > odds_3d[k]
-        if says_nothing(labels[k]) or (surer and not says_nothing(other)):
-            labels[k] = other
+    labels, others = list(seen.boxes_3d.labels), seen.boxes_2d.labels
+    rows, partners = matched
+    surer_2d = seen.odds_2d[partners] > seen.odds_3d[rows]
+    for row, partner, surer in zip(rows.tolist(), partners.tolist(), surer_2d.tolist(), strict=True):
+        if says_nothing(labels[row]) or (surer and not says_nothing(others[partner])):
+            labels[row] = others[partner]
     return tuple(labels)
-
-
-def _velocities(boxes: Boxes3D, others: int) -> Float64Array | None:
-    """Velocities, of objects that the sweep does not have 0; None where its detector gives none."""
-    return None if boxes.velocities is None else np.concatenate([boxes.velocities, np.zeros((others, 3))])

@@ -20,7 +20,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.box_sides import bounding_corners, update_by_sides
+from sceneloom.kernels.box_sides import bounding_corners, shifted_corners, update_by_sides
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
 MIDDLE_SIGMAS = (2.0, 0.03)
@@ -30,13 +30,14 @@ Source: detections of KITTI's sequences against the outlines of those of the swe
 """
 HEIGHT_SIGMAS = (2.0, 0.06)
 """Deviation of the height of a box in the picture: so many pixels, plus this share of it; source as above."""
+_LEAST_PX = np.array([MIDDLE_SIGMAS[0], MIDDLE_SIGMAS[0], HEIGHT_SIGMAS[0]])
+_SHARES = np.array([MIDDLE_SIGMAS[1], MIDDLE_SIGMAS[1], HEIGHT_SIGMAS[1]])
 FARTHEST = 3.0
 """A number of the picture that is more deviations than this from where it is expected has another reason."""
 BORDER_PX = 2.0
 """What comes so near to the border of the picture may be cut there [px]."""
 _STEP = 1e-3
 """Slopes are of lines through places so far to either side [m]."""
-_SHIFTS = _STEP * np.vstack([np.eye(3), -np.eye(3)])
 _LEAST_SHARE = 0.1
 """No size shrinks below this share of what it was."""
 
@@ -72,15 +73,11 @@ def refine(
     pixels += CENTRE_TO_CORNER
     partners = np.ascontiguousarray(partners_xyxy)
     sides = bounding_corners(pixels, partners, float(camera.width), float(camera.height), BORDER_PX)
-    chosen = corners_camera[np.arange(count)[:, None], sides]
-    shifted = project_unbounded(camera, (chosen[:, :, None] + _SHIFTS).reshape(-1, 3)).reshape(count, 4, 6, 2)
+    shifted = project_unbounded(camera, shifted_corners(corners_camera, sides, _STEP)).reshape(count, 4, 6, 2)
     turns = np.empty((count, 2, 3, 3))
     turns[:, 0], turns[:, 1] = camera_from_lidar.rotation, axes_camera
-    wide, high = (partners[:, 2:] - partners[:, :2]).T
-    sigmas = np.column_stack(
-        [MIDDLE_SIGMAS[0] + MIDDLE_SIGMAS[1] * side for side in (wide, high)]
-        + [HEIGHT_SIGMAS[0] + HEIGHT_SIGMAS[1] * high]
-    )
+    scales = partners.take((2, 3, 3), axis=1) - partners.take((0, 1, 1), axis=1)
+    sigmas = _LEAST_PX + _SHARES * scales
     update_by_sides(
         states_after,
         covariances,

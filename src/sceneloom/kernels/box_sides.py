@@ -45,6 +45,29 @@ def bounding_corners(
     return sides
 
 
+@njit("float64[:,::1](float64[:,:,::1], int64[:,::1], float64)", nogil=True, cache=True, error_model="numpy")
+def shifted_corners(corners: Float64Array, sides: Int64Array, step: float) -> Float64Array:
+    """Move the corners at the sides of boxes along the axes of their frame, to either side.
+
+    Args:
+        corners: (M, 8, 3) [m].
+        sides: (M, 4) of `bounding_corners`; any corner stands for -1.
+        step: how far [m].
+
+    Returns:
+        (M * 4 * 6, 3) float64 [m]: of each corner those moved along x, y, z, then back along x, y, z.
+    """
+    shifted = np.empty((len(corners) * 24, 3))
+    for m in range(len(corners)):
+        for side in range(4):
+            for c in range(6):
+                row = (m * 4 + side) * 6 + c
+                for k in range(3):
+                    shifted[row, k] = corners[m, max(sides[m, side], 0), k]
+                shifted[row, c % 3] += step if c < 3 else -step
+    return shifted
+
+
 @njit(nogil=True, error_model="numpy", inline="always")
 def _slope(shifted, step, m, side, axis, turn, signs, corner, row):  # type: ignore[no-untyped-def]
     """Fill a row with how a side moves with the middle of its box and its sizes, (6,)."""

@@ -1,0 +1,39 @@
+"""How far off boxes are taken to be."""
+
+import numpy as np
+
+from sceneloom.detections.noise import CENTER_SIGMAS, SIZE_SIGMAS, center_and_size_covariances
+from sceneloom.scene.detections import Boxes3D
+
+YAWS = np.array([0.4, -2.0, 1.0, 0.2])
+
+
+def boxes(covariances=None):
+    centers = np.array([[30.0, 40.0, 0.0], [0.0, 60.0, 0.0], [5.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    sizes = np.array([[4.0, 2.0, 1.5], [1.0, 0.5, 1.7], [4.0, 2.0, 1.5], [4.0, 2.0, 1.5]])
+    return Boxes3D(0, centers, sizes, YAWS, np.full(4, 0.5), ("car",) * 4, covariances=covariances)
+
+
+def test_deviations_lie_along_the_axes_of_the_box_and_grow_with_size_and_range():
+    found = center_and_size_covariances(boxes())[0]
+    growth = 1 + 50 / 60
+    turn = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
+    size = np.array([4.0, 2.0, 1.5])
+    along = np.diag(((CENTER_SIGMAS[0] * size + CENTER_SIGMAS[1]) * growth) ** 2)
+    np.testing.assert_allclose(found[:3, :3], turn @ along @ turn.T, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        found[3:, 3:], np.diag(((SIZE_SIGMAS[0] * size + SIZE_SIGMAS[1]) * growth) ** 2)
+    )
+    assert not found[:3, 3:].any()
+
+
+def test_what_a_detector_tells_counts_where_it_is_a_covariance():
+    generator = np.random.default_rng(0)
+    factor = generator.normal(size=(7, 7))
+    told = np.array([factor @ factor.T] * 4)
+    told[1, 0, 0] = np.nan
+    told[2, 4, 4] = -1.0
+    told[3] = 0.0
+    found, assumed = center_and_size_covariances(boxes(told)), center_and_size_covariances(boxes())
+    np.testing.assert_allclose(found[0], told[0, :6, :6], rtol=1e-12)
+    np.testing.assert_array_equal(found[1:], assumed[1:])

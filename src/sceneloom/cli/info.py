@@ -72,7 +72,7 @@ def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> No
     click.echo(f"{summary.source}: {summary.format}, {summary.duration:.3f} s{size}")
     if summary.start_ns is not None:
         click.echo(f"clock starts at {seconds(summary.start_ns)}")
-    click.echo("sensors")
+    click.echo("sensors" if summary.sensors else "no sensors")
     print_table(map(_sensor_row, summary.sensors, mountings))
     click.echo(_trajectories_title(summary))
     print_table(

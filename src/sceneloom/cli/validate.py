@@ -143,10 +143,13 @@ def _print_changes(title: str, findings: "Sequence[Finding]") -> None:
 
 
 def _print_losses(losses: "Sequence[Loss]") -> None:
-    if losses:
-        click.echo("lost")
-    for loss in losses:
-        click.echo(f"  {loss.field}: {loss.what}{_times(loss.count)}")
+    for title, kept in (("lost", False), ("kept aside", True)):
+        group = [loss for loss in losses if (loss.kept is not None) is kept]
+        if group:
+            click.echo(title)
+        for loss in group:
+            place = f"; it is in {loss.kept}" if kept else ""
+            click.echo(f"  {loss.field}: {loss.what}{_times(loss.count)}{place}")
 
 
 def _times(count: int) -> str:

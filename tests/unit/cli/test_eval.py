@@ -256,7 +256,9 @@ def test_unknown_forms_to_write_are_refused_with_those_that_there_are(call, reco
 def test_a_drive_that_is_a_trajectory_alone_is_as_long_as_that(call, tmp_path):
     (tmp_path / "way.tum").write_text("1.0 0 0 0 0 0 0 1\n3.5 1 0 0 0 0 0 1\n")
     assert call("convert", tmp_path / "way.tum", tmp_path / "drive").code == 0
-    assert "recording, 2.500 s" in call("info", tmp_path / "drive").out
+    told = call("info", tmp_path / "drive").out
+    assert "recording, 2.500 s" in told
+    assert "\nno sensors\n" in told
 
 
 def test_a_trajectory_is_not_named_in_vain_where_a_whole_drive_is_converted(call, recording, tmp_path):

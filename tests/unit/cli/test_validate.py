@@ -110,3 +110,18 @@ def test_what_is_written_is_not_called_by_the_form_that_it_was_made_from(call, r
     assert mended.out.startswith(f"{tmp_path / 'mended.sfs'}: profile sfs: passed")
     back = call("validate", tmp_path / "mended.sfs", "--fix", tmp_path / "back")
     assert back.out.startswith(f"{tmp_path / 'back'}: recording: passed")
+
+
+def test_what_the_target_keeps_aside_is_not_called_lost(call, recording, tmp_path):
+    mended = call("validate", recording, "--fix", tmp_path / "mended.sfs").out
+    lost, _, aside = mended.partition("\nkept aside\n")
+    assert "trajectories[]: " not in lost
+    assert "  trajectories[]: the format knows odometry sensors only; it is in metadata.sceneloom." in aside
+
+
+def test_a_target_whose_suffix_belongs_to_no_format_is_bad_usage(call, recording, faulty, tmp_path):
+    for source in (recording, faulty):
+        done = call("validate", source, "--fix", tmp_path / "mended.xyz")
+        assert done.code == 2
+        assert "mended.xyz: suffix '.xyz' belongs to no format; expected one of: sfs (.sfs)" in done.err
+        assert not (tmp_path / "mended.xyz").exists()

@@ -1,0 +1,199 @@
+"""Detection fusion on drives of KITTI: real detectors of pictures and sweeps, against people's labels."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.detections import DetectionPair
+from sceneloom.detections.outlines import project_outlines
+from sceneloom.detections.projection import fuse_by_projection
+from sceneloom.detections.results import NO_BOX
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
+
+CLASSES = ("Car", "Pedestrian")
+ALIKE = {"Car": ("Car", "Van"), "Pedestrian": ("Pedestrian", "Person", "Person_sitting", "Cyclist")}
+"""Labels that a detector of the class may also find: not counted, if they are not of it."""
+LEAST_HEIGHT = 25.0
+"""What is lower in the picture is not counted, as in KITTI's moderate level [px]."""
+SEQUENCES = ("0003", "0006", "0012", "0014", "0016")
+THRESHOLD = 0.7
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One sequence: detections by frame, and labels: boxes in the picture, places in the lidar's frame, classes."""
+
+    pairs: list[DetectionPair]
+    truth: list[tuple[np.ndarray, np.ndarray, list[str]]]
+
+
+def read_calibration(path):
+    rows = {}
+    for line in path.read_text().splitlines():
+        name, *numbers = line.split()
+        rows[name.rstrip(":")] = np.array(numbers, np.float64)
+    p2 = rows["P2"].reshape(3, 4)
+    k = p2[:, :3]
+    rectified = np.eye(4)
+    rectified[:3, :3] = rows["R_rect"].reshape(3, 3)
+    velodyne = np.vstack([rows["Tr_velo_cam"].reshape(3, 4), [0, 0, 0, 1]])
+    shift = np.eye(4)
+    shift[:3, 3] = np.linalg.solve(k, p2[:, 3])
+    transform, _ = RigidTransform.nearest(shift @ rectified @ velodyne)
+    lidar, _ = RigidTransform.nearest(rectified @ velodyne)
+    return Camera("pinhole", 1242, 375, k[0, 0], k[1, 1], k[0, 2], k[1, 2]), transform, lidar
+
+
+def boxes_in_lidar(rows, scores, labels, rectified_from_lidar):
+    """Boxes of rows h, w, l, x, y, z, ry, the place being the middle of the bottom in the camera's frame."""
+    rows = np.asarray(rows, np.float64).reshape(-1, 7)
+    centers = rows[:, 3:6] - np.array([0, 1, 0]) * rows[:, :1] / 2
+    return Boxes3D(
+        0,
+        rectified_from_lidar.inverse().apply(centers),
+        rows[:, [2, 1, 0]],
+        -rows[:, 6] - np.pi / 2,
+        np.asarray(scores, np.float64),
+        tuple(labels),
+        score_form=ScoreForm.LOGIT,
+    )
+
+
+def table(path, columns):
+    lines = [line for line in path.read_text().splitlines() if line.strip()] if path.exists() else []
+    return np.array([[float(v) for v in line.split(",")] for line in lines]).reshape(-1, columns)
+
+
+def read_drive(folder: Path, sequence: str) -> Drive:
+    camera, camera_from_lidar, rectified = read_calibration(folder / "calib" / f"{sequence}.txt")
+    two = {c: table(folder / "det2d_rrc" / c / f"{sequence}.txt", 6) for c in CLASSES}
+    three = {c: table(folder / "det3d_pointrcnn" / c / f"{sequence}.txt", 15) for c in CLASSES}
+    labels = [
+        line.split()
+        for line in (folder / "label_02" / f"{sequence}.txt").read_text().splitlines()
+        if line.strip()
+    ]
+    pairs, truth = [], []
+    for frame in range(1 + max(int(row[0]) for row in labels)):
+        rows_2d = [(row, c) for c in CLASSES for row in two[c][two[c][:, 0] == frame]]
+        rows_3d = [(row, c) for c in CLASSES for row in three[c][three[c][:, 0] == frame]]
+        boxes_2d = Boxes2D(
+            0,
+            np.array([row[1:5] for row, _ in rows_2d]).reshape(-1, 4) + 0.5,
+            np.array([row[5] for row, _ in rows_2d]),
+            tuple(c for _, c in rows_2d),
+        )
+        boxes_3d = boxes_in_lidar(
+            [row[7:14] for row, _ in rows_3d],
+            [row[6] for row, _ in rows_3d],
+            [c for _, c in rows_3d],
+            rectified,
+        )
+        pairs.append(DetectionPair(boxes_3d, boxes_2d, camera, camera_from_lidar))
+        own = [row for row in labels if int(row[0]) == frame]
+        known = [row for row in own if row[2] != "DontCare"]
+        places = boxes_in_lidar(
+            [row[10:17] for row in known], [0] * len(known), [row[2] for row in known], rectified
+        )
+        centers = np.vstack([places.centers, np.full((len(own) - len(known), 3), np.nan)])
+        ordered = [*known, *(row for row in own if row[2] == "DontCare")]
+        truth.append(
+            (
+                np.array([row[6:10] for row in ordered], np.float64).reshape(-1, 4),
+                centers,
+                [row[2] for row in ordered],
+            )
+        )
+    return Drive(pairs, truth)
+
+
+def overlaps(one, others):
+    """Area in common of a box and others, and IoU."""
+    sides = np.minimum(one[2:], others[:, 2:]) - np.maximum(one[:2], others[:, :2])
+    common = np.maximum(sides, 0).prod(axis=1)
+    areas = (others[:, 2:] - others[:, :2]).prod(axis=1)
+    return common, common / ((one[2:] - one[:2]).prod() + areas - common + 1e-9)
+
+
+def count(boxes_xyxy, scores, labels, truth, wanted):
+    """True and false boxes of a class in one frame, and its labels; the surest box of a label is true."""
+    places, _, classes = truth
+    high = (places[:, 3] - places[:, 1]) >= LEAST_HEIGHT
+    own = np.array([c == wanted for c in classes], np.bool_) & high
+    passed = np.array([c in ("DontCare", "Misc", *ALIKE[wanted]) for c in classes], np.bool_) & ~own
+    taken, true, false = np.zeros(len(places), np.bool_), 0, 0
+    for k in np.argsort(-scores, kind="stable"):
+        if labels[k] != wanted or scores[k] < THRESHOLD:
+            continue
+        common, ious = overlaps(boxes_xyxy[k], places)
+        free = np.where(own & ~taken, ious, 0.0)
+        if len(free) and free.max() >= 0.5:
+            taken[free.argmax()] = True
+            true += 1
+            continue
+        wide, tall = boxes_xyxy[k, 2:] - boxes_xyxy[k, :2]
+        if tall >= LEAST_HEIGHT and not (common[passed] > 0.5 * wide * tall).any():
+            false += 1
+    return np.array([true, false, own.sum()])
+
+
+@pytest.fixture(scope="module")
+def drives(data_dir):
+    folder = data_dir / "real" / "kitti_tracking"
+    return [read_drive(folder, sequence) for sequence in SEQUENCES]
+
+
+def recall_and_precision(drives, wanted):
+    """Of the detector of pictures, of that of sweeps, and of both fused."""
+    sums = np.zeros((3, 3))
+    for drive in drives:
+        for pair, truth in zip(drive.pairs, drive.truth, strict=True):
+            two, three = pair.boxes_2d, pair.boxes_3d
+            outlines = project_outlines(pair.camera, pair.camera_from_lidar, three).corners_xyxy
+            fused = fuse_by_projection(pair)
+            sums[0] += count(two.corners_xyxy, two.scores, two.labels, truth, wanted)
+            sums[1] += count(outlines, 1 / (1 + np.exp(-three.scores)), three.labels, truth, wanted)
+            sums[2] += count(fused.corners_xyxy, fused.scores, fused.labels, truth, wanted)
+    true, false, labels = sums.T
+    return true / labels, true / (true + false)
+
+
+def test_fused_cars_are_found_more_often_than_by_each_detector_and_truer_than_those_of_sweeps(drives):
+    recall, precision = recall_and_precision(drives, "Car")
+    assert recall[2] > max(recall[:2])
+    assert precision[2] > precision[1] + 0.05
+    assert precision[2] > 0.9
+
+
+def test_fused_pedestrians_are_truer_and_no_less_often_found_than_those_of_sweeps(drives):
+    recall, precision = recall_and_precision(drives, "Pedestrian")
+    assert recall[2] > recall[1]
+    assert precision[2] > precision[1] + 0.05
+
+
+def test_far_cars_are_nearer_to_the_truth_across_the_line_of_sight_after_fusion(drives):
+    errors, squares = [], []
+    for drive in drives:
+        for pair, (_, centers, classes) in zip(drive.pairs, drive.truth, strict=True):
+            fused = fuse_by_projection(pair)
+            cars = centers[[c in ("Car", "Van") for c in classes]]
+            for k in np.flatnonzero((fused.rows_3d != NO_BOX) & (fused.rows_2d != NO_BOX)):
+                before = pair.boxes_3d.centers[fused.rows_3d[k]]
+                apart = np.linalg.norm(cars - before, axis=1)
+                if not len(cars) or apart.min() > 1.0 or np.linalg.norm(before) < 40.0:
+                    continue
+                true = cars[apart.argmin()]
+                aside = np.cross(true, [0, 0, 1]) / np.linalg.norm(true[:2])
+                after = fused.centers[k] - true
+                errors.append((aside @ (before - true), aside @ after, before[2] - true[2], after[2]))
+                squares.append(after @ np.linalg.solve(fused.center_covariances[k], after))
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert len(errors) > 100
+    assert rms[1] < 0.9 * rms[0]
+    assert rms[3] < 0.9 * rms[2]
+    # the detector was trained on these drives: covariances are meant for others
+    assert 0.3 < np.mean(squares) < 3.5

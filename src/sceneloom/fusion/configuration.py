@@ -18,6 +18,8 @@ class FusionConfiguration:
         most_waiting: sweeps, and pictures of each camera, that may wait for one another; None for as many as come.
         stand_beyond_way: whether a sweep beyond the ego's way is fused as if the ego had not moved; else it says why
             it was not fused.
+        picture_period_ns: from picture to picture of a camera: none can come that is nearer to a sweep than one within
+            half of it. None where that is not known: then pictures come in the order of time.
         motion_compensation: whether the ego's motion counts; else everything is fused as if it had not moved.
 
     Source: DB34/T 4101-2022, table 2 names the algorithm's property.
@@ -31,3 +33,4 @@ class FusionConfiguration:
     most_waiting: int | None = None
     stand_beyond_way: bool = False
     motion_compensation: bool = True
+    picture_period_ns: int | None = None

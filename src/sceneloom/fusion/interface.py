@@ -5,11 +5,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from sceneloom.errors import CalibrationError, DataError, OptionError, SceneloomError
+from sceneloom.errors import CalibrationError, OptionError, SceneloomError
 from sceneloom.fusion.admitted import Admitted, WholeRecord
 from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.fusion.bare_boxes import MOST_BOXES, BareBoxes, seq_of
@@ -25,7 +24,6 @@ from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.records import ResultRecord, SentRecord, kind_of
 from sceneloom.fusion.motion import RecentWay
 from sceneloom.fusion.outcome import DONE, Cause, Outcome, refused
-from sceneloom.fusion.properties.config_file import Config, read_config
 from sceneloom.fusion.properties.store import Property, PropertyStore, Snapshot
 from sceneloom.fusion.queues import Flushed, Moved, Task, TaskQueue
 from sceneloom.fusion.results import ResultQueue
@@ -97,22 +95,17 @@ class FusionInterface:
 
     def __init__(
         self,
-        config: str | Path | None = None,
         *,
         inline: bool = False,
         observer: Callable[[Event], None] | None = None,
         on_result: Callable[[], None] | None = None,
     ) -> None:
-        """Make a system with the predefined properties and no calibration, or with those of a file.
+        """Make a system with the predefined properties and no calibration.
 
         Args:
-            config: a TOML file; see `fusion.properties.config_file`.
             inline: whether the threads that send also fuse.
             observer: told all that is taken, refused and given, one call at a time.
             on_result: called as soon as a result can be fetched.
-
-        Raises:
-            DataError: the file cannot be read, or something in it is refused.
         """
         self.properties = PropertyStore(check_algorithm=lambda kind, name: algorithm(FusionType(kind), name))
         self.counters = Counters()
@@ -132,8 +125,6 @@ class FusionInterface:
         self._given = dict.fromkeys(FusionType, 0)
         self._tasks = TaskQueue()
         self._closed = False
-        if config is not None:
-            self._start_from(read_config(config))
         self._worker = None if inline else threading.Thread(target=self._work, name="fusion", daemon=True)
         if self._worker is not None:
             self._worker.start()
@@ -160,10 +151,6 @@ class FusionInterface:
             if outcome and name == "calibration":
                 self._table = CalibrationTable().having(parse_calibrations(self.properties.get(name).value))
         return outcome
-
-    def set_algorithm(self, fusion_type: int, name: str) -> Outcome:
-        """Set the algorithm of a fusion type, 0 or 1, whatever `fusion_type` says now."""
-        return self.properties.set_algorithm(fusion_type, name)
 
     def get_property(self, name: str) -> Any:
         """Give the value of a property, clause 5.5; None where it was added and not set yet.
@@ -315,12 +302,6 @@ class FusionInterface:
         """How many boxes that came alone wait for others of their frame."""
         with self._lock:
             return sum(len(bare.boxes) for bare in self._bare.values())
-
-    def _start_from(self, config: Config) -> None:
-        for step in config.steps:
-            outcome = _STEPS[step.call](self, *step.arguments)
-            if not outcome:
-                raise DataError(config.source, step.place, outcome.reason)
 
     def _refuse(self, record: SentRecord, outcome: Outcome) -> Outcome:
         self.counters.add(f"refused.{outcome.cause}")
@@ -488,13 +469,6 @@ class FusionInterface:
                 self._observer(event)
             except Exception as error:  # noqa: BLE001 - who only looks on must not end the session
                 self.counters.add(f"errors.observer.{type(error).__name__}")
-
-
-_STEPS: dict[str, Callable[..., Outcome]] = {
-    call.__name__: call
-    for call in (FusionInterface.add_property, FusionInterface.set_property, FusionInterface.set_algorithm)
-}
-"""What a file to start from can ask for."""
 
 
 def _type_of(record: ResultRecord) -> FusionType:

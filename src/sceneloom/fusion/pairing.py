@@ -143,8 +143,8 @@ class Waiting(Generic[Frame]):
 class Pairing(Generic[Frame, Partner]):
     """Sweeps in the order in which they came, and the pictures that they may be paired with.
 
-    A sweep is ready as soon as every camera has sent a picture at or after its reference time, or so much time has
-    passed that none can come any more.
+    A sweep is ready as soon as every camera has sent a picture at or after its reference time, and where pictures may
+    come out of order one so near that no other is nearer; or when so much time has passed that none can come any more.
 
     Attributes:
         lateness_ns: how much later than its time a picture may arrive and still be waited for.
@@ -224,10 +224,17 @@ class Pairing(Generic[Frame, Partner]):
         self._latest_ns = time_ns if self._latest_ns is None else max(self._latest_ns, time_ns)
 
     def _is_ready(self, waiting: Waiting[Frame]) -> bool:
-        if all(queue.reaches(waiting.reference_ns) for queue in self.queues.values()):
+        if all(self._is_known(queue, waiting) for queue in self.queues.values()):
             return True
         latest = waiting.reference_ns if self._latest_ns is None else self._latest_ns
         return latest > waiting.reference_ns + waiting.tolerance_ns + self.lateness_ns
+
+    def _is_known(self, queue: TimedQueue[Partner], waiting: Waiting[Frame]) -> bool:
+        """Whether the camera's picture for a sweep is known, as far as pictures tell."""
+        if not queue.reaches(waiting.reference_ns):
+            return False
+        period_ns = waiting.configuration.picture_period_ns
+        return period_ns is None or queue.nearest(waiting.reference_ns, period_ns // 2) is not None
 
     def _forget_before(self, time_ns: int) -> None:
         for queue in self.queues.values():

@@ -123,6 +123,7 @@ class Setting:
             most_waiting=self.properties["queue_length"],
             stand_beyond_way=True,
             motion_compensation=self.properties["motion_compensation"] == 1,
+            picture_period_ns=self.picture_period_ns,
         )
 
     @cached_property

@@ -36,15 +36,6 @@ class PredefinedProperty:
     check: Check | None = None
     source: str = "extension"
 
-    def judge(self, value: Any) -> None:
-        """Check what the type does not say.
-
-        Raises:
-            DataError, CalibrationError: the property cannot take the value.
-        """
-        if self.check is not None:
-            self.check(value)
-
 
 def _at_least(lowest: int) -> Check:
     def check(value: int) -> None:

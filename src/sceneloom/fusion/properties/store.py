@@ -151,23 +151,6 @@ class PropertyStore:
             self._show_algorithm()
         return DONE
 
-    def set_algorithm(self, fusion_type: int, name: str) -> Outcome:
-        """Set the algorithm of a fusion type, 0 or 1, whatever `fusion_type` says now."""
-        with self._lock:
-            try:
-                checked = _checked(self._properties["fusion_algorithm"], name)
-                PREDEFINED["fusion_algorithm"].judge(checked)
-                if self.check_algorithm is not None:
-                    self.check_algorithm(fusion_type, checked)
-            except FAULTS as error:
-                return refused(Cause.ILL_TYPED, error)
-            except OptionError as error:
-                return refused(Cause.UNKNOWN_ALGORITHM, error)
-            self._algorithms[fusion_type] = checked
-            self._show_algorithm()
-            self._keep(self._properties["fusion_algorithm"])
-        return DONE
-
     def get(self, name: str) -> Property:
         """Give a property.
 
@@ -203,8 +186,8 @@ class PropertyStore:
 
     def _check_further(self, name: str, value: Any) -> None:
         row = PREDEFINED.get(name)
-        if row is not None:
-            row.judge(value)
+        if row is not None and row.check is not None:
+            row.check(value)
         if name == "fusion_algorithm" and self.check_algorithm is not None:
             self.check_algorithm(self._properties["fusion_type"].value, value)
 

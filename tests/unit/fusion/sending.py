@@ -1,0 +1,123 @@
+"""Records as sensors and detectors would send them, for tests of the fusion interface."""
+
+import numpy as np
+
+from sceneloom.fusion.messages import (
+    Box2d,
+    Box3d,
+    Boxes2d,
+    Boxes3d,
+    CalibrationData,
+    ImageData,
+    PointCloudData,
+    RawData,
+    Timestamp,
+)
+
+WIDTH, HEIGHT = 64, 48
+START_NS = 1_595_682_678_000_000_000
+FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
+"""extrinsic_matrix, by columns, of a camera that looks forward from where the lidar is."""
+
+
+def calibration(**changed):
+    return CalibrationData(
+        **{
+            "image_size": (WIDTH, HEIGHT),
+            "intrinsic_matrix": (50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
+            "reference_frame": 0,
+            "extrinsic_matrix": FORWARD,
+            **changed,
+        }
+    )
+
+
+def stamp(milliseconds):
+    return Timestamp.of(START_NS + round(milliseconds * 1_000_000))
+
+
+def image(milliseconds, seq, *, level=7, sensor_id=1, width=WIDTH, height=HEIGHT):
+    return ImageData(
+        sensor_id=sensor_id,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        height=height,
+        width=width,
+        encoding="rgb8",
+        channel=3,
+        data=np.full(height * width * 3, level, np.uint8),
+    )
+
+
+def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0),), *, sensor_id=0, times=None):
+    data = np.array(points, np.float32).reshape(-1, 3)
+    fields = ("x", "y", "z")
+    if times is not None:
+        data, fields = np.column_stack([data, np.array(times, np.float32)]), (*fields, "time")
+    return PointCloudData(
+        sensor_id=sensor_id,
+        timestamp=stamp(milliseconds),
+        seq=seq,
+        number=len(data),
+        fields=fields,
+        fields_number=len(fields),
+        data=data,
+    )
+
+
+def raw(milliseconds, seq, data, *, sensor_id):
+    return RawData(sensor_id=sensor_id, timestamp=stamp(milliseconds), seq=seq, length=len(data), data=data)
+
+
+def box_3d(milliseconds, seq, **changed):
+    return Box3d(
+        **{
+            "id": 4,
+            "class_name": "Car",
+            "points_seq": seq,
+            "confidence": 0.8,
+            "timestamp": stamp(milliseconds),
+            "X": 20.0,
+            "Y": 0.0,
+            "Z": 0.0,
+            "length": 4.0,
+            "width": 2.0,
+            "height": 1.5,
+            "direction": (1.0, 0.0, 0.0),
+            "velocity": 5.0,
+            **changed,
+        }
+    )
+
+
+def box_2d(milliseconds, seq, **changed):
+    return Box2d(
+        **{
+            "id": 6,
+            "class_name": "Car",
+            "image_seq": seq,
+            "confidence": 0.9,
+            "timestamp": stamp(milliseconds),
+            "x1": 28,
+            "y1": 21,
+            "x2": 35,
+            "y2": 26,
+            **changed,
+        }
+    )
+
+
+def boxes_3d(milliseconds, seq, *, sensor_id=0, **changed):
+    return box_3d(milliseconds, seq, **changed).alone(sensor_id)
+
+
+def boxes_2d(milliseconds, seq, *, sensor_id=1, **changed):
+    return box_2d(milliseconds, seq, **changed).alone(sensor_id)
+
+
+def no_boxes_3d(milliseconds, seq, *, sensor_id=0):
+    return Boxes3d.empty(sensor_id, seq, stamp(milliseconds))
+
+
+def no_boxes_2d(milliseconds, seq, *, sensor_id=1):
+    return Boxes2d.empty(sensor_id, seq, stamp(milliseconds))

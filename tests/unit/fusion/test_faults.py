@@ -1,0 +1,393 @@
+"""What goes wrong has one defined answer: a 0 with a cause, or a counter; and the session lives on."""
+
+import io
+import threading
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom.errors import DataError
+from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.outcome import Cause
+
+from .sending import (
+    FORWARD,
+    box_2d,
+    box_3d,
+    boxes_2d,
+    boxes_3d,
+    calibration,
+    cloud,
+    image,
+    no_boxes_2d,
+    no_boxes_3d,
+    raw,
+    stamp,
+)
+
+
+@pytest.fixture
+def fusion():
+    with FusionInterface(inline=True) as interface:
+        assert interface.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        yield interface
+
+
+def pairs(fusion, kind=0):
+    fusion.flush()
+    return [(result.record.points_seq, result.record.image_seq) for result in fusion.results(kind)]
+
+
+def test_before_a_calibration_nothing_is_taken():
+    with FusionInterface(inline=True) as fusion:
+        for record in (cloud(0, 1), image(0, 1), boxes_3d(0, 1), boxes_2d(0, 1), box_3d(0, 1), box_2d(0, 1)):
+            outcome = fusion.send(record)
+            assert (outcome.status, outcome.cause) == (0, Cause.NO_CALIBRATION)
+
+
+def test_a_calibration_against_the_axes_is_told_at_the_first_send_and_stops_no_other_sensor(fusion):
+    mirrored = calibration(extrinsic_matrix=(0, 0, 1, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0.5, 1))
+    assert fusion.set_calibration(mirrored, camera_id=2, lidar_id=3)
+    outcome = fusion.send(cloud(0, 1, sensor_id=3))
+    assert (outcome.status, outcome.cause) == (0, Cause.BAD_CALIBRATION)
+    assert "mirrors" in outcome.reason
+    assert fusion.send(cloud(0, 1))
+    assert fusion.send(image(0, 1))
+    assert pairs(fusion) == [(1, 1)]
+
+
+def test_a_camera_that_looks_backward_is_taken_with_a_remark_that_is_told_once(fusion):
+    backward = (0, 0, -1, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 1)
+    assert fusion.set_calibration(calibration(extrinsic_matrix=backward), camera_id=1, lidar_id=0)
+    first, second = fusion.send(cloud(0, 1)), fusion.send(image(0, 1))
+    assert first.status == second.status == 1
+    assert "mirrored or transposed?" in first.reason
+    assert second.reason == ""
+    assert fusion.counters.counts()["remarks.calibration"] == 1
+
+
+def test_clouds_without_points_and_pictures_of_one_pixel_are_fused():
+    with FusionInterface(inline=True) as fusion:
+        one = calibration(image_size=(1, 1), intrinsic_matrix=(1, 0, 0, 0, 1, 0, 0, 0, 1))
+        assert fusion.set_calibration(one, camera_id=1, lidar_id=0)
+        for seq, points in enumerate([(), ((5.0, 0.0, 0.0),)]):
+            assert fusion.send(image(100 * seq, seq, width=1, height=1))
+            assert fusion.send(cloud(100 * seq, seq, points))
+        fusion.flush()
+        empty, full = (result.record for result in fusion.results(0))
+    assert (empty.point_num, empty.depths.tolist()) == (0, [[0.0]])
+    np.testing.assert_array_equal(full.points, [[5, 0, 0, 7, 7, 7]])
+    assert full.depths.tolist() == [[5.0]]
+
+
+def test_frames_without_boxes_are_fused_to_none(fusion):
+    assert fusion.send(no_boxes_3d(0, 3))
+    assert fusion.send(no_boxes_2d(0, 4))
+    fusion.flush()
+    record = fusion.get(1).record
+    assert (len(record), record.points_seq, record.image_seq) == (0, 3, 4)
+
+
+def test_what_is_not_finite_cannot_be_made_a_record_and_raw_data_with_it_get_0(fusion):
+    with pytest.raises(DataError, match="nan"):
+        cloud(0, 1, [(np.nan, 0, 0)])
+    assert fusion.set_property(
+        "sensors", '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera"}}'
+    )
+    row = np.zeros(1, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
+    row["xyz"] = np.inf
+    outcome = fusion.send(raw(0, 1, row.tobytes(), sensor_id=0))
+    assert (outcome.cause, "expected a finite number" in outcome.reason) == (Cause.BAD_RECORD, True)
+    assert fusion.send(raw(0, 1, b"x" * 24, sensor_id=0)).cause is Cause.BAD_RECORD
+
+
+def encoded(form):
+    file = io.BytesIO()
+    Image.new("RGB", (64, 48), (9, 9, 9)).save(file, form)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("form", ["jpeg", "png", "rgb8"])
+def test_raw_data_of_each_declared_form_are_fused(fusion, form):
+    sensors = '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera", "raw": "%s"}}'
+    assert fusion.set_property("sensors", sensors % form)
+    data = bytes([9]) * (64 * 48 * 3) if form == "rgb8" else encoded(form.upper())
+    assert fusion.send(raw(0, 8, data, sensor_id=1))
+    row = np.zeros(2, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
+    row["xyz"], row["i"], row["r"] = [(10, 0, 0), (-10, 0, 0)], 30, 5
+    row["t"] = stamp(0).nanoseconds / 1e9
+    assert row.itemsize == 23
+    assert fusion.send(raw(0, 9, row.tobytes(), sensor_id=0))
+    fusion.flush()
+    record = fusion.get(0).record
+    assert (record.points_seq, record.image_seq) == (9, 8)
+    columns = dict(zip(record.point_fields, record.points.T, strict=True))
+    assert (columns["reflectivity"].tolist(), columns["ring"].tolist()) == ([30, 30], [5, 5])
+    assert columns["r"].tolist() == [9, 255]
+
+
+def test_raw_data_of_a_sensor_that_nobody_declared_are_refused(fusion):
+    assert fusion.send(raw(0, 1, b"", sensor_id=0)).cause is Cause.UNKNOWN_SENSOR
+    assert fusion.set_property("sensors", '{"1": {"kind": "camera", "raw": "jpeg"}}')
+    assert fusion.send(cloud(0, 1)).cause is Cause.UNKNOWN_SENSOR
+    assert fusion.send(cloud(0, 1, sensor_id=1)).cause is Cause.UNKNOWN_SENSOR
+
+
+def test_a_picture_that_cannot_be_decoded_is_counted_and_ends_nothing(fusion):
+    assert fusion.set_property("sensors", '{"0": {"kind": "lidar"}, "1": {"kind": "camera", "raw": "jpeg"}}')
+    assert fusion.send(raw(0, 1, encoded("JPEG")[:200], sensor_id=1))
+    assert fusion.send(cloud(0, 1))
+    assert fusion.send(raw(100, 2, encoded("JPEG"), sensor_id=1))
+    assert fusion.send(cloud(100, 2))
+    assert pairs(fusion) == [(2, 2)]
+    assert fusion.counters.counts()["errors.unreadable-picture"] == 1
+
+
+def test_late_and_out_of_order_arrivals_find_their_partners(fusion):
+    for record in (cloud(0, 0), cloud(100, 1), image(110, 11), image(10, 10), cloud(200, 2), image(190, 12)):
+        assert fusion.send(record)
+    assert pairs(fusion) == [(0, 10), (1, 11), (2, 12)]
+
+
+def test_what_is_older_than_lateness_allows_is_refused(fusion):
+    assert fusion.send(image(500, 5))
+    late = fusion.send(image(399, 4))
+    assert (late.cause, "101.000 ms older" in late.reason) == (Cause.TIME_BACKWARDS, True)
+    assert fusion.send(image(401, 4))
+
+
+@pytest.mark.parametrize("hours", [-30, 30])
+def test_after_all_clocks_were_set_pairs_go_on(fusion, hours):
+    for seq in range(5):
+        assert fusion.send(image(100 * seq, seq))
+        assert fusion.send(cloud(100 * seq + 3, seq))
+    jump = hours * 3_600_000
+    for seq in range(5, 10):
+        assert fusion.send(image(100 * seq + jump, seq))
+        assert fusion.send(cloud(100 * seq + 3 + jump, seq))
+    assert pairs(fusion) == [(seq, seq) for seq in range(10)]
+    assert fusion.counters.counts()[f"clock.set-{'back' if hours < 0 else 'forward'}"] >= 1
+
+
+def test_one_wrong_stamp_far_ahead_costs_one_record(fusion):
+    for seq in range(10):
+        jump = 3_600_000 if seq == 4 else 0
+        assert fusion.send(image(100 * seq, seq))
+        assert fusion.send(cloud(100 * seq + 3 + jump, seq))
+    assert pairs(fusion) == [(seq, seq) for seq in range(10) if seq != 4]
+
+
+def test_a_number_again_is_refused_and_taken_after_a_sensor_was_started_again(fusion):
+    assert fusion.send(cloud(0, 0))
+    assert fusion.send(cloud(0, 0)).cause is Cause.DUPLICATE
+    assert fusion.send(cloud(100, 0)).cause is Cause.DUPLICATE
+    assert fusion.send(cloud(5000, 0))
+
+
+def test_numbers_wrap_at_2_to_the_32(fusion):
+    numbers = [2**32 - 2, 2**32 - 1, 0, 1]
+    for k, seq in enumerate(numbers):
+        assert fusion.send(image(100 * k, seq))
+        assert fusion.send(cloud(100 * k, seq))
+    assert pairs(fusion) == [(seq, seq) for seq in numbers]
+
+
+def test_a_picture_of_another_size_is_refused(fusion):
+    outcome = fusion.send(image(0, 1, width=32))
+    assert (outcome.cause, "expected 64" in outcome.reason) == (Cause.BAD_RECORD, True)
+
+
+def failing(*_, **__):
+    raise ZeroDivisionError("an algorithm of somebody")
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_an_algorithm_that_fails_is_counted_and_ends_nothing(fusion, kind, monkeypatch):
+    monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda kind, name: failing)
+    monkeypatch.setattr("sceneloom.fusion.interface.algorithm", lambda kind, name: failing)
+    assert fusion.set_property("fusion_type", kind)
+    assert fusion.set_property("fusion_algorithm", "failing")
+    sends = ((image, cloud), (boxes_2d, boxes_3d))[kind]
+    for send in sends:
+        assert fusion.send(send(0, 1))
+    fusion.flush()
+    monkeypatch.undo()
+    assert fusion.set_property("fusion_algorithm", "projection")
+    for send in sends:
+        assert fusion.send(send(100, 2))
+    assert pairs(fusion, kind) == [(2, 2)]
+    counts = fusion.counters.counts()
+    assert counts["errors.ZeroDivisionError"] == 1
+    assert counts[f"failed.{('points', 'boxes_3d')[kind]}"] == 1
+
+
+def test_an_algorithm_that_fails_for_one_lidar_leaves_the_other_its_pictures(monkeypatch):
+    from sceneloom.colouring.algorithms import fuse_by_projection
+
+    def fails_near(points, requests, visibility, /, *, way=None):
+        if points[0, 0] < 15:
+            failing()
+        return fuse_by_projection(points, requests, visibility, way=way)
+
+    monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda kind, name: fails_near)
+    with FusionInterface(inline=True) as fusion:
+        for lidar_id in (0, 2):
+            assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=lidar_id)
+        assert fusion.send(cloud(0, 1, sensor_id=0))
+        assert fusion.send(cloud(0, 5, [(20.0, 0, 0)], sensor_id=2))
+        assert fusion.send(image(0, 1))
+        assert pairs(fusion) == [(5, 1)]
+
+
+def test_who_only_looks_on_ends_nothing():
+    def observer(event):
+        raise RuntimeError(event)
+
+    with FusionInterface(inline=True, observer=observer) as fusion:
+        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        assert fusion.send(image(0, 1))
+        assert fusion.send(cloud(0, 1))
+        assert pairs(fusion) == [(1, 1)]
+        assert fusion.counters.counts()["errors.observer.RuntimeError"] >= 3
+
+
+def test_one_that_never_fetches_keeps_only_the_newest_results(fusion):
+    assert fusion.set_property("result_queue_length", 3)
+    for seq in range(10):
+        assert fusion.send(image(100 * seq, seq))
+        assert fusion.send(cloud(100 * seq, seq))
+    fusion.flush()
+    assert fusion.waiting_results == 3
+    assert fusion.counters.counts()["dropped.results"] == 7
+    assert [result.number for result in fusion.results(0)] == [7, 8, 9]
+
+
+def test_only_so_many_sweeps_and_pictures_wait_for_one_another(fusion):
+    assert fusion.set_property("queue_length", 4)
+    for seq in range(20):
+        assert fusion.send(image(10 * seq, seq))
+    for seq in range(20):
+        assert fusion.send(cloud(10_000_000 + seq, seq))
+    assert fusion.waiting_records <= 8
+    assert fusion.counters.counts()["dropped.waiting.image"] == 16
+
+
+def test_a_full_queue_refuses_where_it_is_told_to(fusion):
+    assert fusion.set_property("queue_policy", "refuse")
+    assert fusion.set_property("queue_length", 2)
+    outcomes = [fusion.send(cloud(100 * seq, seq)) for seq in range(4)]
+    assert [outcome.cause for outcome in outcomes] == ["", "", Cause.QUEUE_FULL, Cause.QUEUE_FULL]
+    assert fusion.send(image(0, 0))
+    assert fusion.send(image(100, 1))
+    assert fusion.send(cloud(200, 2))  # the same number again is no duplicate: it was not taken before
+    assert pairs(fusion) == [(0, 0), (1, 1), (2, 1)]
+
+
+def test_boxes_alone_are_closed_by_the_next_number_and_by_flush(fusion):
+    for seq in (0, 1):
+        for number in range(3):
+            assert fusion.send(box_2d(100 * seq, seq, id=number))
+    for seq in (0, 1):
+        for number in range(2):
+            assert fusion.send(box_3d(100 * seq, seq, id=number, X=20.0 + 10 * number))
+    assert fusion.waiting_boxes == 5
+    assert pairs(fusion, 1) == [(0, 0), (1, 1)]
+    assert fusion.waiting_boxes == 0
+    fusion.close()
+    counts = fusion.counters.counts()
+    assert (counts["received.box_2d"], counts["gathered.boxes_2d"], counts["fused.boxes_2d"]) == (6, 2, 2)
+
+
+def test_a_box_of_a_frame_that_is_closed_already_is_refused(fusion):
+    assert fusion.send(box_3d(0, 0))
+    assert fusion.send(box_3d(100, 1))
+    assert fusion.send(box_3d(0, 0)).cause is Cause.DUPLICATE
+    assert fusion.waiting_boxes == 1
+
+
+def test_boxes_alone_are_closed_when_nothing_comes_for_a_while():
+    with FusionInterface() as fusion:
+        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        assert fusion.set_property("pairing_timeout_ms", 5)
+        assert fusion.send(box_3d(0, 3))
+        assert fusion.send(box_2d(0, 4))
+        result = fusion.get(1, timeout_s=30)
+    assert (result.record.points_seq, result.record.image_seq) == (3, 4)
+
+
+def test_a_box_alone_belongs_to_the_sensor_that_sent_its_frame():
+    with FusionInterface(inline=True) as fusion:
+        for lidar_id in (0, 2):
+            assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=lidar_id)
+        assert fusion.send(box_3d(0, 7)).cause is Cause.UNKNOWN_SENSOR
+        assert fusion.send(cloud(0, 6, sensor_id=0))
+        assert fusion.send(cloud(0, 7, sensor_id=2))
+        assert fusion.send(box_3d(0, 7))
+        assert fusion.send(box_2d(0, 1))
+        fusion.flush()
+        record = fusion.get(1).record
+    assert (record.lidar_id, record.points_seq) == (2, 7)
+
+
+def test_without_pictures_sweeps_are_not_kept_waiting():
+    with FusionInterface() as fusion:
+        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        assert fusion.set_property("pairing_timeout_ms", 0)
+        assert fusion.set_property("pairing_tolerance_ms", 1.0)
+        assert fusion.send(cloud(0, 1))
+        done = threading.Event()
+        while not done.wait(0.001) and fusion.counters.counts().get("unpaired.points") != 1:
+            pass
+        assert fusion.waiting_records == 0
+
+
+def test_nothing_waits_after_the_end():
+    fusion = FusionInterface()
+    assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    for record in (cloud(0, 1), image(700, 2), boxes_3d(0, 1), boxes_2d(900, 1), box_3d(2000, 3)):
+        assert fusion.send(record)
+    fusion.close()
+    fusion.flush()  # which finds nothing to do
+    assert (fusion.waiting_records, fusion.waiting_boxes) == (0, 0)
+    assert fusion.send(cloud(0, 1)).cause is Cause.CLOSED
+
+
+def test_all_who_wait_are_let_go_at_the_end_and_each_result_goes_to_one():
+    fusion = FusionInterface()
+    assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    found, guard = [], threading.Lock()
+
+    def fetch():
+        while (result := fusion.get(0, timeout_s=float("inf"))) is not None:
+            with guard:
+                found.append(result.number)
+
+    threads = [threading.Thread(target=fetch) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for seq in range(20):
+        assert fusion.send(image(100 * seq, seq))
+        assert fusion.send(cloud(100 * seq, seq))
+        fusion.flush()
+    fusion.close()
+    for thread in threads:
+        thread.join(30)
+    assert not any(thread.is_alive() for thread in threads)
+    assert sorted(found) == list(range(20))
+
+
+def test_a_removed_calibration_is_gone():
+    with FusionInterface(inline=True) as fusion:
+        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        assert '"extrinsic_matrix"' in fusion.get_property("calibration")
+        assert fusion.set_property("calibration", "")
+        assert fusion.send(cloud(0, 1)).cause is Cause.NO_CALIBRATION
+
+
+def test_a_pair_of_another_setting_than_its_sweep_is_fused(fusion):
+    assert fusion.send(boxes_3d(0, 1))
+    assert fusion.set_calibration(calibration(extrinsic_matrix=FORWARD), camera_id=2, lidar_id=0)
+    assert fusion.send(boxes_2d(0, 1))
+    assert fusion.send(boxes_2d(0, 2, sensor_id=2))
+    assert pairs(fusion, 1) == [(1, 1), (1, 2)]

@@ -46,7 +46,9 @@ def info(
     from sceneloom.scene.summary import summarise
 
     with open_scene(path, **options.said(**reading)) as scene:
-        summary = summarise(scene, size_bytes=size_on_disk(path))
+        # a drive may be named by a file in it
+        whole = Path(scene.source) if isinstance(path, Path) and Path(scene.source).exists() else path
+        summary = summarise(scene, size_bytes=size_on_disk(whole))
         mountings = [mounting_text(sensor) for sensor in scene.sensors]
         drawn = [] if pictures is None else _draw(scene, pictures, at, overwrite=overwrite)
     if as_json:

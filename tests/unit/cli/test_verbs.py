@@ -30,7 +30,9 @@ def test_info_as_json_counts_what_is_there(call: Call, recording: Path) -> None:
     counts = {sensor["id"]: sensor["count"] for sensor in summary["sensors"]}
     assert (counts["lidar"], counts["camera0"]) == (3, 3)
     assert summary["format"] == "recording"
-    assert summary["size_bytes"] == sum(p.stat().st_size for p in recording.rglob("*") if p.is_file())
+    size = sum(p.stat().st_size for p in recording.rglob("*") if p.is_file())
+    assert summary["size_bytes"] == size
+    assert json.loads(call("info", recording / "data.jsonl", "--json").out)["size_bytes"] == size
 
 
 def test_info_as_json_names_the_pictures_that_it_drew(call: Call, tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def compare_pictures(
     Args:
         pixels: decode pictures whose bytes differ or are not there, and tell how far their pixels differ.
     """
-    videos = _videos(comparison, path, first, second)
+    videos = _videos(comparison, path, first, second, told=not pixels)
 
     def compare(inner: Comparison, place: str, a: Picture, b: Picture) -> None:
         inner.records(place, a, b, skipped=("decode", "encoded"))
@@ -119,7 +119,7 @@ def compare_depth_images(
     Args:
         pixels: decode images that no equal videos hold, and tell how far their depths differ.
     """
-    videos = _videos(comparison, path, first, second)
+    videos = _videos(comparison, path, first, second, told=not pixels)
 
     def compare(inner: Comparison, place: str, a: DepthFrame, b: DepthFrame) -> None:
         inner.records(place, a, b, skipped=("decode",))
@@ -157,15 +157,17 @@ def _videos(
     path: str,
     first: CameraSensor | DepthCameraSensor,
     second: CameraSensor | DepthCameraSensor,
+    *,
+    told: bool,
 ) -> bool | None:
-    """Whether the videos behind two cameras are equal, which is told; None where there are not two."""
+    """Whether the videos behind two cameras are equal, `told` where they are not; None where there are not two."""
     a, b = first.video, second.video
     if a is None or b is None:
         return None
     if a.frame_indices != b.frame_indices:
         return None
     equal = _same_files(a, b)
-    if not equal:
+    if told and not equal:
         comparison.add(f"{path}.video", Change.CHANGED, f"{a.codec}; then {b.codec} of other bytes")
     return equal
 

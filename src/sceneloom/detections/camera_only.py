@@ -4,6 +4,7 @@ An object of the height h that is seen under the angle α from top to bottom is 
 heights differ within a class is how little is known of that distance; across the ray the picture knows better.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,6 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import unproject
 from sceneloom.detections.classes import typical_sizes
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.detections import Boxes2D
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
 _EDGE_SHARE, _EDGE_PX = 0.05, 2.0
@@ -57,15 +57,24 @@ class Placed(NamedTuple):
         )
 
 
-def place_by_height(camera: Camera, camera_from_lidar: RigidTransform, boxes: Boxes2D) -> Placed:
-    """Guess where objects are whose boxes in the picture are all that is known."""
-    corners, count = boxes.corners_xyxy, len(boxes)
+def place_by_height(
+    camera: Camera, camera_from_lidar: RigidTransform, corners_xyxy: Float64Array, labels: Sequence[str]
+) -> Placed:
+    """Guess where objects are whose boxes in the picture are all that is known.
+
+    Args:
+        camera: the lens.
+        camera_from_lidar: how it lies.
+        corners_xyxy: (N, 4) float64 [px], corner convention, with an area.
+        labels: N classes.
+    """
+    corners, count = corners_xyxy, len(corners_xyxy)
     if count == 0:
         return _NONE
     wide = corners[:, 2:] - corners[:, :2]
     places = corners[:, None, :2] + _ROWS * wide[:, None] - CENTRE_TO_CORNER
     rays = unproject(camera, places.reshape(-1, 2)).reshape(count, 5, 3)
-    sizes, sigmas = typical_sizes(boxes.labels)
+    sizes, sigmas = typical_sizes(labels)
     angles, widths = _angles(rays[:, 1::2], rays[:, 2::2]).T
     known = np.isfinite(rays).all(axis=(1, 2)) & (angles > 0.0)
     angles = np.where(known, angles, 1.0)

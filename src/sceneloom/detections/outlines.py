@@ -15,6 +15,8 @@ from sceneloom.visibility.outlines import COARSE, box_extents
 
 _NEAR = 0.05
 """A box nearer to the camera than this holds it, and has no outline [m]."""
+_APART = 1.5
+"""Boxes whose middles are nearer to each other than this along the sight stand for one thing, and hide no other [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +36,20 @@ class Outlines:
     corners_camera: Float64Array
 
 
-def project_outlines(camera: Camera, camera_from_lidar: RigidTransform, boxes: Boxes3D) -> Outlines:
+def project_outlines(
+    camera: Camera,
+    camera_from_lidar: RigidTransform,
+    boxes: Boxes3D,
+    *,
+    likely: Float64Array | None = None,
+) -> Outlines:
     """Find where a picture shows the boxes of a sweep; their numbers are finite.
+
+    Args:
+        camera: the lens.
+        camera_from_lidar: how it lies.
+        boxes: in the lidar's frame.
+        likely: (N,) float64, how likely it is that each exists, and so hides what is behind it; None for certain.
 
     Raises:
         CalibrationError: the lens is unknown.
@@ -48,5 +62,6 @@ def project_outlines(camera: Camera, camera_from_lidar: RigidTransform, boxes: B
     # one beyond the picture has infinities the wrong way round; of one around the camera nothing is known
     hidden = (gaps <= _NEAR) | (extents[:, 2] <= extents[:, 0]) | (extents[:, 3] <= extents[:, 1])
     extents[hidden], shares[hidden] = 0.0, 0.0
-    shares *= 1.0 - covered_shares(extents, distances)
+    solid = np.ones(len(boxes)) if likely is None else likely
+    shares *= 1.0 - covered_shares(extents, distances, solid, _APART)
     return Outlines(extents, shares, axes, corners)

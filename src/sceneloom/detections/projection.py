@@ -56,12 +56,13 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
     if pair.boxes_3d.frame is not PointsFrame.SENSOR:
         raise OptionError(f"boxes in the {pair.boxes_3d.frame} frame; expected the lidar's")
     seen = _Seen.of(pair, settings)
-    outlines = project_outlines(pair.camera, pair.camera_from_lidar, seen.boxes_3d)
+    likely = existence.probabilities(seen.odds_3d)
+    outlines = project_outlines(pair.camera, pair.camera_from_lidar, seen.boxes_3d, likely=likely)
     gains = pair_gains(
         outlines.corners_xyxy,
         seen.boxes_2d.corners_xyxy,
         *codes(seen.boxes_3d.labels, seen.boxes_2d.labels),
-        existence.probabilities(seen.odds_3d),
+        likely,
         existence.probabilities(seen.odds_2d),
         least_iou=settings.least_iou,
     )
@@ -169,8 +170,12 @@ def _objects_of_picture(
     alone = np.ones(len(seen.boxes_2d), np.bool_)
     alone[partners] = False
     rows = np.flatnonzero(alone)
-    placed = place_by_height(pair.camera, pair.camera_from_lidar, seen.boxes_2d.select(rows))
-    rows, placed = rows[placed.known], placed.some(placed.known)
+    corners, labels = seen.boxes_2d.corners_xyxy[rows], tuple(seen.boxes_2d.labels[k] for k in rows.tolist())
+    placed = place_by_height(pair.camera, pair.camera_from_lidar, corners, labels)
+    if not placed.known.all():
+        kept = np.flatnonzero(placed.known)
+        rows, corners, labels = rows[kept], corners[kept], tuple(labels[k] for k in kept.tolist())
+        placed = placed.some(placed.known)
     expected = np.where(placed.ranges <= settings.farthest_3d, settings.recall_3d, 0.0)
     columns = {
         "centers": placed.centers,
@@ -179,11 +184,11 @@ def _objects_of_picture(
         "size_covariances": placed.size_covariances,
         "yaws": np.zeros(len(rows)),
         "scores": existence.probabilities(existence.missed(seen.odds_2d[rows], expected)),
-        "corners_xyxy": seen.boxes_2d.corners_xyxy[rows],
+        "corners_xyxy": corners,
         "rows_3d": np.full(len(rows), NO_BOX),
         "rows_2d": seen.rows_2d[rows],
     }
-    return columns, tuple(seen.boxes_2d.labels[k] for k in rows.tolist())
+    return columns, labels
 
 
 def _labels(seen: _Seen, matched: Matched) -> tuple[str, ...]:

@@ -77,13 +77,22 @@ def pair_gains(
     return gains
 
 
-@njit("float64[::1](float64[:,::1], float64[::1])", nogil=True, cache=True, error_model="numpy")
-def covered_shares(boxes: Float64Array, depths: Float64Array) -> Float64Array:
-    """Say which share of each box the one nearer box covers that covers most of it.
+@njit(
+    "float64[::1](float64[:,::1], float64[::1], float64[::1], float64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def covered_shares(
+    boxes: Float64Array, distances: Float64Array, likely: Float64Array, margin: float
+) -> Float64Array:
+    """Say which share of each box another one is likely to cover, of those nearer the one that covers most.
 
     Args:
         boxes: (N, 4) [px], left, top, right, bottom.
-        depths: (N,), how far each is.
+        distances: (N,) [m], how far each is.
+        likely: (N,), how likely it is that each exists.
+        margin: boxes that are less nearer than this are in one place, and cover nothing [m].
 
     Returns:
         (N,) float64, 0 for boxes without area.
@@ -94,6 +103,6 @@ def covered_shares(boxes: Float64Array, depths: Float64Array) -> Float64Array:
         if area <= 0.0:
             continue
         for j in range(len(boxes)):
-            if depths[j] < depths[i]:
-                shares[i] = max(shares[i], _common(boxes, i, boxes, j) / area)
+            if distances[j] < distances[i] - margin:
+                shares[i] = max(shares[i], likely[j] * _common(boxes, i, boxes, j) / area)
     return shares

@@ -6,7 +6,6 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.camera_only import place_by_height
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.detections import Boxes2D
 
 CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
 CAMERA_FROM_LIDAR = RigidTransform(
@@ -16,9 +15,7 @@ CAMERA_FROM_LIDAR = RigidTransform(
 
 def placed(*corners, label="pedestrian"):
     numbers = np.array(corners, np.float64)
-    return place_by_height(
-        CAMERA, CAMERA_FROM_LIDAR, Boxes2D(0, numbers, np.full(len(numbers), 0.5), (label,) * len(numbers))
-    )
+    return place_by_height(CAMERA, CAMERA_FROM_LIDAR, numbers, (label,) * len(numbers))
 
 
 def test_a_person_is_where_their_height_says():
@@ -45,7 +42,7 @@ def test_what_the_border_cuts_is_less_certain():
 
 
 def test_without_boxes_there_is_nothing():
-    assert len(place_by_height(CAMERA, CAMERA_FROM_LIDAR, Boxes2D.empty(0)).centers) == 0
+    assert len(place_by_height(CAMERA, CAMERA_FROM_LIDAR, np.zeros((0, 4)), ()).centers) == 0
 
 
 @pytest.mark.parametrize("label", ["car", "dragon", ""])
@@ -53,3 +50,11 @@ def test_every_class_has_a_size(label):
     found = placed([400.0, 100.0, 500.0, 200.0], label=label)
     assert (found.sizes_lwh > 0).all()
     assert np.isfinite(found.center_covariances).all()
+
+
+def test_what_the_lens_has_no_rays_for_is_not_known():
+    bent = Camera("brown_conrady", 1000, 600, 500.0, 500.0, 499.5, 299.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
+    corners = np.array([[400.0, 100.0, 500.0, 200.0], [-3e4, -2e4, -2.9e4, -1.9e4]])
+    found = place_by_height(bent, CAMERA_FROM_LIDAR, corners, ("car", "car"))
+    assert found.known.tolist() == [True, False]
+    assert np.isfinite(found.centers).all()

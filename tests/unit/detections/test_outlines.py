@@ -74,5 +74,10 @@ def test_a_box_that_reaches_behind_the_camera_is_cut_at_the_picture():
 def test_what_stands_behind_a_nearer_box_is_seen_less():
     # the same place in the picture, twice as far and half covered: 1 m wide at 10 m hides 2 m at 20 m
     centers, sizes = [[10.3, 0.5, 0], [20.5, 0, 0]], [[0.001, 1, 4], [0.001, 2, 1]]
-    shares = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of(centers, sizes, [0.0, 0.0])).seen_shares
+    boxes = boxes_of(centers, sizes, [0.0, 0.0])
+    shares = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes).seen_shares
     assert shares[1] == pytest.approx(0.5, abs=0.05)  # the lens is 5 cm to the side
+    doubtful = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes, likely=np.array([0.4, 1.0])).seen_shares
+    assert doubtful[1] == pytest.approx(0.8, abs=0.02)
+    twice = boxes_of([[20.3, 0.5, 0], [20.5, 0, 0]], sizes, [0.0, 0.0])
+    assert project_outlines(CAMERA, CAMERA_FROM_LIDAR, twice).seen_shares[1] == 1.0

@@ -98,7 +98,7 @@ def test_a_box_of_the_sweep_that_is_tiny_in_the_picture_stays_as_likely():
 
 def test_a_box_of_the_sweep_that_a_nearer_one_hides_stays_as_likely():
     result = fused(boxes_3d((10, 0, 0, 0.9), (25, 0, 0, 0.6)), boxes_2d())
-    assert result.scores[1] == pytest.approx(0.6, rel=1e-12)
+    assert result.scores[1] == pytest.approx(0.6 * 0.91 / (0.6 * 0.91 + 0.4), rel=1e-12)
 
 
 def test_a_box_of_the_picture_alone_has_its_ray_and_less_existence():

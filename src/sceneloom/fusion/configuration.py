@@ -20,6 +20,7 @@ class FusionConfiguration:
             it was not fused.
         picture_period_ns: from picture to picture of a camera: none can come that is nearer to a sweep than one within
             half of it. None where that is not known: then pictures come in the order of time.
+        disorder_ns: how much older than the newest one a sweep may come.
         motion_compensation: whether the ego's motion counts; else everything is fused as if it had not moved.
 
     Source: DB34/T 4101-2022, table 2 names the algorithm's property.
@@ -34,3 +35,4 @@ class FusionConfiguration:
     stand_beyond_way: bool = False
     motion_compensation: bool = True
     picture_period_ns: int | None = None
+    disorder_ns: int = 0

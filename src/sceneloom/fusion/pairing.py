@@ -197,8 +197,9 @@ class Pairing(Generic[Frame, Partner]):
         while self.waiting and (final or self._is_ready(self.waiting[0])):
             waiting = self.waiting.popleft()
             yield waiting
-            # sweeps come in order of their stamps; a later one can refer to any time from this stamp on, less the lag
-            self._forget_before(waiting.frame.timestamp_ns - max(self._lags_ns.values()))
+            # a later one can refer to any time from this stamp on, less the lag and what sweeps may be out of order
+            lag_ns = max(self._lags_ns.values(), default=0) + waiting.configuration.disorder_ns
+            self._forget_before(waiting.frame.timestamp_ns - lag_ns)
         if not self.waiting and self._latest_ns is not None:
             self._forget_before(self._latest_ns - _LONGEST_LAG_NS)
 

@@ -124,6 +124,7 @@ class Setting:
             stand_beyond_way=True,
             motion_compensation=self.properties["motion_compensation"] == 1,
             picture_period_ns=self.picture_period_ns,
+            disorder_ns=self.lateness_ns,
         )
 
     @cached_property

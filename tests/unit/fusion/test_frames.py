@@ -1,0 +1,263 @@
+"""Declared frames and motion: what is given in them comes back in them, as a slow reckoning by words says."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.messages import CalibrationData
+from sceneloom.scene.poses import PosePath
+
+from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, cloud, image
+
+LIDAR_WORDS = ["+x,-y,+z", "+y,+x,+z", "+x,+y,+z", "-z,+y,+x", "-y,-x,-z"]
+CAMERA_WORDS = ["+z,+x,-y", "+x,-y,+z", "+z,-x,-y"]
+FORWARD_RIGHT_UP = np.array([[12.0, 0.5, -0.25], [30.0, -4.0, 1.5], [8.0, 3.0, 2.0], [-9.0, 1.0, 0.0]])
+"""Points around the vehicle [m]."""
+
+CAMERA_AT = np.array([0.5, 0.25, -0.5])
+"""Where the camera is, forward, right and up of the lidar [m]; it looks forward."""
+
+
+def axes_matrix(words):
+    """Columns: where forward, right and up point, read off the words one by one."""
+    columns = np.zeros((3, 3))
+    for place, word in enumerate(words.split(",")):
+        columns["xyz".index(word[1]), place] = -1.0 if word[0] == "-" else 1.0
+    return columns
+
+
+def handed(words):
+    return np.linalg.det(axes_matrix(words)) > 0
+
+
+def declared_calibration(lidar_words, camera_words):
+    """Relates the declared frames, point by point: from the lidar's words to the camera's."""
+    lidar, camera = axes_matrix(lidar_words), axes_matrix(camera_words)
+    matrix = np.eye(4)
+    matrix[:3, :3] = camera @ lidar.T
+    matrix[:3, 3] = camera @ -CAMERA_AT
+    return CalibrationData(
+        image_size=(WIDTH, HEIGHT),
+        intrinsic_matrix=(50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
+        reference_frame=0,
+        extrinsic_matrix=tuple(matrix.T.reshape(-1).tolist()),
+    )
+
+
+def seen(forward_right_up):
+    """The pixel (column, row) and depth of a point, or None; a camera that looks forward."""
+    forward, right, up = np.asarray(forward_right_up) - CAMERA_AT
+    if forward <= 0:
+        return None
+    column, row = 31.5 + 50.0 * right / forward, 23.5 - 50.0 * up / forward
+    inside = -0.5 <= column < WIDTH - 0.5 and -0.5 <= row < HEIGHT - 0.5
+    return (round(column), round(row), forward) if inside else None
+
+
+def interface(lidar_words, camera_words):
+    fusion = FusionInterface(inline=True)
+    assert fusion.set_property("lidar_axes", lidar_words)
+    assert fusion.set_property("camera_axes", camera_words)
+    assert fusion.set_calibration(declared_calibration(lidar_words, camera_words), camera_id=1, lidar_id=0)
+    return fusion
+
+
+FRAMES = [pair for pair in itertools.product(LIDAR_WORDS, CAMERA_WORDS) if handed(pair[0]) == handed(pair[1])]
+
+
+@pytest.mark.parametrize(("lidar_words", "camera_words"), FRAMES)
+@pytest.mark.parametrize("of_lidar", [0, 1])
+def test_points_come_back_in_the_frames_that_were_declared(lidar_words, camera_words, of_lidar):
+    lidar, camera = axes_matrix(lidar_words), axes_matrix(camera_words)
+    with interface(lidar_words, camera_words) as fusion:
+        assert fusion.set_property("reference_frame", of_lidar)
+        assert fusion.send(image(0, 1))
+        assert fusion.send(cloud(0, 1, FORWARD_RIGHT_UP @ lidar.T)).reason == ""
+        fusion.flush()
+        record = fusion.get(0).record
+    expected = FORWARD_RIGHT_UP @ lidar.T if of_lidar else (FORWARD_RIGHT_UP - CAMERA_AT) @ camera.T
+    np.testing.assert_allclose(record.points[:, :3], expected, atol=1e-5)  # float32 of tens of metres
+    depths = np.zeros((HEIGHT, WIDTH))
+    for point in FORWARD_RIGHT_UP:
+        found = seen(point)
+        if found is not None:
+            depths[found[1], found[0]] = found[2]
+    assert np.count_nonzero(depths) == 3
+    np.testing.assert_allclose(record.depths, depths, atol=1e-5)
+
+
+@pytest.mark.parametrize(("lidar_words", "camera_words"), FRAMES)
+def test_boxes_come_back_in_the_frame_that_was_declared(lidar_words, camera_words):
+    lidar = axes_matrix(lidar_words)
+    center, heading = lidar @ (20.0, 0.25, -0.5), lidar @ (0.6, 0.8, 0.0)
+    vector = lidar @ (3.0, 4.5, 0.5)
+    box = boxes_3d(
+        0,
+        1,
+        **dict(zip("XYZ", center.tolist(), strict=True)),
+        direction=tuple((2 * heading).tolist()),
+        velocity=5.4,
+        velocity_vector=tuple(vector.tolist()),
+    )
+    with interface(lidar_words, camera_words) as fusion:
+        assert fusion.send(box)
+        assert fusion.send(boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
+        fusion.flush()
+        record = fusion.get(1).record
+    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+        standard = axes_matrix("+x,-y,+z")
+        turned = dict(zip("XYZ", (standard @ lidar.T @ center).tolist(), strict=True))
+        heads = tuple((standard @ lidar.T @ heading).tolist())
+        speeds = tuple((standard @ lidar.T @ vector).tolist())
+        assert fusion.send(boxes_3d(0, 1, **turned, direction=heads, velocity=5.4, velocity_vector=speeds))
+        assert fusion.send(boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
+        fusion.flush()
+        known = fusion.get(1).record
+    assert len(record) == len(known) == 1
+    assert (record.box_3d_ids, record.box_2d_ids) == ((4,), (6,))  # the ray through the lens decides the pair
+    turn = lidar @ standard.T
+    np.testing.assert_allclose(record.centers, known.centers @ turn.T, atol=1e-5)
+    np.testing.assert_allclose(record.directions, [heading], atol=1e-6)
+    np.testing.assert_allclose(record.velocities, [5.4], atol=1e-6)  # 0.6 * 3 + 0.8 * 4.5
+    np.testing.assert_allclose(record.velocity_vectors, [vector], atol=1e-5)
+    np.testing.assert_allclose(record.center_covs, turn @ known.center_covs @ turn.T, atol=1e-6)
+    np.testing.assert_allclose(record.size_covs, known.size_covs)
+    np.testing.assert_array_equal(record.corners_xyxy, known.corners_xyxy)
+
+
+SPEED, TURN = 20.0, 0.8
+"""Of the vehicle along its way: forward [m/s], to the left [rad/s]."""
+
+WORLD_POINT = np.array([1_000_000.0 + 15.0, 2_000_000.0 - 1.0, 0.5])
+"""Something that stands, x, y, z in a world far from its origin [m]."""
+
+
+def pose(seconds):
+    """The lidar on a circle: rotation (yaw alone) and position, in closed form."""
+    yaw, radius = TURN * seconds, SPEED / TURN
+    position = np.array([1e6 + radius * np.sin(yaw), 2e6 + radius * (1 - np.cos(yaw)), 0.0])
+    return Rotation.from_euler("z", yaw), position
+
+
+def path(first_ms, last_ms):
+    times = np.arange(first_ms, last_ms + 1)
+    poses = [pose(ms / 1e3) for ms in times]
+    return PosePath(
+        START_NS + times.astype(np.int64) * 1_000_000,
+        np.array([position for _, position in poses]),
+        np.array([rotation.as_quat() for rotation, _ in poses]),
+    )
+
+
+def from_lidar(seconds):
+    """The thing seen from the lidar at a time: x forward, y left, z up."""
+    rotation, position = pose(seconds)
+    return rotation.inv().apply(WORLD_POINT - position)
+
+
+def moving_sweep(words="+x,-y,+z"):
+    """The same thing measured at 0, 20, 40, 60 and 80 ms."""
+    seconds = np.array([0.0, 0.02, 0.04, 0.06, 0.08])
+    standard = np.array([from_lidar(s) for s in seconds])
+    forward_right_up = standard * (1, -1, 1)
+    return cloud(0, 1, forward_right_up @ axes_matrix(words).T, times=seconds)
+
+
+def fused_with_motion(words, camera_words, pieces, *, picture_ms=90, order="before", compensate=1):
+    with interface(words, camera_words) as fusion:
+        assert fusion.set_property("motion_compensation", compensate)
+        records = [moving_sweep(words), image(picture_ms, 1)]
+        sent = [*pieces, *records] if order == "before" else [records[0], *pieces, records[1]]
+        for what in sent:
+            assert fusion.send_motion(what) if isinstance(what, PosePath) else fusion.send(what)
+        fusion.flush()
+        return fusion.get(0).record, fusion.counters.counts()
+
+
+@pytest.mark.parametrize(("words", "camera_words"), FRAMES[:4])
+@pytest.mark.parametrize("order", ["before", "between"])
+@pytest.mark.parametrize("cuts", [(-50, 200), (-50, 30, 200)])
+def test_what_stands_is_at_one_place_whenever_it_was_measured(words, camera_words, order, cuts):
+    pieces = [path(first + 1, last) for first, last in itertools.pairwise(cuts)]
+    record, counts = fused_with_motion(words, camera_words, pieces, order=order)
+    assert record.motion_compensated == 1
+    expected = axes_matrix(words) @ (
+        from_lidar(0.04) * (1, -1, 1)
+    )  # the reference is the middle point's time
+    # the way between poses of each millisecond is straight: 20 m/s * 1 ms bends by less than a tenth of a millimetre
+    np.testing.assert_allclose(record.points[:, :3], np.tile(expected, (5, 1)), atol=2e-4)
+    column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
+    assert record.depths[row, column] == pytest.approx(depth, abs=2e-4)
+    assert "motion.beyond-reach" not in counts
+
+
+@pytest.mark.parametrize(
+    ("pieces", "compensate", "counted"),
+    [
+        ([], 1, False),
+        ([path(-2000, -400)], 1, True),  # the way ends 400 ms before, and is continued for 200
+        ([path(-50, 200)], 0, False),
+    ],
+)
+def test_without_a_way_that_reaches_all_is_fused_as_if_standing_and_says_so(pieces, compensate, counted):
+    record, counts = fused_with_motion("+x,-y,+z", "+z,+x,-y", pieces, compensate=compensate)
+    assert record.motion_compensated == 0
+    np.testing.assert_array_equal(record.points[:, :3], moving_sweep().points[:, :3])
+    column, row, depth = seen(from_lidar(0.0) * (1, -1, 1))
+    assert record.depths[row, column] == pytest.approx(depth, abs=1e-4)
+    assert ("motion.beyond-reach" in counts) is counted
+
+
+def test_a_way_that_ends_shortly_before_is_continued():
+    record, _ = fused_with_motion("+x,-y,+z", "+z,+x,-y", [path(-500, 0)])
+    assert record.motion_compensated == 1
+    # constant speed and turning off a circle: half of a * t² = 0.5 * 16 m/s² * (0.08 s)² is the most
+    np.testing.assert_allclose(record.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=0.06)
+
+
+def test_a_setting_counts_for_the_sweeps_that_come_after_it():
+    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+        assert fusion.send_motion(path(-50, 400))
+        assert fusion.send(moving_sweep())
+        assert fusion.set_property("motion_compensation", 0)
+        assert fusion.send(image(90, 1))
+        assert fusion.send(cloud(200, 2, [from_lidar(0.2)]))
+        assert fusion.send(image(200, 2))
+        fusion.flush()
+        first, second = (result.record for result in fusion.results(0))
+    assert (first.motion_compensated, second.motion_compensated) == (1, 0)
+    np.testing.assert_allclose(first.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=2e-4)
+
+
+def test_boxes_are_put_where_they_are_at_the_time_of_the_picture():
+    """A car that stands, seen 90 ms later: by then the vehicle is 1.8 m nearer and turned by 4°."""
+    center = from_lidar(0.0)
+    then = seen(from_lidar(0.09) * (1, -1, 1))
+    box = boxes_3d(
+        0, 1, X=center[0], Y=center[1], Z=center[2], length=0.5, width=0.5, height=0.5, velocity=0.0
+    )
+    edges = {"x1": then[0] - 1, "y1": then[1] - 1, "x2": then[0] + 2, "y2": then[1] + 2}
+    matched = []
+    for pieces in ([path(-50, 200)], []):
+        with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+            for piece in pieces:
+                assert fusion.send_motion(piece)
+            assert fusion.send(box)
+            assert fusion.send(boxes_2d(90, 2, **edges))
+            fusion.flush()
+            record = fusion.get(1).record
+            matched.append((record.motion_compensated, record.box_2d_ids[0]))
+    assert matched == [(1, 6), (0, None)]
+
+
+def test_motion_that_is_none_or_older_is_refused():
+    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+        assert fusion.send_motion(path(0, 10))
+        again = fusion.send_motion(path(5, 20))
+        assert (again.cause, "expected newer ones" in again.reason) == ("bad-motion", True)
+        assert fusion.send_motion(PosePath.identity()).cause == "bad-motion"
+        assert fusion.send_motion(path(11, 20))
+        assert fusion.send_motion(path(-100_000, -99_990))  # a clock was set back

@@ -7,6 +7,7 @@ from time import perf_counter
 from typing import Any, TypeAlias
 
 import grpc
+import grpc.aio
 from grpc.aio import ServicerContext
 
 from sceneloom.errors import DataError, OptionError
@@ -166,8 +167,10 @@ class Handlers:
         """Write a result; it is put back where it cannot be written, so that others have it."""
         try:
             await context.write(await self._reply(session, result))
-        except BaseException:
+        except BaseException as error:
             session.fusion.put_back(result)
+            if isinstance(error, grpc.aio.InternalError):  # the connection has broken
+                raise asyncio.CancelledError from error
             raise
         session.last_fetched_s = self.sessions.clock()
 

@@ -79,7 +79,12 @@ class FusionServer:
         """
         self.settings = settings or ServerSettings()
         self.settings.security.check_host(self.settings.host)
-        self.sessions = SessionTable(self._interface, self.settings.limits, clock=self.settings.clock)
+        self.sessions = SessionTable(
+            self._interface,
+            self.settings.limits,
+            observed=self.settings.observe is not None,
+            clock=self.settings.clock,
+        )
         self.port = 0
         self.metrics_port = 0
         self._metrics = Metrics()

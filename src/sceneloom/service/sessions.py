@@ -49,6 +49,7 @@ class Session:
         last_used_s: when the last request began or ended.
         last_fetched_s: when the last result was delivered.
         ended: whether its results were the last ones.
+        observed: whether somebody is told what happens, which takes its time.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class Session:
         self.last_used_s = now_s
         self.last_fetched_s = -1e9
         self.ended = False
+        self.observed = False
         self._limits = limits
         self._pool = pool
         self._threads = asyncio.Semaphore(THREADS_OF_SESSION)
@@ -77,8 +79,8 @@ class Session:
 
     @property
     def idle(self) -> bool:
-        """Whether none of its threads is busy with a request, so that a short one can be answered at once."""
-        return self._running == 0
+        """Whether a short request can be answered at once: nothing that it could wait for is being done."""
+        return self._running == 0 and not self.observed
 
     @contextmanager
     def request(self, size: int, clock: Callable[[], float]) -> Iterator[None]:
@@ -164,13 +166,18 @@ class SessionTable:
         make_interface: MakeInterface,
         limits: ServiceLimits,
         *,
+        observed: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Hold no session yet.
 
         Args:
+            make_interface: makes the interface of each.
+            limits: of each, and how many there may be.
+            observed: whether the interfaces have observers.
             clock: seconds, never backwards.
         """
+        self._observed = observed
         self.clock = clock
         self._make_interface = make_interface
         self._limits = limits
@@ -229,6 +236,7 @@ class SessionTable:
         if len(self) + len(self._ending) >= self._limits.most_sessions:
             raise _exhausted(f"there are {len(self)} sessions, as many as there may be")
         session = Session(name, self._make_interface, self._limits, self._pool, self.clock())
+        session.observed = self._observed
         self._sessions[name] = session
         return session
 

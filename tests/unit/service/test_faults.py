@@ -1,0 +1,271 @@
+"""Callers that vanish, wait, flood or talk nonsense: each session goes on, and no result is lost to others."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+
+import grpc
+import numpy as np
+import pytest
+
+from sceneloom.fusion.interface import Refused
+from sceneloom.fusion.messages.protobuf_form import to_send_request
+from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.service.limits import ServiceLimits
+
+PATIENCE_S = 60
+"""For other processes on a busy machine."""
+
+LARGE = (640, 480)
+"""A picture whose result does not fit into what a connection takes without being read."""
+
+
+def failure(function, *arguments, **options):
+    with pytest.raises(grpc.RpcError) as caught:
+        function(*arguments, **options)
+    return caught.value.code().name, caught.value.details()
+
+
+def send_large_pairs(call, records, count):
+    """Pairs whose results are of megabytes."""
+    width, height = LARGE
+    assert call.calibrate(image_size=LARGE).status == 1
+    for seq in range(count):
+        picture = fusion_pb2.SendRequest(session=call.session)
+        picture.image.CopyFrom(to_send_request(records.image(100 * seq, seq)).image)
+        picture.image.height, picture.image.width = height, width
+        picture.image.data = np.zeros(height * width * 3, np.uint8).tobytes()
+        assert call("Send", picture).status == 1
+        assert call.send(records.cloud(100 * seq, seq)).status == 1
+    assert call("Flush").status == 1
+
+
+def test_a_caller_that_gives_up_waiting_takes_no_result_along(call):
+    waiting = call.method("Get").future(call.request("Get", wait_ms=60_000))
+    again = call.method("Get").future(call.request("Get", wait_ms=60_000))
+    assert waiting.cancel()
+    call.send_pair(0)
+    call("Flush")
+    assert again.result(timeout=PATIENCE_S).number == 0
+
+
+def test_a_deadline_ends_a_wait_and_takes_no_result_along(call):
+    assert failure(call, "Get", timeout=0.05, wait_ms=60_000)[0] == "DEADLINE_EXCEEDED"
+    call.send_pair(0)
+    call("Flush")
+    assert call("Get", wait_ms=PATIENCE_S * 1000, timeout=PATIENCE_S).number == 0
+
+
+def left_of(call, count):
+    """The numbers of the results that are left, up to the last one."""
+    numbers = []
+    while not numbers or numbers[-1] < count - 1:
+        reply = call("Get", wait_ms=20_000)
+        assert reply.WhichOneof("result") == "sensor_data", numbers
+        numbers.append(reply.number)
+    return numbers
+
+
+COUNT = 12
+"""Results of 2 MB: more than are on their way at once."""
+
+
+def test_what_a_subscriber_had_not_got_when_it_left_goes_to_others_in_order(call, records):
+    subscription = call("Subscribe", timeout=PATIENCE_S)
+    send_large_pairs(call, records, COUNT)
+    assert next(subscription).number == 0
+    subscription.cancel()
+    left = left_of(call, COUNT)
+    assert left == list(range(left[0], COUNT))
+    assert 1 <= left[0] < COUNT - 1
+
+
+DYING = """
+import sys, grpc
+from sceneloom.fusion.messages.wire import fusion_pb2 as pb
+channel = grpc.insecure_channel(sys.argv[1])
+service = "/sceneloom.db34t4101.v1.DataFusion/"
+if sys.argv[2] == "Subscribe":
+    method = channel.unary_stream(service + "Subscribe", pb.SubscribeRequest.SerializeToString, pb.GetReply.FromString)
+    call = method(pb.SubscribeRequest(), wait_for_ready=True)
+    print("ready", flush=True)
+    sys.stdin.read()
+else:
+    def requests():
+        for seq in range(3):
+            yield pb.SendRequest(boxes_2d=pb.Boxes2d(sensor_id=1, seq=seq, timestamp=pb.Timestamp(s=1, ns=seq)))
+        print("ready", flush=True)
+        sys.stdin.read()
+    method = channel.stream_unary(service + "SendStream", pb.SendRequest.SerializeToString, pb.SendSummary.FromString)
+    method(requests(), wait_for_ready=True)
+"""
+
+
+@pytest.fixture
+def dying(request):
+    """Starts a caller in a process of its own that says when it is ready and can be killed."""
+    started = []
+
+    def start(server, method):
+        process = subprocess.Popen(
+            [sys.executable, "-c", DYING, server.address, method],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        assert process.stdout.readline() == "ready\n"
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_what_a_subscriber_had_not_got_when_it_was_killed_goes_to_others_in_order(
+    serve, connect, records, dying
+):
+    server = serve()
+    call = connect(server)
+    process = dying(server, "Subscribe")
+    send_large_pairs(call, records, COUNT)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    left = left_of(call, COUNT)
+    assert left == list(range(left[0], COUNT))
+    assert left[0] < COUNT - 1
+
+
+def test_a_sender_that_is_killed_in_a_stream_leaves_a_session_that_goes_on(serve, connect, dying):
+    server = serve()
+    call = connect(server)
+    call.calibrate()
+    process = dying(server, "SendStream")
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    call.send_pair(0)
+    assert call("Flush").status == 1
+    assert call("Get").WhichOneof("result") == "sensor_data"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\x00" * 1000,
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\xff" * 500,
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+        b"",
+    ],
+    ids=["zeros", "http1", "bad frames", "half-open", "silent"],
+)
+def test_a_connection_of_garbage_or_silence_disturbs_nobody(serve, connect, content):
+    server = serve()
+    with socket.create_connection(("127.0.0.1", server.port), timeout=30) as connection:
+        connection.sendall(content)
+        assert connect(server)("GetProperty", name="chirality").name == "chirality"
+
+
+def test_a_session_whose_fusion_hangs_blocks_no_other(serve, connect, records):
+    hanging, release = threading.Event(), threading.Event()
+
+    def observe(name):
+        def hang(event):
+            if name == "slow" and not isinstance(event, Refused):
+                hanging.set()
+                release.wait(PATIENCE_S)
+
+        return hang
+
+    server = serve(observe=observe)
+    slow, quick = connect(server, session="slow"), connect(server, session="quick")
+    try:
+        slow.calibrate()
+        assert slow.send(records.cloud(0, 0)).status == 1
+        assert hanging.wait(PATIENCE_S)
+        flushing = [slow.method("Flush").future(slow.request("Flush")) for _ in range(5)]
+        refused = [  # to be told to the observer, who does not listen
+            slow.method("Send").future(to_send_request(records.cloud(0, 0), session="slow")) for _ in range(5)
+        ]
+        quick.calibrate()
+        quick.send_pair(0)
+        assert quick("Flush").status == 1
+        assert quick("Get").WhichOneof("result") == "sensor_data"
+        assert slow("GetProperty", name="chirality").name == "chirality"
+        assert not any(call.done() for call in (*flushing, *refused))
+    finally:
+        release.set()
+    assert [call.result(PATIENCE_S).status for call in flushing] == [1] * 5
+    assert [call.result(PATIENCE_S).status for call in refused] == [0] * 5
+
+
+def test_a_message_that_is_too_large_ends_its_call_alone(serve, connect, records):
+    call = connect(serve(limits=ServiceLimits(largest_message=20_000)))
+    call.calibrate()
+    large = records.cloud(0, 0, points=np.ones((2_000, 3), np.float32))
+    code, details = failure(call.send, large)
+    assert code == "RESOURCE_EXHAUSTED"
+    assert "20000" in details
+    call.send_pair(0)
+
+
+def test_sessions_beyond_the_limit_get_0_or_an_error_until_one_is_closed(serve, connect):
+    server = serve(limits=ServiceLimits(most_sessions=2))
+    for name in ("a", "b"):
+        connect(server, session=name)("ListProperties")
+    call = connect(server, session="c")
+    status = call("AddProperty", name="x", description="", type="bool")
+    assert (status.status, status.cause) == (0, "too-many")
+    assert failure(call, "ListProperties")[0] == "RESOURCE_EXHAUSTED"
+    assert connect(server, session="a")("CloseSession").status == 1
+    assert call("AddProperty", name="x", description="", type="bool").status == 1
+
+
+@pytest.mark.parametrize("name", ["a b", "a/b", "../x", "é", "x" * 65, "-x", "a\n"])
+def test_a_name_that_cannot_be_a_session_is_refused(serve, connect, name):
+    call = connect(serve(), session=name)
+    assert call("Flush").cause == "out-of-range"
+    code, details = failure(call, "ListProperties")
+    assert code == "INVALID_ARGUMENT"
+    assert "expected 1 to 64 letters" in details
+
+
+def test_requests_beyond_the_limit_are_refused_while_the_others_wait(serve, connect):
+    call = connect(serve(limits=ServiceLimits(most_open_requests=3)))
+    waiting = [call.method("Get").future(call.request("Get", wait_ms=60_000)) for _ in range(3)]
+    while (status := call("Flush")).status == 1:  # until all of them have come
+        pass
+    assert failure(call, "ListProperties")[0] == "RESOURCE_EXHAUSTED"
+    assert status.cause == "too-many"
+    for one in waiting:
+        one.cancel()
+
+
+def test_a_server_that_is_told_to_end_delivers_what_waits_and_says_goodbye(connect, records, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sceneloom", "serve", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        told = "".join(iter(process.stdout.readline, "}\n")) + "}"
+        call = connect(json.loads(told)["address"])
+        results = call("Subscribe", timeout=PATIENCE_S)
+        call.calibrate()
+        for seq in range(4):
+            call.send_pair(seq)
+        process.send_signal(signal.SIGTERM)
+        assert [reply.number for reply in results] == [0, 1, 2, 3]
+        _, err = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 0
+    lines = [json.loads(line) for line in err.splitlines()]
+    assert [line["event"] for line in lines] == ["listening", "session begins", "draining", "ended"]
+    assert lines[1]["session"] == "default"

@@ -1,0 +1,205 @@
+"""Who may call: this machine, or those with a token over TLS."""
+
+import contextlib
+import datetime as dt
+import ipaddress
+
+import grpc
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+
+from sceneloom.errors import DataError, OptionError
+from sceneloom.service.security import Security, is_loopback, read_token
+from sceneloom.service.server import FusionServer, ServerSettings
+
+TOKEN = "0123456789abcdefghij"
+
+
+class Authority:
+    """Signs certificates."""
+
+    def __init__(self, folder, name):
+        self.folder, self.name = folder, name
+        self.key = ec.generate_private_key(ec.SECP256R1())
+        self.certificate = self._sign(name, self.key, authority=True)
+        self.path = self._write(f"{name}.pem", self.certificate.public_bytes(serialization.Encoding.PEM))
+
+    def _sign(self, name, key, *, authority):
+        def named(text):
+            return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
+
+        begin = dt.datetime(2020, 1, 1, tzinfo=dt.UTC)
+        return (
+            x509.CertificateBuilder()
+            .subject_name(named(name))
+            .issuer_name(named(self.name))
+            .public_key(key.public_key())
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(begin)
+            .not_valid_after(begin + dt.timedelta(days=36500))
+            .add_extension(x509.BasicConstraints(ca=authority, path_length=None), critical=True)
+            .add_extension(
+                x509.SubjectAlternativeName(
+                    [x509.DNSName("localhost"), x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]
+                ),
+                critical=False,
+            )
+            .sign(self.key, hashes.SHA256())
+        )
+
+    def _write(self, name, content):
+        path = self.folder / name
+        path.write_bytes(content)
+        return path
+
+    def issue(self, name):
+        """Files of a certificate and its key."""
+        key = ec.generate_private_key(ec.SECP256R1())
+        certificate = self._sign(name, key, authority=False)
+        private = key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+        public = certificate.public_bytes(serialization.Encoding.PEM)
+        return self._write(f"{name}.crt", public), self._write(f"{name}.key", private)
+
+
+@pytest.fixture
+def authority(tmp_path):
+    return Authority(tmp_path, "authority")
+
+
+@pytest.fixture
+def security(authority):
+    certificate, key = authority.issue("server")
+    return Security(tls_certificate=certificate, tls_key=key, token=TOKEN)
+
+
+def credentials(authority, client=None):
+    certificate, key = client or (None, None)
+    return grpc.ssl_channel_credentials(
+        authority.path.read_bytes(),
+        key.read_bytes() if key else None,
+        certificate.read_bytes() if certificate else None,
+    )
+
+
+def bearer(token):
+    return (("authorization", f"Bearer {token}"),)
+
+
+def code(function, *arguments, **options):
+    with pytest.raises(grpc.RpcError) as caught:
+        function(*arguments, **options)
+    return caught.value.code().name
+
+
+def test_with_the_certificate_and_the_token_calls_are_answered(serve, connect, security, authority):
+    server = serve(security=security)
+    call = connect(server, credentials=credentials(authority), metadata=bearer(TOKEN))
+    assert call("GetProperty", name="chirality").name == "chirality"
+
+
+@pytest.mark.parametrize(
+    "metadata", [(), bearer("0123456789abcdefghix"), bearer(""), (("authorization", TOKEN),)]
+)
+@pytest.mark.parametrize("method", ["GetProperty", "SendStream", "Subscribe"])
+def test_without_the_token_none_is(serve, connect, method, metadata):
+    call = connect(serve(security=Security(token=TOKEN)), metadata=metadata)
+    if method == "SendStream":
+        assert code(call, method, iter([b""])) == "UNAUTHENTICATED"
+    else:
+        assert (
+            code(lambda: list(call(method)) if method == "Subscribe" else call(method)) == "UNAUTHENTICATED"
+        )
+
+
+def test_the_token_is_asked_for_by_reflection_and_not_by_health(serve, connect):
+    call = connect(serve(security=Security(token=TOKEN)))
+    answer = health_pb2_grpc.HealthStub(call.channel).Check(health_pb2.HealthCheckRequest(), timeout=30)
+    assert answer.status == health_pb2.HealthCheckResponse.SERVING
+    reflected = call.channel.stream_stream("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo")
+    assert code(list, reflected(iter([b""]), timeout=30)) == "UNAUTHENTICATED"
+
+
+def test_a_client_without_tls_finds_nobody(serve, connect, security):
+    call = connect(serve(security=security), metadata=bearer(TOKEN))
+    assert code(call, "GetProperty", name="chirality") == "UNAVAILABLE"
+
+
+def test_where_clients_need_certificates_those_of_others_are_refused(serve, connect, authority, tmp_path):
+    certificate, key = authority.issue("server")
+    server = serve(
+        security=Security(
+            tls_certificate=certificate, tls_key=key, tls_client_authority=authority.path, token=TOKEN
+        )
+    )
+    stranger = Authority(tmp_path, "stranger").issue("client of another")
+    for client, expected in ((None, "UNAVAILABLE"), (stranger, "UNAVAILABLE")):
+        call = connect(server, credentials=credentials(authority, client), metadata=bearer(TOKEN))
+        assert code(call, "GetProperty", name="chirality") == expected
+    ours = connect(
+        server, credentials=credentials(authority, authority.issue("client")), metadata=bearer(TOKEN)
+    )
+    assert ours("GetProperty", name="chirality").name == "chirality"
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1", "example.org", ""])
+def test_other_machines_are_let_in_only_over_tls_with_a_token(host, tmp_path):
+    pem = tmp_path / "some.pem"
+    for security, lacking in (
+        (Security(), "a TLS certificate and key and a token"),
+        (Security(token=TOKEN), "a TLS certificate and key"),
+        (Security(tls_certificate=pem, tls_key=pem), "a token"),
+    ):
+        with pytest.raises(OptionError, match=f"needs {lacking};"):
+            FusionServer(ServerSettings(host=host, security=security))
+    Security(tls_certificate=pem, tls_key=pem, token=TOKEN).check_host(host)
+
+
+def test_a_certificate_needs_its_key_and_an_authority_the_certificate(tmp_path):
+    with pytest.raises(OptionError, match="expected both"):
+        Security(tls_certificate=tmp_path / "x").check_host("localhost")
+    with pytest.raises(OptionError, match="without the server's"):
+        Security(tls_client_authority=tmp_path / "x").check_host("localhost")
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [("127.0.0.1", True), ("127.9.9.9", True), ("::1", True), ("[::1]", True), ("localhost", True)]
+    + [
+        (host, False)
+        for host in ("0.0.0.0", "::", "10.0.0.1", "localhost.example.org", "127.0.0.1.example.org")
+    ],
+)
+def test_this_machine_is_told_from_others(host, expected):
+    assert is_loopback(host) is expected
+
+
+def test_a_token_is_read_from_a_file_that_holds_nothing_else(tmp_path):
+    path = tmp_path / "token"
+    path.write_text(f"{TOKEN}\n")
+    assert read_token(path) == TOKEN
+    for content in (b"short", b"two words in one file", b"\xff" * 32, b""):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match="expected"):
+            read_token(path)
+
+
+def test_a_port_that_is_taken_is_told(serve):
+    server = serve()
+    with (
+        pytest.raises(OptionError, match=f"cannot listen at 127.0.0.1:{server.port}"),
+        contextlib.ExitStack(),
+    ):
+        serve(port=server.port)
+
+
+def test_certificates_that_are_none_are_told(serve, tmp_path):
+    pem = tmp_path / "some.pem"
+    pem.write_text("nothing")
+    with pytest.raises(OptionError, match="cannot listen"):
+        serve(security=Security(tls_certificate=pem, tls_key=pem, token=TOKEN))

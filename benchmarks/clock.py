@@ -1,7 +1,6 @@
 """How well offsets and skews between clocks are found on made-up streets, and whether their uncertainty is true.
 
-Run with `python -m benchmarks.clock [--seeds 20] [--only NAME]`; on a busy machine with OPENBLAS_NUM_THREADS=1, since
-many small matrices wait for one another there. In every drive the clock of one stream is set off by
+Run with `python -m benchmarks.clock [--seeds 20] [--only NAME]`. In every drive the clock of one stream is set off by
 -1 to 1 s (a third of them by nothing) and made up to 200 ppm too fast or slow. Errors are those of the offset in the
 middle of the drive. z: root mean square of the errors in standard deviations as told, 1 where they are true. alarms:
 streams in step that were called off, of those that were. within 2: share of the errors within two standard deviations

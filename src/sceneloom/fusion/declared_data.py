@@ -9,9 +9,14 @@ from sceneloom.fusion.messages.boxes import Boxes3d
 from sceneloom.scene import LidarFrame
 
 
+def is_identity(matrix: Float64Array) -> bool:
+    """Whether a signed permutation leaves all as it is."""
+    return bool(matrix[0, 0] == matrix[1, 1] == matrix[2, 2] == 1.0)
+
+
 def turned(vectors: Float32Array, matrix: Float64Array) -> Float32Array:
     """Take (N, 3) vectors into other axes by a signed permutation, exactly; the same array where nothing turns."""
-    if np.array_equal(matrix, np.eye(3)):
+    if is_identity(matrix):
         return vectors
     columns = np.abs(matrix).argmax(axis=1)
     signs = matrix[range(3), columns].astype(np.float32)
@@ -28,6 +33,8 @@ def standard_frame(frame: LidarFrame, standard_from_declared: Float64Array) -> L
 
 def standard_boxes(boxes: Boxes3d, standard_from_declared: Float64Array) -> Boxes3d:
     """Take boxes out of their declared frame."""
+    if is_identity(standard_from_declared):
+        return boxes
     vectors = boxes.velocity_vectors
     return replace(
         boxes,

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionAlgorithm, DetectionPair, FusedBoxes
 from sceneloom.fusion.pairing import Pairing, Waiting
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
+from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Identifier
 from sceneloom.scene.detections import Boxes2D, Boxes3D
@@ -116,6 +118,8 @@ def _camera_from_lidar(
     sources = (standing(place), standing(camera.source)) if still else (place, camera.source)
     if sources[0] is None or sources[1] is None:
         return None
+    if sources[0].path is sources[1].path and sources[0].path.endless:
+        return _between_mounts(sources[1].mounted(seen.mount).mount, sources[0].mount)
     world_from_lidar = _at(sources[0], reference_ns)
     world_from_camera = _at(sources[1].mounted(seen.mount), seen.timestamp_ns)
     if world_from_lidar is None or world_from_camera is None:
@@ -123,8 +127,14 @@ def _camera_from_lidar(
     return world_from_camera.inverse() @ world_from_lidar
 
 
+@lru_cache(maxsize=256)
+def _between_mounts(ego_from_camera: RigidTransform, ego_from_lidar: RigidTransform) -> RigidTransform:
+    """Give `camera_from_lidar` of sensors on an ego that does not move; by object: they are the same for a drive."""
+    return ego_from_camera.inverse() @ ego_from_lidar
+
+
 def _at(source: PoseSource, time_ns: int) -> RigidTransform | None:
-    pose = source.at(np.array([time_ns], np.int64))
-    if pose.coverage[0] == 2:
+    body = source.path.interpolate(np.array([time_ns], np.int64), reach_ns=source.reach_ns)
+    if body.coverage[0] == OUT_OF_REACH:
         return None
-    return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+    return RigidTransform.from_quaternion(body.positions[0], body.quaternions_xyzw[0]) @ source.mount

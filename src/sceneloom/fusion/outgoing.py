@@ -97,7 +97,7 @@ def fused_detections_record(
     Source: DB34/T 4101-2022, table 10.
     """
     fused = frame.fused
-    declared = setting.frames.lidar.standard_from_declared(SensorKind.LIDAR).T
+    declared = setting.standard_from_lidar.T
     directions = np.column_stack([np.cos(fused.yaws), np.sin(fused.yaws), np.zeros(len(fused))])
     velocities = np.zeros((len(fused), 3)) if fused.velocities is None else fused.velocities
     return FusedDetections(

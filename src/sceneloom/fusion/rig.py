@@ -138,7 +138,7 @@ class Rig:
             yield from self._fetch(lidar_id, system)
 
     def _send(self, system: FusionSystem, lidar_id: int, sensor_id: int, sent: _Sent) -> None:
-        axes = sent.setting.frames.lidar.standard_from_declared(SensorKind.LIDAR)
+        axes = sent.setting.standard_from_lidar
         received: Received = sent.record
         extras = sent.extras
         if isinstance(received, LidarFrame):
@@ -148,7 +148,7 @@ class Rig:
             system.send(f"lidar{sensor_id}", boxes, extras=extras)
         else:
             pair = sent.setting.pairs[sensor_id, lidar_id]
-            mount = pair.camera_from_lidar.inverse()
+            mount = pair.lidar_from_camera
             if isinstance(received, Picture):
                 picture = replace(received, camera=pair.camera, mount=mount, extras=extras)
                 system.send(f"camera{sensor_id}", picture)

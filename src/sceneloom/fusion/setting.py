@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
 from sceneloom.fusion.calibration.axes import SensorKind
@@ -126,6 +127,11 @@ class Setting:
             picture_period_ns=self.picture_period_ns,
             disorder_ns=self.lateness_ns,
         )
+
+    @cached_property
+    def standard_from_lidar(self) -> Float64Array:
+        """Takes coordinates of the declared lidar frame into x forward, y left, z up, (3, 3) float64."""
+        return self.frames.lidar.standard_from_declared(SensorKind.LIDAR)
 
     @cached_property
     def calibrated(self) -> Mapping[SensorKind, tuple[int, ...]]:

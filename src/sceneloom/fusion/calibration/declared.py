@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -22,7 +23,7 @@ _CAMERA_FROM_LIDAR_FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0,
 """Of a camera that looks forward: optical axes from x forward, y left, z up."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class CalibratedPair:
     """A camera and a lidar in the frames used inside.
 
@@ -35,6 +36,11 @@ class CalibratedPair:
     camera: Camera
     camera_from_lidar: RigidTransform
     remarks: tuple[str, ...] = ()
+
+    @cached_property
+    def lidar_from_camera(self) -> RigidTransform:
+        """The mounting seen from the lidar; always the same object."""
+        return self.camera_from_lidar.inverse()
 
 
 def camera_of(data: CalibrationData) -> Camera:

@@ -81,7 +81,7 @@ def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> I
     Raises:
         DataError: a sweep or a picture cannot be read.
     """
-    for sensor_id, read in _in_time_order(scene):
+    for _, sensor_id, read in in_time_order(scene):
         try:
             measurement = read()
         except DataError as error:
@@ -97,14 +97,19 @@ def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> I
 
 
 Reader = Callable[[], LidarFrame | Picture]
+"""Reads a frame when it is its turn."""
 
 
-def _in_time_order(scene: Scene) -> Iterator[tuple[Identifier, Reader]]:
-    """All sweeps and pictures by time stamp; pictures before sweeps of the same time, sensors in the scene's order."""
+def in_time_order(scene: Scene) -> Iterator[tuple[int, Identifier, Reader]]:
+    """All sweeps and pictures by time stamp; pictures before sweeps of the same time, sensors in the scene's order.
+
+    Yields:
+        Time [ns], sensor, and what reads the frame.
+    """
     sensors: list[LidarSensor | CameraSensor] = [*scene.cameras, *scene.lidars]
     streams = [_stamped(order, sensor) for order, sensor in enumerate(sensors)]
-    for _, _, sensor_id, read in heapq.merge(*streams, key=lambda entry: entry[:2]):
-        yield sensor_id, read
+    for timestamp_ns, _, sensor_id, read in heapq.merge(*streams, key=lambda entry: entry[:2]):
+        yield timestamp_ns, sensor_id, read
 
 
 def _stamped(order: int, sensor: LidarSensor | CameraSensor) -> Iterator[tuple[int, int, Identifier, Reader]]:

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from google.protobuf.message import Message
 
-from sceneloom.fusion.intake import Admitted
+from sceneloom.fusion.admitted import Admitted
 from sceneloom.fusion.interface import Dropped, Event, Refused, Result
 from sceneloom.fusion.messages.foxglove_form import FoxgloveMessage, to_foxglove
 from sceneloom.fusion.messages.fused import FusedDetections

@@ -1,0 +1,257 @@
+"""The sensors of a scene as a session knows them: numbers, calibrations of table 3, and the way of the vehicle."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import msgspec
+import numpy as np
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.fitting import fit
+from sceneloom.cameras.table import MODELS
+from sceneloom.editing.frames import to_sensor
+from sceneloom.errors import CalibrationError, DataError, PoseError
+from sceneloom.fusion.calibration.axes import DeclaredAxes
+from sceneloom.fusion.calibration.declared import calibration_data
+from sceneloom.fusion.calibration.entries import CalibrationEntry
+from sceneloom.fusion.messages.calibration_data import CalibrationData
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.scene import (
+    CameraSensor,
+    Identifier,
+    LidarSensor,
+    Notice,
+    NoticeKind,
+    PointsFrame,
+    PosePath,
+    Scene,
+)
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.sensor_sources import points_source, sensor_source
+from sceneloom.scene.span import scene_period_ns
+
+CAMERA_AXES, LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
+"""Where forward, right and up point in the frames of a scene: what a session has to be told."""
+
+MOST_SENSORS = 256
+
+_HELD_BY_TABLE_3 = ("k1", "k2", "p1", "p2", "k3")
+_LOOKED_AT = 9
+_LOOSE_M, _LOOSE_RAD = 0.02, 0.005
+"""How much a mounting may move before it is said that it does: more than poses of a rigid one are off."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SentRig:
+    """What a session has to know before the first record.
+
+    Attributes:
+        scene: the scene, its points in the frames of their sensors or of the ego.
+        numbers: sensor_id of each lidar and camera that is sent, lidars first.
+        calibrations: of each camera with each lidar.
+        lenses: those that table 3 cannot say, by camera number.
+        sources: takes the points of a lidar into the world; None where that is not known.
+        at_once: lidars whose points hold for one time: those that came in the world, where each stands already.
+        path: the way of the first lidar; None where it is not known, or it stood still.
+        notices: what was assumed or does not fit.
+    """
+
+    scene: Scene
+    numbers: Mapping[Identifier, int]
+    calibrations: tuple[CalibrationEntry, ...]
+    lenses: Mapping[int, Camera]
+    sources: Mapping[Identifier, PoseSource | None]
+    at_once: frozenset[Identifier]
+    path: PosePath | None
+    notices: tuple[Notice, ...]
+
+
+def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None = None) -> SentRig:
+    """Number the sensors of a scene and calibrate each camera with each lidar.
+
+    Args:
+        trajectory: the ego's way by name, as `fuse` takes it; None for the one that the scene has, if any.
+        heading: "motion" to derive orientations where it has positions only.
+
+    Raises:
+        DataError: there are no lidars or no cameras, or too many sensors.
+        PoseError: it is not known where a sensor is.
+    """
+    at_once = frozenset(lidar.id for lidar in scene.lidars if lidar.points_frame is PointsFrame.WORLD)
+    if at_once:
+        scene = to_sensor(scene, trajectory=trajectory, heading=heading)
+    lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
+    cameras = [camera for camera in scene.cameras if len(camera.pictures)]
+    if not lidars or not cameras:
+        problem = (
+            f"{len(lidars)} lidars with sweeps, {len(cameras)} cameras with pictures; expected one of each"
+        )
+        raise DataError(scene.source, "", problem)
+    if len(lidars) + len(cameras) > MOST_SENSORS:
+        raise DataError(
+            scene.source, "", f"more than {MOST_SENSORS} sensors, as many as a session can number"
+        )
+    ids = (*(lidar.id for lidar in lidars), *(camera.id for camera in cameras))
+    numbers = {sensor_id: number for number, sensor_id in enumerate(ids)}
+    ego, notices = _ego(scene, trajectory, heading)
+    reach_ns = scene_period_ns(scene)
+    places = _Places(scene, ego, reach_ns)
+    calibrations: list[CalibrationEntry] = []
+    lenses: dict[int, Camera] = {}
+    for camera, lidar in product(cameras, lidars):
+        camera_from_points, loose = places.between(camera, lidar)
+        data, lens, told = table_3(camera, camera_from_points)
+        calibrations.append(CalibrationEntry(numbers[camera.id], numbers[lidar.id], data))
+        if lens is not None:
+            lenses[numbers[camera.id]] = lens
+        notices += [*loose, *(told if lidar is lidars[0] else ())]
+    sources = {lidar.id: places.of_points(lidar) for lidar in lidars}
+    path = _path(sources[lidars[0].id])
+    return SentRig(scene, numbers, tuple(calibrations), lenses, sources, at_once, path, tuple(notices))
+
+
+def table_3(
+    camera: CameraSensor, camera_from_points: RigidTransform
+) -> tuple[CalibrationData, Camera | None, list[Notice]]:
+    """Give the record of a camera; of a lens that it cannot hold the one that comes nearest, and the lens itself."""
+    axes = DeclaredAxes.of_words(CAMERA_AXES), DeclaredAxes.of_words(LIDAR_AXES)
+    try:
+        return calibration_data(camera.camera, camera_from_points, *axes), None, []
+    except CalibrationError:
+        pass
+    lens, message = _nearest(camera.camera)
+    place = f"sensors[{camera.id}]"
+    notice = Notice(kind=NoticeKind.ASSUMED, code="lens-beyond-table-3", place=place, message=message)
+    return calibration_data(lens, camera_from_points, *axes), camera.camera, [notice]
+
+
+def _nearest(lens: Camera) -> tuple[Camera, str]:
+    fixed = [name for name in MODELS["brown_conrady"].coefficient_names if name not in _HELD_BY_TABLE_3]
+    exactly = "the property `lenses` says it exactly"
+    try:
+        found = fit(lens, "brown_conrady", fixed=fixed)
+    except CalibrationError as error:
+        plain = Camera("pinhole", lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy)
+        return plain, f"a {lens.model} lens, which table 3 cannot hold nearly ({error}); {exactly}"
+    held = (*found.camera.coefficients[:5], *[0.0] * (len(found.camera.coefficients) - 5))
+    kept = Camera(
+        "brown_conrady",
+        lens.width,
+        lens.height,
+        found.camera.fx,
+        found.camera.fy,
+        found.camera.cx,
+        found.camera.cy,
+        held,
+    )
+    return kept, f"{found.message(lens)}, for table 3; {exactly}"
+
+
+def format_lenses(lenses: Mapping[int, Camera]) -> str:
+    """Write the value of the property `lenses`."""
+    entries = {
+        str(number): {
+            "model": lens.model,
+            "image_size": [lens.width, lens.height],
+            **{name: getattr(lens, name) for name in ("fx", "fy", "cx", "cy")},
+            "coefficients": list(lens.coefficients),
+        }
+        for number, lens in lenses.items()
+    }
+    return msgspec.json.encode(entries).decode()
+
+
+def _ego(scene: Scene, trajectory: str | None, heading: str | None) -> tuple[EgoMotion | None, list[Notice]]:
+    """The ego's way as far as it is known without looking for it."""
+    if trajectory is not None:
+        return find_ego_motion(scene, name=trajectory, heading=heading), []
+    if not scene.trajectories:
+        return None, []
+    try:
+        return find_ego_motion(scene, heading=heading), []
+    except PoseError as error:
+        message = f"sent without motion: {error}"
+        return None, [
+            Notice(kind=NoticeKind.SKIPPED, code="motion-unknown", place=scene.source, message=message)
+        ]
+
+
+def _path(source: PoseSource | None) -> PosePath | None:
+    if source is None or source.path.endless:
+        return None
+    times = source.path.timestamps_ns
+    poses = source.at(times)
+    return PosePath(times, poses.positions, poses.quaternions_xyzw)
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Where cameras and points of lidars are, one from another."""
+
+    scene: Scene
+    ego: EgoMotion | None
+    reach_ns: int
+
+    def of_points(self, lidar: LidarSensor) -> PoseSource | None:
+        """Takes the points of a lidar into the world; None where that is not known."""
+        try:
+            return points_source(self.scene, lidar, self.ego, reach_ns=self.reach_ns)
+        except PoseError:
+            return None
+
+    def between(self, camera: CameraSensor, lidar: LidarSensor) -> tuple[RigidTransform, list[Notice]]:
+        """Give `camera_from_points`, by their mountings, else by where both were at the same times.
+
+        Raises:
+            PoseError: neither is known.
+        """
+        riding = lidar.points_frame is PointsFrame.EGO
+        ego_from_points = RigidTransform.identity() if riding else lidar.mount
+        if camera.mount is not None and ego_from_points is not None:
+            return camera.mount.inverse() @ ego_from_points, []
+        found = list(self._seen(camera, lidar))
+        if not found:
+            raise PoseError(
+                f"{self.scene.source}: camera {camera.id!r} and lidar {lidar.id!r} are at no time where both are known"
+            )
+        middle = found[len(found) // 2]
+        return middle, _loose(camera, lidar, middle, found)
+
+    def _seen(self, camera: CameraSensor, lidar: LidarSensor) -> Iterator[RigidTransform]:
+        of_camera = sensor_source(self.scene, camera, self.ego, reach_ns=self.reach_ns)
+        of_points = points_source(self.scene, lidar, self.ego, reach_ns=self.reach_ns)
+        if of_points is None:
+            return
+        times = camera.pictures.timestamps_ns
+        times = times[np.unique(np.linspace(0, len(times) - 1, _LOOKED_AT).astype(np.int64))]
+        cameras, points = of_camera.at(times), of_points.at(times)
+        for k in np.flatnonzero((cameras.coverage < 2) & (points.coverage < 2)):
+            world_from_camera = RigidTransform.from_quaternion(
+                cameras.positions[k], cameras.quaternions_xyzw[k]
+            )
+            world_from_points = RigidTransform.from_quaternion(
+                points.positions[k], points.quaternions_xyzw[k]
+            )
+            yield world_from_camera.inverse() @ world_from_points
+
+
+def _loose(
+    camera: CameraSensor, lidar: LidarSensor, middle: RigidTransform, found: list[RigidTransform]
+) -> list[Notice]:
+    """Say where a camera moves against a lidar: a record of table 3 holds one place."""
+    shift = max(float(np.linalg.norm(one.translation - middle.translation)) for one in found)
+    turn = max(
+        float(np.linalg.norm(one.rotation @ middle.rotation.T - np.eye(3))) / np.sqrt(2) for one in found
+    )
+    if shift <= _LOOSE_M and turn <= _LOOSE_RAD:
+        return []
+    message = (
+        f"it moves against lidar {lidar.id!r} by up to {shift:.3f} m and {np.degrees(turn):.2f}°; the place in the "
+        "middle of the drive was taken"
+    )
+    return [
+        Notice(kind=NoticeKind.ASSUMED, code="mounting-moves", place=f"sensors[{camera.id}]", message=message)
+    ]

@@ -1,0 +1,268 @@
+"""Sending a drive: a session that gets its records fuses what the drive's own fusion fuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError, OptionError
+from sceneloom.fusion.interface import Dropped, FusionInterface
+from sceneloom.fusion.messages import Boxes2d, Boxes3d, ImageData, PointCloudData
+from sceneloom.fusion.messages.protobuf_form import encode
+from sceneloom.fusion.outcome import Cause, refused
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pipeline import iter_fused
+from sceneloom.scene import PointsFrame
+from sceneloom.service.black_box import BlackBox
+from sceneloom.service.replay import compare
+from sceneloom.service.sending import Pace, send_scene
+from sceneloom.service.sending_logs import send_log
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+from sceneloom.visibility import project_cuboids
+
+CAMERA = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
+
+
+def street(frames=4, camera=CAMERA, **changed):
+    return simulate_street(
+        1, frames=frames, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(camera),), **changed
+    ).scene
+
+
+class Kept:
+    """A fusion interface that keeps what it was sent."""
+
+    def __init__(self, fusion):
+        self.fusion, self.records, self.paths = fusion, [], []
+
+    def __getattr__(self, name):
+        return getattr(self.fusion, name)
+
+    def send(self, record):
+        self.records.append(record)
+        return self.fusion.send(record)
+
+    def send_motion(self, path):
+        self.paths.append(path)
+        return self.fusion.send_motion(path)
+
+
+@pytest.fixture
+def receiver():
+    with FusionInterface(inline=True) as fusion:
+        fusion.set_property("result_queue_length", 1000)
+        yield Kept(fusion)
+
+
+def test_a_session_that_gets_the_records_of_a_drive_fuses_as_the_drive_is_fused(receiver):
+    scene = street()
+    expected = [view for frame in iter_fused(scene) for view in frame.views]
+    report = send_scene(scene, receiver, rate=0)
+    results = [result.record for result in receiver.results(0)]
+    assert report.refused == {}
+    assert report.sensors == {str(scene.lidars[0].id): 0, str(scene.cameras[0].id): 1}
+    assert (report.sent["points"], report.sent["image"]) == (4, 4)
+    assert len(results) == len(expected) > 0
+    for record, view in zip(results, expected, strict=True):
+        assert record.motion_compensated == 1
+        assert record.image_timestamp.nanoseconds == view.timestamp_ns
+        ours, theirs = record.depths, view.depth_image
+        both = (ours > 0) & (theirs > 0)
+        # a point at the edge of a pixel may fall into the one beside it
+        assert both.sum() > 0.97 * max((ours > 0).sum(), (theirs > 0).sum())
+        # points of 32 bits seen from the world's origin and from the lidar
+        assert np.quantile(np.abs(ours[both] - theirs[both]), 0.95) < 2e-3
+
+
+def test_records_come_in_the_order_of_time_and_each_sensor_counts_its_own(receiver):
+    send_scene(street(), receiver, rate=0)
+    times = [record.timestamp for record in receiver.records]
+    assert times == sorted(times)
+    for kind, sensor_id in ((PointCloudData, 0), (ImageData, 1)):
+        found = [record for record in receiver.records if isinstance(record, kind)]
+        assert {record.sensor_id for record in found} == {sensor_id}
+        assert [record.seq for record in found] == list(range(len(found)))
+
+
+def test_poses_are_there_before_what_they_are_for(receiver):
+    scene = street()
+    order = []
+    receiver.send = lambda record: (order.append(record.timestamp.nanoseconds), receiver.fusion.send(record))[
+        1
+    ]
+    known = []
+    receiver.send_motion = lambda path: (
+        known.append((len(order), path.stop_ns)),
+        receiver.fusion.send_motion(path),
+    )[1]
+    send_scene(scene, receiver, rate=0)
+    last = next(iter(scene.trajectories.values())).timestamps_ns[-1]
+    for k, time_ns in enumerate(order):
+        assert max(stop for before, stop in known if before <= k) >= min(time_ns + 100_000_000, last)
+
+
+def test_boxes_of_a_scene_are_sent_as_a_detector_would_see_them(receiver):
+    scene = project_cuboids(street())
+    report = send_scene(scene, receiver, rate=0)
+    boxes = [record for record in receiver.records if isinstance(record, Boxes3d)]
+    flat = [record for record in receiver.records if isinstance(record, Boxes2d)]
+    assert report.sent["boxes_3d"] == report.sent["boxes_2d"] == 4
+    assert sum(map(len, boxes)) > 0 < sum(map(len, flat))
+    results = [result.record for result in receiver.results(1)]
+    pairs = [
+        (numbers_3d, numbers_2d)
+        for record in results
+        for numbers_3d, numbers_2d in zip(record.box_3d_ids, record.box_2d_ids, strict=True)
+        if numbers_3d is not None and numbers_2d is not None
+    ]
+    cuboids = [row for row, annotation in enumerate(scene.annotations) if annotation.type == "cuboid"]
+    # far objects are a pixel wide and look alike; by chance one pair of many would agree
+    assert np.mean([cuboids[solid] == flat_number for solid, flat_number in pairs]) > 0.6
+
+
+def test_a_lens_that_table_3_cannot_hold_is_sent_as_a_property_and_told_with_its_error(receiver):
+    fisheye = Camera("fisheye", 96, 64, 40.0, 40.0, 47.5, 31.5, (0.02, -0.01, 0.0, 0.0))
+    report = send_scene(street(camera=fisheye), receiver, rate=0)
+    notice = next(notice for notice in report.notices if notice.code == "lens-beyond-table-3")
+    assert "px" in notice.message
+    assert "fisheye" in receiver.get_property("lenses")
+    result = receiver.get(0)
+    assert result is not None
+    assert receiver.fusion._setting.camera(1) == fisheye
+
+
+def test_points_in_the_world_go_back_into_their_sensor(receiver, tmp_path):
+    scene = street()
+    sceneloom.fuse(scene, tmp_path / "drive.sfs")
+    with sceneloom.open(tmp_path / "drive.sfs") as fused:
+        assert fused.lidars[0].points_frame is PointsFrame.WORLD
+        report = send_scene(fused, receiver, rate=0)
+        world = fused.lidars[0].frames[1]
+        pose = fused.lidars[0].poses.interpolate(np.array([world.timestamp_ns]))
+        world_from_lidar = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+        cloud = next(r for r in receiver.records if isinstance(r, PointCloudData) and r.seq == 1)
+    assert report.refused == {}
+    assert "time" not in cloud.fields  # each point stands where it was at its own time
+    back = world_from_lidar.apply(cloud.columns(("x", "y", "z")).astype(np.float64))
+    np.testing.assert_allclose(back, world.points.positions, atol=1e-4)  # 32 bits at 100 m
+
+
+def test_times_before_zero_are_moved_by_whole_seconds(receiver):
+    scene = street()
+    shifted = moved_in_time(scene, -1_500_000_000)
+    send_scene(shifted, receiver, rate=0)
+    first = receiver.records[0].timestamp.nanoseconds
+    original = min(scene.lidars[0].frames[0].timestamp_ns, scene.cameras[0].pictures[0].timestamp_ns)
+    assert first >= 0
+    assert (first - (original - 1_500_000_000)) % 1_000_000_000 == 0
+
+
+def moved_in_time(scene, offset_ns):
+    """The same drive on a clock that is ahead or behind."""
+    from sceneloom.scene import LazyFrames
+
+    def frames(items):
+        made = [
+            replace(
+                item,
+                timestamp_ns=item.timestamp_ns + offset_ns,
+                **(
+                    {"points": replace(item.points, timestamps_ns=item.points.timestamps_ns + offset_ns)}
+                    if hasattr(item, "points") and item.points.timestamps_ns is not None
+                    else {}
+                ),
+            )
+            for item in items
+        ]
+        return LazyFrames.of(made, [item.timestamp_ns for item in made])
+
+    sensors = tuple(
+        replace(sensor, frames=frames(sensor.frames))
+        if sensor in scene.lidars
+        else replace(sensor, pictures=frames(sensor.pictures))
+        for sensor in (*scene.lidars, *scene.cameras)
+    )
+    trajectories = {
+        name: replace(way, timestamps_ns=way.timestamps_ns + offset_ns, file_seconds=None)
+        for name, way in scene.trajectories.items()
+    }
+    return replace(scene, sensors=sensors, annotations=(), trajectories=trajectories)
+
+
+def test_records_are_held_back_until_they_are_due(receiver):
+    now, waits = [100.0], []
+
+    def wait(seconds):
+        waits.append(seconds)
+        now[0] += seconds
+
+    scene = street()
+    send_scene(scene, receiver, pace=Pace(2.0, clock=lambda: now[0], wait=wait))
+    times = [record.timestamp.nanoseconds for record in receiver.records]
+    assert sum(waits) == pytest.approx((times[-1] - times[0]) / 1e9 / 2.0)
+    assert all(seconds > 0 for seconds in waits)
+
+
+def test_as_fast_as_possible_waits_for_room_and_loses_nothing():
+    dropped = []
+    with FusionInterface(
+        observer=lambda event: dropped.append(event) if isinstance(event, Dropped) else None
+    ) as fusion:
+        fusion.set_property("queue_length", 4)
+        fusion.set_property("result_queue_length", 1000)
+        report = send_scene(street(frames=8), fusion, rate=0)
+        assert fusion.get_property("queue_policy") == "drop-oldest"
+        assert len(list(fusion.results(0))) >= 7
+    assert report.refused == {}
+    assert dropped == []
+
+
+def test_what_is_refused_is_counted_by_cause(receiver):
+    refusing = Kept(receiver.fusion)
+    refusing.send = lambda record: refused(Cause.BAD_RECORD, "no")
+    report = send_scene(street(frames=2), refusing, rate=0)
+    assert report.refused == {
+        "bad-record": report.sent["image"] + report.sent["points"] + report.sent["boxes_3d"]
+    }
+
+
+def test_a_session_that_refuses_the_calibration_ends_it(receiver):
+    receiver.set_calibration = lambda data, **ids: refused(Cause.BAD_CALIBRATION, "not today")
+    with pytest.raises(OptionError, match="calibration of camera 1 and lidar 0: bad-calibration: not today"):
+        send_scene(street(), receiver, rate=0)
+
+
+def test_a_drive_without_a_camera_cannot_be_sent(receiver):
+    scene = street()
+    with pytest.raises(DataError, match="0 cameras"):
+        send_scene(replace(scene, sensors=scene.lidars, annotations=()), receiver, rate=0)
+
+
+def test_a_log_sent_again_gives_the_same_results(tmp_path):
+    path, again = tmp_path / "session.mcap", tmp_path / "again.mcap"
+    scene = project_cuboids(street())
+    with BlackBox(path) as box, FusionInterface(inline=True, observer=box.session("rig")) as fusion:
+        fusion.add_property("site", "where", "string")
+        fusion.set_property("site", "A1")
+        fusion.set_property("result_queue_length", 1000)
+        send_scene(scene, fusion, rate=0)
+        expected = [encode(result.record) for kind in (0, 1) for result in fusion.results(kind)]
+    opened = {}
+    with BlackBox(again) as box:
+
+        def open_session(name):
+            opened[name] = FusionInterface(inline=True, observer=box.session(name))
+            return opened[name]
+
+        report = send_log(path, open_session, rate=0)
+        found = [encode(result.record) for kind in (0, 1) for result in opened["rig"].results(kind)]
+        assert opened["rig"].get_property("site") == "A1"
+        opened["rig"].close()
+    assert report.refused == {}
+    assert report.sent["points"] == 4
+    assert found == expected
+    assert expected
+    assert compare(path)
+    assert compare(again)

@@ -51,7 +51,8 @@ def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     if wraps:
         problem = f"lie {wraps} times 2^32 µs before the frame; 32 bits have run over"
     elif timed.verdict is PointTimes.WRONG_UNIT:
-        problem = f"are {float(timed.found.factor):g} times too large"
+        factor = timed.found.factor
+        problem = f"are {float(max(factor, 1 / factor)):g} times too {'large' if factor > 1 else 'small'}"
     if problem is not None:
         problem = f"they {problem}; the first is {timed.raw.first_ns} ns"
         note_sighting(subject, "point-times-clock", frame, "points.timestamps", problem)

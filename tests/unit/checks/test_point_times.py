@@ -43,10 +43,11 @@ def test_a_sound_scene_keeps_all_of_them(sound, found):
     [
         (lambda times, stamp: times - stamp, 20 * SECOND, "count from the frame's own stamp"),
         (lambda times, stamp: times * 1000, 2000 * SECOND, "are 1000 times too large"),
+        (lambda times, stamp: times // 1000, 2000 * SECOND, "are 1000 times too small"),
         (lambda times, stamp: times + 3600 * SECOND, 20 * SECOND, "on another clock"),
         (lambda times, stamp: times - WRAP_NS, WRAP_NS + 20 * SECOND, "1 times 2^32 µs"),
     ],
-    ids=["relative", "wrong unit", "other clock", "wrapped"],
+    ids=["relative", "unit too large", "unit too small", "other clock", "wrapped"],
 )
 def test_times_that_are_not_on_the_scenes_clock_are_found_and_their_frames_counted(
     sound, found, shift, start_ns, what

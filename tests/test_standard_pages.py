@@ -1,0 +1,74 @@
+"""The two pages beside DB34/T 4101-2022 hold every row, property, cause, call and check that there is."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sceneloom.fusion.messages.tables import TABLES
+from sceneloom.fusion.outcome import Cause
+from sceneloom.fusion.properties import PREDEFINED
+
+pytest.importorskip("grpc", reason="the extra `serve` is not installed")
+
+from sceneloom.service.conformance.examination import CHECKS, PARTS
+from sceneloom.service.conformance.transport import SERVICE
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = [DOCS / "db34t-4101.md", DOCS / "db34t-4101.zh.md"]
+
+pytestmark = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def rows_of(text):
+    """The cells of all rows of all tables of a page."""
+    return [
+        [cell.strip() for cell in line.strip("| \n").split(" | ")]
+        for line in text.splitlines()
+        if line[:1] == "|"
+    ]
+
+
+def test_every_row_of_tables_3_to_10_stands_there_in_order(page):
+    found = [tuple(row[:3]) for row in rows_of(page.read_text("utf-8"))]
+    expected = [
+        (str(row.number), f"`{row.name}`", row.type) for table in TABLES.values() for row in table.rows
+    ]
+    assert [row for row in found if row in expected] == expected
+
+
+def test_every_property_stands_there_with_its_type_and_default(page):
+    found = {row[0].strip("`"): row[1:3] for row in rows_of(page.read_text("utf-8"))}
+    for name, entry in PREDEFINED.items():
+        kind, default = found[name]
+        assert kind == entry.type + (f" [{entry.unit}]" if entry.unit else ""), name
+        assert default in (repr(entry.default), "empty", "空"), name
+        assert (default in ("empty", "空")) == (entry.default == ""), name
+
+
+def test_every_cause_and_every_call_stands_there(page):
+    text = page.read_text("utf-8")
+    assert [cause for cause in Cause if cause and f"| `{cause}` |" not in text] == []
+    assert [method.name for method in SERVICE.methods if f"`{method.name}`" not in text] == []
+
+
+def test_the_checks_are_counted_as_they_are(page):
+    text = page.read_text("utf-8")
+    assert re.search(rf"\b{len(CHECKS)}\b", text)
+    counts = [row[-1] for row in rows_of(text) if len(row) == 3 and row[-1].isdigit()]
+    assert counts == [str(len(part.checks)) for part in PARTS]
+
+
+def test_the_program_on_the_page_runs(page, tmp_path):
+    program = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[1]
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("10.0 ('x', 'y', 'z'")

@@ -21,11 +21,11 @@ from sceneloom.fusion.ledger import Ledger
 from sceneloom.fusion.messages.boxes import Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.fused import FusedDetections
-from sceneloom.fusion.messages.records import ResultRecord, SentRecord, kind_of
+from sceneloom.fusion.messages.records import ResultRecord, SentRecord, kind_of, size_of
 from sceneloom.fusion.motion import RecentWay
 from sceneloom.fusion.outcome import DONE, Cause, Outcome, refused
 from sceneloom.fusion.properties.store import Property, PropertyStore, Snapshot
-from sceneloom.fusion.queues import Flushed, Moved, Task, TaskQueue
+from sceneloom.fusion.queues import QUEUE_PROPERTIES, Flushed, Moved, QueueLimits, Task, TaskQueue
 from sceneloom.fusion.results import ResultQueue
 from sceneloom.fusion.rig import Rig, RigResult
 from sceneloom.fusion.setting import Setting
@@ -99,6 +99,7 @@ class FusionInterface:
         inline: bool = False,
         observer: Callable[[Event], None] | None = None,
         on_result: Callable[[], None] | None = None,
+        limits: QueueLimits | None = None,
     ) -> None:
         """Make a system with the predefined properties and no calibration.
 
@@ -106,6 +107,7 @@ class FusionInterface:
             inline: whether the threads that send also fuse.
             observer: told all that is taken, refused and given, one call at a time.
             on_result: called as soon as a result can be fetched.
+            limits: of what waits, whatever the properties say; None for none.
         """
         self.properties = PropertyStore(check_algorithm=lambda kind, name: algorithm(FusionType(kind), name))
         self.counters = Counters()
@@ -121,7 +123,11 @@ class FusionInterface:
         self._observer = observer
         self._on_result = on_result
         self._observing = threading.Lock()
-        self._results: dict[FusionType, ResultQueue[Result]] = {kind: ResultQueue() for kind in FusionType}
+        self._results: dict[FusionType, ResultQueue[Result]] = {
+            kind: ResultQueue(size=lambda result: size_of(result.record)) for kind in FusionType
+        }
+        self._limits = limits or QueueLimits()
+        self._making_room: Flushed | None = None
         self._given = dict.fromkeys(FusionType, 0)
         self._tasks = TaskQueue()
         self._closed = False
@@ -146,6 +152,9 @@ class FusionInterface:
 
         `calibration` replaces all calibrations.
         """
+        most = self._limits.most_length
+        if name in QUEUE_PROPERTIES and isinstance(value, int) and value > most:
+            return refused(Cause.OUT_OF_RANGE, f"{name}: {value}; expected at most {most} here")
         with self._lock:
             outcome = self.properties.set(name, value)
             if outcome and name == "calibration":
@@ -326,10 +335,23 @@ class FusionInterface:
         if policy == "refuse" and self._ledger.waiting(admitted.stream) >= most:
             reason = f"{most} records of {admitted.kind} {admitted.sensor_id} wait already (queue_length)"
             raise RefusedError(refused(Cause.QUEUE_FULL, reason))
+        size = size_of(record)
+        self._check_room(size)
         self._intake.note(admitted)
         self.counters.add(f"{verb}.{kind_of(record).name}")
-        self._do(replace(admitted, ticket=self._ledger.issue(admitted.stream)))
+        self._do(replace(admitted, ticket=self._ledger.issue(admitted.stream, size)))
         return self._remarks(admitted)
+
+    def _check_room(self, size: int) -> None:
+        """Refuse what there is no room for, and see to it that there will be: let go of what waits for partners."""
+        waiting, most = self._ledger.waiting_bytes, self._limits.most_bytes
+        if waiting + size <= most:
+            return
+        if self._making_room is None or self._making_room.done.is_set():
+            self._making_room = Flushed(final=True)
+            self._do(self._making_room)
+        reason = f"{waiting} bytes wait and {size} come; expected at most {most}"
+        raise RefusedError(refused(Cause.TOO_MANY, reason))
 
     def _remarks(self, admitted: Admitted) -> Outcome:
         """The answer 1, with what looks wrong with the calibrations of a sensor if nobody was told yet."""
@@ -457,7 +479,9 @@ class FusionInterface:
         self.counters.add(f"results.{kind.name.lower()}")
         self._tell(result)
         most = found.setting.properties["result_queue_length"]
-        self.counters.add("dropped.results", self._results[kind].put(result, most=most))
+        self.counters.add(
+            "dropped.results", self._results[kind].put(result, most=most, most_bytes=self._limits.most_bytes)
+        )
         if self._on_result is not None:
             self._on_result()
 

@@ -19,12 +19,14 @@ class Ticket:
         holders: how many places keep it: a picture goes to each lidar that its camera is calibrated with.
         fused: whether it took part in a result.
         fate: what happened to it where it did not, as `dropped.queue-full`; "" for nothing but time.
+        size: of its arrays [byte].
     """
 
     stream: Stream
     holders: int = 1
     fused: bool = False
     fate: str = ""
+    size: int = 0
 
 
 @dataclass(slots=True)
@@ -38,17 +40,20 @@ class Ledger:
 
     Attributes:
         counters: where.
+        waiting_bytes: of the records that have come and are not done with.
     """
 
     counters: Counters
+    waiting_bytes: int = 0
     _waiting: Counter[Stream] = field(default_factory=Counter)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def issue(self, stream: Stream) -> Ticket:
-        """Note a record that comes in."""
+    def issue(self, stream: Stream, size: int = 0) -> Ticket:
+        """Note a record that comes in, of so many bytes."""
         with self._lock:
             self._waiting[stream] += 1
-        return Ticket(stream)
+            self.waiting_bytes += size
+        return Ticket(stream, size=size)
 
     def share(self, ticket: Ticket, holders: int) -> None:
         """Note that so many places keep a record; none of them: it is done."""
@@ -64,6 +69,7 @@ class Ledger:
             if ticket.holders != 0:
                 return
             self._waiting[ticket.stream] -= 1
+            self.waiting_bytes -= ticket.size
             if not self._waiting[ticket.stream]:
                 del self._waiting[ticket.stream]
         outcome = "fused" if ticket.fused else ticket.fate or "unpaired"

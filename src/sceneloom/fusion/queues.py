@@ -39,6 +39,23 @@ Task = Admitted | Moved | Flushed
 """What a worker does."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QueueLimits:
+    """What waits in one system at most, whatever its properties say.
+
+    Attributes:
+        most_length: what the properties queue_length and result_queue_length can be set to.
+        most_bytes: of records that are not fused yet; and of results of each type that wait to be fetched.
+    """
+
+    most_length: int = 2**32 - 1
+    most_bytes: int = 2**63
+
+
+QUEUE_PROPERTIES = ("queue_length", "result_queue_length")
+"""Those that `QueueLimits.most_length` bounds."""
+
+
 @dataclass(slots=True)
 class TaskQueue:
     """Tasks in the order in which they came; of each sensor's records only so many wait.

@@ -29,7 +29,7 @@ class ServiceLimits:
     idle_minutes: float = 30.0
     most_open_requests: int = 64
     most_bytes_waiting: int = 1024 * MEBIBYTE
-    most_queue_length: int = 1024
+    most_queue_length: int = 256
     largest_message: int = 256 * MEBIBYTE
     most_calls: int = 1024
     drain_seconds: float = 10.0
@@ -45,7 +45,7 @@ class ServiceLimits:
         for name, value in table.items():
             where = f"{place}.{name}" if place else name
             if name not in known:
-                raise DataError(file, where, f"{value!r}; expected one of {', '.join(known)}")
+                raise DataError(file, where, f"unknown; expected one of {', '.join(known)}")
             whole = known[name] is int
             if (
                 isinstance(value, bool)

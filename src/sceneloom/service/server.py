@@ -15,6 +15,7 @@ from grpc_reflection.v1alpha import reflection
 
 from sceneloom.errors import OptionError
 from sceneloom.fusion.interface import Event, FusionInterface
+from sceneloom.fusion.queues import QueueLimits
 from sceneloom.service.handlers import Handlers
 from sceneloom.service.limits import ServiceLimits
 from sceneloom.service.methods import SERVICE
@@ -203,7 +204,12 @@ class FusionServer:
 
     def _interface(self, name: str, on_result: Callable[[], None]) -> FusionInterface:
         observe = self.settings.observe
-        fusion = FusionInterface(observer=None if observe is None else observe(name), on_result=on_result)
+        most = self.settings.limits
+        fusion = FusionInterface(
+            observer=None if observe is None else observe(name),
+            on_result=on_result,
+            limits=QueueLimits(most_length=most.most_queue_length, most_bytes=most.most_bytes_waiting),
+        )
         if self.settings.configure is not None:
             self.settings.configure(fusion)
         LOG.info("session begins", extra={"fields": {"session": name}})

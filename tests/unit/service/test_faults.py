@@ -269,3 +269,35 @@ def test_a_server_that_is_told_to_end_delivers_what_waits_and_says_goodbye(conne
     lines = [json.loads(line) for line in err.splitlines()]
     assert [line["event"] for line in lines] == ["listening", "session begins", "draining", "ended"]
     assert lines[1]["session"] == "default"
+
+
+def test_records_that_wait_may_be_so_large_together(serve, connect, records):
+    call = connect(serve(limits=ServiceLimits(most_bytes_waiting=30_000)))
+    call.calibrate()
+    statuses = [call.send(records.image(100 * seq, seq)) for seq in range(4)]  # 9216 bytes each, and no sweep
+    assert [(status.status, status.cause) for status in statuses] == [(1, "")] * 3 + [(0, "too-many")]
+    assert "27648 bytes wait and 9216 come; expected at most 30000" in statuses[3].reason
+    assert call("Flush").status == 1  # what waited for a sweep was let go
+    assert call.send(records.image(500, 5)).status == 1
+    assert call("GetCounters").counts["unpaired.image"] == 3
+
+
+def test_results_that_nobody_fetches_may_be_so_large_together(serve, connect):
+    call = connect(serve(limits=ServiceLimits(most_bytes_waiting=50_000)))
+    call.calibrate()
+    for seq in range(5):  # results of 64 x 48 pixels of 3 + 4 bytes and two points: 21.5 kB
+        call.send_pair(seq)
+        call("Flush")
+    assert [call("Get").number for _ in range(2)] == [3, 4]
+    assert call("Get").WhichOneof("result") == "no_data"
+    assert call("GetCounters").counts["dropped.results"] == 3
+
+
+@pytest.mark.parametrize("name", ["queue_length", "result_queue_length"])
+def test_queues_can_be_made_so_long(serve, connect, name):
+    call = connect(serve(limits=ServiceLimits(most_queue_length=64)))
+    for length, expected in ((64, 1), (65, 0)):
+        status = call("SetProperty", name=name, value=fusion_pb2.Value(integer_value=length))
+        assert status.status == expected
+    assert status.cause == "out-of-range"
+    assert "expected at most 64 here" in status.reason

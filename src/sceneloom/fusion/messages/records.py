@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.boxes import COLUMNS_2D, COLUMNS_3D, Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.calibration_data import CalibrationData
@@ -116,6 +118,16 @@ RECORD_KINDS: Mapping[str, RecordKind] = MappingProxyType(
     }
 )
 """By name; those that can be sent and results have the names of the fields of SendRequest and GetReply."""
+
+
+def size_of(record: Record) -> int:
+    """How many bytes the arrays of a record have."""
+    values = [getattr(record, name) for name in type(record).__slots__]
+    return sum(
+        value.nbytes if isinstance(value, np.ndarray) else len(value) if isinstance(value, bytes) else 0
+        for value in values
+    )
+
 
 _KIND_OF = {kind.record_type: kind for kind in RECORD_KINDS.values()}
 

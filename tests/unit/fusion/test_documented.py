@@ -1,0 +1,68 @@
+"""The page beside the standard says what the fusion interface does: properties, causes, counters."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.outcome import Cause
+from sceneloom.fusion.properties import PREDEFINED
+
+from .sending import boxes_2d, boxes_3d, calibration, cloud, image
+
+DOCS = Path(__file__).parents[3] / "docs"
+PAGES = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("db34t-4101", "db34t-4101.zh")}
+BOTH = pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
+
+
+def rows(page):
+    """Cells of all rows of tables, by their first cell without backticks."""
+    found = [
+        [cell.strip() for cell in line.strip("|").split(" | ")]
+        for line in page.splitlines()
+        if line[:1] == "|"
+    ]
+    return {cells[0].replace("`", "").strip(): cells for cells in found}
+
+
+@BOTH
+@pytest.mark.parametrize("name", PREDEFINED)
+def test_every_property_stands_there_with_type_and_default(page, name):
+    known, cells = PREDEFINED[name], rows(page)[name]
+    unit = f" [{known.unit}]" if known.unit else ""
+    assert cells[1] == f"{known.type}{unit}"
+    if known.default != "":
+        assert cells[2] == repr(known.default)
+
+
+@pytest.mark.parametrize("name", PREDEFINED)
+def test_the_english_page_says_what_the_interface_itself_says(name):
+    assert rows(PAGES["db34t-4101"])[name][3].startswith(PREDEFINED[name].description)
+
+
+@BOTH
+@pytest.mark.parametrize("cause", [cause for cause in Cause if cause])
+def test_every_cause_stands_there(page, cause):
+    assert cause in rows(page)
+
+
+@BOTH
+def test_every_counter_stands_there(page):
+    with FusionInterface(inline=True) as fusion:
+        fusion.send(cloud(0, 0))
+        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        for seq in range(3):
+            for send in (image, cloud, boxes_2d, boxes_3d):
+                fusion.send(send(-20_000 * seq, seq))
+        fusion.close()
+        names = set(fusion.counters.counts())
+    documented = [
+        re.compile(
+            re.escape(name).replace("KIND", "[a-z_0-9]+").replace("CAUSE", "[a-z-]+").replace("NAME", r"\S+")
+        )
+        for row in rows(page).values()
+        for name in re.findall(r"`([^`]+)`", row[0])
+    ]
+    assert len(names) >= 9
+    assert not [name for name in names if not any(pattern.fullmatch(name) for pattern in documented)]

@@ -14,6 +14,7 @@ from sceneloom.fusion.interface import FusionInterface
 from sceneloom.service.limits import ServiceLimits
 from sceneloom.service.logs import JsonLines
 from sceneloom.service.server import FusionServer, ServerSettings
+from sceneloom.service.warming import warm_up
 
 _ENDING = (signal.SIGTERM, signal.SIGINT)
 
@@ -82,6 +83,7 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
     for number in _ENDING:
         loop.add_signal_handler(number, ended.set)
     server = FusionServer(settings)
+    await loop.run_in_executor(None, warm_up)
     await server.start()
     started(server)
     await ended.wait()

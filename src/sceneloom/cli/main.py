@@ -28,6 +28,8 @@ VERBS = MappingProxyType(
         "eval": "Say how good an estimate is: a trajectory against a reference.",
         "sync": "Tell whether the clocks of a drive's streams are in step, and correct them.",
         "serve": "Serve the fusion interface of DB34/T 4101-2022 over gRPC.",
+        "send": "Send a drive, or a log, to a fusion service.",
+        "get": "Fetch results from a fusion service.",
         "conformance": "Check a fusion service against DB34/T 4101-2022.",
         "formats": "List the formats that can be read and written.",
     }

@@ -165,6 +165,8 @@ class SessionLog:
                 )
                 fill_message(request.calibration, entry.data)
                 self._add("calibration", request, "calibration")
+        if set(known) - set(setting.table.entries):
+            self._add("pairs", value_to_protobuf(list(setting.table.entries)), "pairs")
         if self._shown:
             self._show_setting(setting)
 

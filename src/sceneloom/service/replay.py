@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from sceneloom.errors import DataError
@@ -131,6 +132,12 @@ class _Session:
         entry = CalibrationEntry(message.camera_id, message.lidar_id, from_protobuf(message.calibration))
         self._table, self._setting = self._table.having([entry]), None
 
+    def pairs(self, message: Any) -> None:
+        """Forget the calibrations of all other pairs."""
+        kept = {tuple(pair) for pair in value_from_protobuf(message)}
+        entries = {pair: entry for pair, entry in self._table.entries.items() if pair in kept}
+        self._table, self._setting = CalibrationTable(MappingProxyType(entries)), None
+
     def record(self, message: Any) -> None:
         """Fuse a record."""
         if self._setting is None:
@@ -153,6 +160,7 @@ _STEPS = {
     "properties": _Session.properties,
     "algorithms": _Session.algorithms,
     "calibration": _Session.calibration,
+    "pairs": _Session.pairs,
     "record": _Session.record,
     "motion": _Session.motion,
     "flush": _Session.flush,

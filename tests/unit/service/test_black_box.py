@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
 from sceneloom.errors import DataError, OptionError, OutputError
+from sceneloom.fusion.calibration.entries import CalibrationEntry, format_calibrations
 from sceneloom.fusion.interface import FusionInterface, Result
 from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.fusion.messages.protobuf_form import encode
@@ -289,6 +290,22 @@ def test_a_live_session_with_drops_idle_flushes_and_hot_calibration_can_be_playe
     assert [result.record.points_seq for result in results][-1] == 50
     again = [result for _, result in replay(path, session="live")]
     assert [encode(result.record) for result in again] == [encode(result.record) for result in results]
+    assert compare(path)
+
+
+def test_calibrations_that_were_replaced_altogether_are_played_so(tmp_path):
+    path = tmp_path / "session.mcap"
+    other = CalibrationEntry(1, 0, calibration(70.0))
+    with BlackBox(path) as box, begun(box, inline=True) as fusion:
+        assert fusion.set_calibration(calibration(), camera_id=2, lidar_id=0)
+        fusion.send(image(0, 0, sensor_id=2))
+        drive(fusion, 2)
+        assert fusion.set_property("calibration", format_calibrations((other,)))
+        drive(fusion, 2, start=2)
+        fusion.send(image(500, 0, sensor_id=2))
+    with path.open("rb") as file:
+        pairs = [m for _, c, m in make_reader(file).iter_messages() if c.metadata["what"] == "pairs"]
+    assert len(pairs) == 1
     assert compare(path)
 
 

@@ -1,0 +1,93 @@
+"""`sceneloom send`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import print_json, print_notices, progress_bar
+from sceneloom.cli.service_options import calling, connected
+
+if TYPE_CHECKING:
+    from sceneloom.service.sending import SendReport
+
+_CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
+
+
+@click.command()
+@click.argument("path", type=options.place)
+@click.argument("address", metavar="HOST:PORT")
+@click.option(
+    "--rate",
+    type=options.not_negative,
+    default=1.0,
+    show_default=True,
+    metavar="N",
+    help="1: as fast as it was, 2: twice as fast, 0: as fast as the service takes it.",
+)
+@options.way(further="`identity`: it stood still")
+@options.part
+@calling
+@options.reading
+@options.printing
+def send(
+    path: Path | str,
+    address: str,
+    rate: float,
+    trajectory: str | None,
+    heading: str | None,
+    start: float | None,
+    stop: float | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    lenient: bool,
+    **further: Any,
+) -> None:
+    """Send a drive to a fusion service as its sensors would have sent it; or a log of `serve --log` once more."""
+    from sceneloom.service.log_file import is_log
+
+    calls = {name: further.pop(name) for name in _CALLING}
+    with connected(address, **calls) as open_client, progress_bar("sending", quiet=quiet) as progress:
+        if isinstance(path, Path) and is_log(path):
+            said = options.said(trajectory=trajectory, heading=heading, start=start, stop=stop)
+            report = _send_log(path, open_client, rate, calls["session"], said)
+        else:
+            from sceneloom.formats import open_scene
+            from sceneloom.scene.part import cut_scene
+            from sceneloom.service.sending import send_scene
+
+            with open_scene(path, **options.said(lenient=lenient, **further)) as scene:
+                report = send_scene(
+                    cut_scene(scene, start=start, stop=stop),
+                    open_client(""),
+                    rate=rate,
+                    trajectory=trajectory,
+                    heading=heading,
+                    lenient=lenient,
+                    progress=progress,
+                )
+    if as_json:
+        print_json(report)
+    else:
+        _print_report(report, address)
+        if not quiet:
+            print_notices(report.notices, verbose=verbose)
+
+
+def _send_log(path: Path, open_client: Any, rate: float, session: str, said: dict[str, Any]) -> "SendReport":
+    if said:
+        raise click.UsageError(f"--{next(iter(said))} says nothing of a log, which is sent as it is")
+    from sceneloom.service.sending_logs import send_log
+
+    return send_log(path, lambda name: open_client(session or name.replace("#", "-")), rate=rate)
+
+
+def _print_report(report: "SendReport", address: str) -> None:
+    sent = ", ".join(f"{count} {kind}" for kind, count in report.sent.items()) or "nothing"
+    click.echo(f"{report.source}: sent {sent} to {address} in {report.seconds:.1f} s")
+    if report.sensors:
+        click.echo("numbered: " + ", ".join(f"{name} is {number}" for name, number in report.sensors.items()))
+    refused = ", ".join(f"{count} {cause}" for cause, count in report.refused.items())
+    click.echo(f"refused: {refused or 'none'}")

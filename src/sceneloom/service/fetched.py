@@ -1,0 +1,157 @@
+"""Where fetched results go: lines of JSON, a folder of depth images, pictures and points, or a scene file."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
+
+import msgspec
+import numpy as np
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.depth_images import write_depth_png
+from sceneloom.formats.output import filling, replacing
+from sceneloom.formats.sfs import SceneWriter
+from sceneloom.formats.sfs.write_pictures import encode_jpeg
+from sceneloom.fusion.interface import Result
+from sceneloom.fusion.messages.array_bytes import bytes_of
+from sceneloom.fusion.messages.encodings import ENCODINGS
+from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData
+from sceneloom.fusion.messages.json_form import to_json
+from sceneloom.fusion.messages.scene_form import lidar_frame_of_result, rgb_of_pixels
+from sceneloom.scene import LazyFrames, LidarFrame, LidarSensor
+
+_ARRAYS = ("image_data", "image_depth", "point_data")
+
+
+class ResultSink(Protocol):
+    """Takes results, one after another."""
+
+    def add(self, result: Result) -> None:
+        """Take one result."""
+        ...
+
+
+def described(result: Result) -> dict[str, Any]:
+    """Give a result as a JSON object with the standard's names; arrays of sensor data are left out."""
+    content = (
+        to_json(result.record, lists=True) if isinstance(result.record, FusedDetections) else _plain(result)
+    )
+    return {"number": result.number, **content}
+
+
+def _plain(result: Result) -> dict[str, Any]:
+    return {name: value for name, value in to_json(result.record).items() if name not in _ARRAYS}
+
+
+@contextmanager
+def open_sink(path: Path, *, detections: bool, overwrite: bool = False) -> Iterator[ResultSink]:
+    """Give what writes results to a path; it is there, whole, when the block ends without an error.
+
+    Args:
+        path: of detections a file of JSON lines; of sensor data a scene file, `.sfs`, else a folder.
+        detections: whether detections are fetched, rather than sensor data.
+        overwrite: replace what is there.
+
+    Raises:
+        OutputError: it is there, or cannot be written.
+    """
+    if detections:
+        with replacing(path, overwrite=overwrite) as draft, draft.open("wb") as file:
+            yield JsonLines(file)
+    elif path.suffix.lower() == ".sfs":
+        with SceneWriter(path, overwrite=overwrite) as writer:
+            yield SceneFile(writer)
+    else:
+        with filling(path, overwrite=overwrite) as folder:
+            yield ResultFolder(folder)
+
+
+@dataclass(slots=True)
+class JsonLines:
+    """Writes one object a line."""
+
+    file: BinaryIO
+
+    def add(self, result: Result) -> None:
+        """Take one result."""
+        self.file.write(msgspec.json.encode(described(result)) + b"\n")
+
+
+@dataclass(slots=True)
+class SceneFile:
+    """Writes the points of sensor data, coloured by the camera, as sweeps of one lidar for each pair of sensors."""
+
+    writer: SceneWriter
+    _known: set[str] = field(default_factory=set)
+
+    def add(self, result: Result) -> None:
+        """Take one result.
+
+        Raises:
+            OptionError: its points are in the camera's frame.
+        """
+        record = _sensor_data(result)
+        if record.point_frame == "camera":
+            raise OptionError("points in the camera's frame; expected the property reference_frame to be 1")
+        name = f"lidar{record.lidar_id}_camera{record.camera_id}"
+        if name not in self._known:
+            self._known.add(name)
+            self.writer.add_sensor(LidarSensor(name, LazyFrames.of([], [])))
+        frame = lidar_frame_of_result(record)
+        self.writer.add_frame(name, LidarFrame(frame.timestamp_ns, frame.points))
+
+
+@dataclass(slots=True)
+class ResultFolder:
+    """Writes sensor data: `results.jsonl`, and of each result a depth image, a picture and the points.
+
+    `depth/NNNNNN.png` has 16 bits, metres times 256; `points/NNNNNN.npz` one array for each field.
+    """
+
+    folder: Path
+
+    def add(self, result: Result) -> None:
+        """Take one result."""
+        record = _sensor_data(result)
+        name = f"{result.number:06d}"
+        depth = self._place("depth", f"{name}.png")
+        beyond = write_depth_png(record.depths, depth)
+        points = self._place("points", f"{name}.npz")
+        np.savez_compressed(points, **{key: record.points[:, k] for k, key in enumerate(record.point_fields)})  # type: ignore[arg-type]
+        line = described(result) | {
+            "depth": _relative(depth, self.folder),
+            "depth_beyond_range": beyond,
+            "points": _relative(points, self.folder),
+            "picture": _relative(self._picture(name, record), self.folder),
+        }
+        with (self.folder / "results.jsonl").open("ab") as lines:
+            lines.write(msgspec.json.encode(line) + b"\n")
+
+    def _picture(self, name: str, record: SensorFusionData) -> Path:
+        if ENCODINGS[record.encoding].is_file:
+            path = self._place("pictures", f"{name}.{'jpg' if record.encoding == 'jpeg' else 'png'}")
+            path.write_bytes(bytes_of(record.image_data))
+            return path
+        path = self._place("pictures", f"{name}.jpg")
+        pixels = record.pixels
+        if pixels is None:
+            raise OptionError(f"a picture of encoding {record.encoding!r}; expected pixels")
+        path.write_bytes(encode_jpeg(rgb_of_pixels(pixels, record.encoding)))
+        return path
+
+    def _place(self, folder: str, name: str) -> Path:
+        place = self.folder / folder
+        place.mkdir(exist_ok=True)
+        return place / name
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return path.relative_to(folder).as_posix()
+
+
+def _sensor_data(result: Result) -> SensorFusionData:
+    if not isinstance(result.record, SensorFusionData):
+        raise OptionError(f"a result of {type(result.record).__name__}; expected sensor data")
+    return result.record

@@ -1,0 +1,143 @@
+"""`sceneloom send` and `sceneloom get`: a drive goes to a service, results come back as files."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.cli.main import sceneloom as program
+from sceneloom.service.black_box import BlackBox
+from sceneloom.service.client import FusionClient
+from sceneloom.service.replay import compare
+from sceneloom.service.running import running_server
+from sceneloom.service.security import Security
+from sceneloom.service.server import ServerSettings
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+from sceneloom.visibility import project_cuboids
+
+TOKEN = "sixteen-characters-or-more"
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
+    scene = simulate_street(1, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,)).scene
+    path = tmp_path_factory.mktemp("drive") / "drive.sfs"
+    sceneloom.write(project_cuboids(scene), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory):
+    return tmp_path_factory.mktemp("log") / "session.mcap"
+
+
+def run(*arguments, code=0):
+    done = CliRunner().invoke(program, [str(argument) for argument in arguments])
+    assert done.exit_code == code, (done.output, done.exception)
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def address(logged):
+    with BlackBox(logged) as box, running_server(ServerSettings(observe=box.session)) as server:
+        yield server.address
+
+
+@pytest.fixture
+def sent(drive, address, request):
+    """The name of a session that was sent the drive."""
+    name = f"s{abs(hash(request.node.name))}"
+    report = json.loads(run("send", drive, address, "--rate", 0, "--session", name, "--json", "-q"))
+    assert report["refused"] == {}
+    assert report["sent"]["points"] == report["sent"]["image"] == report["sent"]["boxes_3d"] == 3
+    return name
+
+
+def test_what_was_sent_is_told(drive, address):
+    told = run("send", drive, address, "--rate", 0, "--session", "told", "-q")
+    assert "3 image" in told
+    assert "refused: none" in told
+    assert "lidar" in told
+
+
+def test_results_without_an_output_are_lines_of_json(address, sent):
+    lines = [
+        json.loads(line) for line in run("get", address, "--type", "sensor", "--session", sent).splitlines()
+    ]
+    assert [line["number"] for line in lines] == [0, 1, 2]
+    assert {line["width"] for line in lines} == {96}
+    assert "image_data" not in lines[0]
+
+
+def test_sensor_data_become_a_folder_with_depths_pictures_and_points(address, sent, tmp_path):
+    out = tmp_path / "out"
+    with FusionClient(address, session=sent) as client:
+        client.set_property("result_queue_length", 10)
+    told = json.loads(
+        run("get", address, "--type", "sensor", "-o", out, "--session", sent, "--count", 2, "--json")
+    )
+    assert told["results"] == 2
+    lines = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    with Image.open(out / lines[0]["depth"]) as image:
+        depth = np.array(image)
+    assert (depth.shape, depth.dtype, depth.max() > 0) == ((64, 96), np.uint16, True)
+    with Image.open(out / lines[1]["picture"]) as image:
+        assert image.size == (96, 64)
+    with np.load(out / lines[0]["points"]) as points:
+        assert set(points) >= {"x", "y", "z", "r", "g", "b"}
+        assert len(points["x"]) == lines[0]["point_num"]
+    run("get", address, "--type", "sensor", "-o", out, "--session", sent, code=1)
+
+
+def test_sensor_data_become_a_scene_file(address, sent, tmp_path):
+    out = tmp_path / "out.sfs"
+    run("get", address, "--type", "sensor", "-o", out, "--session", sent)
+    with sceneloom.open(out) as scene:
+        assert [len(lidar.frames) for lidar in scene.lidars] == [3]
+        assert scene.lidars[0].frames[0].points.colors is not None
+
+
+def test_detections_become_lines_with_the_names_of_table_10(address, sent, tmp_path):
+    out = tmp_path / "out.jsonl"
+    run("get", address, "--type", "detection", "-o", out, "--session", sent, "--wait", 0)
+    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    assert lines
+    found = lines[0]["detections"][0]
+    assert set(found) >= {"id", "class", "confidence", "X", "Y", "Z", "center_cov", "direction", "x1"}
+
+
+def test_following_ends_after_as_many_as_asked_for(address, sent):
+    shown = run("get", address, "--type", "sensor", "--follow", "--count", 2, "--session", sent)
+    assert [json.loads(line)["number"] for line in shown.splitlines()] == [0, 1]
+
+
+def test_a_log_is_sent_once_more(drive, tmp_path, logged):
+    log = tmp_path / "first.mcap"
+    with BlackBox(log) as box, running_server(ServerSettings(observe=box.session)) as server:
+        run("send", drive, server.address, "--rate", 0, "--session", "rig", "-q")
+        first = run("get", server.address, "--type", "detection", "--session", "rig")
+    assert compare(log)
+    with running_server(ServerSettings()) as server:
+        told = json.loads(run("send", log, server.address, "--rate", 0, "--json", "-q"))
+        assert told["sent"]["points"] == 3
+        assert told["refused"] == {}
+        assert run("get", server.address, "--type", "detection", "--session", "rig") == first
+        run("send", log, server.address, "--start", 1, code=2)
+
+
+def test_a_token_is_read_from_a_file(drive, tmp_path):
+    token = tmp_path / "token"
+    token.write_text(TOKEN)
+    with running_server(ServerSettings(security=Security(token=TOKEN))) as server:
+        run("send", drive, server.address, "--rate", 0, code=1)
+        run("send", drive, server.address, "--rate", 0, "--token-file", token, "-q")
+
+
+def test_nobody_there_and_a_half_certificate_end_with_their_codes(drive, tmp_path):
+    run("get", "127.0.0.1:9", "--type", "sensor", code=1)
+    run("get", "127.0.0.1:9", "--type", "sensor", "--client-cert", drive, code=2)

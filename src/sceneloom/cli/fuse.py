@@ -14,6 +14,11 @@ from sceneloom.cli.printing import print_json, progress_bar
 @click.argument("path", type=options.place)
 @click.option("-o", "--output", type=options.target, help="The .sfs file to write.")
 @options.way(further="`identity`: it stood still")
+@click.option(
+    "--algorithm",
+    metavar="NAME",
+    help="How to fuse; installed packages can bring others. [default: projection]",
+)
 @click.option("--depth", type=options.target, help="Folder for depth images.")
 @click.option(
     "--depth-form",
@@ -34,6 +39,7 @@ def fuse(
     output: Path | None,
     trajectory: str | None,
     heading: str | None,
+    algorithm: str | None,
     depth: Path | None,
     depth_form: str | None,
     pictures: Path | None,
@@ -58,9 +64,11 @@ def fuse(
         if value is not None and folder is None:
             raise click.UsageError(f"{option} {value} does nothing without {needed} DIR")
     from sceneloom.formats import open_scene
+    from sceneloom.fusion import FusionConfiguration
     from sceneloom.pipeline import FusionOutputs
     from sceneloom.pipeline import fuse as fuse_scene
 
+    configuration = FusionConfiguration(**options.said(fusion_algorithm=algorithm))
     outputs = FusionOutputs(
         scene=output,
         depth=depth,
@@ -80,6 +88,7 @@ def fuse(
             start=start,
             stop=stop,
             outputs=outputs,
+            configuration=configuration,
             lenient=reading["lenient"],
             progress=progress,
         )

@@ -1,7 +1,7 @@
 """What the benchmark of the service runs beside itself: servers, and processes that send.
 
-`python -m benchmarks.service_peers bare RESULT_BYTES DETECTIONS_BYTES` is a gRPC server of the same methods that does
-nothing: it takes the same bytes in, and gives back as many as the fusion does, one result for each sweep.
+The bare server is a gRPC server of the same methods that does nothing: it takes the same bytes in, and gives back as
+many as the fusion does, one result for each sweep.
 """
 
 import asyncio
@@ -32,7 +32,7 @@ CAMERA_ID, LIDAR_ID = 1, 0
 def started(*command):
     """Run a server that prints its port; give its port and its process, and end it."""
     process = subprocess.Popen(
-        [sys.executable, "-m", *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
     try:
         line = process.stdout.readline()
@@ -44,11 +44,17 @@ def started(*command):
 
 
 def ours():
-    return started("sceneloom", "serve", "--port", "0", "--quiet")
+    return started("-m", "sceneloom", "serve", "--port", "0", "--quiet")
 
 
 def bare(result_bytes, detections_bytes):
-    return started("benchmarks.service_peers", "bare", str(result_bytes), str(detections_bytes))
+    program = "from benchmarks.service_peers import serve_bare; serve_bare"
+    return started("-c", f"{program}({result_bytes}, {detections_bytes})")
+
+
+def serve_bare(result_bytes, detections_bytes):
+    """Serve until the process is ended."""
+    asyncio.run(_serve_bare(result_bytes, detections_bytes))
 
 
 async def _serve_bare(result_bytes, detections_bytes):
@@ -284,7 +290,3 @@ def number_in_bare(reply):
 def number_in_ours(reply):
     found = fusion_pb2.GetReply.FromString(reply)
     return getattr(found, found.WhichOneof("result")).points_seq
-
-
-if __name__ == "__main__":
-    asyncio.run(_serve_bare(int(sys.argv[2]), int(sys.argv[3])))

@@ -34,6 +34,8 @@ _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 @click.option("--checks", "list_checks", is_flag=True, help="List the checks and stop.")
 @click.option("--ca", type=_FILE, help="PEM file: who signed the server's certificate; without it no TLS.")
 @click.option("--token-file", type=_FILE, help="File with the token that the server asks for.")
+@click.option("--client-cert", type=_FILE, help="PEM file: a certificate to show, where it is asked for.")
+@click.option("--client-key", type=_FILE, help="PEM file: its key.")
 @options.printing
 @click.pass_context
 def conformance(
@@ -46,6 +48,8 @@ def conformance(
     list_checks: bool,
     ca: Path | None,
     token_file: Path | None,
+    client_cert: Path | None,
+    client_key: Path | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -66,11 +70,13 @@ def conformance(
         return
     if address is None:
         raise click.UsageError("Missing argument 'HOST:PORT'.", context)
+    if (client_cert is None) != (client_key is None):
+        raise click.UsageError("--client-cert and --client-key belong together", context)
     if report is not None:
         form_of(report)
         check_output(report, overwrite=overwrite)
     with (
-        GrpcTransport.connected(address, Doors(ca, token_file)) as transport,
+        GrpcTransport.connected(address, Doors(ca, token_file, client_cert, client_key)) as transport,
         progress_bar("checking", quiet=quiet) as progress,
     ):
         examination = examine(transport, address=address, only=only, progress=progress)

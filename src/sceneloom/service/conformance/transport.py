@@ -8,8 +8,9 @@ from typing import Any, Protocol, Self
 import grpc
 from google.protobuf.message import Message
 
-from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.service.security import read_token
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 """The service of the `.proto`."""
@@ -63,22 +64,24 @@ class Doors:
     Attributes:
         ca: file of the certificate (PEM) that the server's is signed with; None for a connection that is not encrypted.
         token_file: file of the bearer token; None for none.
+        certificate, key: files of what the kit shows to servers that ask who it is (PEM); None for nothing.
     """
 
     ca: Path | None = None
     token_file: Path | None = None
+    certificate: Path | None = None
+    key: Path | None = None
 
     def metadata(self) -> tuple[tuple[str, str], ...]:
         """What every call carries.
 
         Raises:
-            DataError: the token's file cannot be read.
+            DataError: the file holds no token.
+            OSError: it cannot be read.
         """
         if self.token_file is None:
             return ()
-        token = _content(self.token_file).decode("utf-8", "replace").strip()
-        if not (token and token.isascii() and token.isprintable()):
-            raise DataError(self.token_file, "", "no token; expected one line of visible characters")
+        token = read_token(self.token_file)
         return (("authorization", f"Bearer {token}"),)
 
     def channel(self, address: str) -> grpc.Channel:
@@ -86,11 +89,12 @@ class Doors:
 
         Raises:
             OptionError: there is a token, but no encryption to keep it secret on the way to another machine.
-            DataError: the certificate's file cannot be read.
+            OSError: a file cannot be read.
         """
         options = [(f"grpc.max_{way}_message_length", LARGEST_MESSAGE) for way in ("send", "receive")]
         if self.ca is not None:
-            credentials = grpc.ssl_channel_credentials(_content(self.ca))
+            shown = [None if path is None else path.read_bytes() for path in (self.key, self.certificate)]
+            credentials = grpc.ssl_channel_credentials(self.ca.read_bytes(), *shown)
             return grpc.secure_channel(address, credentials, options)
         if self.token_file is not None and not _is_here(address):
             raise OptionError(f"{address}: a token over a connection that is not encrypted; say --ca, too")
@@ -121,7 +125,8 @@ class GrpcTransport:
         Raises:
             NobodyAnswersError: no server answers there.
             OptionError: there is a token, but no encryption to keep it secret on the way to another machine.
-            DataError: a file cannot be read.
+            DataError: the file holds no token.
+            OSError: a file cannot be read.
         """
         channel = doors.channel(address)
         try:
@@ -176,10 +181,3 @@ def _told(error: Any) -> CallFailedError:
 def _is_here(address: str) -> bool:
     host = address.rsplit(":", 1)[0].strip("[]")
     return host in {"localhost", "::1"} or host.startswith("127.") or address.startswith("unix:")
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise DataError(path, "", str(error.strerror)) from error

@@ -68,7 +68,6 @@ def fuse(
     from sceneloom.pipeline import FusionOutputs
     from sceneloom.pipeline import fuse as fuse_scene
 
-    configuration = FusionConfiguration(**options.said(fusion_algorithm=algorithm))
     outputs = FusionOutputs(
         scene=output,
         depth=depth,
@@ -88,7 +87,7 @@ def fuse(
             start=start,
             stop=stop,
             outputs=outputs,
-            configuration=configuration,
+            configuration=FusionConfiguration(**options.said(fusion_algorithm=algorithm)),
             lenient=reading["lenient"],
             progress=progress,
         )

@@ -35,10 +35,12 @@ if TYPE_CHECKING:
     from sceneloom.motion.ego_motion import find_ego_motion
     from sceneloom.pipeline import convert, deskew, fuse, iter_fused, sync
     from sceneloom.scene import PosePath, Scene
+    from sceneloom.service.client import FusionClient
     from sceneloom.simulate import simulate_street
     from sceneloom.visibility import count_points, project_cuboids
 
 __all__ = [
+    "FusionClient",
     "PosePath",
     "Scene",
     "SceneWriter",
@@ -71,6 +73,7 @@ __all__ = [
 ]
 
 _ON_FIRST_USE = {
+    "FusionClient": ("sceneloom.service.client", "FusionClient"),
     "PosePath": ("sceneloom.scene", "PosePath"),
     "Scene": ("sceneloom.scene", "Scene"),
     "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),

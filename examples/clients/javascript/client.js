@@ -37,8 +37,8 @@ function callerOf(client, session) {
     });
 }
 
-// Get and Subscribe may be streams of answers; this gives the first one.
-function fetchOne(client, session, request) {
+// Gives the first answer of a stream of results.
+function firstOf(client, session, request) {
   return new Promise((resolve, reject) => {
     const call = client.Subscribe({ ...request, session, most: 1 }, { deadline: Date.now() + 3 * WAIT_MS });
     let found = null;
@@ -172,8 +172,9 @@ async function main(address, proto = PROTO) {
     await must(call("Flush", {}), "Flush");
 
     // Clause 5.7, both fusion types.
-    const sensorData = await fetchOne(client, session, { fusion_type: 0 });
-    const detections = await fetchOne(client, session, { fusion_type: 1 });
+    const sensorData = await call("Get", { fusion_type: 0, wait_ms: WAIT_MS });
+    if (sensorData.result !== "sensor_data") throw new Error(`Get: ${sensorData.result}`);
+    const detections = await firstOf(client, session, { fusion_type: 1 });
     const { counts } = await call("GetCounters", {});
     console.log(JSON.stringify(summary(sensorData, detections, counts), null, 2));
     await must(call("CloseSession", {}), "CloseSession");

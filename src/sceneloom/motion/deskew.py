@@ -8,7 +8,7 @@ from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.errors import PoseError
 from sceneloom.geometry.interpolation import EXTRAPOLATED, OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rotations import multiply_quaternions
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.pose_source import PoseSource
 
@@ -83,7 +83,8 @@ class BodyKnots:
     ) -> Float64Array:
         """Take points of the sensor, (N, 3) [m], each at its time, (N,) [ns], to where the poses lead, (N, 3)."""
         if len(self.timestamps_ns) == 1:
-            return rotate_vectors(self.quaternions_xyzw, body_from_sensor.apply(positions)) + self.positions
+            world_from_body = RigidTransform.from_quaternion(self.positions[0], self.quaternions_xyzw[0])
+            return _taken(world_from_body @ body_from_sensor, positions)
         from sceneloom.kernels.path_transform import transform_by_path
 
         moved = np.empty((len(positions), 3))
@@ -97,6 +98,13 @@ class BodyKnots:
             moved,
         )
         return moved
+
+
+def _taken(world_from_sensor: RigidTransform, positions: Float32Array) -> Float64Array:
+    """Take points through one transform; those of a sensor that is the world's origin are as they were."""
+    if np.array_equal(world_from_sensor.matrix, np.eye(4)):
+        return positions.astype(np.float64)
+    return world_from_sensor.apply(positions)
 
 
 def _knots_within(path_ns: Int64Array, span_ns: Int64Array) -> Int64Array:

@@ -91,7 +91,8 @@ def settle_ids(record: Any, attribute: str, row: Row, table: Table, count: int) 
     if not isinstance(ids, tuple | list) or len(ids) != count:
         raise table.fault(row.name, f"{shown(ids)}; expected a tuple of {count}")
     low, high = INTEGER_RANGES[BasicType.INT32]
-    if not all(k is None or (type(k) is int and low <= k <= high) for k in ids):
+    known = [k for k in ids if k is not None]
+    if known and not (set(map(type, known)) == {int} and low <= min(known) and max(known) <= high):
         ids = tuple(row.check(k, table.owner) for k in ids)
     object.__setattr__(record, attribute, tuple(ids))
 

@@ -4,7 +4,8 @@ The forms in which records travel go by this table.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cache
 from types import MappingProxyType
 from typing import Any
 
@@ -122,11 +123,17 @@ RECORD_KINDS: Mapping[str, RecordKind] = MappingProxyType(
 
 def size_of(record: Record) -> int:
     """How many bytes the arrays of a record have."""
-    values = [getattr(record, name) for name in type(record).__slots__]
-    return sum(
-        value.nbytes if isinstance(value, np.ndarray) else len(value) if isinstance(value, bytes) else 0
-        for value in values
-    )
+    size = 0
+    for name in _array_fields(type(record)):
+        value = getattr(record, name)
+        if value is not None:
+            size += value.nbytes if isinstance(value, np.ndarray) else len(value)
+    return size
+
+
+@cache
+def _array_fields(record_type: type[Any]) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(record_type) if f.type is bytes or "ndarray" in str(f.type))
 
 
 _KIND_OF = {kind.record_type: kind for kind in RECORD_KINDS.values()}

@@ -179,7 +179,10 @@ class FusionServer:
                 LOG.warning("results were not fetched in time", extra={"fields": {"seconds": limit_s}})
         if self._sweeper is not None:
             self._sweeper.cancel()
-        await self.sessions.end_all()
+        try:
+            await asyncio.wait_for(self.sessions.end_all(), limit_s + _LAST_WORDS_S)
+        except TimeoutError:
+            LOG.error("a session does not end", extra={"fields": {"seconds": limit_s + _LAST_WORDS_S}})  # noqa: TRY400 - its threads hang, not this
         if self._metrics_server is not None:
             self._metrics_server.close()
         await server.stop(min(limit_s, _LAST_WORDS_S))
@@ -223,5 +226,6 @@ def _channel_options(limits: ServiceLimits) -> list[tuple[str, int]]:
         ("grpc.so_reuseport", 0),  # a second server at the same port is a mistake
         ("grpc.keepalive_time_ms", 30_000),  # finds connections whose other end has gone without a word
         ("grpc.keepalive_timeout_ms", 10_000),
+        ("grpc.keepalive_permit_without_calls", 1),
         ("grpc.http2.min_ping_interval_without_data_ms", 5_000),
     ]

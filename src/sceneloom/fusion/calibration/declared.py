@@ -14,6 +14,9 @@ from sceneloom.fusion.calibration.layouts import MatrixLayout, matrix_of, number
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.geometry.rigid import RigidTransform
 
+_NO_ROTATION = 2.0
+"""Numbers beyond it stand in no rotation."""
+
 _SLOPPIEST = 0.02
 """How far a rotation may be from one: matrices are printed with three digits or more."""
 
@@ -75,7 +78,8 @@ def check_calibration(data: CalibrationData) -> None:
     camera_of(data)
     for layout in possible_layouts(data.extrinsic_matrix):
         r = matrix_of(data.extrinsic_matrix, layout)[:3, :3]
-        error = float(np.abs(r @ r.T - np.eye(3)).max())
+        largest = float(np.abs(r).max())  # numbers whose squares overflow are no rotation either
+        error = largest if largest > _NO_ROTATION else float(np.abs(r @ r.T - np.eye(3)).max())
         if error > _SLOPPIEST:
             raise CalibrationError(
                 f"extrinsic_matrix whose rotation is off by {error:.2g}; expected an orthonormal one"

@@ -72,6 +72,11 @@ class Intake:
         arrivals = self._arrivals.get(admitted.stream)
         return arrivals is not None and admitted.timestamp_ns < arrivals.newest_ns - CLOCK_JUMP_NS
 
+    def jumped_forward(self, admitted: Admitted) -> bool:
+        """Whether a record is so much newer than those before that its sensor was silent, or its clock was set."""
+        arrivals = self._arrivals.get(admitted.stream)
+        return arrivals is not None and admitted.timestamp_ns > arrivals.newest_ns + CLOCK_JUMP_NS
+
     def note(self, admitted: Admitted) -> None:
         """Remember a record that was taken."""
         if self.jumped_back(admitted):

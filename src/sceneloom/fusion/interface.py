@@ -337,6 +337,8 @@ class FusionInterface:
             raise RefusedError(refused(Cause.QUEUE_FULL, reason))
         size = size_of(record)
         self._check_room(size)
+        self.counters.add("clock.set-back", self._intake.jumped_back(admitted))
+        self.counters.add("clock.set-forward", self._intake.jumped_forward(admitted))
         self._intake.note(admitted)
         self.counters.add(f"{verb}.{kind_of(record).name}")
         self._do(replace(admitted, ticket=self._ledger.issue(admitted.stream, size)))

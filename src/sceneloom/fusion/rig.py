@@ -124,14 +124,11 @@ class Rig:
             system.move(path, reach_ns=REACH_NS)
 
     def _follow_clock(self, stream: Stream, time_ns: int) -> Iterator[RigResult]:
-        """Where a sensor's clock was set, fuse all that waits, and where it was set back, begin anew."""
+        """Where a sensor's clock was set back, fuse all that waits, and begin anew."""
         newest_ns = self._newest_ns.get(stream, time_ns)
         self._newest_ns[stream] = max(newest_ns, time_ns)
-        if time_ns > newest_ns + CLOCK_JUMP_NS:
-            self.counters.add("clock.set-forward")
         if time_ns >= newest_ns - CLOCK_JUMP_NS:
             return
-        self.counters.add("clock.set-back")
         self._newest_ns = {stream: time_ns}
         for lidar_id, system in self._systems.items():
             system.restart(time_ns)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -123,8 +123,8 @@ RECORD_KINDS: Mapping[str, RecordKind] = MappingProxyType(
 
 def size_of(record: Record) -> int:
     """How many bytes the arrays of a record have."""
-    size = 0
-    for name in _array_fields(type(record)):
+    size, record_type = 0, cast("Any", type(record))
+    for name in _array_fields(record_type):
         value = getattr(record, name)
         if value is not None:
             size += value.nbytes if isinstance(value, np.ndarray) else len(value)

@@ -1,5 +1,6 @@
 """The service's own calls and fields, which a program that knows only the standard can leave out."""
 
+import json
 from collections.abc import Iterator
 
 import numpy as np
@@ -302,3 +303,21 @@ def _vector(bench: Bench) -> Iterator[Seen]:
     found = list(peer.result(DETECTIONS).detections[0].velocity_vector)
     agrees = len(found) == 3 and max(abs(a - b) for a, b in zip(found, vector, strict=True)) < 1e-4
     yield true("velocity_vector (-1.5, 2, 0), Get", str(vector), found, agrees=agrees)
+
+
+@CHECKS.extension(20, "property calibration", "records of table 3 can be set as a property, as JSON")
+def _calibrated_by_property(bench: Bench) -> Iterator[Seen]:
+    peer = bench.peer()
+    entry = {
+        "camera_id": scene.CAMERA_ID,
+        "lidar_id": scene.LIDAR_ID,
+        "image_size": [scene.WIDTH, scene.HEIGHT],
+        "intrinsic_matrix": scene.INTRINSIC,
+        "reference_frame": 0,
+        "extrinsic_matrix": scene.by_columns(scene.CAMERA_FROM_LIDAR),
+    }
+    status = peer.set("calibration", json.dumps([entry]))
+    yield same("SetProperty calibration", "set", "set" if status else "refused")
+    expected = sorted((point.column, point.row) for point in scene.SEEN)
+    yield same("a pair, Get: pixels with a depth", expected, filled(fused_pair(peer)))
+    yield same("SetProperty calibration 'none'", "status 0", f"status {peer.set('calibration', 'none')}")

@@ -95,6 +95,7 @@ CLAUSES: Mapping[str, Quote] = MappingProxyType(
         "5.7.2": Quote("input: the fusion type", "接口输入参数: 融合类型, 指定融合的类型"),
         "5.7.3": Quote("the interface returns the fused data", "接口返回值: 融合后的数据"),
         "6.2": Quote("raw data are as table 4 says", "原始数据描述 应符合表4的规定"),
+        "6.3": Quote("image data are as table 5 says", "图像数据描述 应符合表5的规定"),
         "6.4": Quote("point cloud data are as table 6 says", "点云数据描述 应符合表6的规定"),
     }
 )

@@ -65,6 +65,9 @@ def _empty_lists(bench: Bench) -> Iterator[Seen]:
 @CHECKS.clause("5.6-6", "5.6.1", "boxes that come one by one are those of their frame", basis=Basis.READING)
 def _bare(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
+    peer.set(
+        "pairing_timeout_ms", 10_000
+    )  # nothing but the next number closes a frame, however slow the way is
     later = _PERIOD_NS + scene.PICTURE_LATER_NS
     for box in (scene.box_2d(), scene.box_2d(2, later)):
         yield same(

@@ -11,6 +11,7 @@ from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.conformance import scene
 from sceneloom.service.conformance.bench import Bench, Peer, told
 from sceneloom.service.conformance.catalogue import Basis, Catalogue, Look, Seen, same, true
+from sceneloom.service.conformance.sensor_results import columns_of
 
 CHECKS = Catalogue("What is sent (clauses 6.2 to 6.6, tables 4 to 8)")
 
@@ -175,17 +176,6 @@ for _number, (_rows, _) in _TABLES.items():
         )(_look(_number, _name))
 
 
-@CHECKS.clause("6.4-1", "6.4", "beam and ring are of mechanical lidars only")
-def _solid_state(bench: Bench) -> Iterator[Seen]:
-    peer = bench.ready()
-    for name, request in (
-        ("beam", scene.cloud(sensor_type=1, beam=1)),
-        ("ring", scene.cloud(sensor_type=1, ring=1)),
-    ):
-        status = peer.send(request)
-        yield same(f"Send sensor_type = 1, {name} = 1", "status 0", f"status {status}")
-
-
 @CHECKS.clause("6.2-1", "6.2", "raw data that are pixels are fused as a picture is", basis=Basis.READING)
 def _raw_pixels(bench: Bench) -> Iterator[Seen]:
     peer = _ready(bench, 4)
@@ -198,3 +188,28 @@ def _raw_pixels(bench: Bench) -> Iterator[Seen]:
         "the same" if record.image_data == _PIXELS else "others",
         agrees=record.image_data == _PIXELS,
     )
+
+
+@CHECKS.clause(
+    "6.3-1", "6.3", "a picture in bgr8 gives the points the colours that it has in rgb8", basis=Basis.READING
+)
+def _blue_first(bench: Bench) -> Iterator[Seen]:
+    peer = bench.ready()
+    blue_first = scene.picture()[:, :, ::-1].tobytes()
+    peer.send(scene.image(encoding="bgr8", data=blue_first))
+    peer.send(scene.cloud())
+    found = columns_of(peer.result(0), ("r", "g", "b"))
+    for k, point in enumerate(scene.SEEN):
+        expected = [float(level) for level in scene.color_at(point)]
+        yield same(f"the scene's picture in bgr8, Get: r, g, b of point {k}", expected, found[k].tolist())
+
+
+@CHECKS.clause("6.4-1", "6.4", "beam and ring are of mechanical lidars only")
+def _solid_state(bench: Bench) -> Iterator[Seen]:
+    peer = bench.ready()
+    for name, request in (
+        ("beam", scene.cloud(sensor_type=1, beam=1)),
+        ("ring", scene.cloud(sensor_type=1, ring=1)),
+    ):
+        status = peer.send(request)
+        yield same(f"Send sensor_type = 1, {name} = 1", "status 0", f"status {status}")

@@ -94,6 +94,13 @@ def colours_swapped(_, method, request):
     return request
 
 
+def blue_taken_for_red(_, method, request):
+    """Pictures are taken to have red first, whatever they say."""
+    if method == "Send" and request.WhichOneof("data") == "image" and request.image.encoding == "bgr8":
+        request.image.encoding = "rgb8"
+    return request
+
+
 def negative_seq(_, method, request):
     """Numbers are kept as if they had a sign: those from 2^31 on are refused."""
     if method == "Send":
@@ -356,6 +363,7 @@ def time_of_the_picture(_, method, request, reply):
 INCOMING = {
     wrapping_values: "T1-4 T1-5",
     reference_frame_ignored: "T3-4",
+    blue_taken_for_red: "6.3-1",
     colours_swapped: "T9-11 4.1-3",
     negative_seq: "5.6-8 T4-3 T5-3 T6-3",
     chirality_ignored: "T2-2 5.2-1",
@@ -367,7 +375,8 @@ INCOMING = {
     late_refused: "5.6-10",
     bare_boxes_refused: "5.6-6",
     lengths_halved: "T10-9",
-    matrix_by_rows: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 4.1-3 5.2-1 5.2-2 5.2-3 T9-12 T10-16 T10-17 T10-18 X-10 X-11 X-15",
+    matrix_by_rows: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 4.1-3 5.2-1 5.2-2 5.2-3 6.3-1 "
+    "T9-12 T10-16 T10-17 T10-18 X-10 X-11 X-15",
 }
 """What is broken on the way in, and the checks that find it."""
 
@@ -383,9 +392,9 @@ OUTGOING = {
     class_lost: "T10-4",
     covariance_by_halves: "T10-8",
     speed_without_sign: "T10-14",
-    depth_by_columns: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 5.2-1 5.2-2 5.2-3 T9-12 X-10 X-15",
+    depth_by_columns: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 5.2-1 5.2-2 5.2-3 T9-12 X-10 X-15 X-20",
     no_reasons: "X-1",
-    points_reversed: "5.2-1 5.2-2 5.2-3 T9-16 4.1-3 X-11",
+    points_reversed: "5.2-1 5.2-2 5.2-3 6.3-1 T9-16 4.1-3 X-11",
     directions_turned: "5.2-1 5.2-2 5.2-3 T10-13",
     time_of_the_picture: "T9-1",
 }

@@ -63,10 +63,12 @@ class PosePath:
             )
         if not (np.isfinite(self.positions).all() and np.isfinite(self.quaternions_xyzw).all()):
             raise ArrayError("poses: a value is not finite")
-        off = np.flatnonzero(np.abs(np.linalg.norm(self.quaternions_xyzw, axis=1) - 1.0) > 0.01)
+        with np.errstate(over="ignore"):  # huge numbers have the norm infinity, which is no 1 either
+            norms = np.linalg.norm(self.quaternions_xyzw, axis=1)
+        off = np.flatnonzero(np.abs(norms - 1.0) > 0.01)
         if len(off):
             k = int(off[0])
-            norm = float(np.linalg.norm(self.quaternions_xyzw[k]))
+            norm = float(norms[k])
             raise ArrayError(f"poses.quaternions_xyzw[{k}]: norm {norm:.4f}; expected 1 within 0.01")
         for name in ("timestamps_ns", "positions", "quaternions_xyzw"):
             object.__setattr__(self, name, read_only(getattr(self, name)))

@@ -1,5 +1,6 @@
 """Sends a drive as its sensors would have sent it: records in the order of time, at a rate."""
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,6 +21,10 @@ from sceneloom.service.sent_rig import CAMERA_AXES, LIDAR_AXES, SentRig, format_
 
 _WAITS_S = tuple(0.002 * 2**k for k in range(8))
 """How long a sender waits where the session's queue is full, each time anew: half a second in all."""
+
+
+PATIENCE_MS = 1000
+"""How long a session has to wait for what belongs together at least: reading a drive takes its time, and may pause."""
 
 
 class Receiver(Protocol):
@@ -166,7 +171,7 @@ def send_scene(
     tally = Tally(receiver, pace or Pace(rate))
     _configure(receiver, rig)
     skipped: list[Notice] = []
-    with room(receiver, tally.pace.rate):
+    with refusing(receiver, tally.pace.rate):
         _send_pieces(rig, tally, skipped if lenient else None, progress)
     receiver.flush()
     return SendReport(
@@ -223,6 +228,10 @@ def _configure(receiver: Receiver, rig: SentRig) -> None:
             if camera.id in rig.numbers
         ),
     }
+    fastest = max(settings["lidar_frequency"], settings["camera_frequency"])
+    room = math.ceil(1.5 * fastest * PATIENCE_MS / 1e3) + 16  # what comes while others are waited for
+    least = {"pairing_timeout_ms": PATIENCE_MS, "queue_length": room}
+    settings |= {name: value for name, value in least.items() if receiver.get_property(name) < value}
     if rig.lenses:
         receiver.add_property(LENSES, "lenses that table 3 cannot say, as JSON by camera_id", "string")
         settings[LENSES] = format_lenses(rig.lenses)
@@ -239,7 +248,7 @@ def _frequency(periods_ns: Iterable[int]) -> int:
 
 
 @contextmanager
-def room(receiver: Receiver, rate: float) -> Iterator[None]:
+def refusing(receiver: Receiver, rate: float) -> Iterator[None]:
     """Let a session refuse what it has no room for, rather than drop it, while records come as fast as they can."""
     if rate > 0:
         yield

@@ -9,15 +9,15 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion.interface import Dropped, FusionInterface
-from sceneloom.fusion.messages import Boxes2d, Boxes3d, ImageData, PointCloudData
+from sceneloom.fusion.messages import Boxes2d, Boxes3d, ImageData, PointCloudData, Timestamp
 from sceneloom.fusion.messages.protobuf_form import encode
-from sceneloom.fusion.outcome import Cause, refused
+from sceneloom.fusion.outcome import DONE, Cause, refused
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
 from sceneloom.scene import PointsFrame
 from sceneloom.service.black_box import BlackBox
 from sceneloom.service.replay import compare
-from sceneloom.service.sending import Pace, send_scene
+from sceneloom.service.sending import PATIENCE_MS, Pace, Tally, send_scene
 from sceneloom.service.sending_logs import send_log
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 from sceneloom.visibility import project_cuboids
@@ -191,6 +191,14 @@ def moved_in_time(scene, offset_ns):
     return replace(scene, sensors=sensors, annotations=(), trajectories=trajectories)
 
 
+def test_a_session_waits_as_long_as_reading_a_drive_may_pause(receiver):
+    send_scene(street(frames=2), receiver, rate=0)
+    assert receiver.get_property("pairing_timeout_ms") == PATIENCE_MS
+    assert receiver.set_property("pairing_timeout_ms", 60_000)
+    send_scene(moved_in_time(street(frames=2), 10**10), receiver, rate=0)
+    assert receiver.get_property("pairing_timeout_ms") == 60_000
+
+
 def test_records_are_held_back_until_they_are_due(receiver):
     now, waits = [100.0], []
 
@@ -205,18 +213,42 @@ def test_records_are_held_back_until_they_are_due(receiver):
     assert all(seconds > 0 for seconds in waits)
 
 
-def test_as_fast_as_possible_waits_for_room_and_loses_nothing():
+def test_as_fast_as_possible_loses_nothing_and_leaves_the_policy_as_it_was():
     dropped = []
-    with FusionInterface(
-        observer=lambda event: dropped.append(event) if isinstance(event, Dropped) else None
-    ) as fusion:
-        fusion.set_property("queue_length", 4)
+
+    def observe(event):
+        if isinstance(event, Dropped):
+            dropped.append(event)
+
+    with FusionInterface(observer=observe) as fusion:
         fusion.set_property("result_queue_length", 1000)
         report = send_scene(street(frames=8), fusion, rate=0)
         assert fusion.get_property("queue_policy") == "drop-oldest"
-        assert len(list(fusion.results(0))) >= 7
+        assert len(list(fusion.results(0))) == 8
     assert report.refused == {}
     assert dropped == []
+
+
+@pytest.mark.parametrize(("full", "flushes", "refused_count"), [(3, 0, 0), (8, 0, 0), (9, 1, 0), (99, 1, 1)])
+def test_where_there_is_no_room_a_sender_waits_longer_and_longer_and_then_lets_what_waits_be_fused(
+    full, flushes, refused_count
+):
+    waits, answers, flushed = [], iter([refused(Cause.QUEUE_FULL, "full")] * full + [DONE] * 9), []
+
+    class Full:
+        def send(self, record):
+            return next(answers)
+
+        def flush(self):
+            flushed.append(True)
+
+    tally = Tally(Full(), Pace(0.0, wait=waits.append))
+    tally.send(Boxes2d.empty(0, 1, Timestamp(1)))
+    assert waits == sorted(waits)
+    assert len(waits) == min(full, 8)
+    assert len(flushed) == flushes
+    assert tally.sent["boxes_2d"] == 1
+    assert tally.refused[Cause.QUEUE_FULL] == refused_count
 
 
 def test_what_is_refused_is_counted_by_cause(receiver):

@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -156,7 +156,15 @@ def check(drive: list[dict[str, Any]], target: Path) -> None:
     assert found == expected
 
 
+TWO_POSES = {
+    "gnssEnu": {"mean": [0.0, 0.0, 0.0]},
+    "groundTruth": {"position": {"x": 0, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}},
+    "time": 7,
+}
+
+
 @given(drives())
+@example([TWO_POSES, {"temperature": None, **TWO_POSES}, TWO_POSES])  # nothing but poses that came before
 def test_lines_are_written_as_they_were(drive):
     with TemporaryDirectory() as temporary:
         folder, target = Path(temporary, "drive"), Path(temporary, "again")

@@ -116,20 +116,28 @@ def named_streams(contents: RecordingContents) -> dict[str, Columns]:
 
 
 def _repeated_poses(contents: RecordingContents) -> list[tuple[int, str]]:
-    """Number and text of lines with a pose of which its trajectory has another one of the same time."""
-    found: list[tuple[int, str]] = []
+    """Number and text of lines with a pose of which its trajectory has another one of the same time.
+
+    A line with other records beside such a pose is written for these; one of nothing but such poses is kept as it is.
+    """
+    shared = contents.columns.log.shared
+    found: dict[int, str] = {}
+    again: set[tuple[int, int]] = set()
     for origin in contents.trajectories:
         columns = contents.columns.poses[origin]
         samples = by_time(columns.samples)
-        again = np.flatnonzero(np.diff(samples.timestamps_ns) == 0) + 1
-        for row in again.tolist():
+        rows = np.flatnonzero(np.diff(samples.timestamps_ns) == 0) + 1
+        for row in rows.tolist():
             place = int(samples.order[row])
-            if columns.lines[place] in contents.columns.log.shared:
+            again.add((columns.samples.code, place))
+            if columns.lines[place] in shared:
                 continue
             values, seconds = samples.values[row].tolist(), float(samples.seconds[row])
             text = columns.samples.further.get(place) or pose_text(origin, values, seconds)
-            found.append((columns.lines[place], text))
-    return sorted(found)
+            found[columns.lines[place]] = text
+    if again:
+        found |= {line: part.text for line, part in shared.items() if again.issuperset(part.rows)}
+    return sorted(found.items())
 
 
 def pose_text(origin: tuple[str, str], values: list[float], seconds: float) -> str:

@@ -6,7 +6,6 @@ from types import MappingProxyType
 from typing import Any
 
 import grpc
-import numpy as np
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
@@ -16,13 +15,12 @@ from sceneloom.fusion.messages.protobuf_form import (
     decode_send_request,
     from_protobuf,
     parse_message,
-    timestamp_from_protobuf,
 )
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.messages.wire_bytes import LENGTH_TYPE, wire_fields
-from sceneloom.fusion.outcome import DONE, Cause, Outcome, refused
-from sceneloom.scene.poses import PosePath
+from sceneloom.fusion.outcome import DONE, Cause, Outcome
 from sceneloom.service.call_errors import CallError
+from sceneloom.service.motion_form import path_of
 from sceneloom.service.replies import properties_message, status_bytes
 from sceneloom.service.values import property_to_protobuf, value_from_protobuf
 
@@ -61,25 +59,7 @@ def set_calibration(fusion: FusionInterface, request: fusion_pb2.SetCalibrationR
 
 def send_motion(fusion: FusionInterface, request: fusion_pb2.SendMotionRequest) -> Outcome:
     """The way of the vehicle."""
-    poses = request.poses
-    wrong = next(
-        (k for k, pose in enumerate(poses) if (len(pose.position), len(pose.quaternion_xyzw)) != (3, 4)), None
-    )
-    if wrong is not None:
-        found = f"{len(poses[wrong].position)} and {len(poses[wrong].quaternion_xyzw)} numbers"
-        return refused(
-            Cause.BAD_MOTION, f"poses[{wrong}]: {found}; expected a position of 3 and a quaternion of 4"
-        )
-    times = [
-        timestamp_from_protobuf(pose.timestamp, "motion", f"poses[{k}].timestamp").nanoseconds
-        for k, pose in enumerate(poses)
-    ]
-    path = PosePath(
-        np.array(times, np.int64),
-        np.array([list(pose.position) for pose in poses], np.float64).reshape(-1, 3),
-        np.array([list(pose.quaternion_xyzw) for pose in poses], np.float64).reshape(-1, 4),
-    )
-    return fusion.send_motion(path)
+    return fusion.send_motion(path_of(request))
 
 
 def send(fusion: FusionInterface, request: bytes) -> Outcome:

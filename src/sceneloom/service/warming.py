@@ -1,5 +1,7 @@
 """Loads what the first results need before anybody waits for them."""
 
+from typing import Any
+
 import numpy as np
 
 from sceneloom.fusion.interface import FusionInterface
@@ -35,8 +37,12 @@ def warm_up() -> int:
 
 
 def _records() -> list[SentRecord]:
-    common = {"sensor_id": 0, "seq": 0, "timestamp": Timestamp(1, 0)}
-    of_one = {"id": np.zeros(1, np.int32), "class_names": ("car",), "confidence": np.full(1, 0.5, np.float32)}
+    common: dict[str, Any] = {"sensor_id": 0, "seq": 0, "timestamp": Timestamp(1, 0)}
+    of_one: dict[str, Any] = {
+        "id": np.zeros(1, np.int32),
+        "class_names": ("car",),
+        "confidence": np.full(1, 0.5, np.float32),
+    }
     point = np.array([[10.0, 0, 0]], np.float32)
     return [
         ImageData(

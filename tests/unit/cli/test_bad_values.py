@@ -18,6 +18,7 @@ NEEDED = {
     "diff": ("DRIVE", "DRIVE"),
     "sync": ("DRIVE",),
     "serve": (),
+    "send": ("DRIVE", "localhost:1"),
     "conformance": ("localhost:1", "--checks"),
     "eval trajectory": ("DRIVE", "DRIVE"),
     "edit merge": ("DRIVE", "DRIVE", "-o", "OUT.sfs"),

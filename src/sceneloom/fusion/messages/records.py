@@ -123,17 +123,19 @@ RECORD_KINDS: Mapping[str, RecordKind] = MappingProxyType(
 
 def size_of(record: Record) -> int:
     """How many bytes the arrays of a record have."""
-    size, record_type = 0, cast("Any", type(record))
-    for name in _array_fields(record_type):
+    size = 0
+    for name in _field_names(cast("Any", type(record))):
         value = getattr(record, name)
-        if value is not None:
-            size += value.nbytes if isinstance(value, np.ndarray) else len(value)
+        if isinstance(value, np.ndarray):
+            size += value.nbytes
+        elif isinstance(value, bytes):
+            size += len(value)
     return size
 
 
 @cache
-def _array_fields(record_type: type[Any]) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(record_type) if f.type is bytes or "ndarray" in str(f.type))
+def _field_names(record_type: type[Any]) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(record_type))
 
 
 _KIND_OF = {kind.record_type: kind for kind in RECORD_KINDS.values()}

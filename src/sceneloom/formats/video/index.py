@@ -124,8 +124,12 @@ def read_index(
             if "matroska" in opened.container.format.name and not cut_off:
                 check_whole(source, name)
             packets = _first_packets(opened) if cut_off else _walk(opened, name)
-        stream = opened.stream
-        return _index_of(packets, stream.time_base or Fraction(1, av.time_base), stream.average_rate)
+        tick, rate = opened.stream.time_base, opened.stream.average_rate
+        return _index_of(
+            packets,
+            Fraction(tick.numerator, tick.denominator) if tick else Fraction(1, av.time_base),
+            Fraction(rate.numerator, rate.denominator) if rate else None,
+        )
     finally:
         opened.close()
 

@@ -341,7 +341,7 @@ def _filtered(
 
 def _colour(residuals: Float64Array, used: BoolArray, windows: Int64Array) -> Float64Array:
     """Fit an autoregression (K, L) to the residuals, clipped so that outliers do not decide."""
-    order = int(min(MOST_LAGS, used.sum() // 25))
+    order = min(MOST_LAGS, int(used.sum()) // 25)
     components = residuals.shape[1]
     if order == 0:
         return np.zeros((components, 0))

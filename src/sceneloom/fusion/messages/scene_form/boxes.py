@@ -20,10 +20,12 @@ def boxes_3d_of(record: Boxes3d, *, sensor_id: Identifier | None = None) -> Boxe
         sensor_id: the lidar in the scene; None for the record's own number.
     """
     directions = record.directions.astype(np.float64)
-    velocities = record.velocity_vectors
-    if velocities is None:
+    vectors = record.velocity_vectors
+    if vectors is None:
         lengths = np.linalg.norm(directions, axis=1)
         velocities = directions * (record.velocities.astype(np.float64) / lengths)[:, None]
+    else:
+        velocities = vectors.astype(np.float64)
     return Boxes3D(
         record.timestamp.nanoseconds,
         record.centers.astype(np.float64),
@@ -31,7 +33,7 @@ def boxes_3d_of(record: Boxes3d, *, sensor_id: Identifier | None = None) -> Boxe
         np.arctan2(directions[:, 1], directions[:, 0]),
         record.confidence.astype(np.float64),
         record.class_names,
-        velocities=velocities.astype(np.float64),
+        velocities=velocities,
         ids=record.id.astype(np.int64),
         sensor_id=record.sensor_id if sensor_id is None else sensor_id,
     )

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("default", max_examples=40, derandomize=True, database=None, deadline=None)
 settings.register_profile(
     "deep",
-    max_examples=2_000,
+    max_examples=800,
     database=None,
     deadline=None,
     print_blob=True,

@@ -1,0 +1,1 @@
+"""Calibration from the data of a drive alone: whether it is right, and what would be."""

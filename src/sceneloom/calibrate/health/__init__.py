@@ -1,0 +1,1 @@
+"""The verdict on a calibration that a drive states."""

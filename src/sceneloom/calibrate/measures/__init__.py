@@ -1,0 +1,1 @@
+"""How well a picture and a cloud agree under a candidate calibration."""

@@ -1,0 +1,87 @@
+"""A mounting that was estimated, with how well each of its directions is known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, check_array
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import (
+    conjugate_quaternion,
+    matrix_from_quaternion,
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+)
+
+LOOSEST_TURN, LOOSEST_SHIFT = np.radians(2.0), 0.25
+"""Standard deviations [rad], [m] from which a direction counts as not observed by the data."""
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountingEstimate:
+    """`a_from_b`, and how far it may be off.
+
+    Attributes:
+        a_from_b: the transform.
+        covariance: (6, 6) of a small turn about the axes of a [rad], then a small shift along them [m]: the true
+            rotation is exp(turn) R, the true translation t + shift. Infinite where nothing is known.
+        unobserved: what the data do not tell, in words; () where they tell everything.
+    """
+
+    a_from_b: RigidTransform
+    covariance: Float64Array
+    unobserved: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_array("covariance", self.covariance, (6, 6), np.float64)
+
+    @property
+    def sigmas(self) -> Float64Array:
+        """(6,) standard deviations: turns about x, y, z [rad], shifts along x, y, z [m]."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+
+def moved_by(a_from_b: RigidTransform, step: Float64Array) -> RigidTransform:
+    """Turn by step[:3] [rad] about the axes of a, then shift by step[3:] [m] along them; b's origin is not turned."""
+    turn = matrix_from_quaternion(quaternion_from_rotation_vector(step[:3]))
+    u, _, vt = np.linalg.svd(turn @ a_from_b.rotation)
+    return RigidTransform(u @ vt, a_from_b.translation + step[3:])
+
+
+def step_between(start: RigidTransform, end: RigidTransform) -> Float64Array:
+    """Give the (6,) step by which `moved_by` takes one mounting to the other."""
+    turn = multiply_quaternions(end.quaternion_xyzw, conjugate_quaternion(start.quaternion_xyzw))
+    return np.concatenate([rotation_vector_from_quaternion(turn), end.translation - start.translation])
+
+
+def unobserved_directions(covariance: Float64Array, frame: str) -> tuple[str, ...]:
+    """Name the directions of a (6, 6) covariance that are not known well enough to be used.
+
+    Args:
+        frame: whose axes the covariance's are, for the words.
+    """
+    found = []
+    for name, part, loosest, unit, scale in (
+        ("turn about", slice(0, 3), LOOSEST_TURN, "deg", np.degrees(1.0)),
+        ("shift along", slice(3, 6), LOOSEST_SHIFT, "m", 1.0),
+    ):
+        variances, directions = np.linalg.eigh(covariance[part, part])
+        for variance, direction in zip(variances, directions.T, strict=True):
+            sigma = float(np.sqrt(max(variance, 0.0)))
+            if sigma > loosest:
+                found.append(
+                    f"{name} {_direction(direction)} of the {frame}: known within {sigma * scale:.2g} {unit} only"
+                )
+    return tuple(found)
+
+
+def _direction(direction: Float64Array) -> str:
+    """An axis by its letter where one stands out, else by its numbers."""
+    axis = int(np.argmax(np.abs(direction)))
+    if abs(direction[axis]) > np.cos(np.radians(20.0)):
+        return _AXES[axis]
+    signed = direction * np.sign(direction[axis])
+    return f"({', '.join(f'{value:.2f}' for value in signed)})"

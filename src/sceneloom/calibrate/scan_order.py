@@ -1,0 +1,122 @@
+"""How the points of a sweep follow one another along the scan lines of a turning lidar."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, UInt16Array
+
+_LEAST_LINES, _MOST_LINES = 4, 512
+_LEAST_POINTS = 64
+_WRAP = np.pi
+_ORDERED_SHARE = 0.95
+"""Of the steps in the order of a file that goes along its lines, so many turn the same way."""
+_BIN = np.radians(0.02)
+_PEAKED_SHARE = 0.9
+_PEAKED_BINS = 0.35
+_LEVEL_SHARE = 0.25
+"""A line's elevations deviate by less than this part of the way to the next line."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanOrder:
+    """The points of a sweep along its scan lines.
+
+    Attributes:
+        order: (M,) int64, the points line by line, each line by azimuth; points at the lidar itself are left out.
+        lines: (M,) int64, the line of each of them, 0 for the lowest one.
+        azimuths: (M,) float64 [rad], about the lidar's z axis where it was when it measured them, -π to π.
+        elevations: (M,) float64 [rad].
+        ranges: (M,) float64 [m].
+        count: number of lines.
+    """
+
+    order: Int64Array
+    lines: Int64Array
+    azimuths: Float64Array
+    elevations: Float64Array
+    ranges: Float64Array
+    count: int
+
+
+def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> ScanOrder | None:
+    """Find the scan lines of a sweep: by the rings it states, by its order, or by peaks among the elevations.
+
+    Args:
+        measured_lidar: (N, 3) float64 [m], each point as the lidar measured it, before any motion was undone.
+        rings: (N,) index of the laser, or None.
+
+    Returns:
+        None where no lines can be told: too few points, or a lidar that does not scan in lines.
+    """
+    ranges = np.sqrt(np.einsum("ij,ij->i", measured_lidar, measured_lidar))
+    used = np.flatnonzero(ranges > 1e-3)
+    if len(used) < _LEAST_POINTS:
+        return None
+    points, ranges = measured_lidar[used], ranges[used]
+    azimuths = np.arctan2(points[:, 1], points[:, 0])
+    elevations = np.arcsin(np.clip(points[:, 2] / ranges, -1.0, 1.0))
+    lines = None if rings is None else _by_rings(rings[used].astype(np.int64))
+    for found in (_by_file_order(azimuths), _by_elevations(elevations)):
+        if lines is None and found is not None and _are_level(found, elevations):
+            lines = found
+    if lines is None:
+        return None
+    numbers, count = _from_below(lines, elevations)
+    rows = np.lexsort((azimuths, numbers))
+    return ScanOrder(
+        used[rows], numbers[rows], azimuths[rows], elevations[rows], ranges[rows], count
+    )
+
+
+def _by_rings(rings: Int64Array) -> Int64Array | None:
+    found = len(np.unique(rings))
+    return rings if _LEAST_LINES <= found <= _MOST_LINES else None
+
+
+def _by_file_order(azimuths: Float64Array) -> Int64Array | None:
+    """Number the turns of a file that holds one line after another."""
+    steps = np.diff(azimuths)
+    wraps = np.abs(steps) > _WRAP
+    turning = np.sign(np.where(wraps, 0.0, steps))
+    share = max((turning > 0).mean(), (turning < 0).mean())
+    if share < _ORDERED_SHARE:
+        return None
+    lines = np.concatenate([[0], np.cumsum(wraps)]).astype(np.int64)
+    return lines if _LEAST_LINES <= lines[-1] + 1 <= _MOST_LINES else None
+
+
+def _by_elevations(elevations: Float64Array) -> Int64Array | None:
+    """Tell lines by the elevations at which most points lie, where these are few."""
+    low = float(elevations.min())
+    bins = ((elevations - low) / _BIN).astype(np.int64)
+    counts = np.bincount(bins)
+    full = np.sort(counts)[::-1]
+    needed = int(np.searchsorted(np.cumsum(full), _PEAKED_SHARE * len(elevations))) + 1
+    if needed > _PEAKED_BINS * len(counts):
+        return None
+    occupied = counts >= full[needed - 1]
+    lines = np.cumsum(np.diff(occupied.astype(np.int64), prepend=0) == 1)
+    count = int(lines[-1])
+    if not _LEAST_LINES <= count <= _MOST_LINES:
+        return None
+    numbers: Int64Array = np.maximum(lines[bins] - 1, 0)
+    return numbers
+
+
+def _are_level(lines: Int64Array, elevations: Float64Array) -> bool:
+    """Whether each line keeps its elevation, as lines of a turning lidar do and chance clusters do not."""
+    numbers, count = _from_below(lines, elevations)
+    counts = np.maximum(np.bincount(numbers, minlength=count), 1)
+    means = np.bincount(numbers, elevations, minlength=count) / counts
+    deviations = np.bincount(numbers, np.abs(elevations - means[numbers]), minlength=count) / counts
+    return bool(np.median(deviations) < _LEVEL_SHARE * np.median(np.diff(means)))
+
+
+def _from_below(lines: Int64Array, elevations: Float64Array) -> tuple[Int64Array, int]:
+    """Number lines anew from the lowest to the highest."""
+    _, inverse, counts = np.unique(lines, return_inverse=True, return_counts=True)
+    means = np.bincount(inverse, elevations) / counts
+    ranks = np.empty(len(counts), np.int64)
+    ranks[np.argsort(means, kind="stable")] = np.arange(len(counts))
+    return ranks[inverse], len(counts)

@@ -9,7 +9,7 @@ from sceneloom.colouring.algorithms import (
 )
 from sceneloom.colouring.colours import NO_CAMERA, colour_points
 from sceneloom.colouring.lidar_way import LidarWay
-from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.colouring.results import FusedFrame, FusedView, PointSight
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 
@@ -21,6 +21,7 @@ __all__ = [
     "FusedView",
     "FusionAlgorithm",
     "LidarWay",
+    "PointSight",
     "ViewRequest",
     "VisibilitySettings",
     "colour_points",

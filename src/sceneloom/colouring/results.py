@@ -2,16 +2,31 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array, check_array
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Identifier, LidarPoints
 from sceneloom.scene.point_times import SOUND, TimesFound
 from sceneloom.scene.types import NO_FIELDS
+
+
+class PointSight(IntEnum):
+    """How a picture stands to a point."""
+
+    VISIBLE = 0
+    """It shows the point."""
+    HIDDEN = 1
+    """The point would fall into it, but something nearer is in the way."""
+    OUTSIDE = 2
+    """The point lies in front of the lens, beyond the edges of the picture."""
+    BEHIND = 3
+    """The lens has no pixel for the point: behind the camera, beyond the model's domain, or not finite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +44,7 @@ class FusedView:
         depths: (M,) float32 [m], z in the camera frame.
         visible: (M,) bool, False for a point behind a nearer surface.
         depth_image: (H, W) float32 [m], z of the nearest visible point in each pixel, 0 for none.
+        points_world: (N, 3) float64 [m], the whole cloud, as the algorithm got it.
     """
 
     camera_id: Identifier
@@ -41,6 +57,7 @@ class FusedView:
     depths: Float32Array
     visible: BoolArray
     depth_image: Float32Array
+    points_world: Float64Array
 
     def __post_init__(self) -> None:
         count = check_array("view.point_ids", self.point_ids, (None,), np.int64)
@@ -49,6 +66,18 @@ class FusedView:
         check_array("view.visible", self.visible, (count,), np.bool_)
         check_array("view.rgb", self.rgb, (self.camera.height, self.camera.width, 3), np.uint8)
         check_array("view.depth_image", self.depth_image, (self.camera.height, self.camera.width), np.float32)
+        check_array("view.points_world", self.points_world, (None, 3), np.float64)
+
+    @property
+    def sights(self) -> UInt8Array:
+        """How the picture stands to each point of the cloud, (N,) uint8 of `PointSight`; worked out when asked for."""
+        sights = np.full(len(self.points_world), PointSight.BEHIND, np.uint8)
+        finite = np.flatnonzero(np.isfinite(self.points_world).all(axis=1))
+        in_camera = self.world_from_camera.inverse().apply(self.points_world[finite])
+        somewhere = np.isfinite(project_unbounded(self.camera, in_camera)).all(axis=1)
+        sights[finite[somewhere]] = PointSight.OUTSIDE
+        sights[self.point_ids] = np.where(self.visible, PointSight.VISIBLE, PointSight.HIDDEN)
+        return sights
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -64,6 +64,7 @@ def view_points(
         depths,
         visible,
         depth_image,
+        points,
     )
 
 

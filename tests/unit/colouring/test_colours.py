@@ -24,6 +24,7 @@ def make_view(point_ids, pixels, rgb, visible=None):
         np.ones(count, np.float32),
         np.ones(count, bool) if visible is None else np.array(visible, bool),
         np.zeros((height, width), np.float32),
+        np.zeros((max(point_ids, default=-1) + 1, 3)),
     )
 
 

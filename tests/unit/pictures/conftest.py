@@ -36,6 +36,7 @@ def _make_view(
         depths=rows[:, 2].copy(),
         visible=visible,
         depth_image=depth_image,
+        points_world=np.zeros((len(rows), 3)),
     )
 
 

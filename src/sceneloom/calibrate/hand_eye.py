@@ -36,13 +36,14 @@ LEAST_MOTIONS = 6
 _LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Seconds from one pose to the other of a pair: long ones turn far, short ones have not drifted."""
 _STEPS = 30
-W1,W2=1,0.5
 _CAUCHY = 2.385
 """The Cauchy weight that keeps 95 % of the efficiency on Gaussian errors (Holland and Welsch 1977)."""
 _GUESS_SIGMAS = np.array([*np.full(3, np.pi), *np.full(3, 3.0)])
 """How far from the guess a mounting may be [rad], [m]: keeps what no motion tells where it was."""
-_LEAST_NOISE = np.array([1e-6, 1e-5])
-"""No poses are better than this [rad], [m]; exact ones would be divided by zero."""
+_LEAST_NOISE = np.array([np.radians(0.01), 5e-3])
+"""No way is told better than this over a lag [rad], [m]: what is wrong in all of a drive alike is not in its spread."""
+_MODEL_SHARE = 0.2
+"""What the covariance takes from the model of independent motions: few stretches may pull alike by chance."""
 _LEAST_TURN, _LEAST_WAY = np.radians(2.0), 1.0
 """A drive that turns by less [rad] or goes less far [m] tells nothing that is above its noise."""
 
@@ -55,7 +56,7 @@ class PairedMotions:
         body_turns, sensor_turns: (N, 4) unit quaternions, earlier_from_later of each.
         body_shifts, sensor_shifts: (N, 3) [m], the same.
         lags: (N,) int64, which of the lags each pair has.
-        stretches: (N, 2) int64, numbers of the stretches of the drive that each begins and ends in.
+        stretches: (N,) int64, number of the stretch of the drive that each begins in.
         shares: (N,) float64, how much each counts: pairs of one lag overlap, and only as many as follow one another
             without overlap are independent.
     """
@@ -111,8 +112,7 @@ def paired_motions(body: PosePath, sensor: PosePath, times_ns: Int64Array) -> Pa
         )
     moved = [_motions(path, times, starts, stops) for path in (body, sensor)]
     stretch = max(2.0 * _LAGS[0], float(times[-1] - times[0]) * 1e-9 / 20.0)
-    numbers = ((times - times[0]) * 1e-9 / stretch).astype(np.int64)
-    stretches = np.stack([numbers[starts], numbers[stops]], axis=1)
+    stretches = ((times[starts] - times[0]) * 1e-9 / stretch).astype(np.int64)
     shares = np.minimum(float(np.median(np.diff(times))) * 1e-9 / np.array(_LAGS), 1.0)
     return PairedMotions(*moved[0], *moved[1], lags, stretches, shares[lags])
 
@@ -265,18 +265,13 @@ def _weights(motions: PairedMotions, residuals: Float64Array) -> tuple[Float64Ar
 
 
 def _sandwich(motions: PairedMotions, solution: _Solution, guess: RigidTransform) -> Float64Array:
-    """The covariance by what stretches of the drive pull in different directions; never below what noise alone gives."""
+    """The covariance by how differently the stretches of the drive pull."""
     residuals, jacobian = _linearised(motions, solution.mounting)
     _, weights = _weights(motions, residuals)
     normal = np.einsum("nki,nk,nkj->ij", jacobian, weights, jacobian) + _prior()
     pulls = np.einsum("nki,nk,nk->ni", jacobian, weights, residuals)
+    sums = np.zeros((int(motions.stretches.max()) + 1, 6))
+    np.add.at(sums, motions.stretches, pulls)
+    spread = sums.T @ sums * (len(sums) / max(len(sums) - 2, 1)) + _MODEL_SHARE * normal + _prior()
     inverse = np.linalg.inv(normal)
-    return np.asarray(inverse @ (_spread(pulls, motions.stretches)*W1 + normal*W2 + _prior()) @ inverse, np.float64)
-
-
-def _spread(pulls: Float64Array, stretches: Int64Array) -> Float64Array:
-    """How much the sum of (N, 6) pulls varies, where those that begin in one stretch do so together."""
-    count = int(stretches.max()) + 1
-    sums = np.zeros((count, 6))
-    np.add.at(sums, stretches[:, 0], pulls)
-    return np.asarray(sums.T @ sums * (count / max(count - 2, 1)), np.float64)
+    return np.asarray(inverse @ spread @ inverse, np.float64)

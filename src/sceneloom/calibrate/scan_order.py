@@ -8,9 +8,9 @@ from sceneloom.arrays import Float64Array, Int64Array, UInt16Array
 
 _LEAST_LINES, _MOST_LINES = 4, 512
 _LEAST_POINTS = 64
-_WRAP = np.pi
 _ORDERED_SHARE = 0.95
 """Of the steps in the order of a file that goes along its lines, so many turn the same way."""
+_JITTER = np.radians(5.0)
 _BIN = np.radians(0.02)
 _PEAKED_SHARE = 0.9
 _PEAKED_BINS = 0.35
@@ -57,11 +57,12 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
     azimuths = np.arctan2(points[:, 1], points[:, 0])
     elevations = np.arcsin(np.clip(points[:, 2] / ranges, -1.0, 1.0))
     lines = None if rings is None else _by_rings(rings[used].astype(np.int64))
-    for found in (_by_file_order(azimuths), _by_elevations(elevations)):
-        if lines is None and found is not None and _are_level(found, elevations):
-            lines = found
     if lines is None:
-        return None
+        found = [_by_file_order(azimuths, cut) for cut in (0.0, np.pi, float(azimuths[0]))]
+        tried = [way for way in (*found, _by_elevations(elevations)) if way is not None]
+        lines = min(tried, key=lambda way: _unevenness(way, elevations), default=None)
+        if lines is None or _unevenness(lines, elevations) > _LEVEL_SHARE:
+            return None
     numbers, count = _from_below(lines, elevations)
     rows = np.lexsort((azimuths, numbers))
     return ScanOrder(
@@ -74,16 +75,19 @@ def _by_rings(rings: Int64Array) -> Int64Array | None:
     return rings if _LEAST_LINES <= found <= _MOST_LINES else None
 
 
-def _by_file_order(azimuths: Float64Array) -> Int64Array | None:
-    """Number the turns of a file that holds one line after another."""
-    steps = np.diff(azimuths)
-    wraps = np.abs(steps) > _WRAP
-    turning = np.sign(np.where(wraps, 0.0, steps))
-    share = max((turning > 0).mean(), (turning < 0).mean())
-    if share < _ORDERED_SHARE:
+def _by_file_order(azimuths: Float64Array, cut: float) -> Int64Array | None:
+    """Number the turns of a file that holds one line after another, each beginning at the azimuth `cut`."""
+    steps = np.mod(np.diff(azimuths) + np.pi, 2.0 * np.pi) - np.pi
+    forward = np.mean(steps > 0) >= 0.5
+    if np.mean(steps > 0 if forward else steps < 0) < _ORDERED_SHARE:
         return None
-    lines = np.concatenate([[0], np.cumsum(wraps)]).astype(np.int64)
-    return lines if _LEAST_LINES <= lines[-1] + 1 <= _MOST_LINES else None
+    # a gap may be wider than half a turn; what seems a small step back is one
+    ahead = np.mod(steps if forward else -steps, 2.0 * np.pi)
+    ahead[ahead > 2.0 * np.pi - _JITTER] -= 2.0 * np.pi
+    begun = np.mod(azimuths[0] - cut if forward else cut - azimuths[0], 2.0 * np.pi)
+    turns = np.floor((begun + np.concatenate([[0.0], np.cumsum(ahead)])) / (2.0 * np.pi)).astype(np.int64)
+    lines: Int64Array = turns - turns.min()
+    return lines if _LEAST_LINES <= lines.max() + 1 <= _MOST_LINES else None
 
 
 def _by_elevations(elevations: Float64Array) -> Int64Array | None:
@@ -104,13 +108,13 @@ def _by_elevations(elevations: Float64Array) -> Int64Array | None:
     return numbers
 
 
-def _are_level(lines: Int64Array, elevations: Float64Array) -> bool:
-    """Whether each line keeps its elevation, as lines of a turning lidar do and chance clusters do not."""
+def _unevenness(lines: Int64Array, elevations: Float64Array) -> float:
+    """How much the elevations within a line differ, as part of the way to the next line; chance clusters differ much."""
     numbers, count = _from_below(lines, elevations)
     counts = np.maximum(np.bincount(numbers, minlength=count), 1)
     means = np.bincount(numbers, elevations, minlength=count) / counts
     deviations = np.bincount(numbers, np.abs(elevations - means[numbers]), minlength=count) / counts
-    return bool(np.median(deviations) < _LEVEL_SHARE * np.median(np.diff(means)))
+    return float(np.median(deviations) / max(np.median(np.diff(means)), 1e-9))
 
 
 def _from_below(lines: Int64Array, elevations: Float64Array) -> tuple[Int64Array, int]:

@@ -69,7 +69,9 @@ def _from_parts(*, columns: bool) -> Callable[[Float64Array], Built | None]:
     return build
 
 
-def _from_quaternion(*, translation_first: bool, scalar_first: bool) -> Callable[[Float64Array], Built | None]:
+def _from_quaternion(
+    *, translation_first: bool, scalar_first: bool
+) -> Callable[[Float64Array], Built | None]:
     def build(numbers: Float64Array) -> Built | None:
         translation, quaternion = (
             (numbers[:3], numbers[3:]) if translation_first else (numbers[4:], numbers[:4])
@@ -82,7 +84,9 @@ def _from_quaternion(*, translation_first: bool, scalar_first: bool) -> Callable
     return build
 
 
-def _from_angles(*, translation_first: bool, degrees: bool, yaw_last: bool) -> Callable[[Float64Array], Built | None]:
+def _from_angles(
+    *, translation_first: bool, degrees: bool, yaw_last: bool
+) -> Callable[[Float64Array], Built | None]:
     """Build out of roll, pitch, yaw about x, y, z: Rz·Ry·Rx where the yaw comes last, else Rx·Ry·Rz."""
 
     def build(numbers: Float64Array) -> Built | None:

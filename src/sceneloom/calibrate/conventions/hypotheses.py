@@ -100,7 +100,9 @@ def _between(left: Float64Array, matrix: Float64Array, right: Float64Array) -> F
     return turned
 
 
-def groups(found: Sequence[Hypothesis], *, turn_deg: float = 0.2, shift: float = 0.02) -> list[list[Hypothesis]]:
+def groups(
+    found: Sequence[Hypothesis], *, turn_deg: float = 0.2, shift: float = 0.02
+) -> list[list[Hypothesis]]:
     """Put together hypotheses of the same transform, within an angle [deg] and a distance [m] nobody could tell."""
     result: list[list[Hypothesis]] = []
     for hypothesis in found:

@@ -49,7 +49,9 @@ def read_extrinsics(path: Path) -> tuple[Extrinsic, ...]:
     """
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise DataError(str(path), "", f"{path.stat().st_size} bytes; expected a calibration file, at most 50 MB")
+            raise DataError(
+                str(path), "", f"{path.stat().st_size} bytes; expected a calibration file, at most 50 MB"
+            )
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(str(path), "", f"{error}; expected a text with an extrinsic in it") from error
@@ -123,7 +125,9 @@ def _numbers(value: Any) -> tuple[float, ...] | None:
     """Flatten a list of numbers, or of lists of them; None for anything else."""
     if not isinstance(value, list) or not value:
         return None
-    flat = [number for row in value for number in row] if all(isinstance(row, list) for row in value) else value
+    flat = (
+        [number for row in value for number in row] if all(isinstance(row, list) for row in value) else value
+    )
     if not all(type(number) in {int, float} for number in flat):
         return None
     return tuple(map(float, flat))

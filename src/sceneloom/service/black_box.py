@@ -1,6 +1,8 @@
 """The black box: all that came into sessions and went out of them, in one MCAP file that can be played again."""
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,41 +14,53 @@ from sceneloom.fusion.interface import Dropped, Event, Refused, Result
 from sceneloom.fusion.messages.foxglove_form import FoxgloveMessage, to_foxglove
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.protobuf_form import encode, encode_in, fill_message
-from sceneloom.fusion.messages.records import SentRecord, kind_of
+from sceneloom.fusion.messages.records import ResultRecord, SentRecord, kind_of, size_of
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.queues import Flushed, Moved
 from sceneloom.fusion.setting import Setting
 from sceneloom.service.log_file import LogWriter
 from sceneloom.service.log_frames import frame_transforms, lens_messages
+from sceneloom.service.log_queue import LogQueue, NotLoggedError
 from sceneloom.service.log_schemas import foxglove_type, serialised, shown_bytes
 from sceneloom.service.motion_form import motion_request
 from sceneloom.service.replies import properties_message
 from sceneloom.service.values import value_to_protobuf
 from sceneloom.version import __version__
 
+LOG = logging.getLogger(__name__)
+
+_OVERHEAD = 2048
+"""What an entry that waits keeps beside its arrays [byte], about."""
+
 
 class BlackBox:
     """Writes what happens in sessions; give `session(name)` as the observer of each, or the box itself for one.
 
-    A file that cannot be written does not disturb the sessions; `failure` and `close` tell.
+    A thread of its own writes, so the arrays of records have to stay as they are after they were sent. Neither a file
+    that cannot be written nor a disk that is too slow disturbs the sessions: `failure`, `lost` and `close` tell.
 
     Attributes:
         writer: the file.
+        queue: what waits to be written.
         shown: whether pictures, clouds, boxes and results are written once more as MCAP viewers know them.
     """
 
-    def __init__(self, path: str | Path, *, shown: bool = True, **file: Any) -> None:
+    def __init__(
+        self, path: str | Path, *, shown: bool = True, overwrite: bool = False, **waiting: Any
+    ) -> None:
         """Begin a log.
 
         Args:
             path: of the MCAP file; until it is closed it stands beside as `NAME.unfinished.mcap`.
             shown: whether viewers are to show it; without, files are half as large.
-            file: options of `LogWriter`: overwrite, kept_back_s, clock_ns.
+            overwrite: replace a log that is there.
+            waiting: of `LogQueue`: most_bytes, most_entries, kept_back_s, clock_ns.
 
         Raises:
             OutputError: the file is there, or cannot be written.
         """
-        self.writer = LogWriter(Path(path), **file)
+        self.writer = LogWriter(Path(path), overwrite=overwrite, on_failure=self._failed)
+        self.queue = LogQueue(self.writer.flush, self._gap, **waiting)
         self.shown = shown
         self._names: set[str] = set()
         self._own: Callable[[Event], None] | None = None
@@ -72,35 +86,73 @@ class BlackBox:
             number += 1
             chosen = f"{name}#{number}"
         self._names.add(chosen)
-        self.writer.add_metadata("session", {"session": chosen, "sceneloom": __version__})
-        return SessionLog(self.writer, chosen, shown=self.shown)
+        told = {"session": chosen, "sceneloom": __version__}
+        with suppress(NotLoggedError):
+            self.queue.put(lambda _: self.writer.add_metadata("session", told), session=chosen)
+        return SessionLog(self.writer, self.queue, chosen, shown=self.shown)
 
     @property
     def failure(self) -> Exception | None:
         """Why nothing is written any more; None while all is well."""
         return self.writer.failure
 
+    @property
+    def lost(self) -> Mapping[str, int]:
+        """By session, how many entries are not in the log: the disk was too slow, or failed."""
+        return dict(self.queue.lost)
+
     def close(self) -> None:
-        """Complete the file and give it its name.
+        """Write all that waits, complete the file and give it its name.
 
         Raises:
             OutputError: it could not be written.
         """
+        self.queue.close()
+        if self.lost:
+            LOG.warning("the log is not whole", extra={"fields": {"lost": self.lost}})
         self.writer.close()
+
+    def _failed(self, error: Exception) -> None:
+        LOG.error("the log is cut: it cannot be written", extra={"fields": {"error": repr(error)}})
+        self.queue.cut()
+
+    def _gap(self, session: str, count: int, time_ns: int) -> None:
+        reason = f"{count} entries are missing here: the disk was slower than what came"
+        status = fusion_pb2.Status(status=0, cause="log-gap", reason=reason)
+        self.writer.add(
+            f"/{session}/gap",
+            type(status),
+            serialised(status),
+            session=session,
+            what="gap",
+            log_time_ns=time_ns,
+        )
 
 
 class SessionLog:
     """Writes what happens in one session; not for several threads at once, as interfaces call their observers."""
 
-    def __init__(self, writer: LogWriter, session: str, *, shown: bool) -> None:
+    def __init__(self, writer: LogWriter, queue: LogQueue, session: str, *, shown: bool) -> None:
         """Write into a file under a name."""
         self._writer = writer
+        self._queue = queue
+        self._time_ns = 0
         self._session = session
         self._shown = shown
         self._setting: Setting | None = None
 
     def __call__(self, event: Event) -> None:
-        """Write one event."""
+        """Let an event be written.
+
+        Raises:
+            NotLoggedError: it will not be.
+        """
+        self._queue.put(
+            lambda time_ns: self._event(event, time_ns), session=self._session, size=_kept_by(event)
+        )
+
+    def _event(self, event: Event, time_ns: int) -> None:
+        self._time_ns = time_ns
         _WRITERS[type(event)](self, event)
 
     def admitted(self, event: Admitted) -> None:
@@ -108,7 +160,7 @@ class SessionLog:
         self._configured(event.setting)
         name = _source(event.record, event.sensor_id)
         self._record(name, event.record, "record")
-        if self._shown:
+        if self._shows:
             self._show(name, event.record, str(event.kind), event.sensor_id)
 
     def refused(self, event: Refused) -> None:
@@ -146,8 +198,13 @@ class SessionLog:
             "result",
             record.timestamp.nanoseconds,
         )
-        if self._shown:
+        if self._shows:
             self._show_result(result)
+
+    @property
+    def _shows(self) -> bool:
+        """Whether viewers get their own form: not while the disk lags behind, for it can be made of ours."""
+        return self._shown and not self._queue.pressed
 
     def _configured(self, setting: Setting) -> None:
         before = self._setting
@@ -220,6 +277,7 @@ class SessionLog:
             session=self._session,
             what=what,
             timestamp_ns=timestamp_ns,
+            log_time_ns=self._time_ns,
         )
 
 
@@ -232,6 +290,12 @@ _WRITERS: dict[type, Callable[[SessionLog, Any], None]] = {
     Result: SessionLog.given,
 }
 """How each event is written."""
+
+
+def _kept_by(event: Event) -> int:
+    """How much memory an event keeps while it waits [byte], about."""
+    held = event.admitted.record if isinstance(event, Dropped) else getattr(event, "record", None)
+    return _OVERHEAD + (size_of(held) if isinstance(held, SentRecord | ResultRecord) else 0)
 
 
 def _source(record: Any, sensor_id: int) -> str:

@@ -22,9 +22,6 @@ from sceneloom.version import __version__
 CHUNK_BYTES = 4 << 20
 """Of messages that are compressed and written together; the most that is kept in memory, beside the largest message."""
 
-KEPT_BACK_S = 1.0
-"""How long a message may wait to be written."""
-
 MOST_CHANNELS = 60_000
 """Channels of one file, of at most 65535 that the format counts."""
 
@@ -51,15 +48,13 @@ class LogWriter:
         path: Path,
         *,
         overwrite: bool = False,
-        kept_back_s: float = KEPT_BACK_S,
-        clock_ns: Callable[[], int] = time.time_ns,
+        on_failure: Callable[[Exception], None] | None = None,
     ) -> None:
         """Begin a log.
 
         Args:
             overwrite: replace a log that is there.
-            kept_back_s: how long a message may wait to be written; 0 for not at all.
-            clock_ns: the time that messages are stamped with.
+            on_failure: told once why nothing is written any more.
 
         Raises:
             OutputError: the log, or an unfinished one of its name, is there, or cannot be written.
@@ -70,7 +65,8 @@ class LogWriter:
         self.path = path
         self.failure: Exception | None = None
         self._overwrite = overwrite
-        self._clock_ns = clock_ns
+        self._on_failure = on_failure
+        self._closed = False
         self._latest_ns = 0
         self._lock = threading.Lock()
         self._draft = unfinished_path(path)
@@ -84,11 +80,6 @@ class LogWriter:
         self._stream.flush()
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str, str], int] = {}
-        self._kept_back_s = kept_back_s
-        self._written = threading.Event()
-        self._closed = threading.Event()
-        self._flusher = threading.Thread(target=self._flush_often, name="log", daemon=True)
-        self._flusher.start()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write values that are no message."""
@@ -104,6 +95,7 @@ class LogWriter:
         session: str,
         what: str,
         timestamp_ns: int | None = None,
+        log_time_ns: int | None = None,
     ) -> None:
         """Write a message.
 
@@ -113,11 +105,21 @@ class LogWriter:
             content: its bytes.
             session: that it is of.
             what: what it says, for those who read the log again.
-            timestamp_ns: when what it says was measured; None for now.
+            timestamp_ns: when what it says was measured; None for when it happened.
+            log_time_ns: when it happened; None for now.
         """
+        happened_ns = time.time_ns() if log_time_ns is None else log_time_ns
         with self._lock:
-            self._attempt(lambda: self._write(topic, message_type, content, session, what, timestamp_ns))
-        self._written.set()
+            # times never run backwards in the file, whatever the clock does: its order is what is played again
+            self._latest_ns = max(happened_ns, self._latest_ns)
+            published_ns = self._latest_ns if timestamp_ns is None else timestamp_ns
+            self._attempt(lambda: self._write(topic, message_type, content, session, what, published_ns))
+
+    def flush(self) -> None:
+        """Hand what was added to the disk."""
+        with self._lock:
+            if not self._closed:
+                self._attempt(self._writer.flush)
 
     def close(self) -> None:
         """Complete the log and give it its name.
@@ -126,12 +128,10 @@ class LogWriter:
             OutputError: it could not be written; what is there is beside it.
         """
         with self._lock:
-            if self._closed.is_set():
+            if self._closed:
                 return
-            self._closed.set()
+            self._closed = True
             self._attempt(self._finish)
-        self._written.set()
-        self._flusher.join()
         if self.failure is not None:
             raise OutputError(f"{self.path}: cannot be written: {self.failure}; see {self._draft}")
 
@@ -142,15 +142,10 @@ class LogWriter:
         content: bytes,
         session: str,
         what: str,
-        timestamp_ns: int | None,
+        published_ns: int,
     ) -> None:
         channel = self._channel(topic, message_type, session, what)
-        # times never run backwards in the file, whatever the clock does: its order is what is played again
-        self._latest_ns = max(self._clock_ns(), self._latest_ns)
-        published_ns = self._latest_ns if timestamp_ns is None else timestamp_ns
         self._writer.add_message(channel, self._latest_ns, content, published_ns)
-        if self._kept_back_s <= 0:
-            self._flush()
 
     def _channel(self, topic: str, message_type: type[Any], session: str, what: str) -> int:
         name = message_type.DESCRIPTOR.full_name
@@ -174,18 +169,8 @@ class LogWriter:
             step()
         except Exception as error:  # noqa: BLE001 - whatever a full disk or a foreign writer does
             self.failure = error
-
-    def _flush(self) -> None:
-        self._writer.flush()
-
-    def _flush_often(self) -> None:
-        while not self._closed.is_set():
-            self._written.wait()
-            self._closed.wait(self._kept_back_s)
-            self._written.clear()
-            with self._lock:
-                if not self._closed.is_set():
-                    self._attempt(self._flush)
+            if self._on_failure is not None:
+                self._on_failure(error)
 
     def _finish(self) -> None:
         self._writer.finish()

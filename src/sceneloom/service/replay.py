@@ -32,15 +32,20 @@ class ReplayReport:
         different: by session, those that were not: kind and number.
         beyond: by session, those that the log does not have. The last ones are none of a log that a crash cut off.
         complete: whether the log was closed.
+        gaps: by session, how often the log left something out; what came after the first gap of a session is not
+            compared, for it depends on what is missing.
     """
 
     equal: Mapping[str, int]
     different: Mapping[str, tuple[str, ...]]
     beyond: Mapping[str, tuple[str, ...]]
     complete: bool
+    gaps: Mapping[str, int] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        return not any(self.different.values()) and not (self.complete and any(self.beyond.values()))
+        if self.gaps or any(self.different.values()):
+            return False
+        return not (self.complete and any(self.beyond.values()))
 
 
 def replay(path: str | Path, *, session: str | None = None) -> Iterator[tuple[str, Result]]:
@@ -70,8 +75,13 @@ def compare(path: str | Path) -> ReplayReport:
     playing: dict[str, _Session] = {}
     equal: dict[str, int] = {}
     different: dict[str, list[str]] = {}
+    gaps: dict[str, int] = {}
     waiting: dict[str, dict[tuple[str, int], bytes]] = {}
     for entry in read_log(Path(path)):
+        if entry.what == "gap":
+            gaps[entry.session] = gaps.get(entry.session, 0) + 1
+        if entry.session in gaps:
+            continue
         ours = waiting.setdefault(entry.session, {})
         played = playing.setdefault(entry.session, _Session(Path(path)))
         for result in played.take(entry):
@@ -84,9 +94,13 @@ def compare(path: str | Path) -> ReplayReport:
                 equal[entry.session] = equal.get(entry.session, 0) + 1
             else:
                 different.setdefault(entry.session, []).append(f"{name} {entry.message.number}")
-    beyond = {name: tuple(f"{kind} {number}" for kind, number in left) for name, left in waiting.items()}
+    beyond = {
+        name: tuple(f"{kind} {number}" for kind, number in left)
+        for name, left in waiting.items()
+        if name not in gaps
+    }
     told = {name: tuple(found) for name, found in different.items()}
-    return ReplayReport(equal, told, beyond, is_complete(Path(path)))
+    return ReplayReport(equal, told, beyond, is_complete(Path(path)), gaps)
 
 
 @dataclass(slots=True)

@@ -401,6 +401,97 @@ def test_a_file_that_cannot_be_written_leaves_the_session_alone(tmp_path):
         box.close()
 
 
+@pytest.fixture
+def stalled(monkeypatch):
+    """A disk that takes nothing until its gate is opened."""
+    gate, add = threading.Event(), LogWriter.add
+
+    def add_once_the_gate_is_open(writer, *arguments, **options):
+        assert gate.wait(60)
+        return add(writer, *arguments, **options)
+
+    monkeypatch.setattr(LogWriter, "add", add_once_the_gate_is_open)
+    yield gate
+    gate.set()
+
+
+def test_fusion_does_not_wait_for_the_disk_and_nothing_is_lost_of_what_there_is_room_for(tmp_path, stalled):
+    path, results = tmp_path / "session.mcap", []
+    box = BlackBox(path)
+    with begun(box.session("rig"), inline=True) as fusion:
+        drive(fusion)
+        results += [*fusion.results(0), *fusion.results(1)]
+    assert len(results) == 6  # the fourth waits for a later picture; and not a message is in the file
+    stalled.set()
+    box.close()
+    assert (compare(path).equal, compare(path).gaps, box.lost) == ({"rig": 8}, {}, {})
+
+
+def test_what_there_is_no_room_for_is_counted_and_the_log_says_where_it_has_gaps(tmp_path, stalled, caplog):
+    path = tmp_path / "session.mcap"
+    box = BlackBox(path, most_bytes=60_000)
+    with begun(box.session("rig"), inline=True) as fusion:
+        drive(fusion)
+        results = fusion.counters.counts()["results.sensor_data"]
+        lost = fusion.counters.counts()["errors.observer.NotLoggedError"]
+    assert results == 3
+    assert box.lost["rig"] >= lost > 0  # the end of the session is an event, too
+    stalled.set()
+    box.close()
+    told = [record for record in caplog.records if "has a gap" in record.message]
+    assert len(told) == 1
+    report = compare(path)
+    assert (report.gaps, bool(report), report.complete, report.different) == ({"rig": 1}, False, True, {})
+    (gap,) = [entry for entry in read_log(path) if entry.what == "gap"]
+    assert gap.message.reason.startswith(f"{box.lost['rig']} entries are missing")
+
+
+def test_a_log_with_a_gap_goes_on_after_it(tmp_path, stalled):
+    path = tmp_path / "session.mcap"
+    box = BlackBox(path, most_bytes=60_000)
+    with begun(box.session("rig"), inline=True) as fusion:
+        drive(fusion)
+        stalled.set()
+        with box.queue._changed:
+            assert box.queue._changed.wait_for(box.queue._is_done, 60)
+        drive(fusion, 1, start=4)
+    box.close()
+    told = [entry.what for entry in read_log(path)]
+    after = told[told.index("gap") :]
+    assert after.count("gap") == 1
+    assert after.count("record") == 4
+
+
+def test_viewers_are_left_out_before_anything_else_is(tmp_path, stalled):
+    path = tmp_path / "session.mcap"
+    box = BlackBox(path, most_bytes=400_000)
+    with begun(box.session("rig"), inline=True) as fusion:
+        drive(fusion)
+    stalled.set()
+    box.close()
+    shown = [name for name, _, _ in messages_of(path) if name.startswith("foxglove.")]
+    assert 0 < len(shown) < 30  # of all that a log shows of four pairs
+    assert compare(path).equal == {"rig": 8}
+
+
+def test_an_error_of_the_disk_is_told_once_and_what_it_loses_is_counted(tmp_path, caplog):
+    path = tmp_path / "session.mcap"
+    box = BlackBox(path, kept_back_s=0)
+    with begun(box.session("rig"), inline=True) as fusion:
+        drive(fusion, 1)
+        box.writer._stream.close()
+        drive(fusion, 2, start=1)
+        counts = fusion.counters.counts()
+    assert counts["results.sensor_data"] == 2
+    assert counts["errors.observer.NotLoggedError"] > 10
+    assert box.lost["rig"] >= counts["errors.observer.NotLoggedError"]
+    assert len([record for record in caplog.records if "is cut" in record.message]) == 1
+    with pytest.raises(OutputError, match="cannot be written"):
+        box.close()
+    assert not is_complete(unfinished_path(path))
+    assert [entry.what for entry in read_log(unfinished_path(path))].count("record") == 4
+
+
 def test_without_what_viewers_want_the_file_holds_our_messages_alone(tmp_path):
     path = tmp_path / "session.mcap"
     with BlackBox(path, shown=False) as box, begun(box, inline=True) as fusion:

@@ -42,8 +42,8 @@ _GUESS_SIGMAS = np.array([*np.full(3, np.pi), *np.full(3, 3.0)])
 """How far from the guess a mounting may be [rad], [m]: keeps what no motion tells where it was."""
 _LEAST_NOISE = np.array([np.radians(0.01), 5e-3])
 """No way is told better than this over a lag [rad], [m]: what is wrong in all of a drive alike is not in its spread."""
-_MODEL_SHARE = 0.2
-"""What the covariance takes from the model of independent motions: few stretches may pull alike by chance."""
+_SYSTEMATIC = np.array([*np.full(3, np.radians(0.01)), *np.full(3, 0.01)])
+"""What odometry may be off by in all turns alike [rad], [m], which no spread shows: so much on simulated drives."""
 _LEAST_TURN, _LEAST_WAY = np.radians(2.0), 1.0
 """A drive that turns by less [rad] or goes less far [m] tells nothing that is above its noise."""
 
@@ -108,7 +108,8 @@ def paired_motions(body: PosePath, sensor: PosePath, times_ns: Int64Array) -> Pa
     starts, stops, lags = _pairs(times)
     if len(starts) < LEAST_MOTIONS:
         raise PoseError(
-            f"{(times[-1] - times[0]) * 1e-9:.2f} s in common; expected {_LAGS[0]} s and {LEAST_MOTIONS} motions or more"
+            f"{(times[-1] - times[0]) * 1e-9:.2f} s in common; expected {_LAGS[0]} s and "
+            f"{LEAST_MOTIONS} motions or more"
         )
     moved = [_motions(path, times, starts, stops) for path in (body, sensor)]
     stretch = max(2.0 * _LAGS[0], float(times[-1] - times[0]) * 1e-9 / 20.0)
@@ -140,7 +141,9 @@ def _motions(
     return multiply_quaternions(back, poses.quaternions_xyzw[stops]), shifts
 
 
-def align_motions(motions: PairedMotions, *, guess: RigidTransform | None = None, frame: str = "ego") -> HandEye:
+def align_motions(
+    motions: PairedMotions, *, guess: RigidTransform | None = None, frame: str = "ego"
+) -> HandEye:
     """Solve A X = X B for all pairs at once, robustly.
 
     Args:
@@ -156,9 +159,11 @@ def align_motions(motions: PairedMotions, *, guess: RigidTransform | None = None
     solutions = [_solved(motions, start, start)]
     if guess is not None:
         # a guess that is upside down must not keep the search in a wrong valley
-        solutions.append(_solved(motions, RigidTransform(_closed_rotation(motions), guess.translation), start))
+        solutions.append(
+            _solved(motions, RigidTransform(_closed_rotation(motions), guess.translation), start)
+        )
     solution = min(solutions, key=lambda found: found.cost)
-    covariance = _sandwich(motions, solution, start)
+    covariance = _sandwich(motions, solution)
     unobserved = unobserved_directions(covariance, frame)
     mounting = MountingEstimate(solution.mounting, covariance, unobserved)
     inliers = float((solution.squares.sum(axis=1) < 6 * 3.0**2 / 2).mean())
@@ -171,7 +176,8 @@ def _check_motion(motions: PairedMotions) -> None:
     if turn < _LEAST_TURN and way < _LEAST_WAY:
         raise PoseError(
             f"the ego turns by {np.degrees(turn):.2g} deg and moves by {way:.2g} m at most within "
-            f"{_LAGS[-1]:.0f} s; expected {np.degrees(_LEAST_TURN):.0f} deg or {_LEAST_WAY:.0f} m: standing tells nothing"
+            f"{_LAGS[-1]:.0f} s; expected {np.degrees(_LEAST_TURN):.0f} deg or {_LEAST_WAY:.0f} m: "
+            "standing tells nothing"
         )
 
 
@@ -185,7 +191,9 @@ def _closed_rotation(motions: PairedMotions) -> Float64Array:
     straight = 0.1 / (0.1 + np.linalg.norm(a, axis=1))
     ways = straight[:, None] ** 4 * motions.body_shifts
     scale = np.linalg.norm(a) / max(float(np.linalg.norm(ways)), 1e-9) if np.linalg.norm(a) > 0 else 1.0
-    u, _, vt = np.linalg.svd(a.T @ b + min(scale, 1e3) ** 2 * ways.T @ (straight[:, None] ** 4 * motions.sensor_shifts))
+    u, _, vt = np.linalg.svd(
+        a.T @ b + min(scale, 1e3) ** 2 * ways.T @ (straight[:, None] ** 4 * motions.sensor_shifts)
+    )
     return np.asarray((u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, np.float64)
 
 
@@ -264,14 +272,14 @@ def _weights(motions: PairedMotions, residuals: Float64Array) -> tuple[Float64Ar
     return noise, np.repeat(robust, 3, axis=1) * motions.shares[:, None]
 
 
-def _sandwich(motions: PairedMotions, solution: _Solution, guess: RigidTransform) -> Float64Array:
-    """The covariance by how differently the stretches of the drive pull."""
+def _sandwich(motions: PairedMotions, solution: _Solution) -> Float64Array:
+    """The covariance by how differently the stretches of the drive pull, and by the model: few tell little."""
     residuals, jacobian = _linearised(motions, solution.mounting)
     _, weights = _weights(motions, residuals)
     normal = np.einsum("nki,nk,nkj->ij", jacobian, weights, jacobian) + _prior()
     pulls = np.einsum("nki,nk,nk->ni", jacobian, weights, residuals)
     sums = np.zeros((int(motions.stretches.max()) + 1, 6))
     np.add.at(sums, motions.stretches, pulls)
-    spread = sums.T @ sums * (len(sums) / max(len(sums) - 2, 1)) + _MODEL_SHARE * normal + _prior()
+    spread = sums.T @ sums * (len(sums) / max(len(sums) - 2, 1)) + normal + _prior()
     inverse = np.linalg.inv(normal)
-    return np.asarray(inverse @ spread @ inverse, np.float64)
+    return np.asarray(inverse @ spread @ inverse + np.diag(_SYSTEMATIC**2), np.float64)

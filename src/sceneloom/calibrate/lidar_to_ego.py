@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.calibrate.frames import chosen_lidar
 from sceneloom.calibrate.hand_eye import HandEye, align_motions, paired_motions
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -51,18 +52,20 @@ def lidar_to_ego(
     The mounting that the scene states is where the search starts, and what is kept where the drive does not tell.
 
     Args:
-        lidar_id: the lidar; None for the only one.
+        lidar_id: the lidar; None for the first one with sweeps.
         trajectory: name of the ego's way, None for the scene's default.
         progress: told after each sweep.
 
     Raises:
-        OptionError: there is no such lidar, several and none is named, or the trajectory is the lidar's own.
+        OptionError: there is no such lidar, or the trajectory is the lidar's own.
         PoseError: there is no trajectory, or both ways have too little motion or time in common.
         DataError: a sweep cannot be read.
     """
     lidar = chosen_lidar(scene, lidar_id)
     if trajectory == LIDAR and LIDAR not in scene.trajectories:
-        raise OptionError("trajectory 'lidar' is found from the lidar itself; expected one that other sensors told")
+        raise OptionError(
+            "trajectory 'lidar' is found from the lidar itself; expected one that other sensors told"
+        )
     if lidar.points_frame is not PointsFrame.SENSOR:
         raise PoseError(
             f"{scene.source}: points of lidar {lidar.id!r} are in the {lidar.points_frame} frame already; "
@@ -76,26 +79,11 @@ def lidar_to_ego(
     return LidarToEgo(lidar.id, ego.name, lidar.mount, found, clock)
 
 
-def chosen_lidar(scene: Scene, lidar_id: Identifier | None) -> LidarSensor:
-    """The lidar of that id, or the only one.
-
-    Raises:
-        OptionError: there is none, or it is not clear which is meant.
-    """
-    known = ", ".join(repr(lidar.id) for lidar in scene.lidars) or "none"
-    if lidar_id is None:
-        if len(scene.lidars) != 1:
-            raise OptionError(f"{scene.source}: lidars {known}; expected one of them to be named")
-        return scene.lidars[0]
-    for lidar in scene.lidars:
-        if lidar.id == lidar_id:
-            return lidar
-    raise OptionError(f"{scene.source}: no lidar {lidar_id!r}; there are {known}")
-
-
 def _without_lidars(scene: Scene) -> Scene:
     """A trajectory that lidars took part in would tell the stated mounting back."""
-    return replace(scene, sensors=tuple(sensor for sensor in scene.sensors if not isinstance(sensor, LidarSensor)))
+    return replace(
+        scene, sensors=tuple(sensor for sensor in scene.sensors if not isinstance(sensor, LidarSensor))
+    )
 
 
 def _lidar_way(scene: Scene, lidar: LidarSensor, progress: Progress | None) -> PosePath:

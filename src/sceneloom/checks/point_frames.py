@@ -81,15 +81,19 @@ def _keep(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
         return
     known, key = _all_sweeps(subject), key_of(sensor.id)
     if key not in known:
-        known[key] = _planned(subject, frame.sensor_path, sensor)
+        known[key] = plan_sweeps(subject, frame.sensor_path, sensor)
     if frame.number in known[key].wanted and isinstance(frame.frame, LidarFrame | RadarFrame):
-        positions = frame.frame.points.positions
-        some = positions[:: len(positions) // _KEPT_POINTS + 1].astype(np.float64)
-        some = some[np.isfinite(some).all(axis=1) & some.any(axis=1)]
-        known[key].seen[frame.number] = Sweep(frame.frame.timestamp_ns, some)
+        known[key].seen[frame.number] = sweep_of(frame.frame)
 
 
-def _planned(subject: Subject, path: str, sensor: LidarSensor | RadarSensor) -> Sweeps:
+def sweep_of(frame: LidarFrame | RadarFrame) -> Sweep:
+    """Keep some points of a frame."""
+    positions = frame.points.positions
+    some = positions[:: len(positions) // _KEPT_POINTS + 1].astype(np.float64)
+    return Sweep(frame.timestamp_ns, some[np.isfinite(some).all(axis=1) & some.any(axis=1)])
+
+
+def plan_sweeps(subject: Subject, path: str, sensor: LidarSensor | RadarSensor) -> Sweeps:
     """Choose frames spread over the drive, and to each one from which the sensor has moved far enough."""
     place, count = sensor_place(subject, sensor), len(sensor.frames)
     if place is None:
@@ -115,8 +119,22 @@ def _wrong_frame(subject: Subject) -> Iterator[Hit]:
 
 def _by_distance(subject: Subject, sweeps: Sweeps) -> str | None:
     """Compare how far the middle point of each frame is from the sensor, under each reading."""
+    said, middles = sweeps.sensor.points_frame, distances(subject, sweeps)
+    if said not in middles:
+        return None
+    nearest = min(middles, key=lambda reading: middles[reading])
+    if not lie_nearer(middles[nearest], middles[said]):
+        return None
+    return (
+        f"taken as {_in(said)} half of the points lie more than {middles[said]:.0f} m from the sensor, "
+        f"taken as {_in(nearest)} {middles[nearest]:.0f} m; said is {said.value}"
+    )
+
+
+def distances(subject: Subject, sweeps: Sweeps) -> Mapping[PointsFrame, float]:
+    """Give the distance from the sensor within which half of the points of a sweep lie [m], under each reading."""
     place = sensor_place(subject, sweeps.sensor)
-    said, middles = sweeps.sensor.points_frame, dict[PointsFrame, float]()
+    middles = dict[PointsFrame, float]()
     for reading, source in point_places(subject, sweeps.sensor).items():
         away = []
         for sweep in sweeps.seen.values():
@@ -128,15 +146,12 @@ def _by_distance(subject: Subject, sweeps: Sweeps) -> str | None:
             away.append(float(np.median(np.linalg.norm(to_sensor, axis=1))))
         if away:
             middles[reading] = max(away)
-    if said not in middles:
-        return None
-    nearest = min(middles, key=lambda reading: middles[reading])
-    if middles[said] < _NEARER * middles[nearest] or middles[said] < middles[nearest] + _NEARER_M:
-        return None
-    return (
-        f"taken as {_in(said)} half of the points lie more than {middles[said]:.0f} m from the sensor, "
-        f"taken as {_in(nearest)} {middles[nearest]:.0f} m; said is {said.value}"
-    )
+    return middles
+
+
+def lie_nearer(one: float, other: float) -> bool:
+    """Whether points lie so much nearer to their sensor under one reading that the other one cannot be right [m]."""
+    return other >= _NEARER * one and other >= one + _NEARER_M
 
 
 def _in(frame: PointsFrame) -> str:
@@ -145,26 +160,34 @@ def _in(frame: PointsFrame) -> str:
 
 def _by_overlap(subject: Subject, sweeps: Sweeps) -> str | None:
     """Compare how many points of one frame meet points of another, under each reading."""
-    said = sweeps.sensor.points_frame
-    if isinstance(sweeps.sensor, RadarSensor):
+    said, means = sweeps.sensor.points_frame, overlaps(subject, sweeps)
+    if said not in means:
         return None
+    best = max(means, key=lambda reading: means[reading])
+    if not meet_more(means[best], means[said]):
+        return None
+    return (
+        f"taken as {_in(said)} {means[said]:.0%} of the points off the ground meet points of another frame, "
+        f"taken as {_in(best)} {means[best]:.0%} ({len(sweeps.pairs)} pairs of frames); said is {said.value}"
+    )
+
+
+def overlaps(subject: Subject, sweeps: Sweeps) -> Mapping[PointsFrame, float]:
+    """Give the mean share of the points of a sweep that meet points of another one, under each reading."""
+    if isinstance(sweeps.sensor, RadarSensor):
+        return {}
     shares: dict[PointsFrame, list[float]] = {}
     for pair in sweeps.pairs:
         one, other = (sweeps.seen.get(number) for number in pair)
         if one is not None and other is not None:
             for reading, share in _overlaps(subject, sweeps.sensor, one, other).items():
                 shares.setdefault(reading, []).append(share)
-    means = {reading: float(np.mean(found)) for reading, found in shares.items()}
-    if said not in means:
-        return None
-    best = max(means, key=lambda reading: means[reading])
-    if means[best] < max(means[said] + _MORE_OVERLAP, means[said] * _MORE_TIMES):
-        return None
-    count = len(shares[said])
-    return (
-        f"taken as {_in(said)} {means[said]:.0%} of the points off the ground meet points of another frame, "
-        f"taken as {_in(best)} {means[best]:.0%} ({count} pairs of frames); said is {said.value}"
-    )
+    return {reading: float(np.mean(found)) for reading, found in shares.items()}
+
+
+def meet_more(one: float, other: float) -> bool:
+    """Whether so many more points meet under one reading that the other one cannot be right, as shares."""
+    return one >= max(other + _MORE_OVERLAP, other * _MORE_TIMES)
 
 
 def _overlaps(subject: Subject, lidar: LidarSensor, one: Sweep, other: Sweep) -> Mapping[PointsFrame, float]:

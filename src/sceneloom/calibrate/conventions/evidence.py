@@ -6,6 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.calibrate.frames import CalibrationFrame
+from sceneloom.cameras.models import project
 
 _WITHIN = 40.0
 """Points so near are asked where up is [m]."""
@@ -59,8 +60,6 @@ def is_near(camera_from_points: Float64Array) -> bool:
 
 def share_seen(camera_from_points: Float64Array, frames: Sequence[CalibrationFrame]) -> float:
     """Give the share of the points that falls into the pictures."""
-    from sceneloom.cameras.camera import project
-
     shares = []
     for frame in frames:
         some = frame.points_lidar[:: len(frame.points_lidar) // _MOST_POINTS + 1]

@@ -62,7 +62,7 @@ def hypotheses(
         apart: twelve numbers are the nine of a rotation, then a translation that stood beside it.
     """
     given = np.asarray(numbers, np.float64)
-    found = _all(given, apart) if np.isfinite(given).all() else ()
+    found = _all(given, apart=apart) if np.isfinite(given).all() else ()
     wanted = known or {}
     return tuple(
         hypothesis
@@ -71,14 +71,15 @@ def hypotheses(
     )
 
 
-def _all(numbers: Float64Array, apart: bool) -> Iterator[Hypothesis]:
+def _all(numbers: Float64Array, *, apart: bool) -> Iterator[Hypothesis]:
     for form in FORMS:
         built = form.build(numbers) if (form.count, form.apart) == (numbers.size, apart) else None
         if built is None:
             continue
         stated = np.eye(4)
         stated[:3, :3], stated[:3, 3] = built
-        for direction, matrix in ((TO_CAMERA, stated), (FROM_CAMERA, np.linalg.inv(stated))):
+        inverse = np.asarray(np.linalg.inv(stated), np.float64)
+        for direction, matrix in ((TO_CAMERA, stated), (FROM_CAMERA, inverse)):
             for camera_axes, optical_from_camera in CAMERA_AXES.items():
                 for lidar_axes, lidar_from_points in LIDAR_AXES.items():
                     choices = {

@@ -1,10 +1,15 @@
 """The kit reaches a server by the descriptor alone, over TLS where the server wants it."""
 
+from concurrent.futures import ThreadPoolExecutor
+
+import grpc
 import pytest
+from grpc_reflection.v1alpha import reflection_pb2
+from grpc_reflection.v1alpha.reflection import ReflectionServicer
 
 from sceneloom.errors import OptionError
 from sceneloom.service.conformance.examination import examine
-from sceneloom.service.conformance.transport import CallFailedError, Doors, GrpcTransport
+from sceneloom.service.conformance.transport import SERVICE, CallFailedError, Doors, GrpcTransport
 from sceneloom.service.security import Security
 
 from .test_security import Authority
@@ -50,3 +55,51 @@ def test_a_call_that_ends_with_an_error_is_told_with_its_code(serve):
         assert failed.value.code == "NOT_FOUND"
         with pytest.raises(CallFailedError, match="INVALID_ARGUMENT"):
             list(transport.subscribe(fusion_pb2.SubscribeRequest(fusion_type=3, most=1)))
+
+
+SURROUNDINGS = ["X-21", "X-22", "X-23"]
+
+
+def test_health_and_reflection_of_the_server_are_found(serve):
+    with GrpcTransport.connected(serve().address, Doors()) as transport:
+        assert examine(transport, only=SURROUNDINGS).failed_ids == ()
+
+
+def test_a_server_without_health_and_reflection_fails_these_checks_and_says_so():
+    server = grpc.server(ThreadPoolExecutor(1))
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    try:
+        with GrpcTransport.connected(f"127.0.0.1:{port}", Doors()) as transport:
+            examination = examine(transport, only=SURROUNDINGS)
+    finally:
+        server.stop(None).wait()
+    assert list(examination.failed_ids) == SURROUNDINGS
+    assert all("UNIMPLEMENTED" in finding.seen[-1].found for finding in examination.findings)
+
+
+def test_a_server_with_the_newer_reflection_alone_is_asked_by_that():
+    names = (SERVICE.full_name,)
+    method = grpc.stream_stream_rpc_method_handler(
+        ReflectionServicer(names).ServerReflectionInfo,
+        reflection_pb2.ServerReflectionRequest.FromString,
+        reflection_pb2.ServerReflectionResponse.SerializeToString,
+    )
+    server = grpc.server(ThreadPoolExecutor(1))
+    server.add_generic_rpc_handlers(
+        [
+            grpc.method_handlers_generic_handler(
+                "grpc.reflection.v1.ServerReflection", {"ServerReflectionInfo": method}
+            )
+        ]
+    )
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    try:
+        with GrpcTransport.connected(f"127.0.0.1:{port}", Doors()) as transport:
+            assert transport.services() == set(names)
+            assert examine(transport, only=SURROUNDINGS).failed_ids == ("X-21",)
+            with pytest.raises(CallFailedError, match="code 5"):  # NOT_FOUND
+                transport.files_with("nothing.of.the.kind")
+    finally:
+        server.stop(None).wait()

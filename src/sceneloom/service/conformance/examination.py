@@ -18,6 +18,7 @@ from sceneloom.service.conformance import (
     receiving,
     sensor_results,
     sent_rows,
+    surroundings,
 )
 from sceneloom.service.conformance.bench import Bench, NoResultError
 from sceneloom.service.conformance.catalogue import Catalogue, Check, Seen
@@ -27,7 +28,7 @@ PARTS: tuple[Catalogue, ...] = tuple(
     part.CHECKS
     for part in (
         *(basic_types, properties, calibration, frames, receiving, sent_rows),
-        *(fetching, sensor_results, detection_results, extensions),
+        *(fetching, sensor_results, detection_results, extensions, surroundings),
     )
 )
 """The parts of the kit, in the order of the standard."""

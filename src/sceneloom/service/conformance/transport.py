@@ -7,6 +7,8 @@ from typing import Any, Protocol, Self
 
 import grpc
 from google.protobuf.message import Message
+from grpc_health.v1 import health_pb2
+from grpc_reflection.v1alpha import reflection_pb2
 
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.fusion.messages.wire import fusion_pb2
@@ -54,6 +56,18 @@ class Transport(Protocol):
 
     def subscribe(self, request: Message) -> Iterator[Any]:
         """Call Subscribe."""
+        ...
+
+    def health(self, service: str) -> str:
+        """Ask the health service how a service is, by its full name, or "" for all: SERVING and so on."""
+        ...
+
+    def services(self) -> set[str]:
+        """Ask by reflection for the full names of the services."""
+        ...
+
+    def files_with(self, symbol: str) -> list[bytes]:
+        """Ask by reflection for the descriptors of the file that describes a symbol, perhaps with its imports."""
         ...
 
 
@@ -157,6 +171,56 @@ class GrpcTransport:
         except grpc.RpcError as error:
             raise _told(error) from error
 
+    def health(self, service: str) -> str:
+        """Ask the health service how a service is, by its full name, or "" for all: SERVING and so on.
+
+        Source: the gRPC health checking protocol, github.com/grpc/grpc/blob/master/doc/health-checking.md.
+        """
+        call = self.channel.unary_unary(
+            "/grpc.health.v1.Health/Check",
+            request_serializer=health_pb2.HealthCheckRequest.SerializeToString,
+            response_deserializer=health_pb2.HealthCheckResponse.FromString,
+        )
+        request = health_pb2.HealthCheckRequest(service=service)
+        try:
+            reply = call(request, timeout=PATIENCE_S, metadata=self._metadata)
+        except grpc.RpcError as error:
+            raise _told(error) from error
+        name: str = health_pb2.HealthCheckResponse.ServingStatus.Name(reply.status)
+        return name
+
+    def services(self) -> set[str]:
+        """Ask by reflection for the full names of the services."""
+        reply = self._reflected(reflection_pb2.ServerReflectionRequest(list_services=""))
+        return {service.name for service in reply.list_services_response.service}
+
+    def files_with(self, symbol: str) -> list[bytes]:
+        """Ask by reflection for the descriptors of the file that describes a symbol, perhaps with its imports."""
+        reply = self._reflected(reflection_pb2.ServerReflectionRequest(file_containing_symbol=symbol))
+        return list(reply.file_descriptor_response.file_descriptor_proto)
+
+    def _reflected(self, request: Message) -> Any:
+        """Ask the reflection service, of whichever of its two versions there is.
+
+        Source: github.com/grpc/grpc/blob/master/doc/server-reflection.md; both versions have the same messages.
+        """
+        failed: CallFailedError | None = None
+        for version in ("v1", "v1alpha"):
+            call = self.channel.stream_stream(
+                f"/grpc.reflection.{version}.ServerReflection/ServerReflectionInfo",
+                request_serializer=reflection_pb2.ServerReflectionRequest.SerializeToString,
+                response_deserializer=reflection_pb2.ServerReflectionResponse.FromString,
+            )
+            try:
+                replies = list(call(iter([request]), timeout=PATIENCE_S, metadata=self._metadata))
+            except grpc.RpcError as error:
+                failed = _told(error)
+                if failed.code != "UNIMPLEMENTED":
+                    break
+            else:
+                return _only(replies)
+        raise failed or CallFailedError("UNIMPLEMENTED", "")
+
     def _answered(self, method: str, request: Any) -> Any:
         try:
             return self._stubs[method](request, timeout=PATIENCE_S, metadata=self._metadata)
@@ -176,6 +240,15 @@ def _stub(channel: grpc.Channel, method: Any) -> Any:
 
 def _told(error: Any) -> CallFailedError:
     return CallFailedError(error.code().name, str(error.details() or ""))
+
+
+def _only(replies: list[Any]) -> Any:
+    if len(replies) != 1:
+        raise CallFailedError("INTERNAL", f"{len(replies)} answers to one question of reflection")
+    if replies[0].HasField("error_response"):
+        error = replies[0].error_response
+        raise CallFailedError(f"code {error.error_code}", error.error_message)
+    return replies[0]
 
 
 def _is_here(address: str) -> bool:

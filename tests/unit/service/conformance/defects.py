@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from google.protobuf.descriptor_pb2 import FileDescriptorProto
 
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.service.conformance.transport import CallFailedError
+from sceneloom.service.conformance.transport import SERVICE, CallFailedError
 
 
 @dataclass
@@ -50,6 +51,15 @@ class Broken:
             if request.HasField("fusion_type"):
                 get.fusion_type = request.fusion_type
             yield self.call("Get", get)
+
+    def health(self, service):
+        return self.inner.health(service)
+
+    def services(self):
+        return self.inner.services()
+
+    def files_with(self, symbol):
+        return self.inner.files_with(symbol)
 
 
 def records(reply):
@@ -335,6 +345,56 @@ class RangesForDepths(Broken):
         return reply
 
 
+class NeverWell(Broken):
+    """The service is there, and its health says that it is not."""
+
+    def health(self, service):
+        return "NOT_SERVING" if super().health(service) and service else "SERVING"
+
+
+class WellWithoutName(Broken):
+    """Health is known of all together and of no service."""
+
+    def health(self, service):
+        if service:
+            raise CallFailedError("NOT_FOUND", service)
+        return super().health(service)
+
+
+class AnythingIsWell(Broken):
+    """Health is SERVING of services that there are not."""
+
+    def health(self, service):
+        return "SERVING"
+
+
+class Unlisted(Broken):
+    """Reflection lists others than the service."""
+
+    def services(self):
+        return super().services() - {SERVICE.full_name}
+
+
+class NoReflection(Broken):
+    """Nobody answers questions of reflection."""
+
+    def services(self):
+        raise CallFailedError("UNIMPLEMENTED", "reflection")
+
+    def files_with(self, symbol):
+        raise CallFailedError("UNIMPLEMENTED", "reflection")
+
+
+class AnotherProto(Broken):
+    """Reflection describes a service whose fields have other numbers."""
+
+    def files_with(self, symbol):
+        (content,) = super().files_with(symbol)
+        file = FileDescriptorProto.FromString(content)
+        next(m for m in file.message_type if m.name == "ImageData").field[3].number = 99
+        return [file.SerializeToString()]
+
+
 def points_reversed(_, method, request, reply):
     """The numbers of each point come in the opposite order of their names."""
     if method == "Get" and reply.HasField("sensor_data"):
@@ -400,7 +460,16 @@ OUTGOING = {
 }
 """What is broken on the way out, and the checks that find it."""
 
-WHOLE = {UnknownIsEmpty: "5.5-2", RangesForDepths: "T9-12 X-10"}
+WHOLE = {
+    UnknownIsEmpty: "5.5-2",
+    RangesForDepths: "T9-12 X-10",
+    NeverWell: "X-21",
+    WellWithoutName: "X-21",
+    AnythingIsWell: "X-21",
+    Unlisted: "X-22",
+    NoReflection: "X-22 X-23",
+    AnotherProto: "X-23",
+}
 """Servers that are broken in another way, and the checks that find it."""
 
 

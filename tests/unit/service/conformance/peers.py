@@ -8,7 +8,7 @@ from sceneloom.fusion.messages.protobuf_form import fill_message
 from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.call_errors import CallError
-from sceneloom.service.conformance.transport import CallFailedError
+from sceneloom.service.conformance.transport import SERVICE, CallFailedError
 from sceneloom.service.methods import METHODS
 from sceneloom.service.values import property_to_protobuf
 
@@ -67,3 +67,16 @@ class HereTransport:
     def subscribe(self, request):
         for _ in range(request.most):
             yield self.get(request)
+
+    def health(self, service):
+        if service not in ("", SERVICE.full_name):
+            raise CallFailedError("NOT_FOUND", service)
+        return "SERVING"
+
+    def services(self):
+        return {SERVICE.full_name, "grpc.health.v1.Health"}
+
+    def files_with(self, symbol):
+        if symbol != SERVICE.full_name:
+            raise CallFailedError("NOT_FOUND", symbol)
+        return [fusion_pb2.DESCRIPTOR.serialized_pb]

@@ -51,6 +51,14 @@ class Silent:
     def subscribe(self, request):
         raise CallFailedError("UNIMPLEMENTED", "Subscribe")
 
+    def health(self, service):
+        raise CallFailedError("UNIMPLEMENTED", "Check")
+
+    def services(self):
+        raise CallFailedError("UNIMPLEMENTED", "ServerReflectionInfo")
+
+    files_with = health
+
 
 def test_a_server_that_answers_nothing_fails_all_checks_and_the_kit_goes_on():
     assert examine(Silent()).counts == {"passed": 0, "failed": len(CHECKS)}

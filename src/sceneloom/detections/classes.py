@@ -105,8 +105,11 @@ def codes(labels_3d: Sequence[str], labels_2d: Sequence[str]) -> tuple[Int64Arra
 
 
 def _numbered(labels: Sequence[str], numbers: dict[str, int]) -> Int64Array:
-    rows = [(numbers.setdefault(name, len(numbers)), _family(name)) for name in map(kind_name, labels)]
-    return np.array(rows, np.int64).reshape(-1, 2)
+    rows: dict[str, tuple[int, int]] = {}
+    for label in dict.fromkeys(labels):
+        name = kind_name(label)
+        rows[label] = numbers.setdefault(name, len(numbers)), _family(name)
+    return np.array([rows[label] for label in labels], np.int64).reshape(-1, 2)
 
 
 @lru_cache(maxsize=4096)

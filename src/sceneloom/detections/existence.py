@@ -27,6 +27,7 @@ from sceneloom.scene.detections import ScoreForm
 
 _SUREST = 1e-6
 """No detector is surer than this of what is there or not: two of them could not contradict each other."""
+_LIMIT = float(np.log((1.0 - _SUREST) / _SUREST))
 
 
 def log_odds(scores: Float64Array, form: ScoreForm, *, prior: float) -> Float64Array:
@@ -37,11 +38,10 @@ def log_odds(scores: Float64Array, form: ScoreForm, *, prior: float) -> Float64A
         form: what they are.
         prior: of what a score that is no number says.
     """
-    limit = np.log((1.0 - _SUREST) / _SUREST)
     if form is ScoreForm.LOGIT:
-        odds = np.clip(scores, -limit, limit)
+        odds = np.minimum(np.maximum(scores, -_LIMIT), _LIMIT)
     else:
-        shares = np.clip(scores, _SUREST, 1.0 - _SUREST)
+        shares = np.minimum(np.maximum(scores, _SUREST), 1.0 - _SUREST)
         odds = np.log(shares / (1.0 - shares))
     known: Float64Array = np.where(np.isnan(scores), np.log(prior / (1.0 - prior)), odds)
     return known

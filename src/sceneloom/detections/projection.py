@@ -29,6 +29,7 @@ from sceneloom.detections.refinement import refine
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import OptionError
+from sceneloom.kernels.sound_boxes import have_area, have_place
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.types import PointsFrame
 
@@ -102,8 +103,9 @@ class _Seen:
 
     @classmethod
     def of(cls, pair: DetectionPair, settings: ProjectionSettings) -> "_Seen":
-        boxes_3d, rows_3d = _some(pair.boxes_3d, _has_place(pair.boxes_3d))
-        boxes_2d, rows_2d = _some(pair.boxes_2d, _has_area(pair.boxes_2d))
+        found = pair.boxes_3d
+        boxes_3d, rows_3d = _some(found, have_place(found.centers, found.sizes_lwh, found.yaws))
+        boxes_2d, rows_2d = _some(pair.boxes_2d, have_area(pair.boxes_2d.corners_xyxy))
         odds_3d, odds_2d = (
             existence.log_odds(boxes.scores, boxes.score_form, prior=settings.prior)
             for boxes in (boxes_3d, boxes_2d)
@@ -114,18 +116,6 @@ class _Seen:
 def _some(boxes: Boxes, sound: BoolArray) -> tuple[Boxes, Int64Array]:
     rows = np.flatnonzero(sound)
     return (boxes if len(rows) == len(boxes) else boxes.select(rows)), rows
-
-
-def _has_place(boxes: Boxes3D) -> BoolArray:
-    numbers = np.column_stack([boxes.centers, boxes.sizes_lwh, boxes.yaws])
-    sound: BoolArray = np.all(np.isfinite(numbers), axis=1) & np.all(boxes.sizes_lwh > 0.0, axis=1)
-    return sound
-
-
-def _has_area(boxes: Boxes2D) -> BoolArray:
-    corners = boxes.corners_xyxy
-    sound: BoolArray = np.all(np.isfinite(corners), axis=1) & np.all(corners[:, 2:] > corners[:, :2], axis=1)
-    return sound
 
 
 def _objects_of_sweep(

@@ -1,6 +1,6 @@
 """What detection fusion takes and gives: the boxes of a sweep and of a picture, and the objects behind them."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -30,6 +30,13 @@ class DetectionPair:
     boxes_2d: Boxes2D
     camera: Camera
     camera_from_lidar: RigidTransform
+
+
+_ARRAYS = (
+    *("centers", "center_covariances", "sizes_lwh", "size_covariances", "yaws", "velocities", "scores"),
+    *("corners_xyxy", "ids", "rows_3d", "rows_2d"),
+)
+"""The fields of `FusedBoxes` that are arrays."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,10 +91,10 @@ class FusedBoxes:
             check_array(f"fused.{name}", getattr(self, name), (count,), np.int64)
         if len(self.labels) != count:
             raise ArrayError(f"fused.labels: {len(self.labels)}; expected {count}")
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if isinstance(value, np.ndarray):
-                object.__setattr__(self, f.name, read_only(value))
+        for name in _ARRAYS:
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, read_only(value))
 
     def __len__(self) -> int:
         return len(self.centers)

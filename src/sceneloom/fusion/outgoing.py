@@ -1,6 +1,7 @@
 """Results of the fusion system as records of tables 9 and 10, in the frames that a session declares."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -8,15 +9,16 @@ from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.colours import colour_points
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.detections.results import NO_BOX
+from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData
-from sceneloom.fusion.messages.scene_form import sensor_fusion_of, whole_corners
+from sceneloom.fusion.messages.scene_form import sensor_fusion_of
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.setting import Setting
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.declared_objects import declare_objects
 from sceneloom.scene import LidarPoints
 
 
@@ -97,36 +99,61 @@ def fused_detections_record(
     Source: DB34/T 4101-2022, table 10.
     """
     fused = frame.fused
-    declared = setting.standard_from_lidar.T
-    directions = np.column_stack([np.cos(fused.yaws), np.sin(fused.yaws), np.zeros(len(fused))])
-    velocities = np.zeros((len(fused), 3)) if fused.velocities is None else fused.velocities
-    return FusedDetections(
-        timestamp=boxes_3d.timestamp,
-        image_seq=boxes_2d.seq,
-        points_seq=boxes_3d.seq,
-        camera_id=camera_id,
-        lidar_id=lidar_id,
-        id=fused.ids.astype(np.int32),
-        class_names=fused.labels,
-        confidence=np.clip(fused.scores, 0.0, 1.0).astype(np.float32),
-        centers=(fused.centers @ declared.T).astype(np.float32),
-        center_covs=_symmetric(declared @ fused.center_covariances @ declared.T),
-        sizes_lwh=fused.sizes_lwh.astype(np.float32),
-        size_covs=_symmetric(fused.size_covariances),
-        directions=(directions @ declared.T).astype(np.float32),
-        velocities=(velocities * directions).sum(axis=1).astype(np.float32),
-        velocity_vectors=None if fused.velocities is None else (velocities @ declared.T).astype(np.float32),
-        corners_xyxy=whole_corners(fused.corners_xyxy, (camera.width, camera.height)),
-        box_3d_ids=_numbers(fused.rows_3d, boxes_3d),
-        box_2d_ids=_numbers(fused.rows_2d, boxes_2d),
-        motion_compensated=int(motion_compensated),
-        image_timestamp=Timestamp.of(frame.picture_timestamp_ns),
+    columns, sound = _declared_columns(fused, setting, camera)
+    fields: dict[str, Any] = {
+        "timestamp": boxes_3d.timestamp,
+        "image_seq": boxes_2d.seq,
+        "points_seq": boxes_3d.seq,
+        "camera_id": camera_id,
+        "lidar_id": lidar_id,
+        "id": fused.ids.astype(np.int32),
+        "class_names": fused.labels,
+        "box_3d_ids": _numbers(fused.rows_3d, boxes_3d),
+        "box_2d_ids": _numbers(fused.rows_2d, boxes_2d),
+        "motion_compensated": int(motion_compensated),
+        "image_timestamp": Timestamp.of(frame.picture_timestamp_ns),
+    }
+    return (
+        FusedDetections.of_sound_numbers(**fields, **columns)
+        if sound
+        else FusedDetections(**fields, **columns)
     )
 
 
-def _symmetric(covariances: Float64Array) -> Float32Array:
-    both: Float32Array = ((covariances + covariances.transpose(0, 2, 1)) / 2.0).astype(np.float32)
-    return both
+def _declared_columns(fused: FusedBoxes, setting: Setting, camera: Camera) -> tuple[dict[str, Any], bool]:
+    """Columns of numbers of the objects in the declared axes, and whether all of them make sense."""
+    velocities = fused.velocities
+    found = declare_objects(
+        fused.scores,
+        fused.centers,
+        fused.center_covariances,
+        fused.sizes_lwh,
+        fused.size_covariances,
+        fused.yaws,
+        np.zeros((len(fused), 3)) if velocities is None else velocities,
+        fused.corners_xyxy,
+        fused.rows_3d,
+        setting.declared_from_standard,
+        np.array([camera.width, camera.height], np.float64),
+    )
+    columns: dict[str, Any] = dict(zip(_COLUMNS, found[:-1], strict=True))
+    if velocities is None:
+        columns["velocity_vectors"] = None
+    return columns, found[-1]
+
+
+_COLUMNS = (
+    "confidence",
+    "centers",
+    "center_covs",
+    "sizes_lwh",
+    "size_covs",
+    "directions",
+    "velocities",
+    "velocity_vectors",
+    "corners_xyxy",
+)
+"""What `declare_objects` gives, in its order."""
 
 
 def _numbers(rows: Int64Array, boxes: Boxes3d | Boxes2d) -> tuple[int | None, ...]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
 from sceneloom.fusion.calibration.axes import SensorKind
@@ -132,6 +132,11 @@ class Setting:
     def standard_from_lidar(self) -> Float64Array:
         """Takes coordinates of the declared lidar frame into x forward, y left, z up, (3, 3) float64."""
         return self.frames.lidar.standard_from_declared(SensorKind.LIDAR)
+
+    @cached_property
+    def declared_from_standard(self) -> Float64Array:
+        """The other way round, (3, 3) float64."""
+        return read_only(self.standard_from_lidar.T)
 
     @cached_property
     def calibrated(self) -> Mapping[SensorKind, tuple[int, ...]]:

@@ -71,7 +71,7 @@ class Boxes3D:
         check_array("boxes.covariances", self.covariances, (count, 7, 7), np.float64, optional=True)
         check_array("boxes.ids", self.ids, (count,), np.int64, optional=True)
         _check_labels(self.labels, count)
-        _freeze(self)
+        _freeze(self, _ARRAYS_3D)
 
     def __len__(self) -> int:
         return len(self.centers)
@@ -169,7 +169,7 @@ class Boxes2D:
         check_array("boxes.scores", self.scores, (count,), np.float64)
         check_array("boxes.ids", self.ids, (count,), np.int64, optional=True)
         _check_labels(self.labels, count)
-        _freeze(self)
+        _freeze(self, _ARRAYS_2D)
 
     def __len__(self) -> int:
         return len(self.corners_xyxy)
@@ -190,6 +190,9 @@ class Boxes2D:
         return _selected(self, rows)
 
 
+_ARRAYS_3D = ("centers", "sizes_lwh", "yaws", "scores", "velocities", "covariances", "ids")
+_ARRAYS_2D = ("corners_xyxy", "scores", "ids")
+
 Boxes = TypeVar("Boxes", Boxes3D, Boxes2D)
 
 
@@ -200,11 +203,11 @@ def _check_labels(labels: tuple[str, ...], count: int) -> None:
         )
 
 
-def _freeze(boxes: Boxes3D | Boxes2D) -> None:
-    for f in fields(boxes):
-        value = getattr(boxes, f.name)
-        if isinstance(value, np.ndarray):
-            object.__setattr__(boxes, f.name, read_only(value))
+def _freeze(boxes: Boxes3D | Boxes2D, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(boxes, name)
+        if value is not None:
+            object.__setattr__(boxes, name, read_only(value))
 
 
 def _selected(boxes: Boxes, rows: ArrayLike) -> Boxes:

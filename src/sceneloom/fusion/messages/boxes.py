@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, UInt32Array
-from sceneloom.fusion.messages.columns import Column, settle_classes, settle_columns
+from sceneloom.fusion.messages.columns import Column, ColumnChecks, settle_classes
 from sceneloom.fusion.messages.tables import BOX_2D, BOX_3D, BOXES_2D, BOXES_3D, Table
 from sceneloom.fusion.messages.timestamps import Timestamp
 
@@ -27,6 +27,9 @@ COLUMNS_2D = (
     Column("corners_xyxy", ("x1", "y1", "x2", "y2"), np.uint32, (4,)),
 )
 """The columns of `Boxes2d`."""
+
+_CHECKS_3D = ColumnChecks(BOX_3D, COLUMNS_3D, group="boxes")
+_CHECKS_2D = ColumnChecks(BOX_2D, COLUMNS_2D, group="boxes")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +129,7 @@ class Boxes3d:
 
     def __post_init__(self) -> None:
         BOXES_3D.settle(self)
-        count = settle_columns(self, BOX_3D, COLUMNS_3D, group="boxes")
+        count = _CHECKS_3D.settle(self)
         settle_classes(self, BOX_3D, count, group="boxes")
         headless = ~self.directions.any(axis=1)
         if headless.any():
@@ -245,7 +248,7 @@ class Boxes2d:
 
     def __post_init__(self) -> None:
         BOXES_2D.settle(self)
-        count = settle_columns(self, BOX_2D, COLUMNS_2D, group="boxes")
+        count = _CHECKS_2D.settle(self)
         settle_classes(self, BOX_2D, count, group="boxes")
         check_corners(BOX_2D, self.corners_xyxy, group="boxes")
 

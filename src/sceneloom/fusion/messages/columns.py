@@ -1,9 +1,9 @@
 """Lists of boxes as columns: one array for each field, or for fields that belong together."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -13,6 +13,9 @@ from sceneloom.errors import DataError
 from sceneloom.fusion.messages.basic_types import INTEGER_RANGES, BasicType, shown
 from sceneloom.fusion.messages.rows import Row
 from sceneloom.fusion.messages.tables import Table
+
+List = TypeVar("List")
+"""A class of lists of boxes or of detections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,31 +37,55 @@ class Column:
     optional: bool = False
 
 
-def settle_columns(record: Any, table: Table, columns: Sequence[Column], *, group: str) -> int:
-    """Check all columns of a list that is being made, and make them read-only.
+class ColumnChecks:
+    """The checks of the columns of one kind of lists."""
 
-    Args:
-        table: of one record of the list.
-        columns: of the list; the first tells how many records there are.
-        group: how messages call the list.
+    def __init__(self, table: Table, columns: Sequence[Column], *, group: str) -> None:
+        """Look up the rows of the columns.
 
-    Returns:
-        How many records there are.
+        Args:
+            table: of one record of the list.
+            columns: of the list; the first tells how many records there are.
+            group: how messages call the list.
+        """
+        self._table = table
+        self._group = group
+        self._columns = tuple(
+            (column, np.dtype(column.dtype), tuple(map(table.row, column.names))) for column in columns
+        )
 
-    Raises:
-        DataError: a column has another shape or dtype, or a number in it is not finite or out of range.
-    """
-    count: int | None = None
+    def settle(self, record: Any) -> int:
+        """Check all columns of a list that is being made, and make them read-only.
+
+        Returns:
+            How many records there are.
+
+        Raises:
+            DataError: a column has another shape or dtype, or a number in it is not finite or out of range.
+        """
+        count: int | None = None
+        for column, dtype, rows in self._columns:
+            values = getattr(record, column.attribute)
+            if column.optional and (values is None or count == 0):
+                object.__setattr__(record, column.attribute, None)
+                continue
+            _check_shape(values, column, dtype, self._table, count)
+            count = len(values)
+            _check_values(values, column, rows, self._table, self._group)
+            object.__setattr__(record, column.attribute, read_only(values))
+        return count or 0
+
+
+def settled(record_type: type[List], columns: Sequence[Column], values: Mapping[str, Any]) -> List:
+    """Make a list of fields that are what its checks would make of them; its columns become read-only."""
+    record = object.__new__(record_type)
+    for name, value in values.items():
+        object.__setattr__(record, name, value)
     for column in columns:
-        values = getattr(record, column.attribute)
-        if column.optional and (values is None or count == 0):
-            object.__setattr__(record, column.attribute, None)
-            continue
-        _check_shape(values, column, table, count)
-        count = len(values)
-        _check_values(values, column, table, group)
-        object.__setattr__(record, column.attribute, read_only(values))
-    return count or 0
+        value = values[column.attribute]
+        if value is not None:
+            value.flags.writeable = False
+    return record
 
 
 def settle_classes(record: Any, table: Table, count: int, *, group: str) -> None:
@@ -97,8 +124,9 @@ def settle_ids(record: Any, attribute: str, row: Row, table: Table, count: int) 
     object.__setattr__(record, attribute, tuple(ids))
 
 
-def _check_shape(values: Any, column: Column, table: Table, count: int | None) -> None:
-    expected = np.dtype(column.dtype)
+def _check_shape(
+    values: Any, column: Column, expected: np.dtype[Any], table: Table, count: int | None
+) -> None:
     if isinstance(values, np.ndarray) and values.dtype == expected:
         rows = len(values) if values.ndim else -1
         if values.shape == (rows if count is None else count, *column.shape):
@@ -108,10 +136,8 @@ def _check_shape(values: Any, column: Column, table: Table, count: int | None) -
     raise DataError(table.owner, column.attribute, f"{shown(values)}; expected an array {words}")
 
 
-def _check_values(values: AnyArray, column: Column, table: Table, group: str) -> None:
-    rows = [table.row(name) for name in column.names]
-    alike = all((row.low, row.high, row.above) == (rows[0].low, rows[0].high, rows[0].above) for row in rows)
-    if alike and rows[0].admits(values):
+def _check_values(values: AnyArray, column: Column, rows: tuple[Row, ...], table: Table, group: str) -> None:
+    if all(row.bounds == rows[0].bounds for row in rows) and rows[0].admits(values):
         return
     flat = values.reshape(len(values), math.prod(values.shape[1:]))
     for j in range(flat.shape[1]):

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float32Array, UInt8Array, UInt32Array
 from sceneloom.fusion.messages.basic_types import shown
 from sceneloom.fusion.messages.boxes import COLUMNS_3D, check_corners
-from sceneloom.fusion.messages.columns import Column, settle_classes, settle_columns, settle_ids
+from sceneloom.fusion.messages.columns import Column, ColumnChecks, settle_classes, settle_ids, settled
 from sceneloom.fusion.messages.encodings import ENCODINGS, check_pixels
 from sceneloom.fusion.messages.sensor_data import check_fields, check_point_count
 from sceneloom.fusion.messages.tables import FUSED_DETECTION, FUSED_DETECTIONS, SENSOR_FUSION
@@ -28,6 +28,8 @@ COLUMNS_FUSED = (
     Column("corners_xyxy", ("x1", "y1", "x2", "y2"), np.uint32, (4,)),
 )
 """The columns of `FusedDetections`."""
+
+_CHECKS = ColumnChecks(FUSED_DETECTION, COLUMNS_FUSED, group="detections")
 
 _ASYMMETRY = 1e-3
 """How much a covariance of 32-bit numbers may differ from its transpose, of its largest number."""
@@ -237,7 +239,7 @@ class FusedDetections:
 
     def __post_init__(self) -> None:
         FUSED_DETECTIONS.settle(self)
-        count = settle_columns(self, FUSED_DETECTION, COLUMNS_FUSED, group="detections")
+        count = _CHECKS.settle(self)
         settle_classes(self, FUSED_DETECTION, count, group="detections")
         for name in ("box_3d_id", "box_2d_id"):
             settle_ids(self, f"{name}s", FUSED_DETECTION.row(name), FUSED_DETECTION, count)
@@ -245,6 +247,17 @@ class FusedDetections:
         _check_covariances("center_cov", self.center_covs, group="detections")
         _check_covariances("size_cov", self.size_covs, group="detections")
         _check_seen_in_space(self.sizes_lwh, self.directions, self.box_3d_ids, group="detections")
+
+    @classmethod
+    def of_sound_numbers(cls, **fields: Any) -> "FusedDetections":
+        """Make it of all its fields, whose numbers and shapes were checked already; they become read-only.
+
+        Raises:
+            DataError: a class is no name.
+        """
+        detections = settled(cls, COLUMNS_FUSED, fields)
+        settle_classes(detections, FUSED_DETECTION, len(detections), group="detections")
+        return detections
 
     @classmethod
     def empty(cls, timestamp: Timestamp, **pair: Any) -> "FusedDetections":

@@ -197,8 +197,10 @@ def _large_record(content: bytes) -> tuple[RecordKind, Any, dict[int, Any]] | No
         return None
     kind = _SENT_KINDS[records[0].number]
     large = {row.number: row for row in kind.table.rows if row.type in ARRAY_DTYPES or row.type == STREAM}
+    if kind.layout is not None or not large:
+        return None
     inner = wire_fields(content, records[0].start, records[0].stop)
-    if kind.layout is not None or not large or inner is None:
+    if inner is None:
         return None
     found = {field.number: field for field in inner if field.number in large}
     if sum(field.number in large for field in inner) != len(found):

@@ -1,5 +1,6 @@
 """A row of one of the standard's tables: what a field is called, what it holds, and the check that it does."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -48,6 +49,7 @@ class Row:
         aliases: names that are read, too: those of the same field in other tables.
         value_type: what `type` means; None for a time stamp.
         whole: smallest and largest value of a whole number, else None.
+        bounds: `low`, `high` and `above`.
     """
 
     number: int
@@ -66,12 +68,14 @@ class Row:
     aliases: tuple[str, ...] = ()
     value_type: ValueType | None = field(init=False)
     whole: tuple[int, int] | None = field(init=False)
+    bounds: tuple[float | None, float | None, bool] = field(init=False)
 
     def __post_init__(self) -> None:
         value_type = None if self.type == TIME else ValueType.parse(self.type)
         object.__setattr__(self, "value_type", value_type)
         object.__setattr__(self, "attribute", self.attribute or self.name)
         object.__setattr__(self, "whole", self._whole(value_type))
+        object.__setattr__(self, "bounds", (self.low, self.high, self.above))
 
     def _whole(self, value_type: ValueType | None) -> tuple[int, int] | None:
         """Smallest and largest value where it is one whole number."""
@@ -155,8 +159,8 @@ class Row:
         broken = values.dtype.kind == "f"
         if self.low is None and self.high is None and (not broken or values.size < _FEW):
             return not broken or bool(np.isfinite(values).all())
-        smallest, largest = values.min(), values.max()
-        finite = not broken or bool(np.isfinite(smallest) and np.isfinite(largest))
+        smallest, largest = values.min().item(), values.max().item()
+        finite = not broken or (math.isfinite(smallest) and math.isfinite(largest))
         return finite and self._is_in_range(smallest) and self._is_in_range(largest)
 
     def first_refused(self, values: AnyArray) -> int:

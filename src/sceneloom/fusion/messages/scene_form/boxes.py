@@ -22,7 +22,7 @@ def boxes_3d_of(record: Boxes3d, *, sensor_id: Identifier | None = None) -> Boxe
     directions = record.directions.astype(np.float64)
     vectors = record.velocity_vectors
     if vectors is None:
-        lengths = np.linalg.norm(directions, axis=1)
+        lengths = np.sqrt((directions * directions).sum(axis=1))
         velocities = directions * (record.velocities.astype(np.float64) / lengths)[:, None]
     else:
         velocities = vectors.astype(np.float64)

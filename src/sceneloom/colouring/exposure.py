@@ -1,0 +1,249 @@
+"""How differently cameras are exposed, from surfaces that two pictures show, and what evens it out.
+
+Two pictures that show the same plain piece of a surface give it two colours; their ratio is that of the exposures,
+whatever the surface's own colour is. Pictures are linked in this way within a sweep (two cameras at once) and across
+sweeps (the same place some sweeps later, by the same camera or by another, which links cameras that never look at one
+thing at once). The median ratio of a link leaves out what moves, shines or is matched wrongly. All links together give
+each picture three factors, one for each channel, by robust least squares with a gentle pull towards the picture before.
+Levels near black and white are not used, since they are cut off.
+
+Only ratios can be seen. What stays free is settled for each group of linked cameras: the mean logarithm of its factors,
+weighted by the points that tell them, is 0, so that the brightness as a whole stays. A camera that nothing links to
+another keeps its mean brightness; it is named as alone.
+"""
+
+import itertools
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Float64Array, FloatArray, Int64Array
+from sceneloom.colouring.exposure_samples import SurfaceSamples, take_samples
+from sceneloom.colouring.results import FusedView
+
+LAGS = (1, 4, 12)
+"""Sweeps that are compared with one: so many before it."""
+
+FEWEST = 30
+"""Pairs of colours that a link needs."""
+
+_MOST_PAIRS = 400
+"""More pairs do not make a link surer: what is wrong with them is wrong with all of them."""
+_NOISE = 0.01
+"""Of a link's median ratio, at least: light that depends on where it is seen from."""
+_DRIFT = 0.5
+"""How far exposures wander, as a factor's logarithm, in a second; the pull towards the picture before."""
+_UNCHANGED = 3.0
+"""The weak pull towards no change, as a factor's logarithm; it settles what no link tells."""
+_ROUNDS, _ROBUST = 6, 3.0
+_MOST_SEAM_PAIRS = 500
+"""Of each pair of cameras in each sweep, so many pairs of colours are kept to judge the outcome by."""
+
+Node = tuple[int, int]
+"""A picture: index of the camera, and time [ns]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExposureLink:
+    """What two pictures show both.
+
+    Attributes:
+        nodes: the two pictures.
+        log_ratio: (3,) float64, median logarithm of the second one's colours over the first one's.
+        spread: how far single ratios are from it, as a standard deviation.
+        pairs: how many.
+    """
+
+    nodes: tuple[Node, Node]
+    log_ratio: Float64Array
+    spread: float
+    pairs: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExposureGains:
+    """What evens out the exposures.
+
+    Attributes:
+        timestamps_ns: of each camera's pictures that tell something, by index: (K,) int64, ascending.
+        log_gains: by the camera's index: (K, 3) float64, logarithm of the factors.
+        alone: cameras that nothing links to another, by index.
+        seam_before, seam_after: median difference of the colours [levels] of points that two cameras show at once,
+            over all channels; NaN where there are none.
+        seam_pairs: how many points these are of.
+    """
+
+    timestamps_ns: Mapping[int, Int64Array]
+    log_gains: Mapping[int, Float64Array]
+    alone: tuple[int, ...] = ()
+    seam_before: float = float("nan")
+    seam_after: float = float("nan")
+    seam_pairs: int = 0
+
+    def at(self, camera_index: int, timestamp_ns: int) -> Float64Array | None:
+        """The (3,) factors for a picture, between those of its neighbours; None for a camera without links."""
+        times = self.timestamps_ns.get(camera_index)
+        if times is None or len(times) == 0:
+            return None
+        logs = self.log_gains[camera_index]
+        seconds = (times - times[0]) * 1e-9
+        now = (timestamp_ns - int(times[0])) * 1e-9
+        gains: Float64Array = np.exp(np.array([np.interp(now, seconds, logs[:, c]) for c in range(3)]))
+        return gains
+
+    def for_views(self, views: Sequence[FusedView], camera_indices: Sequence[int]) -> dict[int, Float64Array]:
+        """The factors of the pictures of one sweep, by the camera's index."""
+        found = {
+            index: self.at(index, view.timestamp_ns)
+            for view, index in zip(views, camera_indices, strict=True)
+        }
+        return {index: gain for index, gain in found.items() if gain is not None}
+
+
+@dataclass(slots=True)
+class ExposureLinks:
+    """Gathers what pictures show both, sweep after sweep; memory depends on a few sweeps and the number of links."""
+
+    links: list[ExposureLink] = field(default_factory=list)
+    _recent: deque[dict[Node, SurfaceSamples]] = field(default_factory=lambda: deque(maxlen=LAGS[-1]))
+    _seams: list[tuple[Node, Node, Float32Array, Float32Array]] = field(default_factory=list)
+    _points: dict[Node, int] = field(default_factory=dict)
+
+    def add(
+        self, points_world: Float64Array, views: Sequence[FusedView], camera_indices: Sequence[int]
+    ) -> None:
+        """Take a sweep: its (N, 3) float64 points [m], and the pictures that show it."""
+        now = {
+            (index, view.timestamp_ns): take_samples(points_world, view)
+            for view, index in zip(views, camera_indices, strict=True)
+        }
+        for node, samples in now.items():
+            self._points[node] = self._points.get(node, 0) + len(samples.ids)
+        nodes = list(now)
+        for k, first in enumerate(nodes):
+            for second in nodes[k + 1 :]:
+                self._link(first, second, now[first], now[second], at_once=True)
+        for lag in LAGS:
+            if lag <= len(self._recent):
+                before = self._recent[-lag]
+                for first, earlier in before.items():
+                    for second, later in now.items():
+                        if first != second:
+                            self._link(first, second, earlier, later, at_once=False)
+        self._recent.append(now)
+
+    def _link(
+        self, first: Node, second: Node, a: SurfaceSamples, b: SurfaceSamples, *, at_once: bool
+    ) -> None:
+        key_a, key_b = (a.ids, b.ids) if at_once else (a.cubes, b.cubes)
+        _, rows_a, rows_b = np.intersect1d(key_a, key_b, return_indices=True)
+        if len(rows_a) < FEWEST:
+            return
+        colors_a, colors_b = a.colors[rows_a], b.colors[rows_b]
+        ratios = np.log(colors_b / colors_a)
+        median = np.median(ratios, axis=0).astype(np.float64)
+        spread = 1.4826 * float(np.median(np.abs(ratios - median)))
+        self.links.append(ExposureLink((first, second), median, spread, len(rows_a)))
+        if at_once and first[0] != second[0]:
+            every = -(-len(rows_a) // _MOST_SEAM_PAIRS)
+            self._seams.append((first, second, colors_a[::every], colors_b[::every]))
+
+    def solve(self) -> ExposureGains:
+        """Find the factors that make all links agree best; without links there are none."""
+        linked = {node for link in self.links for node in link.nodes}
+        if not linked:
+            return ExposureGains({}, {}, alone=tuple(sorted({camera for camera, _ in self._points})))
+        nodes = sorted(linked)
+        logs = _solved(nodes, self.links)
+        groups, alone = _groups(nodes, self.links)
+        weights = np.array([self._points.get(node, 1) for node in nodes], np.float64)
+        for group in groups:
+            rows = [k for k, (camera, _) in enumerate(nodes) if camera in group]
+            logs[rows] -= np.average(logs[rows], axis=0, weights=np.maximum(weights[rows], 1.0))
+        by_camera = {
+            camera: [k for k, node in enumerate(nodes) if node[0] == camera]
+            for camera in {c for c, _ in nodes}
+        }
+        gains = ExposureGains(
+            {camera: np.array([nodes[k][1] for k in rows], np.int64) for camera, rows in by_camera.items()},
+            {camera: logs[rows] for camera, rows in by_camera.items()},
+        )
+        unlinked = {camera for camera, _ in self._points} - set(by_camera)
+        return self._judged(gains, (*alone, *unlinked))
+
+    def _judged(self, gains: ExposureGains, alone: Sequence[int]) -> ExposureGains:
+        """Say how much two cameras differ at the same points before and after."""
+        before, after = [np.zeros(0)], [np.zeros(0)]
+        for first, second, a, b in self._seams:
+            gain_a, gain_b = gains.at(*first), gains.at(*second)
+            before.append(np.abs(a - b).ravel())
+            after.append(np.abs(_times(a, gain_a) - _times(b, gain_b)).ravel())
+        return replace(
+            gains,
+            alone=tuple(sorted(alone)),
+            seam_before=_median(before),
+            seam_after=_median(after),
+            seam_pairs=sum(map(len, before)) // 3,
+        )
+
+
+def _times(colors: Float32Array, gain: Float64Array | None) -> FloatArray:
+    return colors if gain is None else colors * gain
+
+
+def _median(parts: Sequence[FloatArray]) -> float:
+    found = np.concatenate(parts)
+    return float(np.median(found)) if len(found) else float("nan")
+
+
+def _solved(nodes: Sequence[Node], links: Sequence[ExposureLink]) -> Float64Array:
+    """Logarithms of the factors, (P, 3), by iteratively reweighted least squares."""
+    row_of = {node: k for k, node in enumerate(nodes)}
+    first = np.array([row_of[link.nodes[0]] for link in links])
+    second = np.array([row_of[link.nodes[1]] for link in links])
+    wanted = np.stack([link.log_ratio for link in links])
+    variances = np.array([_NOISE**2 + link.spread**2 / min(link.pairs, _MOST_PAIRS) for link in links])
+    pulls = _pulls(nodes)
+    factors = np.ones(len(links))
+    logs = np.zeros((len(nodes), 3))
+    for _ in range(_ROUNDS):
+        normal, right = pulls.copy(), np.zeros((len(nodes), 3))
+        weights = factors / variances
+        # first's factor over second's is second's colour over first's
+        np.add.at(normal, (first, first), weights)
+        np.add.at(normal, (second, second), weights)
+        np.add.at(normal, (first, second), -weights)
+        np.add.at(normal, (second, first), -weights)
+        np.add.at(right, first, weights[:, None] * wanted)
+        np.add.at(right, second, -weights[:, None] * wanted)
+        logs[:] = np.linalg.solve(normal, right)
+        misses = np.abs(logs[first] - logs[second] - wanted).max(axis=1) / np.sqrt(variances)
+        factors = np.minimum(1.0, _ROBUST / np.maximum(misses, 1e-12))
+    return logs
+
+
+def _pulls(nodes: Sequence[Node]) -> Float64Array:
+    """Normal equations of the pulls towards no change and towards the picture before."""
+    normal: Float64Array = np.eye(len(nodes)) / _UNCHANGED**2
+    for k, ((camera, time_ns), (following, later_ns)) in enumerate(itertools.pairwise(nodes)):
+        if camera == following:
+            weight = 1.0 / (_DRIFT**2 * max((later_ns - time_ns) * 1e-9, 1e-3))
+            normal[k, k] += weight
+            normal[k + 1, k + 1] += weight
+            normal[k, k + 1] -= weight
+            normal[k + 1, k] -= weight
+    return normal
+
+
+def _groups(nodes: Sequence[Node], links: Sequence[ExposureLink]) -> tuple[list[set[int]], list[int]]:
+    """Cameras that links join, and those that no link joins to another."""
+    groups = [{camera} for camera in sorted({camera for camera, _ in nodes})]
+    for link in links:
+        a, b = link.nodes[0][0], link.nodes[1][0]
+        joined = [group for group in groups if a in group or b in group]
+        if len(joined) > 1:
+            groups = [group for group in groups if group not in joined] + [joined[0] | joined[1]]
+    several = len(groups) > 1 or any(len(group) > 1 for group in groups)
+    return groups, [next(iter(group)) for group in groups if len(group) == 1 and several]

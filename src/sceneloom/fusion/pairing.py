@@ -1,7 +1,7 @@
 """Which pictures belong to which sweep, and when that is known: the same for what a detector saw in them."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Generic, Protocol, TypeVar
@@ -160,6 +160,7 @@ class Pairing(Generic[Frame, Partner]):
     waiting: deque[Waiting[Frame]] = field(default_factory=deque)
     on_left: OnLeft = nobody
     _lags_ns: dict[Identifier, int] = field(default_factory=dict)
+    _retiring: dict[Identifier, Waiting[Frame]] = field(default_factory=dict)
     _latest_ns: int | None = None
 
     def configure(self, lateness_ns: int, most: int | None) -> None:
@@ -172,6 +173,18 @@ class Pairing(Generic[Frame, Partner]):
         """Make a camera known; `most` of its pictures are kept."""
         self.queues[camera_id] = TimedQueue(camera_id, most, on_left=self.on_left)
 
+    def expect(self, camera_ids: Collection[Identifier]) -> None:
+        """Wait for these cameras alone from now on; sweeps that wait can have what the others have sent."""
+        for camera_id in camera_ids:
+            self._retiring.pop(camera_id, None)
+            if camera_id not in self.queues:
+                self.add_camera(camera_id, most=self.most_waiting)
+        for camera_id in [known for known in self.queues if known not in camera_ids]:
+            if self.waiting:
+                self._retiring.setdefault(camera_id, self.waiting[-1])
+            else:
+                self._let_go(self.queues.pop(camera_id))
+
     def add_frame(self, waiting: Waiting[Frame]) -> int:
         """Let a sweep wait; gives how many were dropped to make room."""
         stamp_ns = waiting.frame.timestamp_ns
@@ -180,7 +193,9 @@ class Pairing(Generic[Frame, Partner]):
         self._note(stamp_ns)
         dropped = 0 if self.most_waiting is None else max(len(self.waiting) - self.most_waiting, 0)
         for _ in range(dropped):
-            self.on_left(self.waiting.popleft().extras, Leave.DROPPED)
+            oldest = self.waiting.popleft()
+            self.on_left(oldest.extras, Leave.DROPPED)
+            self._retire_after(oldest)
         return dropped
 
     def add_partner(self, camera_id: Identifier, partner: Partner) -> int:
@@ -197,6 +212,7 @@ class Pairing(Generic[Frame, Partner]):
         while self.waiting and (final or self._is_ready(self.waiting[0])):
             waiting = self.waiting.popleft()
             yield waiting
+            self._retire_after(waiting)
             # a later one can refer to any time from this stamp on, less the lag and what sweeps may be out of order
             lag_ns = max(self._lags_ns.values(), default=0) + waiting.configuration.disorder_ns
             self._forget_before(waiting.frame.timestamp_ns - lag_ns)
@@ -214,18 +230,29 @@ class Pairing(Generic[Frame, Partner]):
     def end(self) -> None:
         """Let go of all pictures."""
         for queue in self.queues.values():
-            while queue.items:
-                self.on_left(queue.items.popleft().extras, Leave.DONE)
+            self._let_go(queue)
 
     def partner(self, waiting: Waiting[Frame], camera_id: Identifier) -> Partner | None:
         """A camera's picture for a sweep; None where none is near enough."""
-        return self.queues[camera_id].nearest(waiting.reference_ns, waiting.tolerance_ns)
+        queue = self.queues.get(camera_id)
+        return None if queue is None else queue.nearest(waiting.reference_ns, waiting.tolerance_ns)
+
+    def _retire_after(self, waiting: Waiting[Frame]) -> None:
+        """Forget the cameras that a sweep was the last one to know."""
+        for camera_id in [known for known, last in self._retiring.items() if last is waiting]:
+            del self._retiring[camera_id]
+            self._let_go(self.queues.pop(camera_id))
+
+    def _let_go(self, queue: TimedQueue[Partner]) -> None:
+        while queue.items:
+            self.on_left(queue.items.popleft().extras, Leave.DONE)
 
     def _note(self, time_ns: int) -> None:
         self._latest_ns = time_ns if self._latest_ns is None else max(self._latest_ns, time_ns)
 
     def _is_ready(self, waiting: Waiting[Frame]) -> bool:
-        if all(self._is_known(queue, waiting) for queue in self.queues.values()):
+        expected = (queue for camera_id, queue in self.queues.items() if camera_id not in self._retiring)
+        if all(self._is_known(queue, waiting) for queue in expected):
             return True
         latest = waiting.reference_ns if self._latest_ns is None else self._latest_ns
         return latest > waiting.reference_ns + waiting.tolerance_ns + self.lateness_ns

@@ -83,7 +83,7 @@ class Rig:
     def feed(self, admitted: Admitted, ticket: Ticket) -> Iterator[RigResult]:
         """Take what a sensor sent, and give what could be fused with it."""
         sensor_id, received, setting = admitted.sensor_id, admitted.received, admitted.setting
-        self._adopt(setting)
+        yield from self._adopt(setting)
         yield from self._follow_clock(admitted.stream, admitted.timestamp_ns)
         of_lidar = isinstance(received, LidarFrame | Boxes3d)
         kind = SensorKind.LIDAR if of_lidar else SensorKind.CAMERA
@@ -213,8 +213,8 @@ class Rig:
         boxes_3d.ticket.fused = boxes_2d.ticket.fused = True
         yield RigResult(record, boxes_3d.setting)
 
-    def _adopt(self, setting: Setting) -> None:
-        """Go by another configuration from this record on."""
+    def _adopt(self, setting: Setting) -> Iterator[RigResult]:
+        """Go by another configuration from this record on; gives what waited only for cameras that are gone."""
         if setting is self._setting:
             return
         self._setting = setting
@@ -224,10 +224,12 @@ class Rig:
             if (camera_id, lidar_id) not in self._cameras:
                 self._systems[lidar_id].add_camera(f"camera{camera_id}", _AT_LIDAR, index=camera_id % 255)
                 self._cameras.add((camera_id, lidar_id))
-        for system in self._systems.values():
+        for lidar_id, system in self._systems.items():
             system.configure(setting.configuration, period_ns=setting.sweep_period_ns)
             if self._path is not None:
                 system.move(self._path, reach_ns=REACH_NS)
+            system.expect([f"camera{camera}" for camera, lidar in setting.pairs if lidar == lidar_id])
+            yield from self._fetch(lidar_id, system)
 
     def _system(self, lidar_id: int, setting: Setting) -> FusionSystem:
         system = FusionSystem(

@@ -1,7 +1,7 @@
 """The fusion system: sensors and detectors send, pairs are fused, results are fetched in order."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -116,6 +116,12 @@ class FusionSystem:
             pairing.configure(configuration.lateness_ns, configuration.most_waiting)
         for lidar in self._lidars.values():
             lidar.period_ns = period_ns
+
+    def expect(self, camera_ids: Collection[Identifier]) -> None:
+        """Go by the pictures of these cameras alone from the next sweep on, and wait for no others any more."""
+        for pairing in (self._sweeps, self._boxes):
+            pairing.expect(camera_ids)
+        self._fuse_ready(final=False)
 
     def send(
         self, sensor_id: Identifier, measurement: Measurement, *, extras: Mapping[str, Any] = NO_FIELDS

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from sceneloom.errors import DataError
+from sceneloom.fusion.calibration.entries import CalibrationEntry, format_calibrations
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.outcome import Cause
 
@@ -391,3 +392,56 @@ def test_a_pair_of_another_setting_than_its_sweep_is_fused(fusion):
     assert fusion.send(boxes_2d(0, 1))
     assert fusion.send(boxes_2d(0, 2, sensor_id=2))
     assert pairs(fusion, 1) == [(1, 1), (1, 2)]
+
+
+def test_a_camera_whose_calibration_was_taken_away_is_not_waited_for_any_more(fusion):
+    assert fusion.set_calibration(calibration(), camera_id=2, lidar_id=0)
+    for sensor_id in (1, 2):
+        assert fusion.send(image(0, 0, sensor_id=sensor_id))
+    assert fusion.send(cloud(0, 0))
+    assert len(list(fusion.results(0))) == 2
+    assert fusion.send(cloud(150, 1))
+    assert fusion.send(image(150, 1))  # that of camera 2 never comes
+    only = (CalibrationEntry(1, 0, calibration()),)
+    assert fusion.set_property("calibration", format_calibrations(only))
+    assert not list(fusion.results(0))
+    assert fusion.send(cloud(300, 2))  # from here on the other calibrations count
+    assert [found.record.points_seq for found in fusion.results(0)] == [1]
+    assert fusion.send(image(300, 2))
+    assert [found.record.points_seq for found in fusion.results(0)] == [2]
+    assert fusion.send(image(300, 2, sensor_id=2)).cause is Cause.NO_CALIBRATION
+
+
+def test_what_a_camera_sent_before_it_was_taken_away_is_for_the_sweeps_of_that_time_alone(fusion):
+    assert fusion.set_calibration(calibration(), camera_id=2, lidar_id=0)
+    assert fusion.send(image(0, 0, sensor_id=2))
+    assert fusion.send(boxes_2d(0, 0, sensor_id=2))
+    assert fusion.send(cloud(0, 0))
+    assert fusion.send(boxes_3d(0, 0))
+    only = (CalibrationEntry(1, 0, calibration()),)
+    assert fusion.set_property("calibration", format_calibrations(only))
+    assert fusion.send(cloud(20, 1))
+    assert fusion.send(boxes_3d(20, 1))
+    for record in (image(0, 0), boxes_2d(0, 0)):
+        assert fusion.send(record)
+    fusion.flush()
+    for kind in (0, 1):
+        found = [(r.record.points_seq, r.record.camera_id) for r in fusion.results(kind)]
+        assert found == [(0, 1), (0, 2), (1, 1)]
+    fusion.close()
+    assert fusion.waiting_records == 0
+
+
+def test_a_camera_that_comes_back_is_waited_for_again(fusion):
+    assert fusion.send(cloud(0, 0))
+    both = (CalibrationEntry(1, 0, calibration()), CalibrationEntry(2, 0, calibration()))
+    assert fusion.set_property("calibration", format_calibrations(both[1:]))
+    assert fusion.send(cloud(100, 1))
+    assert fusion.set_property("calibration", format_calibrations(both))
+    assert fusion.send(cloud(200, 2))
+    for sensor_id in (2, 1):
+        assert not list(fusion.results(0))
+        for seq in range(3):
+            assert fusion.send(image(100 * seq, seq, sensor_id=sensor_id))
+    found = {(r.record.points_seq, r.record.camera_id) for r in fusion.results(0)}
+    assert {(2, 1), (2, 2)} <= found

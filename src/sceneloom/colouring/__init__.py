@@ -14,6 +14,7 @@ from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.normals import estimate_normals
 from sceneloom.colouring.provenance import PointSources
 from sceneloom.colouring.results import FusedFrame, FusedView, PointSight
+from sceneloom.colouring.rolling_shutter import ShutterWay
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.colouring.weights import BlendSettings
@@ -32,6 +33,7 @@ __all__ = [
     "LidarWay",
     "PointSight",
     "PointSources",
+    "ShutterWay",
     "ViewRequest",
     "VisibilitySettings",
     "blend_colours",

@@ -10,6 +10,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.colours import colour_points
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedView
+from sceneloom.colouring.rolling_shutter import ShutterWay
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.geometry.rigid import RigidTransform
@@ -27,6 +28,7 @@ class ViewRequest:
         timestamp_ns: the picture's time [ns].
         world_from_camera: where the camera was at that time.
         rgb: (H, W, 3) uint8, the picture.
+        shutter: where the camera was while the picture's lines were taken; None where they were taken at once.
     """
 
     camera_id: Identifier
@@ -35,6 +37,7 @@ class ViewRequest:
     timestamp_ns: int
     world_from_camera: RigidTransform
     rgb: UInt8Array
+    shutter: ShutterWay | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +101,7 @@ def fuse_by_projection(
             timestamp_ns=request.timestamp_ns,
             visibility=visibility,
             way=way,
+            shutter=request.shutter,
         )
         for request in requests
     )

@@ -45,6 +45,9 @@ class FusedView:
         visible: (M,) bool, False for a point behind a nearer surface.
         depth_image: (H, W) float32 [m], z of the nearest visible point in each pixel, 0 for none.
         points_world: (N, 3) float64 [m], the whole cloud, as the algorithm got it.
+        rolled: whether each point was projected from where the camera was when its own line was taken, and `depths`
+            are from there.
+        unsettled: points of which no line was found that sees them, though they may be in the picture.
     """
 
     camera_id: Identifier
@@ -58,6 +61,8 @@ class FusedView:
     visible: BoolArray
     depth_image: Float32Array
     points_world: Float64Array
+    rolled: bool = False
+    unsettled: int = 0
 
     def __post_init__(self) -> None:
         count = check_array("view.point_ids", self.point_ids, (None,), np.int64)

@@ -1,5 +1,7 @@
 """The points of one cloud in one picture: where they fall, which of them are seen, and the depth image they make."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, check_array
@@ -7,6 +9,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector, projection_kernel
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedView
+from sceneloom.colouring.rolling_shutter import ShutterWay, project_by_lines
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
@@ -23,6 +26,7 @@ def view_points(
     timestamp_ns: int,
     visibility: VisibilitySettings | None = None,
     way: LidarWay | None = None,
+    shutter: ShutterWay | None = None,
 ) -> FusedView:
     """Project a cloud into a picture, tell what is hidden, and draw the depth image of what is seen.
 
@@ -35,6 +39,7 @@ def view_points(
         timestamp_ns: the picture's time [ns].
         visibility: what counts as hidden; None for the usual settings.
         way: from where the lidar measured the points; None where that is not known.
+        shutter: where the camera was while the lines were taken; None where they were taken at once.
 
     Raises:
         ArrayError: an array has another shape or dtype.
@@ -42,10 +47,11 @@ def view_points(
     """
     check_array("points_world", points_world, (None, 3), np.float64)
     settings = VisibilitySettings() if visibility is None else visibility
-    points, camera_from_world = np.ascontiguousarray(points_world), world_from_camera.inverse().matrix
-    point_ids, pixels, depths = _project(points, camera, camera_from_world)
+    points = np.ascontiguousarray(points_world)
+    seen = _see(points, camera, world_from_camera, shutter)
+    point_ids, pixels, depths = seen.point_ids, seen.pixels, seen.depths
     visible = (
-        find_visible(points, point_ids, camera_from_world, settings, way=way)
+        find_visible(seen.cloud, seen.rows, seen.camera_from_cloud, settings, way=seen.known(way))
         if settings.enabled
         else np.ones(len(point_ids), np.bool_)
     )
@@ -65,6 +71,58 @@ def view_points(
         visible,
         depth_image,
         points,
+        shutter is not None,
+        seen.unsettled,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """The points in a picture, and how the camera saw them.
+
+    Attributes:
+        point_ids, pixels, depths: as in `FusedView`.
+        cloud: (C, 3) float64 [m], a frame in which the camera has one pose.
+        rows: (M,) int64, the points of the picture in `cloud`.
+        camera_from_cloud: (4, 4) float64.
+        world_from_cloud: None where `cloud` is the whole cloud in the world.
+        unsettled: as in `FusedView`.
+    """
+
+    point_ids: Int64Array
+    pixels: Float32Array
+    depths: Float32Array
+    cloud: Float64Array
+    rows: Int64Array
+    camera_from_cloud: Float64Array
+    world_from_cloud: RigidTransform | None = None
+    unsettled: int = 0
+
+    def known(self, way: LidarWay | None) -> LidarWay | None:
+        """The way of the lidar as `cloud` needs it."""
+        if way is None or self.world_from_cloud is None:
+            return way
+        ends = self.world_from_cloud.inverse().apply(way.ends_world)
+        return LidarWay(ends, way.fractions[self.point_ids])
+
+
+def _see(
+    points_world: Float64Array, camera: Camera, world_from_camera: RigidTransform, shutter: ShutterWay | None
+) -> _Seen:
+    if shutter is None:
+        camera_from_world = world_from_camera.inverse().matrix
+        point_ids, pixels, depths = _project(points_world, camera, camera_from_world)
+        return _Seen(point_ids, pixels, depths, points_world, point_ids, camera_from_world)
+    rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
+    return _Seen(
+        rolled.point_ids,
+        rolled.pixels,
+        rolled.points_camera[:, 2].astype(np.float32),
+        rolled.points_camera,
+        np.arange(len(rolled.point_ids)),
+        np.eye(4),
+        world_from_camera,
+        rolled.unsettled,
     )
 
 

@@ -10,6 +10,7 @@ from sceneloom.arrays import UInt8Array
 from sceneloom.colouring.algorithms import FusionAlgorithm, ViewRequest
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedFrame
+from sceneloom.colouring.rolling_shutter import ShutterWay
 from sceneloom.errors import DataError, PoseError
 from sceneloom.fusion.pairing import Pairing, Waiting
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
@@ -67,16 +68,35 @@ class SweepFusion:
     on_unreadable: Callable[[DataError], None] | None = None
     _decoded: dict[Identifier, tuple[Picture, UInt8Array]] = field(default_factory=dict)
 
-    def fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing) -> FusedFrame:
-        """Fuse a sweep; where the ego's way does not reach, the result says so."""
-        settings = waiting.configuration
-        if settings.motion_compensation:
-            fused = self._fuse(waiting, pairing, lambda source: source)
-            if not (settings.stand_beyond_way and (fused.unfused or fused.unposed)):
-                return fused
-        return replace(self._fuse(waiting, pairing, standing), standing=True)
+    def fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing) -> tuple[FusedFrame, ...]:
+        """Fuse a sweep; where the ego's way does not reach, the result says so.
 
-    def _fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing, placed: Placed) -> FusedFrame:
+        Where it reaches the sweep and only some of the pictures, and those beyond it are to be fused as if the ego had
+        not moved, these are a second result: what a camera shows does not depend on how late another's picture is.
+        """
+        settings = waiting.configuration
+        if not settings.motion_compensation:
+            return (self._fuse_standing(waiting, pairing, self.cameras),)
+        fused = self._fuse(waiting, pairing, self.cameras, lambda source: source)
+        if not settings.stand_beyond_way or not (fused.unfused or fused.unposed):
+            return (fused,)
+        if not fused.views:
+            return (self._fuse_standing(waiting, pairing, self.cameras),)
+        beyond = {camera_id: self.cameras[camera_id] for camera_id in fused.unposed}
+        return replace(fused, unposed=()), self._fuse_standing(waiting, pairing, beyond)
+
+    def _fuse_standing(
+        self, waiting: Waiting[TimedSweep], pairing: SweepPairing, cameras: Mapping[Identifier, KnownCamera]
+    ) -> FusedFrame:
+        return replace(self._fuse(waiting, pairing, cameras, standing), standing=True)
+
+    def _fuse(
+        self,
+        waiting: Waiting[TimedSweep],
+        pairing: SweepPairing,
+        cameras: Mapping[Identifier, KnownCamera],
+        placed: Placed,
+    ) -> FusedFrame:
         frame, lidar = waiting.frame.frame, self.lidars[waiting.lidar_id]
         fused = FusedFrame(
             waiting.lidar_id,
@@ -97,10 +117,10 @@ class SweepFusion:
         except PoseError as error:
             return replace(fused, unfused=f"beyond the trajectory: {error}")
         points = replace(frame.points, positions=positions_world.astype(np.float32))
-        if not self.cameras:
+        if not cameras:
             return replace(fused, points=points, extrapolated=extrapolated)
         pairs = _Pairs(extrapolated=extrapolated)
-        for camera in self.cameras.values():
+        for camera in cameras.values():
             self._pair(waiting, pairing, camera, placed(camera.source) or camera.source, pairs)
         way = None if place is None else LidarWay.of(frame, place)
         algorithm: FusionAlgorithm = waiting.algorithm
@@ -128,7 +148,8 @@ class SweepFusion:
         if picture is None:
             pairs.unpaired.append(camera.id)
             return
-        pose = source.mounted(picture.mount).at(np.array([picture.timestamp_ns], np.int64))
+        place = source.mounted(picture.mount)
+        pose = place.at(np.array([picture.timestamp_ns], np.int64))
         if pose.coverage[0] == 2:
             pairs.unposed.append(camera.id)
             return
@@ -146,6 +167,7 @@ class SweepFusion:
                 timestamp_ns=picture.timestamp_ns,
                 world_from_camera=RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
                 rgb=rgb,
+                shutter=ShutterWay.of(camera.shutter, picture.timestamp_ns, place),
             )
         )
 

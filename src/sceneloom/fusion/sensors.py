@@ -6,6 +6,7 @@ from sceneloom.scene import Identifier, LidarFrame
 from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
+from sceneloom.scene.shutter import GLOBAL, Shutter
 
 
 @dataclass(slots=True)
@@ -43,11 +44,13 @@ class KnownCamera:
         id: the camera.
         index: what its points bear as `camera_index`.
         source: `world_from_camera`.
+        shutter: when the lines of its pictures are taken.
     """
 
     id: Identifier
     index: int
     source: PoseSource
+    shutter: Shutter = GLOBAL
 
 
 STILL = PosePath.identity()

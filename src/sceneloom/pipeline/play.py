@@ -20,6 +20,7 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sensor_sources import lidar_place, points_source, sensor_source
+from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
 
 
@@ -68,7 +69,8 @@ def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfi
     for index, camera in enumerate(scene.cameras):
         if len(camera.pictures) == 0:
             continue
-        system.add_camera(camera.id, sensor_source(scene, camera, ego, reach_ns=reach_ns), index=index)
+        source = sensor_source(scene, camera, ego, reach_ns=reach_ns)
+        system.add_camera(camera.id, source, index=index, shutter=Shutter.of(camera))
     return system
 
 

@@ -12,42 +12,8 @@ from sceneloom.motion.clock.bearings import LEAST_BEARINGS, turn_between
 from sceneloom.motion.clock.corners import Pyramid, find_corners, followed
 from sceneloom.motion.clock.turning import Turning, finite_rows
 from sceneloom.scene import CameraSensor, Picture
+from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.types import Progress
-
-
-@dataclass(frozen=True, slots=True)
-class Shutter:
-    """How long a picture's lines are taken one after the other, and which way.
-
-    Attributes:
-        seconds: from the first to the last line; 0 where all are taken at once.
-        over_columns: from the left to the right, in place of from the top to the bottom.
-    """
-
-    seconds: float = 0.0
-    over_columns: bool = False
-
-    @classmethod
-    def of(cls, camera: CameraSensor) -> "Shutter":
-        """Take what the calibration says of it."""
-        entry = camera.extras.get("calibration")
-        if not isinstance(entry, dict):
-            return cls()
-        seconds = entry.get("shutterRollTimeSeconds")
-        if not isinstance(seconds, int | float) or not 0 <= seconds <= 1:
-            return cls()
-        return cls(float(seconds), entry.get("rollingShutterLeftToRight") is True)
-
-    def delay(self, pixels: Float64Array, shares: Float64Array, picture: Picture) -> float:
-        """When the lines of pixels (N, 2) are taken, each with its share (N,), after the picture's time [s].
-
-        Source: "One clock" in docs/CONVENTIONS.md: row r of H is taken at t + ((r + 0.5)/H - 0.5) · roll time.
-        """
-        if self.seconds == 0.0 or len(pixels) == 0:
-            return 0.0
-        size = picture.camera.width if self.over_columns else picture.camera.height
-        line = float(pixels[:, 0 if self.over_columns else 1] @ shares)
-        return float(np.clip((line + 0.5) / size - 0.5, -0.5, 0.5)) * self.seconds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +80,14 @@ def _turn(first: _Seen, second: _Seen, shutter: Shutter) -> tuple[Float64Array, 
     if turned is None:
         return unknown
     vector = rotation_vector_from_quaternion(quaternion_from_matrix(turned.rotation.T))
-    early = shutter.delay(before[usable], turned.influences, first.picture)
-    late = shutter.delay(after[usable], turned.influences, second.picture)
+    early = _delay(shutter, before[usable], turned.influences, first.picture)
+    late = _delay(shutter, after[usable], turned.influences, second.picture)
     return vector, early, late
+
+
+def _delay(shutter: Shutter, pixels: Float64Array, shares: Float64Array, picture: Picture) -> float:
+    """When the lines of pixels (N, 2), each with its share (N,), are taken after the picture's time [s]."""
+    if len(pixels) == 0:
+        return 0.0
+    line = float(pixels[:, 0 if shutter.over_columns else 1] @ shares)
+    return float(shutter.delays(np.array([line]), picture.camera)[0])

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import CalibrationData
+from sceneloom.fusion.messages.protobuf_form import encode
 from sceneloom.scene.poses import PosePath
 
 from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, cloud, image
@@ -209,6 +210,34 @@ def test_without_a_way_that_reaches_all_is_fused_as_if_standing_and_says_so(piec
     column, row, depth = seen(from_lidar(0.0) * (1, -1, 1))
     assert record.depths[row, column] == pytest.approx(depth, abs=1e-4)
     assert ("motion.beyond-reach" in counts) is counted
+
+
+def fused_by_cameras(pictures_ms):
+    """Records of cameras that stand at one place, whose pictures come at these times, by camera."""
+    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+        for camera_id in pictures_ms:
+            calibration = declared_calibration("+x,-y,+z", "+z,+x,-y")
+            assert fusion.set_calibration(calibration, camera_id=camera_id, lidar_id=0)
+        assert fusion.set_property("pairing_tolerance_ms", 600.0)
+        assert fusion.send_motion(path(-50, 100))  # continued to 300 ms
+        assert fusion.send(moving_sweep())
+        for camera_id, picture_ms in pictures_ms.items():
+            assert fusion.send(image(picture_ms, 1, sensor_id=camera_id))
+        fusion.flush()
+        found = {result.record.camera_id: result.record for result in fusion.results(0)}
+        return found, fusion.counters.counts().get("motion.beyond-reach", 0)
+
+
+def test_a_picture_beyond_the_way_leaves_those_of_other_cameras_as_they_are():
+    both, counted = fused_by_cameras({1: 90, 2: 500})
+    near, _ = fused_by_cameras({1: 90})
+    far, _ = fused_by_cameras({2: 500})
+    assert {camera_id: record.motion_compensated for camera_id, record in both.items()} == {1: 1, 2: 0}
+    assert counted == 1
+    assert encode(both[1]) == encode(near[1])
+    assert encode(both[2]) == encode(far[2])
+    np.testing.assert_allclose(both[1].points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=2e-4)
+    np.testing.assert_array_equal(both[2].points[:, :3], moving_sweep().points[:, :3])
 
 
 def test_a_way_that_ends_shortly_before_is_continued():

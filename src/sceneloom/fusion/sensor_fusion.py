@@ -1,0 +1,186 @@
+"""Sensor-data fusion: a sweep and the pictures that belong to it become coloured points and depth images."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import UInt8Array
+from sceneloom.colouring.algorithms import FusionAlgorithm, ViewRequest
+from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.results import FusedFrame
+from sceneloom.colouring.rolling_shutter import ShutterWay
+from sceneloom.errors import DataError, PoseError
+from sceneloom.fusion.pairing import Pairing, Waiting
+from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.deskew import points_to_world
+from sceneloom.scene import Identifier, LidarFrame, Picture
+from sceneloom.scene.point_times import TimesFound
+from sceneloom.scene.pose_source import PoseSource
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedSweep:
+    """A sweep whose point times are on the scene's clock.
+
+    Attributes:
+        frame: the sweep.
+        times: what its times were.
+    """
+
+    frame: LidarFrame
+    times: TimesFound
+
+    @property
+    def timestamp_ns(self) -> int:
+        """Of the sweep [ns]."""
+        return self.frame.timestamp_ns
+
+
+SweepPairing = Pairing[TimedSweep, Picture]
+Placed = Callable[[PoseSource | None], PoseSource | None]
+
+
+@dataclass(slots=True)
+class _Pairs:
+    """The pictures found for one sweep, and the cameras without one."""
+
+    extrapolated: bool
+    requests: list[ViewRequest] = field(default_factory=list)
+    unpaired: list[Identifier] = field(default_factory=list)
+    unposed: list[Identifier] = field(default_factory=list)
+    extras: dict[Identifier, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class SweepFusion:
+    """Fuses sweeps with pictures.
+
+    Attributes:
+        lidars, cameras: what is known of the sensors.
+        on_unreadable: told of a picture that cannot be decoded, which then counts as unpaired; None: it raises.
+    """
+
+    lidars: Mapping[Identifier, KnownLidar]
+    cameras: Mapping[Identifier, KnownCamera]
+    on_unreadable: Callable[[DataError], None] | None = None
+    _decoded: dict[Identifier, tuple[Picture, UInt8Array]] = field(default_factory=dict)
+
+    def fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing) -> tuple[FusedFrame, ...]:
+        """Fuse a sweep; where the ego's way does not reach, the result says so.
+
+        Where it reaches the sweep and only some of the pictures, and those beyond it are to be fused as if the ego had
+        not moved, these are a second result: what a camera shows does not depend on how late another's picture is.
+        """
+        settings = waiting.configuration
+        if not settings.motion_compensation:
+            return (self._fuse_standing(waiting, pairing, self.cameras),)
+        fused = self._fuse(waiting, pairing, self.cameras, lambda source: source)
+        if not settings.stand_beyond_way or not (fused.unfused or fused.unposed):
+            return (fused,)
+        if not fused.views:
+            return (self._fuse_standing(waiting, pairing, self.cameras),)
+        beyond = {camera_id: self.cameras[camera_id] for camera_id in fused.unposed}
+        return replace(fused, unposed=()), self._fuse_standing(waiting, pairing, beyond)
+
+    def _fuse_standing(
+        self, waiting: Waiting[TimedSweep], pairing: SweepPairing, cameras: Mapping[Identifier, KnownCamera]
+    ) -> FusedFrame:
+        return replace(self._fuse(waiting, pairing, cameras, standing), standing=True)
+
+    def _fuse(
+        self,
+        waiting: Waiting[TimedSweep],
+        pairing: SweepPairing,
+        cameras: Mapping[Identifier, KnownCamera],
+        placed: Placed,
+    ) -> FusedFrame:
+        frame, lidar = waiting.frame.frame, self.lidars[waiting.lidar_id]
+        fused = FusedFrame(
+            waiting.lidar_id,
+            waiting.index,
+            frame.timestamp_ns,
+            waiting.reference_ns,
+            frame.points,
+            extras=frame.extras,
+            times=waiting.frame.times,
+        )
+        source, place = placed(lidar.source), placed(lidar.place)
+        try:
+            positions_world, extrapolated = (
+                (frame.points.positions.astype(np.float64), False)
+                if source is None
+                else points_to_world(frame, source)
+            )
+        except PoseError as error:
+            return replace(fused, unfused=f"beyond the trajectory: {error}")
+        points = replace(frame.points, positions=positions_world.astype(np.float32))
+        if not cameras:
+            return replace(fused, points=points, extrapolated=extrapolated)
+        pairs = _Pairs(extrapolated=extrapolated)
+        for camera in cameras.values():
+            self._pair(waiting, pairing, camera, placed(camera.source) or camera.source, pairs)
+        way = None if place is None else LidarWay.of(frame, place)
+        algorithm: FusionAlgorithm = waiting.algorithm
+        coloured = algorithm(positions_world, pairs.requests, waiting.configuration.visibility, way=way)
+        return replace(
+            fused,
+            points=replace(points, colors=coloured.colors, camera_index=coloured.camera_index),
+            views=coloured.views,
+            unpaired=tuple(pairs.unpaired),
+            unposed=tuple(pairs.unposed),
+            extrapolated=pairs.extrapolated,
+            picture_extras=pairs.extras,
+        )
+
+    def _pair(
+        self,
+        waiting: Waiting[TimedSweep],
+        pairing: SweepPairing,
+        camera: KnownCamera,
+        source: PoseSource,
+        pairs: _Pairs,
+    ) -> None:
+        """Find the camera's picture for a sweep and where it was taken, or note why there is none."""
+        picture = pairing.partner(waiting, camera.id)
+        if picture is None:
+            pairs.unpaired.append(camera.id)
+            return
+        place = source.mounted(picture.mount)
+        pose = place.at(np.array([picture.timestamp_ns], np.int64))
+        if pose.coverage[0] == 2:
+            pairs.unposed.append(camera.id)
+            return
+        rgb = self._rgb(camera.id, picture)
+        if rgb is None:
+            pairs.unpaired.append(camera.id)
+            return
+        pairs.extrapolated |= bool(pose.coverage[0] == 1)
+        pairs.extras[camera.id] = picture.extras
+        pairs.requests.append(
+            ViewRequest(
+                camera_id=camera.id,
+                camera_index=camera.index,
+                camera=picture.camera,
+                timestamp_ns=picture.timestamp_ns,
+                world_from_camera=RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
+                rgb=rgb,
+                shutter=ShutterWay.of(camera.shutter, picture.timestamp_ns, place),
+            )
+        )
+
+    def _rgb(self, camera_id: Identifier, picture: Picture) -> UInt8Array | None:
+        """Decode once where several sweeps are paired with one picture."""
+        kept = self._decoded.get(camera_id)
+        if kept is None or kept[0] is not picture:
+            try:
+                kept = picture, picture.rgb
+            except DataError as error:
+                if self.on_unreadable is None:
+                    raise
+                self.on_unreadable(error)
+                return None
+            self._decoded[camera_id] = kept
+        return kept[1]

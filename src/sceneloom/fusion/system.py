@@ -18,6 +18,7 @@ from sceneloom.scene import Identifier, LidarFrame, Picture
 from sceneloom.scene.detections import Boxes3D
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
+from sceneloom.scene.shutter import GLOBAL, Shutter
 from sceneloom.scene.types import NO_FIELDS
 
 Measurement = LidarFrame | Picture | Boxes3D | SeenBoxes
@@ -87,12 +88,14 @@ class FusionSystem:
         self._refuse_known(lidar_id)
         self._lidars[lidar_id] = KnownLidar(source, place, period_ns)
 
-    def add_camera(self, camera_id: Identifier, source: PoseSource, *, index: int) -> None:
+    def add_camera(
+        self, camera_id: Identifier, source: PoseSource, *, index: int, shutter: Shutter = GLOBAL
+    ) -> None:
         """Make a camera known; `index` is what its points bear as `camera_index`, below 255."""
         self._refuse_known(camera_id)
         if not 0 <= index < 255:
             raise OptionError(f"camera {camera_id!r}: index {index}; expected 0 to 254")
-        self._cameras[camera_id] = KnownCamera(camera_id, index, source)
+        self._cameras[camera_id] = KnownCamera(camera_id, index, source, shutter)
         self._sweeps.add_camera(camera_id, most=self.configuration.most_waiting)
         self._boxes.add_camera(camera_id, most=self.configuration.most_waiting)
 

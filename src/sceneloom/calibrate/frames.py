@@ -49,6 +49,7 @@ class CalibrationFrame:
         rgb: (H, W, 3) uint8.
         twist_lidar: (6,) float64, turn rate [rad/s] and velocity [m/s] of the lidar in its own axes at the picture's
             time; None where the motion is not known, and the points were left as they were measured.
+        world_from_lidar: where the lidar was at the picture's time, or None.
     """
 
     camera_id: Identifier
@@ -65,6 +66,7 @@ class CalibrationFrame:
     grey: Float32Array
     rgb: UInt8Array
     twist_lidar: Float64Array | None = None
+    world_from_lidar: RigidTransform | None = None
 
     def __post_init__(self) -> None:
         count = check_array("frame.points_lidar", self.points_lidar, (None, 3), np.float64)
@@ -257,7 +259,7 @@ def _frame(
     placed = _placed(sweep, picture, places)
     if placed is None:
         placed = _by_mountings(scene, lidar, sample)
-    points, measured, camera_from_lidar, twist = placed
+    points, measured, camera_from_lidar, twist, world_from_lidar = placed
     finite = np.isfinite(points).all(axis=1) & np.isfinite(measured).all(axis=1)
     times = sweep.points.timestamps_ns
     seconds = None if times is None else ((times - picture.timestamp_ns) * 1e-9).astype(np.float32)[finite]
@@ -278,6 +280,7 @@ def _frame(
         grey=rgb @ _LUMA,
         rgb=rgb,
         twist_lidar=twist,
+        world_from_lidar=world_from_lidar,
     )
 
 
@@ -286,8 +289,9 @@ def _is_mounted(lidar: LidarSensor) -> bool:
     return lidar.mount is not None and not np.array_equal(lidar.mount.matrix, np.eye(4))
 
 
-_Placed = tuple[Float64Array, Float64Array, RigidTransform, Float64Array | None]
-"""Points at the picture's time and as measured, (N, 3) in the lidar frame; camera_from_lidar; the lidar's motion."""
+_Placed = tuple[Float64Array, Float64Array, RigidTransform, Float64Array | None, RigidTransform | None]
+"""Points at the picture's time and as measured, (N, 3) in the lidar frame; camera_from_lidar; the lidar's motion and
+place."""
 
 
 def _placed(sweep: LidarFrame, picture: Picture, places: _Places) -> _Placed | None:
@@ -314,7 +318,7 @@ def _placed(sweep: LidarFrame, picture: Picture, places: _Places) -> _Placed | N
             return None
         measured = (at_sweep.inverse() @ of_points).apply(measured)
     twist = _twist(places.lidar, picture.timestamp_ns)
-    return points, measured, camera.inverse() @ at_picture, twist
+    return points, measured, camera.inverse() @ at_picture, twist, at_picture
 
 
 def _by_mountings(scene: Scene, lidar: LidarSensor, sample: Sample) -> _Placed:
@@ -334,7 +338,7 @@ def _by_mountings(scene: Scene, lidar: LidarSensor, sample: Sample) -> _Placed:
     if lidar.points_frame is PointsFrame.EGO and lidar.mount is not None:
         positions = lidar.mount.inverse().apply(positions)
         camera_from_points = camera_from_points @ lidar.mount
-    return positions, positions, camera_from_points, None
+    return positions, positions, camera_from_points, None, None
 
 
 def _pose(source: PoseSource, time_ns: int) -> RigidTransform | None:

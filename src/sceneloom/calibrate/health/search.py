@@ -1,0 +1,128 @@
+"""Where around the stated calibration pictures and clouds agree best, and how sure that place is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.calibrate.health.objective import FINE, WIDE, Objective
+from sceneloom.calibrate.health.surface import Surface, coefficients
+from sceneloom.calibrate.measures.candidate import COUNT, ROTATION, TRANSLATION, UNITS, Change, Parameter
+
+_WIDE_RADII = (12.0, 7.0, 4.0)
+_FINE_RADII = (2.4, 1.6)
+"""Balls of rotations that are looked at, one after another [units of a quarter degree]."""
+_LOOKS_PER_COEFFICIENT = 4.0
+_FARTHEST_DEG = 6.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Top:
+    """The best place that was found, by some parameters of a change.
+
+    Attributes:
+        parameters: which of the eight numbers were looked for.
+        change: the place.
+        replicates: (B, P) float64, the places that bootstrap replicates found, in the parameters' own units.
+        radius: (P,) float64, of the ball that was looked at last: what comes near to it was not found.
+        height: deviations above chance.
+        distinctness: the same by chance's own deviation.
+        gain, gain_deviation: how much higher it is than where the search began, and the deviation of that among
+            replicates.
+    """
+
+    parameters: tuple[Parameter, ...]
+    change: Float64Array
+    replicates: Float64Array
+    radius: Float64Array
+    height: float
+    distinctness: float
+    gain: float
+    gain_deviation: float
+
+    @property
+    def covariance(self) -> Float64Array:
+        """(P, P), of the parameters among the replicates."""
+        return np.atleast_2d(np.cov(self.replicates.T))
+
+    def number(self, parameter: Parameter) -> tuple[float, float]:
+        """Value and standard deviation of a parameter."""
+        column = self.parameters.index(parameter)
+        return float(self.change[parameter]), float(np.sqrt(self.covariance[column, column]))
+
+
+def find_rotation(objective: Objective) -> Top:
+    """Find the best rotation: from far to near, and near the stated one; the higher of both counts."""
+    begun = np.zeros(COUNT)
+    wide = begun
+    for radius in _WIDE_RADII:
+        wide = _climb(objective, wide, ROTATION, radius, WIDE)[0]
+        wide = _bounded(wide)
+    tops = [_refined(objective, start) for start in (wide, begun)]
+    best = max(tops, key=lambda top: top.height)
+    return best
+
+
+def _refined(objective: Objective, start: Float64Array) -> Top:
+    for radius in _FINE_RADII[:-1]:
+        start = _climb(objective, start, ROTATION, radius, FINE)[0]
+    return find_top(objective, start, ROTATION, (_FINE_RADII[-1],))
+
+
+def find_top(
+    objective: Objective, start: Float64Array, parameters: Sequence[Parameter], radii: Sequence[float]
+) -> Top:
+    """Find the best place around a start, (8,), by some parameters, in balls of some radii [units]."""
+    place = start
+    for radius in radii[:-1]:
+        place, _ = _climb(objective, place, parameters, radius, FINE)
+    place, replicates = _climb(objective, place, parameters, radii[-1], FINE)
+    there, here = objective.agreement.score(Change.of(place), FINE), objective.agreement.score(Change.of(start), FINE)
+    gains = objective.standing(there, replicated=True) - objective.standing(here, replicated=True)
+    return Top(
+        tuple(parameters),
+        place,
+        replicates,
+        radii[-1] * UNITS[list(parameters)],
+        float(objective.standing(there)[0]),
+        objective.distinctness(there),
+        float(objective.standing(there)[0] - objective.standing(here)[0]),
+        float(gains.std()),
+    )
+
+
+def _climb(
+    objective: Objective, middle: Float64Array, parameters: Sequence[Parameter], radius: float, measures: Sequence[str]
+) -> tuple[Float64Array, Float64Array]:
+    """Go to the top of the quadratic through looks at a ball; gives it, (8,), and those of the replicates, (B, P)."""
+    columns = list(parameters)
+    looks = int(_LOOKS_PER_COEFFICIENT * coefficients(len(columns)))
+    surface = Surface.of(looks, len(columns), objective.generator)
+    scores = []
+    for place in surface.places:
+        numbers = middle.copy()
+        numbers[columns] += radius * UNITS[columns] * place
+        scores.append(objective.agreement.score(Change.of(numbers), measures))
+    values = np.array([objective.standing(score, measures) for score in scores]).T
+    replicated = np.array([objective.standing(score, measures, replicated=True) for score in scores]).T
+    top, tops = surface.tops(values)[0], surface.tops(replicated)
+    found = middle.copy()
+    found[columns] += radius * UNITS[columns] * top
+    return found, middle[columns] + radius * UNITS[columns] * tops
+
+
+def _bounded(numbers: Float64Array) -> Float64Array:
+    """Stay within what counts as near."""
+    angle = float(np.linalg.norm(numbers[:3]))
+    bounded = numbers.copy()
+    bounded[:3] *= min(1.0, np.radians(_FARTHEST_DEG) / max(angle, 1e-12))
+    return bounded
+
+
+GROUPS: dict[str, tuple[Parameter, ...]] = {
+    "translation": (*ROTATION, *TRANSLATION),
+    "focal_length": (*ROTATION, Parameter.FOCAL),
+    "time_offset": (*ROTATION, Parameter.LATER),
+}
+"""What is looked for together with the rotation, by what the verdict is about."""

@@ -1,0 +1,143 @@
+"""What is taken from each frame once, so that candidates cost little."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.calibrate.frames import CalibrationFrame
+from sceneloom.calibrate.measures.candidate import Change
+from sceneloom.calibrate.measures.depth_edges import find_depth_edges
+from sceneloom.calibrate.measures.pictures import DIRECTIONS, LEVELS, MeasuredPicture, measured_picture
+from sceneloom.cameras.models import domain_angle, project_unbounded, projection_kernel, unproject
+from sceneloom.colouring.visibility import VisibilitySettings, find_visible
+
+TILES_ACROSS, TILES_DOWN = 6, 3
+TILES = TILES_ACROSS * TILES_DOWN
+"""Tiles of a picture: how much these differ tells how much chance there is in a score."""
+
+_BESIDE = np.radians(6.0)
+"""Points so far outside the picture may come into it [rad]."""
+_MOST_POINTS = 6000
+"""Points of a frame whose intensity is compared, evenly drawn."""
+_STRIDE_SEED = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFeatures:
+    """What the measures need of one frame.
+
+    Attributes:
+        frame: the frame.
+        picture: its picture.
+        edge_points: (E, 3) float64 [m], lidar frame.
+        edge_kinds: (E,) uint8, the direction across the edge, as `MeasuredPicture.edges` counts.
+        edge_weights: (E,) float32.
+        edge_cells: (E,) int16, tile of the picture.
+        level_points: (P, 3) float64 [m], lidar frame, seen by the camera.
+        levels: (P,) float32, intensity as a level that is as frequent as any other, 0 to `LEVELS` - 1.
+        level_cells: (P,) int16.
+        seen: how many points the camera sees by the stated calibration.
+    """
+
+    frame: CalibrationFrame
+    picture: MeasuredPicture
+    edge_points: Float64Array
+    edge_kinds: UInt8Array
+    edge_weights: Float32Array
+    edge_cells: AnyArray
+    level_points: Float64Array
+    levels: Float32Array
+    level_cells: AnyArray
+    seen: int
+
+
+def extract(frame: CalibrationFrame) -> FrameFeatures:
+    """Take what is needed from a frame under its stated calibration."""
+    picture = measured_picture(frame.grey, frame.camera)
+    chosen = _around_view(frame)
+    edges = find_depth_edges(frame, chosen)
+    stated = frame.camera_from_lidar
+    near, far = (
+        project_unbounded(picture.camera, stated.apply(points)) for points in (edges.points_lidar, edges.outwards_lidar)
+    )
+    known = np.isfinite(near).all(axis=1) & np.isfinite(far).all(axis=1)
+    towards = np.arctan2(far[known, 1] - near[known, 1], far[known, 0] - near[known, 0])
+    kinds = np.rint(towards * DIRECTIONS / np.pi).astype(np.int64) % DIRECTIONS
+    seen, visible = _seen(frame, chosen)
+    level_rows, levels = _levels(frame, visible)
+    return FrameFeatures(
+        frame,
+        picture,
+        np.ascontiguousarray(edges.points_lidar[known]),
+        kinds.astype(np.uint8),
+        edges.weights[known],
+        _tiles(near[known], picture),
+        np.ascontiguousarray(frame.points_lidar[level_rows]),
+        levels,
+        _tiles(project_unbounded(picture.camera, stated.apply(frame.points_lidar[level_rows])), picture),
+        seen,
+    )
+
+
+def project_features(
+    features: FrameFeatures, points_lidar: Float64Array, change: Change
+) -> tuple[Int64Array, Float32Array]:
+    """Give ids and pixels of the points that fall into the (reduced) picture under a candidate."""
+    camera, count = features.picture.camera, len(points_lidar)
+    point_ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
+    kept = projection_kernel(camera.model)(
+        points_lidar,
+        change.camera_from_points(features.frame),
+        change.lens(features.picture.lens),
+        camera.width,
+        camera.height,
+        point_ids,
+        pixels,
+        np.empty(count, np.float32),
+    )
+    return point_ids[:kept], pixels[:kept]
+
+
+def _around_view(frame: CalibrationFrame) -> Int64Array:
+    """The points that the camera sees or nearly sees, as far as directions tell."""
+    camera = frame.camera
+    across, down = np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9)
+    border = np.array([(u, v) for u in across for v in (down[0], down[-1])] + [(u, v) for v in down for u in (across[0], across[-1])])
+    rays = unproject(camera, border)
+    angles = np.arccos(np.clip(rays[np.isfinite(rays).all(axis=1), 2], -1.0, 1.0))
+    widest = float(angles.max()) if len(angles) == len(border) else domain_angle(camera)
+    points = frame.camera_from_lidar.apply(frame.points_lidar)
+    ranges = np.linalg.norm(points, axis=1)
+    rows: Int64Array = np.flatnonzero(points[:, 2] > np.cos(min(widest + _BESIDE, np.pi)) * ranges)
+    return rows
+
+
+def _seen(frame: CalibrationFrame, chosen: Int64Array) -> tuple[int, Int64Array]:
+    """The points that the camera sees under the stated calibration, hidden ones left out."""
+    points = np.ascontiguousarray(frame.points_lidar[chosen])
+    pixels = project_unbounded(frame.camera, frame.camera_from_lidar.apply(points))
+    size = np.array([frame.camera.width, frame.camera.height])
+    inside = np.flatnonzero(np.all((pixels >= -0.5) & (pixels < size - 0.5), axis=1))
+    if len(inside) == 0:
+        return 0, chosen[:0]
+    visible = find_visible(points, inside, frame.camera_from_lidar.matrix, VisibilitySettings())
+    return len(inside), chosen[inside[visible]]
+
+
+def _levels(frame: CalibrationFrame, visible: Int64Array) -> tuple[Int64Array, Float32Array]:
+    """Some of the visible points, and their intensities as levels; none where all intensities are the same."""
+    values = None if frame.intensities is None else frame.intensities[visible]
+    if values is None or len(values) < 2 or values.min() == values.max():
+        return visible[:0], np.zeros(0, np.float32)
+    # points of one intensity share the middle of their levels
+    counts = np.bincount(values, minlength=256)
+    middles = (np.cumsum(counts) - 0.5 * counts) / len(values) * (LEVELS - 1)
+    drawn = np.linspace(0, len(visible) - 1, min(_MOST_POINTS, len(visible))).astype(np.int64)
+    return visible[drawn], middles[values[drawn]].astype(np.float32)
+
+
+def _tiles(pixels: Float64Array, picture: MeasuredPicture) -> AnyArray:
+    columns = np.clip(pixels[:, 0] / picture.camera.width * TILES_ACROSS, 0, TILES_ACROSS - 1).astype(np.int16)
+    rows = np.clip(pixels[:, 1] / picture.camera.height * TILES_DOWN, 0, TILES_DOWN - 1).astype(np.int16)
+    return np.asarray(rows * TILES_ACROSS + columns, np.int16)

@@ -1,0 +1,178 @@
+"""How well points fall onto a picture, as a smooth function of a few numbers with its derivatives.
+
+Each channel compares its points with a map of the picture that was blurred to some width and freed of what is wider:
+a candidate that moves points nowhere in particular gets 0. If a point that is where it belongs meets the mean value m
+of its map, and the map's values vary by v, then m/v times the value is the logarithm of how much likelier the point's
+place is than any other (both normal): channels are weighted by that, so the best-matching ones count most.
+
+Source: edges of clouds against blurred edges of pictures: Levinson and Thrun 2013; intensity against brightness:
+Pandey, McBride, Savarese and Eustice 2012; Gaussian scale space, coarse to fine: Witkin, Terzopoulos and Kass 1987.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array
+from sceneloom.calibrate.measures.candidate import COUNT, UNITS, Change
+from sceneloom.calibrate.refinement.cues import CHANNELS, Cues
+from sceneloom.cameras.models import project_unbounded
+from sceneloom.kernels.aligned_maps import sum_maps
+
+WIDTHS_PX = (12.0, 6.0, 3.0, 1.5)
+"""How far pictures are blurred [px of the measured picture], from the first look to the last."""
+
+_WIDER = 3.0
+_CELL_WIDTHS = 2.0
+"""Points of a channel within so many widths see the same of a picture: they count as one."""
+_DERIVATIVE_SHARE = 0.02
+"""Derivatives of pixels are taken over this part of the units."""
+
+
+def maps_of(cues: Cues, width: float) -> Float32Array:
+    """Give the maps of a picture at a width, (K, H, W): edges by direction, then brightness."""
+    picture = cues.features.picture
+    layers = [*picture.edges["fine"], picture.levels]
+    every = stride_of(width)
+    return np.stack([_band(np.asarray(layer, np.float32), width)[::every, ::every] for layer in layers])
+
+
+def stride_of(width: float) -> int:
+    """Every so many pixels of a map are kept; a wide blur leaves nothing between them."""
+    return max(int(width / 1.5 / 1.5), 1)
+
+
+def _band(image: Float32Array, width: float) -> Float32Array:
+    fine = ndimage.gaussian_filter(image, width, truncate=3.0)
+    wide = ndimage.gaussian_filter(image, _WIDER * width + 4.0, truncate=2.0)
+    return np.asarray(fine - wide, np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """All frames at one width.
+
+    Attributes:
+        cues: of each frame.
+        width: of the blur [px].
+        maps: (F K, H, W) float32.
+        rows: (N,) int32, the map of each point.
+        groups: (N,) int32, frame and channel of each point.
+        weights: (N,) float32.
+    """
+
+    cues: tuple[Cues, ...]
+    width: float
+    maps: Float32Array
+    rows: AnyArray
+    groups: AnyArray
+    weights: Float32Array
+
+    @classmethod
+    def of(cls, cues: Sequence[Cues], width: float) -> "Level":
+        """Blur all pictures, which must be of one size."""
+        stacks = [maps_of(one, width) for one in cues]
+        kinds = len(stacks[0])
+        return cls(
+            tuple(cues),
+            width,
+            np.concatenate(stacks),
+            np.concatenate([one.maps + kinds * k for k, one in enumerate(cues)]).astype(np.int32),
+            np.concatenate([one.channels + len(CHANNELS) * k for k, one in enumerate(cues)]).astype(np.int32),
+            np.concatenate([one.weights for one in cues]),
+        )
+
+    def around(self, numbers: Float64Array, free: AnyArray) -> "Linearised":
+        """Take pixels and their derivatives at a candidate, (8,) numbers, for those of them that are free, (P,)."""
+        scale = 1.0 / stride_of(self.width)
+        pixels, slopes = [], []
+        for one in self.cues:
+            pixels.append(_pixels(one, numbers) * scale)
+            ways = []
+            for k in free:
+                step = np.zeros(COUNT)
+                step[k] = _DERIVATIVE_SHARE * UNITS[k]
+                change = _pixels(one, numbers + step) - _pixels(one, numbers - step)
+                ways.append(change * (scale / (2.0 * _DERIVATIVE_SHARE)))
+            slopes.append(np.stack(ways, axis=2))
+        return Linearised(
+            self,
+            np.ascontiguousarray(np.concatenate(pixels), np.float32),
+            np.ascontiguousarray(np.concatenate(slopes), np.float32),
+        )
+
+
+def _pixels(cues: Cues, numbers: Float64Array) -> Float64Array:
+    change = Change.of(numbers)
+    matrix = change.camera_from_points(cues.frame)
+    camera = cues.features.picture.camera
+    scale = float(np.exp(numbers[6]))
+    if scale != 1.0:
+        camera = replace(camera, fx=camera.fx * scale, fy=camera.fy * scale)
+    return project_unbounded(camera, cues.points_lidar @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """What a candidate came to, by frame and channel.
+
+    Attributes:
+        values: (F, C) float64, weighted sums of the maps' values.
+        squares: (F, C) float64, sums of their squares.
+        gradients: (F, C, P) float64, derivatives of the values, each by its unit.
+    """
+
+    values: Float64Array
+    squares: Float64Array
+    gradients: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """A level around a candidate: pixels move straight with the numbers.
+
+    Attributes:
+        level: the level.
+        pixels: (N, 2) float32 [px of the maps].
+        slopes: (N, 2, P) float32, by unit.
+    """
+
+    level: Level
+    pixels: Float32Array
+    slopes: Float32Array
+
+    def sums(self, step: Float64Array) -> Sums:
+        """Evaluate at a step, (P,) in units, from the candidate."""
+        shape = len(self.level.cues), len(CHANNELS)
+        count = shape[0] * shape[1]
+        values, squares = np.zeros(count), np.zeros(count)
+        gradients = np.zeros((count, self.slopes.shape[2]))
+        sum_maps(
+            self.pixels, self.slopes, np.ascontiguousarray(step, np.float64), self.level.weights,
+            self.level.rows, self.level.groups, self.level.maps, values, squares, gradients,
+        )  # fmt: skip
+        return Sums(values.reshape(shape), squares.reshape(shape), gradients.reshape(*shape, -1))
+
+    def channel_weights(self, step: Float64Array) -> Float64Array:
+        """What each channel counts at a step, (C,): m/v of its values, times the share of points that tell anything new.
+
+        A channel whose points do not fit better than others would gets 0.
+        """
+        sums = self.sums(step)
+        groups = self.level.groups % len(CHANNELS)
+        inside = np.isfinite(self.pixels).all(axis=1)
+        counts = np.bincount(groups[inside], minlength=len(CHANNELS)).astype(np.float64)
+        distinct = self._distinct(groups, inside)
+        safe = np.maximum(counts, 1.0)
+        means = sums.values.sum(axis=0) / safe
+        variances = np.maximum(sums.squares.sum(axis=0) / safe - means**2, 1e-12)
+        return np.asarray(np.maximum(means, 0.0) / variances * distinct / safe, np.float64)
+
+    def _distinct(self, groups: AnyArray, inside: AnyArray) -> Float64Array:
+        """How many cells of a few widths the points of each channel fall into."""
+        cell = _CELL_WIDTHS * self.level.width / stride_of(self.level.width)
+        cells = np.floor(self.pixels[inside] / cell).astype(np.int64)
+        keys = np.unique(np.column_stack([self.level.groups[inside], cells]), axis=0)[:, 0] % len(CHANNELS)
+        return np.bincount(keys, minlength=len(CHANNELS)).astype(np.float64)

@@ -39,6 +39,7 @@ WRAPPERS = {
     "simplejpeg": {"formats"},
     "PIL": {"formats", "pictures", "simulate"},
     "small_gicp": {"motion"},
+    "laspy": {"formats"},
     "fsspec": {"formats"},
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"evaluate"},

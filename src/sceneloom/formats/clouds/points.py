@@ -25,6 +25,7 @@ INTENSITY_SCALES = (1.0, 255.0, 65535.0)
 """The brightest value of the usual scales."""
 
 _LARGEST_NS = 9.2e18
+_LARGEST_BYTE = 255
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +211,12 @@ def _colors(
             "green",
             "blue",
         )
+    if all(channel is not None and channel.dtype == np.uint16 for channel in channels):
+        return _bytes_of(np.stack([channel for channel in channels if channel is not None], axis=1)), (
+            "red",
+            "green",
+            "blue",
+        )
     rows = columns.get(roles.get("colors", ""))
     if rows is not None and rows.dtype == np.uint8:
         return rows, ("colors",)
@@ -219,6 +226,12 @@ def _colors(
         numbers = np.ascontiguousarray(packed).view(np.uint32)
         return np.stack([numbers >> 16, numbers >> 8, numbers], axis=1).astype(np.uint8), ("packed",)
     return None, ()
+
+
+def _bytes_of(colors: AnyArray) -> UInt8Array:
+    """Colours of 16 bits as bytes; files whose writers put bytes into 16 bits keep them."""
+    full = colors.max(initial=0) > _LARGEST_BYTE
+    return ((colors.astype(np.uint32) * 255 + 32767) // 65535 if full else colors).astype(np.uint8)
 
 
 def _times(

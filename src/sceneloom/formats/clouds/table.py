@@ -7,6 +7,7 @@ from types import MappingProxyType
 from sceneloom.errors import DataError
 from sceneloom.formats.clouds.bin import read_bin
 from sceneloom.formats.clouds.cloud import Cloud
+from sceneloom.formats.clouds.las import read_las
 from sceneloom.formats.clouds.layout import FieldLayout
 from sceneloom.formats.clouds.npz import read_npz
 from sceneloom.formats.clouds.pcd import read_pcd
@@ -21,6 +22,8 @@ _READERS: Mapping[str, Callable[[Path, FieldLayout | None], Cloud]] = MappingPro
     {
         ".pcd": _self_described(read_pcd),
         ".ply": _self_described(read_ply),
+        ".las": _self_described(read_las),
+        ".laz": _self_described(read_las),
         ".bin": lambda path, layout: read_bin(path, layout=layout),
         ".npz": lambda path, layout: read_npz(path, layout=layout),
         ".npy": lambda path, layout: read_npz(path, layout=layout),

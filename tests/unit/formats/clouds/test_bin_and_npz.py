@@ -83,9 +83,9 @@ def test_pickled_objects_are_never_loaded(tmp_path):
 
 
 def test_other_endings_are_refused_with_the_known_ones(tmp_path):
-    (tmp_path / "0.las").write_bytes(b"LASF")
-    with pytest.raises(DataError, match=r"expected one of \.pcd \.ply \.bin \.npz \.npy"):
-        read_cloud(tmp_path / "0.las")
+    (tmp_path / "0.e57").write_bytes(b"ASTM")
+    with pytest.raises(DataError, match=r"expected one of \.pcd \.ply \.las \.laz \.bin \.npz \.npy"):
+        read_cloud(tmp_path / "0.e57")
 
 
 def test_a_column_that_is_too_short_is_refused_and_not_left_out(tmp_path):

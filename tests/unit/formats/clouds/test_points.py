@@ -156,3 +156,10 @@ def test_nothing_can_be_written_into_the_arrays():
 def test_a_mapping_goes_to_other_processes():
     mapping = PointMapping(scale=IntensityScale(1.0), times=PointTimes("seconds"))
     assert pickle.loads(pickle.dumps(mapping)).scale == mapping.scale
+
+
+def test_colours_of_16_bits_become_bytes_also_where_their_writer_put_bytes_into_them():
+    wide = {name: np.array([0, 257, 65535], np.uint16) for name in ("red", "green", "blue")}
+    assert read({**XYZ, **wide}).points.colors.tolist() == [[0] * 3, [1] * 3, [255] * 3]
+    narrow = {name: np.array([0, 128, 255], np.uint16) for name in ("red", "green", "blue")}
+    assert read({**XYZ, **narrow}).points.colors.tolist() == [[0] * 3, [128] * 3, [255] * 3]

@@ -14,7 +14,7 @@ from sceneloom.cli.printing import print_json
 from sceneloom.cli.service_options import calling, connected
 
 if TYPE_CHECKING:
-    from sceneloom.fusion.interface import Result
+    from sceneloom.fusion.events import Result
     from sceneloom.service.client import FusionClient
 
 _TYPES = {"sensor": 0, "detection": 1}

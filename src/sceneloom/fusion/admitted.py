@@ -1,11 +1,11 @@
 """A record that was taken: what is fused of it, and by which configuration."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.ledger import Stream, Ticket
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
-from sceneloom.fusion.messages.records import kind_of
+from sceneloom.fusion.messages.records import kind_of, size_of
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
 from sceneloom.fusion.setting import Setting
 from sceneloom.scene import LidarFrame, Picture
@@ -30,7 +30,8 @@ class Admitted:
         record: as it was sent.
         received: what is fused.
         setting: the configuration in force when it came.
-        ticket: what becomes of it; None where nobody counted it yet.
+        ticket: what becomes of it.
+        timestamp_ns: of the record [ns].
     """
 
     sensor_id: int
@@ -38,14 +39,15 @@ class Admitted:
     record: WholeRecord
     received: Received
     setting: Setting
-    ticket: Ticket | None = None
+    ticket: Ticket = field(init=False)
+    timestamp_ns: int = field(init=False)
 
-    @property
-    def timestamp_ns(self) -> int:
-        """Of the record [ns]."""
-        return self.record.timestamp.nanoseconds
+    def __post_init__(self) -> None:
+        stream = kind_of(self.record).name, self.sensor_id
+        object.__setattr__(self, "ticket", Ticket(stream, size=size_of(self.record)))
+        object.__setattr__(self, "timestamp_ns", self.record.timestamp.nanoseconds)
 
     @property
     def stream(self) -> Stream:
         """Which queue it waits in: the kind of record and the sensor."""
-        return kind_of(self.record).name, self.sensor_id
+        return self.ticket.stream

@@ -67,24 +67,25 @@ class Intake:
         self._check_order(admitted)
         return admitted
 
-    def jumped_back(self, admitted: Admitted) -> bool:
-        """Whether a record is so old that its sensor's clock must have been set back."""
-        arrivals = self._arrivals.get(admitted.stream)
-        return arrivals is not None and admitted.timestamp_ns < arrivals.newest_ns - CLOCK_JUMP_NS
+    def note(self, admitted: Admitted) -> str:
+        """Remember a record that was taken.
 
-    def jumped_forward(self, admitted: Admitted) -> bool:
-        """Whether a record is so much newer than those before that its sensor was silent, or its clock was set."""
-        arrivals = self._arrivals.get(admitted.stream)
-        return arrivals is not None and admitted.timestamp_ns > arrivals.newest_ns + CLOCK_JUMP_NS
-
-    def note(self, admitted: Admitted) -> None:
-        """Remember a record that was taken."""
-        if self.jumped_back(admitted):
+        Returns:
+            "set-back" or "set-forward" where its sensor's clock must have been, or it was silent for long; else "".
+        """
+        arrivals, time_ns = self._arrivals.get(admitted.stream), admitted.timestamp_ns
+        jump = ""
+        if arrivals is not None and _is_set_back(arrivals, time_ns):
             self._arrivals.clear()
-        arrivals = self._arrivals.setdefault(admitted.stream, _Arrivals())
-        if admitted.timestamp_ns > arrivals.newest_ns + RESTART_NS:
+            arrivals, jump = None, "set-back"
+        elif arrivals is not None and time_ns > arrivals.newest_ns + CLOCK_JUMP_NS:
+            jump = "set-forward"
+        if arrivals is None:
+            arrivals = self._arrivals[admitted.stream] = _Arrivals()
+        elif time_ns > arrivals.newest_ns + RESTART_NS:
             arrivals.times_ns.clear()
-        arrivals.note(admitted.record.seq, admitted.timestamp_ns)
+        arrivals.note(admitted.record.seq, time_ns)
+        return jump
 
     def sender_of(self, box: Box3d | Box2d, setting: Setting) -> int:
         """Tell whose a box is that names no sensor: of the frame with its number, else of the only sensor there is.
@@ -120,7 +121,7 @@ class Intake:
 
     def _check_order(self, admitted: Admitted) -> None:
         arrivals = self._arrivals.get(admitted.stream)
-        if arrivals is None or self.jumped_back(admitted):
+        if arrivals is None or _is_set_back(arrivals, admitted.timestamp_ns):
             return
         seq, late_ns = admitted.record.seq, arrivals.newest_ns - admitted.timestamp_ns
         if seq in arrivals.times_ns and -late_ns <= RESTART_NS:
@@ -132,6 +133,11 @@ class Intake:
                 f"{late_ns / 1e6:.3f} ms older than the newest of {admitted.kind} {admitted.sensor_id}; expected at "
                 f"most {lateness_ns / 1e6:g} ms (pairing_timeout_ms, or one period of the sensors' frequencies)",
             )
+
+
+def _is_set_back(arrivals: _Arrivals, time_ns: int) -> bool:
+    """Whether a record is so old that its sensor's clock must have been set back."""
+    return time_ns < arrivals.newest_ns - CLOCK_JUMP_NS
 
 
 def admitted_alone(record: WholeRecord, setting: Setting) -> Admitted:

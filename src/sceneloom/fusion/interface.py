@@ -2,89 +2,43 @@
 
 import math
 import threading
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Self
 
 from sceneloom.errors import CalibrationError, OptionError, SceneloomError
 from sceneloom.fusion.admitted import Admitted, WholeRecord
 from sceneloom.fusion.algorithms import FusionType, algorithm
-from sceneloom.fusion.bare_boxes import MOST_BOXES, BareBoxes, seq_of
 from sceneloom.fusion.calibration.declared import check_calibration
 from sceneloom.fusion.calibration.entries import CalibrationEntry, format_calibrations, parse_calibrations
 from sceneloom.fusion.calibration.table import CalibrationTable
 from sceneloom.fusion.counters import Counters
+from sceneloom.fusion.events import Announcer, Observer, Refused, Result
+from sceneloom.fusion.gathering import Gathering
 from sceneloom.fusion.intake import Intake, RefusedError
 from sceneloom.fusion.ledger import Ledger
 from sceneloom.fusion.messages.boxes import Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.calibration_data import CalibrationData
-from sceneloom.fusion.messages.fused import FusedDetections
-from sceneloom.fusion.messages.records import ResultRecord, SentRecord, kind_of, size_of
+from sceneloom.fusion.messages.records import SentRecord, kind_of
 from sceneloom.fusion.motion import RecentWay
+from sceneloom.fusion.outbox import Outbox
 from sceneloom.fusion.outcome import DONE, Cause, Outcome, refused
-from sceneloom.fusion.properties.store import Property, PropertyStore, Snapshot
-from sceneloom.fusion.queues import QUEUE_PROPERTIES, Flushed, Moved, QueueLimits, Task, TaskQueue
-from sceneloom.fusion.results import ResultQueue
-from sceneloom.fusion.rig import Rig, RigResult
+from sceneloom.fusion.properties.store import Property, PropertyStore
+from sceneloom.fusion.queues import QUEUE_PROPERTIES, Flushed, Moved, QueueLimits, Task
 from sceneloom.fusion.setting import Setting
+from sceneloom.fusion.worker import Worker
 from sceneloom.scene.poses import PosePath
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Result:
-    """One result, as clause 5.7 gives it.
-
-    Attributes:
-        number: among the results of its type, from 0 on; a gap where results were dropped.
-        record: of table 9, or the records of table 10 of one pair.
-        configuration: the properties in force when its sweep came; all calibrations among them.
-    """
-
-    number: int
-    record: ResultRecord
-    configuration: Snapshot
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Refused:
-    """A record that was not taken, and why.
-
-    Attributes:
-        record: as it was sent.
-        outcome: the answer.
-    """
-
-    record: SentRecord
-    outcome: Outcome
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Dropped:
-    """A record that had been taken and was dropped before it was fused, because too many waited.
-
-    Attributes:
-        admitted: the record.
-    """
-
-    admitted: Admitted
-
 
 _MOST_MOVES = 100
 """Pieces of the vehicle's way that may wait for the thread that fuses."""
-
-_LONGEST_IDLE_S = 3600.0
-
-Event = Admitted | Refused | Dropped | Moved | Flushed | Result
-"""What an observer is told, in the order in which it counts."""
 
 
 class FusionInterface:
     """Receives records, fuses them, and gives results: the standard's interface, for callers in several threads.
 
-    A record is checked by the thread that sends it, and fused by a thread of the interface; with `inline` the sender
-    fuses, too, so that equal records give equal results whatever the time. Use it in `with`, or call `close`.
+    A record is checked by the thread that sends it, and fused by a thread of the interface, but for short lists of
+    boxes that nothing waits before; with `inline` the sender fuses always, so that equal records give equal results
+    whatever the time. Use it in `with`, or call `close`.
 
     Attributes:
         properties: clauses 5.2 to 5.5.
@@ -97,7 +51,7 @@ class FusionInterface:
         self,
         *,
         inline: bool = False,
-        observer: Callable[[Event], None] | None = None,
+        observer: Observer | None = None,
         on_result: Callable[[], None] | None = None,
         limits: QueueLimits | None = None,
     ) -> None:
@@ -111,29 +65,29 @@ class FusionInterface:
         """
         self.properties = PropertyStore(check_algorithm=lambda kind, name: algorithm(FusionType(kind), name))
         self.counters = Counters()
+        self._lock = threading.RLock()
         self._table = CalibrationTable()
         self._setting: Setting | None = None
-        self._intake = Intake()
-        self._bare: dict[tuple[type, int], BareBoxes] = {}
         self._way = RecentWay()
-        self._lock = threading.RLock()
-        self._ledger = Ledger(self.counters)
-        self._rig = Rig(self.counters, self._ledger)
-        self._remarked: set[tuple[tuple[int, int], str]] = set()
-        self._observer = observer
-        self._on_result = on_result
-        self._observing = threading.Lock()
-        self._results: dict[FusionType, ResultQueue[Result]] = {
-            kind: ResultQueue(size=lambda result: size_of(result.record)) for kind in FusionType
-        }
         self._limits = limits or QueueLimits()
         self._making_room: Flushed | None = None
-        self._given = dict.fromkeys(FusionType, 0)
-        self._tasks = TaskQueue()
+        self._remarked: set[tuple[tuple[int, int], str]] = set()
         self._closed = False
-        self._worker = None if inline else threading.Thread(target=self._work, name="fusion", daemon=True)
-        if self._worker is not None:
-            self._worker.start()
+        self._ledger = Ledger(self.counters)
+        self._announcer = Announcer(observer, self.counters)
+        self._intake = Intake()
+        self._gathering = Gathering(self._intake, self._hand_in)
+        self._outbox = Outbox(
+            self.counters, self._announcer, on_result=on_result, most_bytes=self._limits.most_bytes
+        )
+        self._worker = Worker(
+            self.counters,
+            self._ledger,
+            self._announcer,
+            self._outbox.give,
+            inline=inline,
+            overdue=self._close_overdue,
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -198,14 +152,14 @@ class FusionInterface:
         with self._lock:
             if self._closed:
                 return refused(Cause.CLOSED, "the session has ended")
-            if self._tasks.moves >= _MOST_MOVES:
+            if self._worker.waiting_moves >= _MOST_MOVES:
                 return refused(Cause.QUEUE_FULL, f"{_MOST_MOVES} pieces of the way wait already")
             try:
                 recent = self._way.extended(path)
             except SceneloomError as error:
                 return refused(Cause.BAD_MOTION, error)
             self.counters.add("received.motion", len(path.timestamps_ns))
-            self._do(Moved(recent, path))
+            self._worker.do(Moved(recent, path))
         return DONE
 
     def send(self, record: SentRecord) -> Outcome:
@@ -242,19 +196,15 @@ class FusionInterface:
             OptionError: there is no such type, or the time is no number.
         """
         chosen = self.properties.get("fusion_type").value if fusion_type is None else fusion_type
-        if chosen not in list(FusionType):
+        if chosen not in _FUSION_TYPES:
             raise OptionError(f"fusion type {chosen!r}; expected 0 (sensor data) or 1 (detections)")
         if math.isnan(timeout_s):
             raise OptionError(f"timeout_s {timeout_s}; expected a time in seconds")
-        return self._results[FusionType(chosen)].get(min(timeout_s, threading.TIMEOUT_MAX))
+        return self._outbox.get(FusionType(chosen), min(timeout_s, threading.TIMEOUT_MAX))
 
     def put_back(self, result: Result) -> None:
         """Take back a result that could not be delivered; it is the next one again."""
-        self._results[_type_of(result.record)].put_back(
-            result, before=lambda other: result.number < other.number
-        )
-        if self._on_result is not None:
-            self._on_result()
+        self._outbox.put_back(result)
 
     def results(self, fusion_type: int | None = None) -> Iterator[Result]:
         """Fetch all results that are there."""
@@ -265,9 +215,9 @@ class FusionInterface:
         with self._lock:
             if self._closed:
                 return
-            self._close_bare(older_than_s=None)
+            self._gathering.close()
             flushed = Flushed()
-            self._do(flushed)
+            self._worker.do(flushed)
         flushed.done.wait()
 
     def repeat(self, task: Task) -> None:
@@ -276,30 +226,28 @@ class FusionInterface:
         Raises:
             OptionError: the interface has a thread of its own, which could drop it.
         """
-        if self._worker is not None:
+        if not self._worker.inline:
             raise OptionError("a session with a thread of its own; expected one that was made with `inline`")
         with self._lock:
-            self._perform(task)
+            if isinstance(task, Admitted):
+                self._ledger.issue(task.ticket)
+            self._worker.do(task)
 
     def close(self) -> None:
         """End: fuse what waits, let all who wait for results go."""
         with self._lock:
             if self._closed:
                 return
-            self._close_bare(older_than_s=None)
+            self._gathering.close()
             self._closed = True
-            self._tasks.close()
-            if self._worker is None:
-                self._perform(Flushed(final=True))
-        if self._worker is not None and self._worker is not threading.current_thread():
-            self._worker.join()
-        for queue in self._results.values():
-            queue.close()
+            self._worker.close()
+        self._worker.join()
+        self._outbox.close()
 
     @property
     def waiting_results(self) -> int:
         """How many results wait to be fetched."""
-        return sum(len(queue) for queue in self._results.values())
+        return len(self._outbox)
 
     @property
     def waiting_records(self) -> int:
@@ -310,11 +258,11 @@ class FusionInterface:
     def waiting_boxes(self) -> int:
         """How many boxes that came alone wait for others of their frame."""
         with self._lock:
-            return sum(len(bare.boxes) for bare in self._bare.values())
+            return len(self._gathering)
 
     def _refuse(self, record: SentRecord, outcome: Outcome) -> Outcome:
         self.counters.add(f"refused.{outcome.cause}")
-        self._tell(Refused(record, outcome))
+        self._announcer.tell(Refused(record, outcome))
         return outcome
 
     def _current(self) -> Setting:
@@ -335,13 +283,13 @@ class FusionInterface:
         if policy == "refuse" and self._ledger.waiting(admitted.stream) >= most:
             reason = f"{most} records of {admitted.kind} {admitted.sensor_id} wait already (queue_length)"
             raise RefusedError(refused(Cause.QUEUE_FULL, reason))
-        size = size_of(record)
-        self._check_room(size)
-        self.counters.add("clock.set-back", self._intake.jumped_back(admitted))
-        self.counters.add("clock.set-forward", self._intake.jumped_forward(admitted))
-        self._intake.note(admitted)
-        self.counters.add(f"{verb}.{kind_of(record).name}")
-        self._do(replace(admitted, ticket=self._ledger.issue(admitted.stream, size)))
+        self._check_room(admitted.ticket.size)
+        jump = self._intake.note(admitted)
+        if jump:
+            self.counters.add(f"clock.{jump}")
+        self.counters.add(f"{verb}.{admitted.stream[0]}")
+        self._ledger.issue(admitted.ticket)
+        self._worker.do(admitted, most=most)
         return self._remarks(admitted)
 
     def _check_room(self, size: int) -> None:
@@ -351,7 +299,7 @@ class FusionInterface:
             return
         if self._making_room is None or self._making_room.done.is_set():
             self._making_room = Flushed(final=True)
-            self._do(self._making_room)
+            self._worker.do(self._making_room)
         reason = f"{waiting} bytes wait and {size} come; expected at most {most}"
         raise RefusedError(refused(Cause.TOO_MANY, reason))
 
@@ -373,129 +321,30 @@ class FusionInterface:
 
     def _gather(self, box: Box3d | Box2d, setting: Setting) -> Outcome:
         """Keep a box that came alone until its frame is whole."""
-        sensor_id = self._intake.sender_of(box, setting)
-        bare = self._bare.setdefault((type(box), sensor_id), BareBoxes(sensor_id, setting))
-        stream = kind_of(Boxes3d if isinstance(box, Box3d) else Boxes2d).name, sensor_id
-        if bare.begins(box):
-            if self._intake.has_come(stream, seq_of(box)):
-                reason = f"a box of frame {seq_of(box)}, of which all have come; expected it before the next frame's"
-                raise RefusedError(refused(Cause.DUPLICATE, reason))
-            self._hand_in(bare)
-            bare.setting = setting
-        elif len(bare.boxes) >= MOST_BOXES:
-            reason = f"more than {MOST_BOXES} boxes of frame {seq_of(box)}"
-            raise RefusedError(refused(Cause.TOO_MANY, reason))
+        begins = self._gathering.add(box, setting)
         self.counters.add(f"received.{kind_of(box).name}")
-        bare.add(box, time.monotonic())
-        if len(bare.boxes) == 1:
-            self._tasks.wake()
+        if begins:
+            self._worker.wake()
         return DONE
 
-    def _hand_in(self, bare: BareBoxes) -> None:
+    def _hand_in(self, whole: Boxes3d | Boxes2d, setting: Setting) -> None:
         """Take the boxes that came alone for a whole frame; those who sent them were answered already."""
-        whole = bare.close()
-        if whole is None:
-            return
         try:
-            self._admit(whole, bare.setting, "gathered")
+            self._admit(whole, setting, "gathered")
         except RefusedError as error:
             self.counters.add(f"gathered-refused.{error.outcome.cause}")
-            self._tell(Refused(whole, error.outcome))
+            self._announcer.tell(Refused(whole, error.outcome))
 
-    def _close_bare(self, *, older_than_s: float | None) -> None:
-        """Take frames whose boxes came alone for whole, all of them or those that nothing came for since a time."""
-        for bare in self._bare.values():
-            if older_than_s is None or bare.latest_s <= older_than_s:
-                self._hand_in(bare)
-
-    def _do(self, task: Task) -> None:
-        """Let the worker do something, or do it here."""
-        if self._worker is None:
-            self._perform(task)
-            return
-        for admitted in self._tasks.put(task, most=self.properties.snapshot()["queue_length"]):
-            self._tell(Dropped(admitted))
-            if admitted.ticket is not None:
-                self._ledger.settle(admitted.ticket, "dropped.queue-full")
-
-    def _work(self) -> None:
-        latest_s = time.monotonic()
-        while True:
-            task = self._tasks.get(self._patience_s(latest_s))
-            if task is not None:
-                self._perform(task)
-                latest_s = time.monotonic()
-            elif self._tasks.closed:
-                self._perform(Flushed(final=True))
-                return
-            else:
-                self._be_idle(latest_s)
-
-    def _patience_s(self, latest_s: float) -> float:
-        """How long to wait for the next record before something is done without it [s].
-
-        Args:
-            latest_s: when the last one was dealt with.
-        """
-        setting, now_s = self._setting, time.monotonic()
-        if setting is None:
-            return _LONGEST_IDLE_S
-        deadlines = [bare.latest_s + setting.timeout_s for bare in tuple(self._bare.values()) if bare.boxes]
-        if self._rig.waits:
-            deadlines.append(latest_s + setting.idle_s)
-        return max(min(deadlines, default=now_s + _LONGEST_IDLE_S) - now_s, 0.0)
-
-    def _be_idle(self, latest_s: float) -> None:
-        """Nothing came for a while: do not keep what came before waiting for it."""
-        setting, now_s = self._setting, time.monotonic()
-        if setting is None:
-            return
-        with self._lock:
-            self._close_bare(older_than_s=now_s - setting.timeout_s)
-        if len(self._tasks) == 0 and self._rig.waits and now_s >= latest_s + setting.idle_s:
-            self._perform(Flushed())
-
-    def _perform(self, task: Task) -> None:
-        self._tell(task)
-        try:
-            for result in self._done(task):
-                self._give(result)
-        except Exception as error:  # noqa: BLE001 - one record must not end the session
-            self.counters.add(f"errors.{type(error).__name__}")
-        finally:
-            if isinstance(task, Flushed):
-                task.done.set()
-
-    def _done(self, task: Task) -> Iterator[RigResult]:
-        if isinstance(task, Admitted):
-            return self._rig.feed(task, task.ticket or self._ledger.issue(task.stream))
-        if isinstance(task, Moved):
-            self._rig.move(task.path)
-            return iter(())
-        return self._rig.end() if task.final else self._rig.flush()
-
-    def _give(self, found: RigResult) -> None:
-        kind = _type_of(found.record)
-        result = Result(self._given[kind], found.record, found.setting.properties)
-        self._given[kind] += 1
-        self.counters.add(f"results.{kind.name.lower()}")
-        self._tell(result)
-        most = found.setting.properties["result_queue_length"]
-        self.counters.add(
-            "dropped.results", self._results[kind].put(result, most=most, most_bytes=self._limits.most_bytes)
-        )
-        if self._on_result is not None:
-            self._on_result()
-
-    def _tell(self, event: Event) -> None:
-        if self._observer is None:
-            return
-        with self._observing:
-            try:
-                self._observer(event)
-            except Exception as error:  # noqa: BLE001 - who only looks on must not end the session
-                self.counters.add(f"errors.observer.{type(error).__name__}")
+    def _close_overdue(self, now_s: float) -> float | None:
+        """Take frames for whole that no box came for since a while, and say when the next one may be."""
+        setting, oldest_s = self._setting, self._gathering.oldest_s()
+        if setting is None or oldest_s is None:
+            return None
+        if oldest_s + setting.timeout_s <= now_s:
+            with self._lock:
+                self._gathering.close(older_than_s=now_s - setting.timeout_s)
+            oldest_s = self._gathering.oldest_s()
+        return None if oldest_s is None else oldest_s + setting.timeout_s
 
 
-def _type_of(record: ResultRecord) -> FusionType:
-    return FusionType.DETECTIONS if isinstance(record, FusedDetections) else FusionType.SENSOR_DATA
+_FUSION_TYPES = tuple(FusionType)

@@ -48,12 +48,11 @@ class Ledger:
     _waiting: Counter[Stream] = field(default_factory=Counter)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def issue(self, stream: Stream, size: int = 0) -> Ticket:
-        """Note a record that comes in, of so many bytes."""
+    def issue(self, ticket: Ticket) -> None:
+        """Note a record that comes in."""
         with self._lock:
-            self._waiting[stream] += 1
-            self.waiting_bytes += size
-        return Ticket(stream, size=size)
+            self._waiting[ticket.stream] += 1
+            self.waiting_bytes += ticket.size
 
     def share(self, ticket: Ticket, holders: int) -> None:
         """Note that so many places keep a record; none of them: it is done."""

@@ -62,6 +62,7 @@ class TaskQueue:
 
     Attributes:
         closed: whether the worker may end.
+        busy: whether the worker does a task that it took; the worker says when it does not any more.
         moves: how many pieces of the vehicle's way wait.
     """
 
@@ -69,11 +70,17 @@ class TaskQueue:
     _waiting: Counter[Stream] = field(default_factory=Counter)
     _changed: threading.Condition = field(default_factory=threading.Condition)
     closed: bool = False
+    busy: bool = False
     moves: int = 0
     _woken: bool = False
 
     def __len__(self) -> int:
         return len(self._tasks)
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is being done or to be done."""
+        return not self._tasks and not self.busy
 
     def put(self, task: Task, *, most: int) -> list[Admitted]:
         """Append a task; gives the older records of the same stream that were dropped to make room.
@@ -95,10 +102,12 @@ class TaskQueue:
     def get(self, timeout_s: float) -> Task | None:
         """Take the oldest task, waiting for one; None where none came, it was woken, or it is closed and empty."""
         with self._changed:
-            self._changed.wait_for(lambda: self._tasks or self.closed or self._woken, timeout_s)
+            if not self._tasks:
+                self._changed.wait_for(lambda: self._tasks or self.closed or self._woken, timeout_s)
             self._woken = False
             if not self._tasks:
                 return None
+            self.busy = True  # before the queue is empty: whoever looks at both never finds it idle
             task = self._tasks.popleft()
             if isinstance(task, Admitted):
                 self._waiting[task.stream] -= 1

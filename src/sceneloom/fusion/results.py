@@ -11,58 +11,52 @@ Item = TypeVar("Item")
 
 @dataclass(slots=True)
 class ResultQueue(Generic[Item]):
-    """A bounded queue from one thread that fuses to several that fetch.
+    """A bounded queue from threads that fuse to several that fetch."""
 
-    Attributes:
-        size: how many bytes an item has.
-        dropped: how many results were dropped because nobody fetched them in time.
-    """
-
-    size: Callable[[Item], int] = lambda _: 0
-    dropped: int = 0
     _bytes: int = 0
-    _items: deque[Item] = field(default_factory=deque)
+    _items: deque[tuple[Item, int]] = field(default_factory=deque)
     _changed: threading.Condition = field(default_factory=threading.Condition)
     _closed: bool = False
 
     def __len__(self) -> int:
         return len(self._items)
 
-    def put(self, item: Item, *, most: int, most_bytes: int = 2**63) -> int:
+    def put(self, item: Item, *, size: int, most: int, most_bytes: int) -> int:
         """Append a result, drop the oldest ones beyond the limits, and give how many were dropped.
 
         Args:
+            size: of the item [byte].
             most: how many may wait.
             most_bytes: how large they may be together; the newest one stays in any case.
         """
         dropped = 0
         with self._changed:
-            self._items.append(item)
-            self._bytes += self.size(item)
+            self._items.append((item, size))
+            self._bytes += size
             while len(self._items) > 1 and (len(self._items) > most or self._bytes > most_bytes):
                 self._take()
                 dropped += 1
-            self.dropped += dropped
             self._changed.notify()
         return dropped
 
-    def put_back(self, item: Item, *, before: Callable[[Item], bool]) -> None:
+    def put_back(self, item: Item, *, size: int, before: Callable[[Item], bool]) -> None:
         """Take back an item that was fetched, to its place: in front of all that it comes before."""
         with self._changed:
-            place = next((k for k, other in enumerate(self._items) if before(other)), len(self._items))
-            self._items.insert(place, item)
-            self._bytes += self.size(item)
+            place = next((k for k, (other, _) in enumerate(self._items) if before(other)), len(self._items))
+            self._items.insert(place, (item, size))
+            self._bytes += size
             self._changed.notify()
 
     def get(self, timeout_s: float = 0.0) -> Item | None:
         """Fetch the oldest result, waiting for one up to `timeout_s`; None where none came or the queue is closed."""
         with self._changed:
-            self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
+            if not self._items and timeout_s > 0.0:
+                self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
             return self._take() if self._items else None
 
     def _take(self) -> Item:
-        item = self._items.popleft()
-        self._bytes -= self.size(item)
+        item, size = self._items.popleft()
+        self._bytes -= size
         return item
 
     def close(self) -> None:

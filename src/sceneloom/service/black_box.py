@@ -10,7 +10,7 @@ from typing import Any, Self
 from google.protobuf.message import Message
 
 from sceneloom.fusion.admitted import Admitted
-from sceneloom.fusion.interface import Dropped, Event, Refused, Result
+from sceneloom.fusion.events import Dropped, Event, Refused, Result
 from sceneloom.fusion.messages.foxglove_form import FoxgloveMessage, to_foxglove
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.protobuf_form import encode, encode_in, fill_message

@@ -10,7 +10,7 @@ from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.interface import Result
+from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.protobuf_form import encode_in, fill_message
 from sceneloom.fusion.messages.records import SentRecord

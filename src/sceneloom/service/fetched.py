@@ -14,7 +14,7 @@ from sceneloom.formats.depth_images import write_depth_png
 from sceneloom.formats.output import filling, replacing
 from sceneloom.formats.sfs import SceneWriter
 from sceneloom.formats.sfs.write_pictures import encode_jpeg
-from sceneloom.fusion.interface import Result
+from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.array_bytes import bytes_of
 from sceneloom.fusion.messages.encodings import ENCODINGS
 from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData

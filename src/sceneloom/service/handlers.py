@@ -11,7 +11,7 @@ import grpc.aio
 from grpc.aio import ServicerContext
 
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.interface import Result
+from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import DONE, Cause, refused

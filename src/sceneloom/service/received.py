@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from sceneloom.errors import DataError
-from sceneloom.fusion.interface import Result
+from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.protobuf_form import from_protobuf
 from sceneloom.fusion.messages.value_types import ValueType
 from sceneloom.fusion.messages.wire import fusion_pb2

@@ -9,8 +9,9 @@ from typing import Any
 from sceneloom.errors import DataError
 from sceneloom.fusion.calibration.entries import CalibrationEntry
 from sceneloom.fusion.calibration.table import CalibrationTable
+from sceneloom.fusion.events import Event, Result
 from sceneloom.fusion.intake import admitted_alone
-from sceneloom.fusion.interface import Event, FusionInterface, Result
+from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages.protobuf_form import encode, from_protobuf
 from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.motion import RecentWay

@@ -1,6 +1,6 @@
 """Results and configurations as the bytes of replies."""
 
-from sceneloom.fusion.interface import Result
+from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.protobuf_form import encoded_parts
 from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2

@@ -14,7 +14,8 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from sceneloom.errors import OptionError
-from sceneloom.fusion.interface import Event, FusionInterface
+from sceneloom.fusion.events import Event
+from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.queues import QueueLimits
 from sceneloom.service.handlers import Handlers
 from sceneloom.service.limits import ServiceLimits

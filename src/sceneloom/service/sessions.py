@@ -10,7 +10,8 @@ from typing import ParamSpec, Protocol, TypeVar
 
 import grpc
 
-from sceneloom.fusion.interface import FusionInterface, Result
+from sceneloom.fusion.events import Result
+from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.outcome import Cause
 from sceneloom.service.call_errors import CallError
 from sceneloom.service.limits import ServiceLimits

@@ -15,7 +15,8 @@ from mcap.stream_reader import StreamReader
 
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.fusion.calibration.entries import CalibrationEntry, format_calibrations
-from sceneloom.fusion.interface import FusionInterface, Result
+from sceneloom.fusion.events import Result
+from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.fusion.messages.protobuf_form import encode
 from sceneloom.fusion.queues import Flushed

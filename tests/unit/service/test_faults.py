@@ -11,7 +11,7 @@ import grpc
 import numpy as np
 import pytest
 
-from sceneloom.fusion.interface import Refused
+from sceneloom.fusion.events import Refused
 from sceneloom.fusion.messages.protobuf_form import to_send_request
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.limits import ServiceLimits

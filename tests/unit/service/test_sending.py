@@ -8,7 +8,8 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.interface import Dropped, FusionInterface
+from sceneloom.fusion.events import Dropped
+from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d, ImageData, PointCloudData, Timestamp
 from sceneloom.fusion.messages.protobuf_form import encode
 from sceneloom.fusion.outcome import DONE, Cause, refused

@@ -4,18 +4,17 @@ The forms in which records travel go by this table.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
 from typing import Any, cast
-
-import numpy as np
 
 from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.boxes import COLUMNS_2D, COLUMNS_3D, Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.columns import Column
 from sceneloom.fusion.messages.fused import COLUMNS_FUSED, FusedDetection, FusedDetections, SensorFusionData
+from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
 from sceneloom.fusion.messages.tables import (
     BOX_2D,
@@ -124,18 +123,20 @@ RECORD_KINDS: Mapping[str, RecordKind] = MappingProxyType(
 def size_of(record: Record) -> int:
     """How many bytes the arrays of a record have."""
     size = 0
-    for name in _field_names(cast("Any", type(record))):
+    for name in _contents(cast("Any", type(record))):
         value = getattr(record, name)
-        if isinstance(value, np.ndarray):
-            size += value.nbytes
-        elif isinstance(value, bytes):
-            size += len(value)
+        if value is not None:
+            size += len(value) if isinstance(value, bytes) else value.nbytes
     return size
 
 
 @cache
-def _field_names(record_type: type[Any]) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(record_type))
+def _contents(record_type: type[Any]) -> tuple[str, ...]:
+    """The attributes of a class of records that hold arrays or bytes."""
+    kind = kind_of(record_type)
+    if kind.layout is not None:
+        return tuple(column.attribute for column in kind.layout.columns)
+    return tuple(row.attribute for row in kind.table.rows if row.type in ARRAY_DTYPES or row.type == STREAM)
 
 
 _KIND_OF = {kind.record_type: kind for kind in RECORD_KINDS.values()}

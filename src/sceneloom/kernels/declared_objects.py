@@ -13,18 +13,8 @@ _SIGNATURE = (
     f"Array(int64, 1, 'C', readonly=True), {_IN[1]}, {_IN[0]})"
 )
 
-Declared = tuple[
-    Float32Array,
-    Float32Array,
-    Float32Array,
-    Float32Array,
-    Float32Array,
-    Float32Array,
-    Float32Array,
-    Float32Array,
-    UInt32Array,
-    bool,
-]
+_F = Float32Array
+Declared = tuple[_F, _F, _F, _F, _F, _F, _F, _F, UInt32Array, bool]
 """What `declare_objects` gives."""
 
 
@@ -43,6 +33,41 @@ def _whole(corners, n, limits, pixels):  # type: ignore[no-untyped-def]
     for k in range(4):
         edge = 0.0 if not finite else np.floor(corners[n, k]) if k < 2 else np.ceil(corners[n, k])
         pixels[n, k] = np.uint32(min(max(edge, 0.0), limits[k % 2]))
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _turn_covariance(rotation, covariance, half, whole):  # type: ignore[no-untyped-def]
+    for i in range(3):
+        _turn(rotation, covariance[i], half[i])
+    for j in range(3):
+        _turn(rotation, half[:, j], whole[:, j])
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _settle(covariance, settled):  # type: ignore[no-untyped-def]
+    """Give the mean of a matrix and its transpose."""
+    for i in range(3):
+        for j in range(3):
+            settled[i, j] = (covariance[i, j] + covariance[j, i]) / 2.0
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _makes_sense(n, seen, lengths, middle_covs, length_covs, headings, pixels):  # type: ignore[no-untyped-def]
+    good = pixels[n, 0] <= pixels[n, 2] and pixels[n, 1] <= pixels[n, 3]
+    for i in range(3):
+        low = min(lengths[n, i], middle_covs[n, i, i], length_covs[n, i, i])
+        good = good and low >= 0.0 and (lengths[n, i] > 0.0 or not seen)
+    heads = headings[n, 0] != 0.0 or headings[n, 1] != 0.0 or headings[n, 2] != 0.0
+    return good and (heads or not seen)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _sum_of_sizes(values):  # type: ignore[no-untyped-def]
+    """The sum of the absolute values, which is finite where all are, but for sums beyond all numbers."""
+    total = 0.0
+    for value in values.flat:
+        total += abs(value)
+    return total
 
 
 @njit(_SIGNATURE, nogil=True, cache=True, error_model="numpy")
@@ -89,42 +114,25 @@ def declare_objects(
     sound = True
     for n in range(count):
         confidence[n] = min(max(scores[n], 0.0), 1.0) if scores[n] == scores[n] else np.nan
-        _turn(turn, centers[n], middles[n])
         heading[0], heading[1], heading[2] = np.cos(yaws[n]), np.sin(yaws[n]), 0.0
+        _turn(turn, centers[n], middles[n])
         _turn(turn, heading, headings[n])
         _turn(turn, velocities[n], vectors[n])
         speeds[n] = (
             velocities[n, 0] * heading[0] + velocities[n, 1] * heading[1] + velocities[n, 2] * heading[2]
         )
-        for i in range(3):
-            _turn(turn, center_covs[n, i], half[i])
-        for j in range(3):
-            _turn(turn, half[:, j], whole[:, j])
-        for i in range(3):
-            lengths[n, i] = sizes[n, i]
-            for j in range(3):
-                middle_covs[n, i, j] = (whole[i, j] + whole[j, i]) / 2.0
-                length_covs[n, i, j] = (size_covs[n, i, j] + size_covs[n, j, i]) / 2.0
+        _turn_covariance(turn, center_covs[n], half, whole)
+        _settle(whole, middle_covs[n])
+        _settle(size_covs[n], length_covs[n])
+        lengths[n] = sizes[n]
         _whole(corners, n, limits, pixels)
-        total = confidence[n] + speeds[n]
-        for i in range(3):
-            total += abs(middles[n, i]) + abs(lengths[n, i]) + abs(headings[n, i]) + abs(vectors[n, i])
-            for j in range(3):
-                total += abs(middle_covs[n, i, j]) + abs(length_covs[n, i, j])
-            low = min(lengths[n, i], middle_covs[n, i, i], length_covs[n, i, i])
-            sound = sound and low >= 0.0 and (rows_3d[n] < 0 or lengths[n, i] > 0.0)
-        headless = headings[n, 0] == 0.0 and headings[n, 1] == 0.0 and headings[n, 2] == 0.0
-        ordered = pixels[n, 0] <= pixels[n, 2] and pixels[n, 1] <= pixels[n, 3]
-        sound = sound and np.isfinite(total) and ordered and not (headless and rows_3d[n] >= 0)
-    return (
-        confidence,
-        middles,
-        middle_covs,
-        lengths,
-        length_covs,
-        headings,
-        speeds,
-        vectors,
-        pixels,
-        sound,
+        sound = sound and _makes_sense(
+            n, rows_3d[n] >= 0, lengths, middle_covs, length_covs, headings, pixels
+        )
+    total = (
+        _sum_of_sizes(confidence) + _sum_of_sizes(speeds) + _sum_of_sizes(middles) + _sum_of_sizes(lengths)
     )
+    total += _sum_of_sizes(headings) + _sum_of_sizes(vectors)
+    total += _sum_of_sizes(middle_covs) + _sum_of_sizes(length_covs)
+    sound = sound and np.isfinite(total)
+    return confidence, middles, middle_covs, lengths, length_covs, headings, speeds, vectors, pixels, sound

@@ -1,8 +1,10 @@
 """`sceneloom serve`."""
 
+import os
+import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -87,7 +89,18 @@ def serve(
             configure=configure,
             observe=observe,
         )
-        serve_until_ended(settings, started=_print_json if as_json else _print, quiet=quiet)
+        hanging = serve_until_ended(settings, started=_print_json if as_json else _print, quiet=quiet)
+    if hanging:
+        _leave(hanging)
+
+
+def _leave(hanging: tuple[str, ...]) -> NoReturn:
+    """End the process at once: threads that hang would keep it for ever."""
+    told = f"left with the fusion of {', '.join(hanging)} hanging; what waited there is lost"
+    click.echo(f"Error: {told}", err=True)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(1)
 
 
 def _print(server: "FusionServer") -> None:

@@ -42,15 +42,18 @@ def configured(
 
 def serve_until_ended(
     settings: ServerSettings, *, started: Callable[[FusionServer], None], quiet: bool = False
-) -> None:
+) -> tuple[str, ...]:
     """Serve until SIGTERM or Ctrl-C; then fuse what waits, deliver it, and return. A second signal ends at once.
 
     Args:
         started: told the server once it listens.
         quiet: log warnings only.
+
+    Returns:
+        the sessions whose threads hang: Python waits for these for ever, so the process has to be left by `os._exit`.
     """
     _log_to_standard_error(logging.WARNING if quiet else logging.INFO)
-    asyncio.run(_serve(settings, started))
+    return asyncio.run(_serve(settings, started))
 
 
 @contextmanager
@@ -77,7 +80,7 @@ def running_server(settings: ServerSettings | None = None) -> Iterator[FusionSer
         loop.close()
 
 
-async def _serve(settings: ServerSettings, started: Callable[[FusionServer], None]) -> None:
+async def _serve(settings: ServerSettings, started: Callable[[FusionServer], None]) -> tuple[str, ...]:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in _ENDING:
@@ -89,7 +92,7 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
     await ended.wait()
     for number in _ENDING:
         loop.remove_signal_handler(number)
-    await server.drain()
+    return await server.drain()
 
 
 def _log_to_standard_error(level: int) -> None:

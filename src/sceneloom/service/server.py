@@ -160,19 +160,23 @@ class FusionServer:
         if self._server is not None:
             await self._server.wait_for_termination()
 
-    async def drain(self, limit_s: float | None = None) -> None:
+    async def drain(self, limit_s: float | None = None) -> tuple[str, ...]:
         """End: take nothing more, fuse what waits, let those who fetch have their results, close.
 
         Args:
             limit_s: how long they may take; None for what the limits say.
+
+        Returns:
+            the sessions whose threads hang, so that the process will not end by itself.
         """
         if self._server is None:
-            return
+            return ()
         server, self._server = self._server, None
         self._handlers.draining = True
         LOG.info("draining", extra={"fields": {"sessions": len(self.sessions)}})
         await self._health.enter_graceful_shutdown()
         limit_s = self.settings.limits.drain_seconds if limit_s is None else limit_s
+        over_s = time.monotonic() + limit_s + _LAST_WORDS_S
         try:
             await asyncio.wait_for(self._deliver_the_rest(), limit_s)
         except TimeoutError:
@@ -180,15 +184,16 @@ class FusionServer:
                 LOG.warning("results were not fetched in time", extra={"fields": {"seconds": limit_s}})
         if self._sweeper is not None:
             self._sweeper.cancel()
-        try:
-            await asyncio.wait_for(self.sessions.end_all(), limit_s + _LAST_WORDS_S)
-        except TimeoutError:
-            LOG.error("a session does not end", extra={"fields": {"seconds": limit_s + _LAST_WORDS_S}})  # noqa: TRY400 - its threads hang, not this
+        hanging = await self.sessions.end_all(max(over_s - time.monotonic(), _LAST_WORDS_S))
+        if hanging:
+            fields = {"sessions": list(hanging), "seconds": limit_s + _LAST_WORDS_S}
+            LOG.error("sessions do not end: an algorithm hangs", extra={"fields": fields})
         if self._metrics_server is not None:
             self._metrics_server.close()
         await server.stop(min(limit_s, _LAST_WORDS_S))
         self.sessions.close()
         LOG.info("ended")
+        return hanging
 
     async def _deliver_the_rest(self) -> None:
         await asyncio.gather(*(session.run(session.fusion.flush) for session in self.sessions))

@@ -185,7 +185,7 @@ class SessionTable:
         self._sessions: dict[str, Session] = {}
         threads = THREADS_OF_SESSION * limits.most_sessions + limits.most_sessions
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="session")
-        self._ending: set[asyncio.Task[None]] = set()
+        self._ending: dict[asyncio.Task[None], str] = {}
 
     def __iter__(self) -> Iterator[Session]:
         return iter(list(self._sessions.values()))
@@ -212,15 +212,24 @@ class SessionTable:
         idle = [s.name for s in self if s.open_requests == 0 and s.last_used_s <= before_s]
         for name in idle:
             task = asyncio.get_running_loop().create_task(self._sessions.pop(name).end())
-            self._ending.add(task)
-            task.add_done_callback(self._ending.discard)
+            self._ending[task] = name
+            task.add_done_callback(self._ending.pop)
         return idle
 
-    async def end_all(self) -> None:
-        """End all sessions; none can begin."""
-        sessions = list(self)
+    async def end_all(self, limit_s: float) -> tuple[str, ...]:
+        """End all sessions; none can begin. Gives the names of those that have not ended after so long [s]."""
+        loop = asyncio.get_running_loop()
+        ending = {loop.create_task(session.end()): session.name for session in self}
         self._sessions.clear()
-        await asyncio.gather(*(session.end() for session in sessions), *self._ending)
+        ending.update(self._ending)
+        if not ending:
+            return ()
+        done, hanging = await asyncio.wait(ending, timeout=limit_s)
+        for task in hanging:
+            task.cancel()
+        for task in done:
+            task.result()
+        return tuple(sorted(ending[task] for task in hanging))
 
     def close(self) -> None:
         """Let the threads go."""

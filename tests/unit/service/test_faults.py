@@ -1,6 +1,7 @@
 """Callers that vanish, wait, flood or talk nonsense: each session goes on, and no result is lost to others."""
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -15,6 +16,7 @@ from sceneloom.fusion.events import Refused
 from sceneloom.fusion.messages.protobuf_form import to_send_request
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.limits import ServiceLimits
+from sceneloom.service.log_file import is_complete
 
 PATIENCE_S = 60
 """For other processes on a busy machine."""
@@ -269,6 +271,54 @@ def test_a_server_that_is_told_to_end_delivers_what_waits_and_says_goodbye(conne
     lines = [json.loads(line) for line in err.splitlines()]
     assert [line["event"] for line in lines] == ["listening", "session begins", "draining", "ended"]
     assert lines[1]["session"] == "default"
+
+
+HANGING = """
+import threading
+def hang(*_, **__):
+    print("hangs", flush=True)
+    threading.Event().wait()
+"""
+
+
+def install(folder):
+    """A package in a folder, that brings the algorithm `hang`."""
+    (folder / "hanging.py").write_text(HANGING)
+    told = folder / "hanging-1.0.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: hanging\nVersion: 1.0\n")
+    (told / "entry_points.txt").write_text("[sceneloom.sensor_data_fusion]\nhang = hanging:hang\n")
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
+
+
+def test_a_server_with_an_algorithm_that_hangs_ends_by_itself_and_says_so(connect, records, tmp_path):
+    config, log = tmp_path / "rig.toml", tmp_path / "log.mcap"
+    config.write_text('[properties]\nfusion_algorithm = "hang"\n[service]\ndrain_seconds = 0.2\n')
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sceneloom", "serve", "--json", "--config", str(config), "--log", str(log)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=install(tmp_path),
+    )
+    try:
+        told = "".join(iter(process.stdout.readline, "}\n")) + "}"
+        call = connect(json.loads(told)["address"], session="stuck")
+        call.calibrate()
+        call.send_pair(0)
+        call.send_pair(1)
+        assert process.stdout.readline() == "hangs\n"
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 1
+    *lines, last = err.splitlines()
+    (told,) = [line for line in map(json.loads, lines) if line["level"] == "error"]
+    assert (told["event"], told["sessions"]) == ("sessions do not end: an algorithm hangs", ["stuck"])
+    assert "fusion of stuck hanging" in last
+    assert is_complete(log)  # the black box was closed all the same
 
 
 def test_records_that_wait_may_be_so_large_together(serve, connect, records):

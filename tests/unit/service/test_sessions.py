@@ -35,7 +35,7 @@ def with_table(examine, clock, **limits):
         try:
             await examine(table)
         finally:
-            await table.end_all()
+            await table.end_all(30)
             table.close()
 
     asyncio.run(run())

@@ -18,7 +18,9 @@ _EDGE = np.float32(2.1)
 """No direction lies farther than this from the axis in the equal-area map."""
 _NOTHING, _ENDLESS = np.float32(0.0), np.float32(math.inf)
 _NONE, _FAR = np.int32(-1), np.int32(2**30)
-_LOW = 0x7FFFFFFF
+_PARTS, _LAST_PART = np.float32(65536.0), np.int32(0xFFFF)
+_PART = np.float32(1.0 / 65536.0)
+"""How finely the place in a cell is kept: float32 knows it no better, but at the far edge of the map."""
 
 
 @numba.njit(**INNER)
@@ -86,35 +88,65 @@ def number_cells(
 
 
 @numba.njit(**INNER)
-def keep_nearest(
-    directions: Float32Array, inverse_ranges: Float32Array, grid: tuple[Any, Any, Any, int, int]
-) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Keep the nearest point of each cell, the first of equally near ones.
+def _rank(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
+    grid: tuple[Any, Any, Any, int, int], numbers: AnyArray, keys: AnyArray,
+) -> None:  # fmt: skip
+    """Write each point's cell, as `number_cells`, and its key: inverse range, then how far right and down in the cell.
 
-    Returns:
-        nearest: (rows * columns,) float32 [1/m], its inverse range, 0 where the cell is empty.
-        right, down: (rows * columns,) float32, how far into the cell it lies, 0 to 1.
+    The bits of positive floats are ordered as the floats are, so all fits one integer, whose maximum is that of the
+    nearest point. Of equally near ones it is the one farther right.
     """
-    # The bits of positive floats are ordered as the floats are, so range and number fit one integer, whose maximum
-    # is taken without a branch.
-    keys, numbers = np.zeros(grid[3] * grid[4], np.int64), np.empty(BLOCK, np.int32)
-    rightward, downward, bits = directions[0], directions[1], inverse_ranges.view(np.int32)
-    for start in range(0, bits.shape[0], BLOCK):
-        stop = min(start + BLOCK, bits.shape[0])
-        block, block_bits = numbers[: stop - start], bits[start:stop]
-        number_cells(rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], grid, block)
+    per_cell, first_column, first_row, columns, _ = grid
+    bits = inverse_ranges.view(np.int32)
+    for i in range(numbers.shape[0]):
+        a, b = rightward[i], downward[i]
+        placed = _is_placed(a, b, inverse_ranges[i])
+        steps_a = (a if placed else _NOTHING) * per_cell + _EDGE * per_cell
+        steps_b = (b if placed else _NOTHING) * per_cell + _EDGE * per_cell
+        column, row = np.int32(steps_a), np.int32(steps_b)
+        right = np.int32((steps_a - np.float32(column)) * _PARTS)
+        down = np.int32((steps_b - np.float32(row)) * _PARTS)
+        number = (row - first_row) * np.int32(columns) + column - first_column
+        numbers[i] = number if placed else np.int32(0)
+        keys[i] = (np.int64(bits[i]) << 32) | (np.int64(right) << 16) | np.int64(down)
+
+
+@numba.njit(**INNER)
+def keep_nearest(
+    directions: Float32Array, inverse_ranges: Float32Array, grid: tuple[Any, Any, Any, int, int],
+    numbers: AnyArray, keys: AnyArray,
+) -> None:  # fmt: skip
+    """Write each point's cell, and raise the key of each cell to that of its nearest point.
+
+    Args:
+        directions, inverse_ranges, grid: as of `fit_grid`.
+        numbers: (M,) int32, written; 0, where no point is, for a point that takes no part.
+        keys: (cells,) int64, raised.
+    """
+    rightward, downward, block_keys = directions[0], directions[1], np.empty(BLOCK, np.int64)
+    for start in range(0, numbers.shape[0], BLOCK):
+        stop = min(start + BLOCK, numbers.shape[0])
+        block = numbers[start:stop]
+        _rank(
+            rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], grid, block, block_keys
+        )
         for k in range(block.shape[0]):
             cell = np.uint32(block[k])
-            key = (np.int64(block_bits[k]) << 32) | np.int64(_LOW - start - k)
-            keys[cell] = max(key, keys[cell])
-    keys[0] = 0
-    nearest = np.empty(keys.shape[0], np.float32)
-    right, down = np.zeros_like(nearest), np.zeros_like(nearest)
+            keys[cell] = max(block_keys[k], keys[cell])
+
+
+@numba.njit(**INNER)
+def read_keys(keys: AnyArray, nearest: Float32Array, right: Float32Array, down: Float32Array) -> None:
+    """Take keys apart.
+
+    Args:
+        keys: (cells,) int64.
+        nearest: (cells,) float32 [1/m], written: inverse range of the nearest point, 0 where the cell is empty.
+        right, down: (cells,) float32, written: how far into the cell it lies, 0 to 1.
+    """
     nearest_bits = nearest.view(np.int32)
     for c in range(keys.shape[0]):
-        nearest_bits[c] = keys[c] >> 32
-    for c in range(keys.shape[0]):
-        if nearest_bits[c] > 0:
-            holder = np.uint32(_LOW - (keys[c] & _LOW))
-            right[c], down[c] = fraction(rightward[holder], grid[0]), fraction(downward[holder], grid[0])
-    return nearest, right, down
+        nearest_bits[c] = np.int32(keys[c] >> 32)
+        right[c] = np.float32(np.int32(keys[c] >> 16) & _LAST_PART) * _PART
+        down[c] = np.float32(np.int32(keys[c]) & _LAST_PART) * _PART

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, check_array
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import domain_angle, project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
@@ -94,7 +94,8 @@ class RolledPoints:
         point_ids: (M,) int64, which points fall into the picture, ascending.
         pixels: (M, 2) float32 [px].
         points_camera: (M, 3) float64 [m], each in the frame of the camera at the time of the line that sees it.
-        unsettled: how many more points may be in the picture, but no line was found for them.
+        unsettled: how many more points may be in the picture, since they were within a picture's size of it when no
+            line had been found for them.
     """
 
     point_ids: Int64Array
@@ -161,10 +162,14 @@ def _project_part(in_middle: Float64Array, camera: Camera, shutter: ShutterWay) 
         if remaining == 0:
             break
     rows = np.flatnonzero(_in_picture(pixels, camera))
-    return RolledPoints(rows, pixels[rows], placed[rows], len(active))
+    there = np.empty((len(active), 3))
+    place_at_lines(in_middle, active, lines, shutter.lines_from_middle, line_count, there)
+    near = _in_picture(project_unbounded(camera, there), camera, border=max(camera.width, camera.height))
+    return RolledPoints(rows, pixels[rows], placed[rows], int(near.sum()))
 
 
-def _in_picture(pixels: Float32Array, camera: Camera) -> BoolArray:
+def _in_picture(pixels: FloatArray, camera: Camera, *, border: int = 0) -> BoolArray:
     u, v = pixels.T
-    inside: BoolArray = (u >= -0.5) & (u < camera.width - 0.5) & (v >= -0.5) & (v < camera.height - 0.5)
+    inside: BoolArray = (u >= -0.5 - border) & (u < camera.width - 0.5 + border)
+    inside &= (v >= -0.5 - border) & (v < camera.height - 0.5 + border)
     return inside

@@ -171,7 +171,9 @@ def search_lines(
             nearing = 1.0
             if lines_before[i] == lines_before[i] and line != lines_before[i]:
                 nearing = (off_before[i] - off) / (line - lines_before[i])
-            if nearing > 0.0 and ((line <= low and off < 0.0) or (line >= high and off > 0.0)):
+            outward = (line <= low and off < 0.0) or (line >= high and off > 0.0)
+            beyond_both = off * off_before[i] > 0.0 and abs(line - lines_before[i]) >= line_count
+            if outward and (nearing > 0.0 or beyond_both):
                 continue
             step = off / math.copysign(max(abs(nearing), _LEAST_NEARING), nearing)
             lines_before[i], off_before[i] = line, off

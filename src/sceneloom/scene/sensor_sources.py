@@ -33,7 +33,18 @@ def needs_ego(scene: Scene) -> bool:
     riding = any(
         lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
     )
-    return riding or any(sensor.poses is None and must_be_placed(sensor) for sensor in _fused(scene))
+    return riding or any(
+        must_be_placed(sensor) and (sensor.poses is None or _rides_unnamed(scene, sensor))
+        for sensor in _fused(scene)
+    )
+
+
+def _rides_unnamed(scene: Scene, sensor: LidarSensor | CameraSensor) -> bool:
+    """Whether poses lead to the ego, and no odometry sensor of the scene says where that is."""
+    odometries = [other.id for other in scene.sensors if isinstance(other, OdometrySensor)]
+    return (
+        sensor.coordinates is Coordinates.EGO and sensor.parent_id not in odometries and len(odometries) != 1
+    )
 
 
 def must_be_placed(sensor: LidarSensor | CameraSensor) -> bool:

@@ -1,5 +1,8 @@
 """The cameras of a manifest: lens, mounting, and pictures from files or from a video."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from sceneloom.arrays import Int64Array
@@ -14,8 +17,10 @@ from sceneloom.formats.rig.transforms import frame_from_optical
 from sceneloom.formats.rig.videos import VideoFile, VideoPictures
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LazyFrames, NoticeKind
+from sceneloom.scene.types import NO_FIELDS
 
 _RATIO_ERROR = 0.01
+_LONGEST_ROLL = 1.0
 
 
 def build_camera(drive: Drive, record: Record, place: str) -> CameraSensor:
@@ -57,6 +62,7 @@ def _from_files(drive: Drive, record: Record, place: str) -> CameraSensor:
         pictures=LazyFrames(stamps.timestamps_ns, reader),
         poses=drive.poses(mount, stamps.timestamps_ns),
         mount=mount,
+        extras=_shutter(drive, record, place),
     )
 
 
@@ -79,7 +85,21 @@ def _from_video(drive: Drive, record: Record, place: str) -> CameraSensor:
         mount=mount,
         video=video.content(stamps.chosen),
         fps=_fps(record, reader.fps, np.diff(stamps.timestamps_ns)),
+        extras=_shutter(drive, record, place),
     )
+
+
+def _shutter(drive: Drive, record: Record, place: str) -> Mapping[str, Any]:
+    """What the manifest says of a rolling shutter, in the words in which recordings keep it."""
+    if "shutter_roll_s" not in record:
+        return NO_FIELDS
+    seconds = record["shutter_roll_s"] / 1e9
+    if seconds > _LONGEST_ROLL:
+        problem = f"{seconds:g} s; expected at most {_LONGEST_ROLL:g} s"
+        raise DataError(drive.manifest.path, f"{place}.shutter_roll_s", problem)
+    entry = {"shutterRollTimeSeconds": seconds}
+    left_to_right = {"rollingShutterLeftToRight": True} if record.get("shutter_left_to_right") else {}
+    return {"calibration": entry | left_to_right}
 
 
 def _fps(record: Record, nominal: float | None, intervals_ns: Int64Array) -> float | None:

@@ -163,6 +163,14 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             Field("video", Kind.TEXT, "a video below `root`, in place of `files`"),
             _TIMES,
             Field("axes", Kind.AXES, "how the axes of the camera's frame lie; left out: optical"),
+            Field(
+                "shutter_roll_s",
+                Kind.SECONDS,
+                "how long a rolling shutter takes from the first row to the last; left out: all at once",
+                unit="s",
+                positive=True,
+            ),
+            Field("shutter_left_to_right", Kind.FLAG, "true: it takes columns from the left, not rows"),
             Field("lens", Kind.RECORD, "the intrinsics", required=True, record="lens"),
         ),
         "sensor imu": (

@@ -12,6 +12,7 @@ from PIL import Image
 from sceneloom.cameras import MODELS, project
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.rig.lenses import frame_from_camera, read_lens
+from sceneloom.scene.shutter import Shutter
 
 SIZE = (640, 480)
 POINTS = np.random.default_rng(0).uniform([-1, -1, 3], [1, 1, 9], (50, 3))
@@ -112,6 +113,14 @@ def test_a_lens_for_another_size_is_scaled_with_a_notice(opened):
 def test_a_lens_for_another_shape_is_refused(opened):
     with pytest.raises(DataError, match=r"for 8x8, the pictures are 8x6, another shape"):
         opened(("cy = 2.5 }", "cy = 2.5, width = 8, height = 8 }"))
+
+
+def test_rolling_shutters_are_kept_as_recordings_say_them(opened):
+    rolling = ("cy = 2.5 }", "cy = 2.5 }\nshutter_roll_s = 0.033\nshutter_left_to_right = true")
+    assert Shutter.of(opened(rolling).cameras[0]) == Shutter(0.033, over_columns=True)
+    assert Shutter.of(opened().cameras[0]) == Shutter()
+    with pytest.raises(DataError, match=r"shutter_roll_s: 33 s; expected at most 1 s"):
+        opened(("cy = 2.5 }", "cy = 2.5 }\nshutter_roll_s = 33"))
 
 
 def test_jpeg_pictures_are_decoded_and_their_bytes_are_at_hand(opened, folder):

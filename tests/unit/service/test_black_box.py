@@ -204,6 +204,12 @@ def test_viewers_find_pictures_clouds_boxes_and_depths_in_schemas_that_they_know
     assert picture.data == image(0, 0).data.tobytes()
     points = shown["/rig/lidar/0/points/points_shown"][0][1]
     assert np.array_equal(np.frombuffer(points.data, "<f4"), cloud(5, 0).data)
+    fused = shown["/rig/fused/camera1_lidar0/points"][0][1]
+    offsets = {field.name: (field.offset, field.type) for field in fused.fields}
+    rows = np.frombuffer(fused.data, np.uint8).reshape(-1, fused.point_stride)
+    columns = [offsets[name][0] for name in ("red", "green", "blue")]
+    assert {offsets[name][1] for name in ("red", "green", "blue", "alpha")} == {fused.fields[0].UINT8}
+    assert np.array_equal(rows[:, columns], results[0].record.points[:, -3:])
     depth = shown["/rig/fused/camera1_lidar0/depth"][0][1]
     assert depth.encoding == "32FC1"
     assert np.array_equal(np.frombuffer(depth.data, "<f4"), results[0].record.image_depth)

@@ -8,7 +8,7 @@ reading.
 Source: the Foxglove schemas, package foxglove-schemas-protobuf 0.4.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, cast
@@ -32,6 +32,7 @@ from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData
 from sceneloom.fusion.messages.packed_points import PackedField, rows_of, unpack_points
 from sceneloom.fusion.messages.scene_form.boxes import whole_corners
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData
+from sceneloom.fusion.messages.shown_points import pack_shown, without_shown_names
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.geometry.rigid import RigidTransform
 
@@ -42,7 +43,8 @@ NUMERIC_TYPES: Mapping[int, str] = MappingProxyType(
 
 _RAW_NAMES = {1: "mono8", 3: "rgb8", 4: "rgba8"}
 _READ_NAMES = {"8UC1": "mono8", "8UC3": "bgr8"}
-_ALL_ENTITIES, _LINE_LOOP, _FLOAT32 = 1, 2, 7
+_ALL_ENTITIES, _LINE_LOOP = 1, 2
+_NUMBERS = {name: number for number, name in NUMERIC_TYPES.items()}
 _FACES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 0.35}
 _EDGES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 1.0}
 _NO_TURN = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
@@ -165,18 +167,22 @@ def _read_image(message: ForeignMessage, common: dict[str, Any]) -> ImageData:
 
 def _write_points(record: PointCloudData, frame_id: str, image_frame_id: str) -> dict[str, FoxgloveMessage]:
     del image_frame_id
-    return {"points": _points(record.timestamp, frame_id, record.fields, bytes_of(record.data))}
+    return {"points": _points(record.timestamp, frame_id, record.fields, record.points)}
 
 
-def _points(timestamp: Timestamp, frame_id: str, names: Iterable[str], data: bytes) -> FoxgloveMessage:
-    fields = [{"name": name, "offset": 4 * k, "type": _FLOAT32} for k, name in enumerate(names)]
+def _points(
+    timestamp: Timestamp, frame_id: str, names: Sequence[str], table: Float32Array
+) -> FoxgloveMessage:
+    fields, rows = pack_shown(names, table)
     content = {
         "timestamp": _time(timestamp),
         "frame_id": frame_id,
         "pose": {"position": _NO_PLACE, "orientation": _NO_TURN},
-        "point_stride": 4 * len(fields),
-        "fields": fields,
-        "data": data,
+        "point_stride": rows.shape[1],
+        "fields": [
+            {"name": field.name, "offset": field.offset, "type": _NUMBERS[field.dtype]} for field in fields
+        ],
+        "data": rows.tobytes(),
     }
     return FoxgloveMessage("foxglove.PointCloud", content)
 
@@ -184,12 +190,14 @@ def _points(timestamp: Timestamp, frame_id: str, names: Iterable[str], data: byt
 def _read_points(message: ForeignMessage, common: dict[str, Any]) -> PointCloudData:
     content, stride = message.content_bytes("data"), message.whole("point_stride")
     count = len(content) // stride if stride else 0
+    fields = [_field(field) for field in message.each("fields")]
     names, table = unpack_points(
         rows_of(content, count=count, stride=stride, owner=message.owner),
-        [_field(field) for field in message.each("fields")],
+        fields,
         owner=message.owner,
         seconds=common["timestamp"].s,
     )
+    names, table = without_shown_names(names, table, fields)
     if "pose" in message.content:
         table = _moved(table, names, message.inner("pose"))
     return PointCloudData(number=len(table), fields=names, fields_number=len(names), data=table, **common)
@@ -412,7 +420,7 @@ def _write_fusion(record: SensorFusionData, frame_id: str, image_frame_id: str) 
     return {
         "image": _image(time, image_frame_id, record.encoding, size_hwc, bytes_of(record.image_data)),
         "depth": FoxgloveMessage("foxglove.RawImage", depth),
-        "points": _points(record.timestamp, frame_id, record.point_fields, bytes_of(record.point_data)),
+        "points": _points(record.timestamp, frame_id, record.point_fields, record.points),
     }
 
 

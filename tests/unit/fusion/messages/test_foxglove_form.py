@@ -1,5 +1,6 @@
 """Records as messages of the Foxglove schemas; their published protobuf classes are the judge."""
 
+import struct
 from importlib import import_module
 
 import numpy as np
@@ -180,6 +181,71 @@ def test_fused_detections_show_the_boxes_that_there_are():
     }
     assert len(messages["boxes_3d"].entities) == 1
     assert len(messages["boxes_2d"].points) == 2
+
+
+def colored_cloud(colors, names=("x", "y", "r", "g", "b", "z", "intensity")):
+    points = np.array([[1.5, -2.0, *color, 3.25, 0.1] for color in colors], np.float32)
+    return PointCloudData(**COMMON, number=len(points), fields=names, fields_number=len(names), data=points)
+
+
+def test_colours_of_points_are_the_bytes_that_viewers_know():
+    colors = [(255, 0, 7), (1, 2, 3), (255, 255, 255)]
+    record = colored_cloud(colors)
+    message = to_foxglove(record, frame_id="lidar")["points"]
+    found = published(message)
+    kinds = {field.name: (field.offset, field.type) for field in found.fields}
+    of = found.fields[0].NumericType.Value
+    assert {name for name, (_, kind) in kinds.items() if kind == of("UINT8")} == {
+        "red",
+        "green",
+        "blue",
+        "alpha",
+    }
+    assert {name for name, (_, kind) in kinds.items() if kind == of("FLOAT32")} == {
+        "x",
+        "y",
+        "z",
+        "intensity",
+    }
+    assert len(found.data) == 3 * found.point_stride == 3 * 20
+    for k, color in enumerate(colors):  # as a viewer reads them, byte by byte
+        point = found.data[k * found.point_stride :]
+        assert tuple(point[kinds[name][0]] for name in ("red", "green", "blue", "alpha")) == (*color, 255)
+        assert [struct.unpack_from("<f", point, kinds[name][0])[0] for name in "xyz"] == [1.5, -2.0, 3.25]
+    content = with_zeros(found)
+    back = from_foxglove(FoxgloveMessage(message.schema, content), sensor_id=3, seq=9)
+    assert back.fields == record.fields
+    np.testing.assert_array_equal(back.data, record.data)
+
+
+@pytest.mark.parametrize("color", [(0.5, 0, 0), (256, 0, 0), (-1, 0, 0)])
+def test_colours_that_are_no_bytes_stay_numbers(color):
+    record = colored_cloud([color])
+    message = to_foxglove(record, frame_id="lidar")["points"]
+    assert [field.name for field in published(message).fields] == list(record.fields)
+    back = from_foxglove(FoxgloveMessage(message.schema, with_zeros(published(message))), sensor_id=3, seq=9)
+    np.testing.assert_array_equal(back.data, record.data)
+
+
+def test_an_alpha_of_others_that_says_something_is_kept():
+    fields = [
+        *({"name": name, "offset": 4 * k, "type": 7} for k, name in enumerate("xyz")),
+        *(
+            {"name": name, "offset": 12 + k, "type": 1}
+            for k, name in enumerate(["red", "green", "blue", "alpha"])
+        ),
+    ]
+    data = struct.pack("<3f4B", 1, 2, 3, 10, 20, 30, 40)
+    content = {
+        "timestamp": {"seconds": 1, "nanos": 0},
+        "frame_id": "",
+        "point_stride": 16,
+        "fields": fields,
+        "data": data,
+    }
+    back = from_foxglove(FoxgloveMessage("foxglove.PointCloud", content), sensor_id=3, seq=9)
+    assert back.fields == ("x", "y", "z", "r", "g", "b", "alpha")
+    assert back.data.tolist() == [1, 2, 3, 10, 20, 30, 40]
 
 
 def test_points_under_a_pose_are_moved_into_the_frame():

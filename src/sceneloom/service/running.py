@@ -1,6 +1,7 @@
 """Runs a server until the process is told to end, or beside other work in a thread."""
 
 import asyncio
+import gc
 import logging
 import signal
 import threading
@@ -87,6 +88,7 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
         loop.add_signal_handler(number, ended.set)
     server = FusionServer(settings)
     await loop.run_in_executor(None, warm_up)
+    gc.freeze()  # what is there now stays: looking through it again and again would stop all sessions
     await server.start()
     started(server)
     await ended.wait()

@@ -1,14 +1,16 @@
 """Lets coroutines wait for what happens in other threads."""
 
 import asyncio
+import threading
 
 
 class Bell:
     """Wakes the coroutines of one event loop that wait for it; rung from any thread, it never waits itself."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Belong to an event loop."""
+        """Belong to an event loop, in whose thread this is called."""
         self._loop = loop
+        self._thread_id = threading.get_ident()
         self._waiting: set[asyncio.Future[None]] = set()
         self._ringing = False
 
@@ -17,8 +19,14 @@ class Bell:
         if self._ringing:
             return
         self._ringing = True
+        # in its own thread the loop is awake, and need not be woken through a pipe
+        call = (
+            self._loop.call_soon
+            if threading.get_ident() == self._thread_id
+            else self._loop.call_soon_threadsafe
+        )
         try:
-            self._loop.call_soon_threadsafe(self._wake)
+            call(self._wake)
         except RuntimeError:
             if not self._loop.is_closed():
                 raise
@@ -28,7 +36,10 @@ class Bell:
         woken = self._loop.create_future()
         self._waiting.add(woken)
         try:
-            await asyncio.wait((woken,), timeout=timeout_s)
+            if timeout_s is None:
+                await woken
+            else:
+                await asyncio.wait((woken,), timeout=timeout_s)
         finally:
             self._waiting.discard(woken)
 

@@ -1,4 +1,4 @@
-"""How clearly the points of each frame lie right in its picture, told for any candidate alike.
+"""How clearly points lie right in pictures, told for any candidate alike.
 
 What an edge score is worth differs from scene to scene and from view to view, so a candidate is compared with itself,
 turned away: right where it is, points meet the edges and the brightness that belong to them more than anywhere around.
@@ -12,35 +12,47 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.calibrate.frames import CalibrationFrame
-from sceneloom.calibrate.measures.agreement import MEASURES, Agreement
+from sceneloom.calibrate.measures.agreement import Agreement
 from sceneloom.calibrate.measures.candidate import Change
-from sceneloom.calibrate.measures.features import TILES
+from sceneloom.calibrate.measures.pictures import measured_picture
 from sceneloom.geometry.rigid import RigidTransform
 
-_TURNS = 30
+_TURNS = 24
 _NEAREST_DEG, _FARTHEST_DEG = 2.5, 7.0
 _SEED = 7
+_DECIMALS = 6
 
 
-def edges_meeting(frames: Sequence[CalibrationFrame]) -> Callable[[Float64Array], Float64Array]:
-    """Give the function that scores (4, 4) candidates for `camera_from_points`: (F,), one number for each frame.
+def edges_meeting(frames: Sequence[CalibrationFrame]) -> Callable[[Float64Array], float]:
+    """Give the function that scores (4, 4) candidates for `camera_from_points`.
 
-    The number is by how many standard deviations the candidate agrees better than when it is turned by 2.5 to 7
-    degrees, in the mean over the measures; about 0 for a candidate that is wrong.
+    The number is by how many standard deviations all frames together agree better with the candidate than with the
+    same one turned by 2.5 to 7 degrees, in the mean over the measures; about 0 for a candidate that is wrong. Frames
+    of one view agree or disagree alike, so that many of them do not count as much evidence.
     """
     turns = [Change.turn(turn) for turn in _turns()]
+    pictures = [measured_picture(frame.grey, frame.camera) for frame in frames]
+    known: dict[bytes, float] = {}
 
-    def score(camera_from_points: Float64Array) -> Float64Array:
+    def score(camera_from_points: Float64Array) -> float:
+        key = np.round(camera_from_points, _DECIMALS).tobytes()
+        if key not in known:
+            known[key] = judged(camera_from_points)
+        return known[key]
+
+    def judged(camera_from_points: Float64Array) -> float:
         candidate, _ = RigidTransform.nearest(camera_from_points)
-        agreement = Agreement([replace(frame, camera_from_lidar=candidate) for frame in frames])
-        stated = _by_frame(agreement, Change())
-        turned = np.stack([_by_frame(agreement, turn) for turn in turns])
-        known = np.isfinite(turned).sum(axis=0) > _TURNS // 2
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.nanmean(np.where(known, turned, 0.0), axis=0)
-            spread = np.nanstd(np.where(known, turned, 1.0), axis=0)
-            scores = np.where(known & (spread > 0), (stated - mean) / spread, np.nan)
-        return np.asarray(np.nan_to_num(scores).mean(axis=0))
+        agreement = Agreement(
+            [replace(frame, camera_from_lidar=candidate) for frame in frames], pictures=pictures
+        )
+        stated = agreement.score(Change()).values()
+        turned = np.stack([agreement.score(turn).values() for turn in turns])
+        clear = [
+            (stated[row] - np.nanmean(turned[:, row])) / np.nanstd(turned[:, row])
+            for row in range(len(stated))
+            if np.isfinite(stated[row]) and np.isfinite(turned[:, row]).sum() > _TURNS // 2
+        ]
+        return float(np.mean([value for value in clear if np.isfinite(value)] or [0.0]))
 
     return score
 
@@ -53,12 +65,3 @@ def _turns() -> Float64Array:
     angles = np.radians(np.linspace(_NEAREST_DEG, _FARTHEST_DEG, _TURNS))
     turns: Float64Array = axes * angles[:, None]
     return turns
-
-
-def _by_frame(agreement: Agreement, change: Change) -> Float64Array:
-    """Score a candidate, (M, F): by measure and frame; NaN where nothing was measured."""
-    found = agreement.score(change)
-    shape = (len(MEASURES), -1, TILES)
-    sums, totals = found.sums.reshape(shape).sum(axis=2), found.totals.reshape(shape).sum(axis=2)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(totals > 0, sums / totals, np.nan))

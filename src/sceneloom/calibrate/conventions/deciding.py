@@ -11,8 +11,8 @@ from sceneloom.calibrate.conventions.hypotheses import CHOICES, Hypothesis, grou
 from sceneloom.calibrate.conventions.reading import Extrinsic
 from sceneloom.calibrate.frames import CalibrationFrame
 
-Score = Callable[[Float64Array], Float64Array]
-"""How well picture and points meet under a (4, 4) `camera_from_points`: (F,) one number for each frame."""
+Score = Callable[[Float64Array], float]
+"""How clearly points lie right in the pictures under a (4, 4) `camera_from_points`, in standard deviations."""
 
 _Z_UP = np.array([0.0, 0.0, 1.0])
 
@@ -84,32 +84,25 @@ _COUNTED = {
 
 
 def _best(left: list[list[Hypothesis]], score: Score) -> tuple[list[list[Hypothesis]], str]:
-    """Keep the best and those that are not clearly worse."""
-    scores = np.array([score(group[0].camera_from_points) for group in left])
-    best = int(np.argmax(np.nanmean(scores, axis=1)))
-    kept = [
-        group
-        for number, group in enumerate(left)
-        if number == best or not _clearly(scores[best] - scores[number])
-    ]
+    """Keep the one that is clearly right, or all that come near to the best."""
+    scores = [score(group[0].camera_from_points) for group in left]
+    best = max(scores)
+    if best < _CLEAR:
+        return left, f"none of {len(left)} ways that are possible matches points and pictures clearly"
+    kept = [group for group, own in zip(left, scores, strict=True) if own > best - _LEAD]
     if len(kept) == 1:
-        return kept, f"of {len(left)} ways that are possible its edges meet best"
+        return (
+            kept,
+            f"of {len(left)} ways that are possible it alone matches points and pictures ({best:.1f} sigma)",
+        )
     return kept, f"{len(kept)} of {len(left)} ways that are possible match points and pictures about equally"
 
 
-_CLEAR = 4.0
-"""So many standard errors one way must be better than another, as the frames differ in it."""
+_CLEAR = 2.0
+"""Standard deviations, in the mean over the measures, that chance does not reach in some dozens of trials."""
 
-_LEAST_SPREAD = 0.02
-
-
-def _clearly(better_by: Float64Array) -> bool:
-    """Say whether (F,) differences, one for each frame, are above zero for sure."""
-    differences = better_by[np.isfinite(better_by)]
-    if len(differences) == 0:
-        return False
-    spread = max(float(differences.std(ddof=1)) if len(differences) > 1 else 0.0, _LEAST_SPREAD)
-    return bool(differences.mean() > _CLEAR * spread / np.sqrt(len(differences)))
+_LEAD = 1.2
+"""So many more than any other way, as the scores of wrong ones scatter."""
 
 
 def _told(

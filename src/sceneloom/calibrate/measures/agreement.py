@@ -17,7 +17,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame
 from sceneloom.calibrate.measures.candidate import Change
 from sceneloom.calibrate.measures.features import TILES, FrameFeatures, extract, project_features
-from sceneloom.calibrate.measures.pictures import LEVELS
+from sceneloom.calibrate.measures.pictures import LEVELS, MeasuredPicture
 from sceneloom.kernels.agreement import fill_histogram, sum_by_table, sum_edges
 
 EDGES, EDGES_COARSE, INFORMATION = "edges", "edges-coarse", "information"
@@ -62,9 +62,21 @@ class Agreement:
         cells: number of cells.
     """
 
-    def __init__(self, frames: Sequence[CalibrationFrame], views: Int64Array | None = None) -> None:
-        """Take the features of the frames; `views` (F,) says which frames show nearly the same, None: each another."""
-        self.features: tuple[FrameFeatures, ...] = tuple(extract(frame) for frame in frames)
+    def __init__(
+        self,
+        frames: Sequence[CalibrationFrame],
+        views: Int64Array | None = None,
+        *,
+        pictures: Sequence[MeasuredPicture | None] | None = None,
+    ) -> None:
+        """Take the features of the frames.
+
+        Args:
+            views: (F,) int64, which frames show nearly the same; None: each another.
+            pictures: of the frames, where they were measured before.
+        """
+        measured = (None,) * len(frames) if pictures is None else pictures
+        self.features: tuple[FrameFeatures, ...] = tuple(map(extract, frames, measured))
         self.views = np.arange(len(frames)) if views is None else views
         self.cells = TILES * (int(self.views.max(initial=0)) + 1)
 

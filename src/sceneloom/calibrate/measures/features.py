@@ -52,14 +52,16 @@ class FrameFeatures:
     seen: int
 
 
-def extract(frame: CalibrationFrame) -> FrameFeatures:
-    """Take what is needed from a frame under its stated calibration."""
-    picture = measured_picture(frame.grey, frame.camera)
+def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> FrameFeatures:
+    """Take what is needed from a frame under its stated calibration; `picture` where it was measured before."""
+    if picture is None:
+        picture = measured_picture(frame.grey, frame.camera)
     chosen = _around_view(frame)
     edges = find_depth_edges(frame, chosen)
     stated = frame.camera_from_lidar
     near, far = (
-        project_unbounded(picture.camera, stated.apply(points)) for points in (edges.points_lidar, edges.outwards_lidar)
+        project_unbounded(picture.camera, stated.apply(points))
+        for points in (edges.points_lidar, edges.outwards_lidar)
     )
     known = np.isfinite(near).all(axis=1) & np.isfinite(far).all(axis=1)
     towards = np.arctan2(far[known, 1] - near[known, 1], far[known, 0] - near[known, 0])
@@ -103,7 +105,10 @@ def _around_view(frame: CalibrationFrame) -> Int64Array:
     """The points that the camera sees or nearly sees, as far as directions tell."""
     camera = frame.camera
     across, down = np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9)
-    border = np.array([(u, v) for u in across for v in (down[0], down[-1])] + [(u, v) for v in down for u in (across[0], across[-1])])
+    border = np.array(
+        [(u, v) for u in across for v in (down[0], down[-1])]
+        + [(u, v) for v in down for u in (across[0], across[-1])]
+    )
     rays = unproject(camera, border)
     angles = np.arccos(np.clip(rays[np.isfinite(rays).all(axis=1), 2], -1.0, 1.0))
     widest = float(angles.max()) if len(angles) == len(border) else domain_angle(camera)
@@ -138,6 +143,8 @@ def _levels(frame: CalibrationFrame, visible: Int64Array) -> tuple[Int64Array, F
 
 
 def _tiles(pixels: Float64Array, picture: MeasuredPicture) -> AnyArray:
-    columns = np.clip(pixels[:, 0] / picture.camera.width * TILES_ACROSS, 0, TILES_ACROSS - 1).astype(np.int16)
+    columns = np.clip(pixels[:, 0] / picture.camera.width * TILES_ACROSS, 0, TILES_ACROSS - 1).astype(
+        np.int16
+    )
     rows = np.clip(pixels[:, 1] / picture.camera.height * TILES_DOWN, 0, TILES_DOWN - 1).astype(np.int16)
     return np.asarray(rows * TILES_ACROSS + columns, np.int16)

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.calibrate.measures.agreement import EDGES, EDGES_COARSE, INFORMATION, MEASURES, Agreement, Score
+from sceneloom.calibrate.measures.agreement import (
+    EDGES,
+    INFORMATION,
+    MEASURES,
+    Agreement,
+    Score,
+)
 from sceneloom.calibrate.measures.candidate import Change
 
 FINE = (EDGES, INFORMATION)

@@ -9,15 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame
 from sceneloom.calibrate.scan_order import ScanOrder
 
 _LEAST_JUMP, _JUMP_SHARE, _LARGEST_JUMP = 0.4, 0.04, 3.0
 """A jump is larger than this [m], and than this share of the range; one larger than that counts no more [m]."""
 _GAP_STEPS = 4.0
-_NEIGHBOURS = 12
+_NEIGHBOURS = 16
 _ISOLATED = 3.0
+_SURFACE_DISTANCE = 0.6
+"""Surfaces pass the lidar no nearer [m]: along them inverse range changes by less than one over it for each radian, so
+that ground seen at a grazing angle is no edge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,21 +46,26 @@ def find_depth_edges(frame: CalibrationFrame, chosen: Int64Array) -> DepthEdges:
         chosen: (M,) int64, the points that the camera may see.
     """
     if frame.scan is None:
-        near, far = _jumps_anywhere(frame.points_lidar, chosen)
+        eye = frame.camera_from_lidar.inverse().translation
+        near, far = _jumps_anywhere(frame.points_lidar, chosen, eye)
         shares = np.ones(len(near))
     else:
+        eye = np.zeros(3)
         near, far, shares = _jumps_in_scan(frame.scan, chosen, len(frame.points_lidar))
-    ranges_near, ranges_far = (np.linalg.norm(frame.points_lidar[rows], axis=1) for rows in (near, far))
+    inner, outer = frame.points_lidar[near] - eye, frame.points_lidar[far] - eye
+    ranges_near, ranges_far = np.linalg.norm(inner, axis=1), np.linalg.norm(outer, axis=1)
     weights = (shares * np.minimum(ranges_far - ranges_near, _LARGEST_JUMP)).astype(np.float32)
-    inner = frame.points_lidar[near] / ranges_near[:, None]
-    outer = frame.points_lidar[far] / ranges_far[:, None]
+    outer *= (ranges_near / ranges_far)[:, None]
     middle = inner + outer
     middle *= (ranges_near / np.linalg.norm(middle, axis=1))[:, None]
-    return DepthEdges(np.ascontiguousarray(middle), np.ascontiguousarray(outer * ranges_near[:, None]), weights)
+    return DepthEdges(np.ascontiguousarray(middle + eye), np.ascontiguousarray(outer + eye), weights)
 
 
-def _is_jump(near: Float64Array, far: Float64Array) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
-    return np.asarray(far - near > np.maximum(_LEAST_JUMP, _JUMP_SHARE * near))
+def _is_jump(near: Float64Array, far: Float64Array, apart: Float64Array | float) -> BoolArray:
+    """Whether the range jumps between two points, seen at an angle [rad] to one another."""
+    with np.errstate(divide="ignore"):
+        steep = 1.0 / near - 1.0 / far > apart / _SURFACE_DISTANCE
+    return np.asarray((far - near > np.maximum(_LEAST_JUMP, _JUMP_SHARE * near)) & steep)
 
 
 def _jumps_in_scan(
@@ -74,12 +82,12 @@ def _jumps_in_scan(
     same = np.diff(lines) == 0
     step = float(np.median(np.diff(azimuths)[same])) if same.any() else 0.0
     pairs = np.flatnonzero(same & (np.diff(azimuths) <= _GAP_STEPS * step))
-    along = _directed(pairs, pairs + 1, ranges)
+    along = _directed(pairs, pairs + 1, ranges, step)
     upper = _above(lines, azimuths, scan.count, step)
     lower = np.flatnonzero(upper >= 0)
-    across = _directed(lower, upper[lower], ranges)
-    near, far = np.concatenate([along[0], across[0]]), np.concatenate([along[1], across[1]])
     spacing = _line_spacing(scan)
+    across = _directed(lower, upper[lower], ranges, spacing)
+    near, far = np.concatenate([along[0], across[0]]), np.concatenate([along[1], across[1]])
     share = min(step / spacing, 1.0) if spacing > 0 else 1.0
     return points[near], points[far], np.repeat([1.0, share], [len(along[0]), len(across[0])])
 
@@ -90,9 +98,12 @@ def _line_spacing(scan: ScanOrder) -> float:
     return float(np.median(np.diff(means))) if len(means) > 1 else 0.0
 
 
-def _directed(first: Int64Array, second: Int64Array, ranges: Float64Array) -> tuple[Int64Array, Int64Array]:
+def _directed(
+    first: Int64Array, second: Int64Array, ranges: Float64Array, apart: float
+) -> tuple[Int64Array, Int64Array]:
     """Of pairs those that jump, the nearer one first."""
-    there, back = _is_jump(ranges[first], ranges[second]), _is_jump(ranges[second], ranges[first])
+    there = _is_jump(ranges[first], ranges[second], apart)
+    back = _is_jump(ranges[second], ranges[first], apart)
     return np.concatenate([first[there], second[back]]), np.concatenate([second[there], first[back]])
 
 
@@ -103,22 +114,25 @@ def _above(lines: Int64Array, azimuths: Float64Array, count: int, step: float) -
     wanted = (lines + 1) * turn + azimuths
     after = np.clip(np.searchsorted(keys, wanted), 1, len(keys) - 1)
     nearer = np.where(np.abs(keys[after] - wanted) < np.abs(keys[after - 1] - wanted), after, after - 1)
-    found: Int64Array = np.where(np.abs(keys[nearer] - wanted) <= _GAP_STEPS / 2 * max(step, 1e-4), nearer, -1)
+    found: Int64Array = np.where(
+        np.abs(keys[nearer] - wanted) <= _GAP_STEPS / 2 * max(step, 1e-4), nearer, -1
+    )
     found[lines + 1 >= count] = -1
     return found
 
 
-def _jumps_anywhere(points_lidar: Float64Array, chosen: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """Jumps between neighbours in direction, where no lines are known."""
+def _jumps_anywhere(
+    points_lidar: Float64Array, chosen: Int64Array, eye_lidar: Float64Array
+) -> tuple[Int64Array, Int64Array]:
+    """Jumps between neighbours in direction as seen from a place near the lidar, where no lines are known."""
     if len(chosen) <= _NEIGHBOURS:
         return chosen[:0], chosen[:0]
-    points = points_lidar[chosen]
-    ranges = np.linalg.norm(points, axis=1)
-    directions = points / np.maximum(ranges, 1e-9)[:, None]
+    points = points_lidar[chosen] - eye_lidar
+    ranges = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+    directions = points / ranges[:, None]
     distances, others = cKDTree(directions).query(directions, k=_NEIGHBOURS + 1)
-    usual = np.median(distances[:, 1:], axis=0)[-1]
-    others_ranges = np.where(distances < _ISOLATED * usual, ranges[others], 0.0)
-    farthest = np.argmax(others_ranges, axis=1)
-    far = others[np.arange(len(chosen)), farthest]
-    jumps = np.flatnonzero(_is_jump(ranges, others_ranges[np.arange(len(chosen)), farthest]))
-    return chosen[jumps], chosen[far[jumps]]
+    usual = np.median(distances[:, -1])
+    jumps = _is_jump(ranges[:, None], ranges[others], distances) & (distances < _ISOLATED * usual)
+    nearest = np.argmax(jumps, axis=1)
+    rows = np.flatnonzero(jumps.any(axis=1))
+    return chosen[rows], chosen[others[rows, nearest[rows]]]

@@ -59,7 +59,8 @@ def measured_picture(grey: Float32Array, camera: Camera) -> MeasuredPicture:
     usual = ndimage.uniform_filter(strength, _SURROUNDINGS_PX) + _NOISE
     angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     directed = [
-        np.minimum(np.abs(across * np.cos(angle) + down * np.sin(angle)) / usual, _STRONGEST) for angle in angles
+        np.minimum(np.abs(across * np.cos(angle) + down * np.sin(angle)) / usual, _STRONGEST)
+        for angle in angles
     ]
     edges = {
         name: np.stack([ndimage.gaussian_filter(image, width) for image in directed]).astype(np.float32)
@@ -76,7 +77,14 @@ def _reduced(grey: Float32Array, camera: Camera, factor: int) -> tuple[Float32Ar
         return grey, camera
     blocks = grey[: height * factor, : width * factor].reshape(height, factor, width, factor)
     cut = Camera(
-        camera.model, width * factor, height * factor, camera.fx, camera.fy, camera.cx, camera.cy, camera.coefficients
+        camera.model,
+        width * factor,
+        height * factor,
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        camera.coefficients,
     )
     return np.ascontiguousarray(blocks.mean(axis=(1, 3), dtype=np.float32)), cut.resized(width, height)
 

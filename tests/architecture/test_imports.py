@@ -16,6 +16,7 @@ ROWS = (
     ("pictures",),
     ("fusion",),
     ("tracking", "calibrate"),
+    ("depth",),
     ("detections", "colouring"),
     ("checks",),
     ("formats",),

@@ -1,0 +1,113 @@
+"""`quality`: surfaces as triangles between the points, cut where depth jumps, and jumps placed by the picture.
+
+Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly. Across jumps they say
+little: there, depths flow in from the surfaces on both sides, over pixels of one colour and hardly across edges of the
+picture.
+"""
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, UInt8Array
+from sceneloom.depth.gaps import Filled, close_gaps
+from sceneloom.depth.samples import Samples, weighted_quantile
+from sceneloom.depth.steepness import steepest_slope, trusts_of
+from sceneloom.kernels.delaunay import CORNERS, MOST_EXTENT, hilbert_codes, triangulate
+from sceneloom.kernels.edge_aware import link_pixels, smooth_downward, smooth_rightward
+from sceneloom.kernels.triangle_filling import fill_triangles, measure_triangles
+
+_LONGEST_SURFACE, _LONGEST_JUMP = 12.0, 4.0
+"""The longest side of a triangle that is filled, in spacings of the scan lines."""
+
+_SLIVER_PX2 = 0.05
+"""Triangles of less area tell no slope."""
+
+_TRUST_OF_JUMPS = 0.02
+_EDGE_LEVELS = 15.0
+"""A difference of so many levels, all three channels together, weakens what flows between two pixels by e."""
+
+_TURNS = 2
+
+
+def cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -> Filled:
+    """Fill a picture from triangles between its samples.
+
+    Args:
+        samples: the measured points.
+        rgb: (H, W, 3) uint8, the picture; None: jumps are placed without one.
+        per_radian: pixels per radian.
+    """
+    filled = close_gaps(samples, per_radian)
+    triangles = triangles_between(samples.pixels, *samples.image.shape)
+    measures = np.empty((len(triangles), 3), np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        measure_triangles(samples.pixels, np.reciprocal(samples.depths), triangles, measures)
+    areas, sides, slopes = np.ascontiguousarray(measures.T)
+    broad = areas > _SLIVER_PX2
+    spacing = weighted_quantile(sides, areas, 0.5)
+    steepest = steepest_slope(slopes[broad], areas[broad], per_radian)
+    trusts = trusts_of(slopes, steepest)
+    _fill(samples, triangles, sides, trusts, spacing, filled)
+    depths = _guide(filled, rgb, spacing)
+    return Filled(depths, filled.trusts, filled.spreads, filled.gaps, spacing)
+
+
+def triangles_between(pixels: Float32Array, height: int, width: int) -> AnyArray:
+    """Triangulate points of a picture.
+
+    Args:
+        pixels: (N, 2) float32 [px].
+
+    Returns:
+        (T, 3) int32, rows of `pixels`; without the triangles outside their hull.
+    """
+    extent = max(height, width)
+    scale = MOST_EXTENT / (3 * (extent + 1))
+    inner = np.rint((pixels.astype(np.float64) + 0.5) * scale).astype(np.int64)
+    most = int(np.ceil(extent * scale)) + 1
+    corners = np.array([[-most, -most], [2 * most, -most], [2 * most, 2 * most], [-most, 2 * most]])
+    points = np.concatenate([corners, inner])
+    codes = np.empty(len(inner), np.int64)
+    hilbert_codes(np.ascontiguousarray(inner), codes)
+    triangles = np.empty((2 * len(inner) + 2, 3), np.int32)
+    count = triangulate(points, np.argsort(codes) + CORNERS, triangles)
+    triangles = triangles[:count]
+    return np.ascontiguousarray(triangles[(triangles >= CORNERS).all(axis=1)] - np.int32(CORNERS))
+
+
+def _fill(
+    samples: Samples,
+    triangles: AnyArray,
+    sides: Float32Array,
+    trusts: Float32Array,
+    spacing: float,
+    filled: Filled,
+) -> None:
+    """Draw the triangles that are not too large into the images, over what the gaps told."""
+    longest = np.where(trusts > 0.5, _LONGEST_SURFACE, _LONGEST_JUMP) * max(spacing, 2.0)
+    small: BoolArray = sides <= longest
+    images = (filled.depths, filled.trusts, filled.spreads, filled.gaps)
+    fill_triangles(samples.pixels, samples.depths, triangles, small, trusts, sides, *images)
+
+
+def _guide(filled: Filled, rgb: UInt8Array | None, spacing: float) -> Float32Array:
+    """Let depths flow from surfaces into jumps along the picture; trusted pixels keep theirs."""
+    depths, trusts = filled.depths, filled.trusts
+    rightward, downward = _links(rgb, depths)
+    weights = np.where(depths > 0, trusts + np.float32(_TRUST_OF_JUMPS), np.float32(0))
+    flows, room = weights * depths, np.empty_like(depths)
+    for turn in range(1, _TURNS + 1):
+        strength = 1.5 * 4.0 ** (_TURNS - turn) / (4.0**_TURNS - 1) * spacing**2
+        smooth_rightward(rightward, strength, flows, weights)
+        smooth_downward(downward, strength, flows, weights, room)
+    np.divide(flows, weights, out=flows, where=weights > 0)
+    guided = depths * trusts + flows * (1 - trusts)
+    return np.where(depths > 0, guided, np.float32(0))
+
+
+def _links(rgb: UInt8Array | None, depths: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """How freely depth flows from each pixel to the right and down; as over one colour where there is no picture."""
+    picture = np.zeros((*depths.shape, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
+    rightward, downward = np.empty_like(depths), np.empty_like(depths)
+    link_of_difference = np.exp(-np.arange(766) / _EDGE_LEVELS).astype(np.float32)
+    link_pixels(picture, link_of_difference, rightward, downward)
+    return rightward, downward

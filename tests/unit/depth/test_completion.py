@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.depth import METHODS, complete_depth
+from sceneloom.errors import ArrayError, OptionError
+
+CAMERA = Camera("pinhole", 160, 120, 120.0, 120.0, 79.5, 59.5)
+
+
+def directions(camera=CAMERA):
+    row, column = np.mgrid[: camera.height, : camera.width]
+    return (column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy
+
+
+def plane(normal, distance, camera=CAMERA):
+    """Depth of the plane normal · p = distance in each pixel, 0 where the pixel does not see it."""
+    x, y = directions(camera)
+    inverse = (normal[0] * x + normal[1] * y + normal[2]) / distance
+    return np.where(inverse > 0, 1 / np.maximum(inverse, 1e-9), 0).astype(np.float32)
+
+
+def scanned(depths, rows=slice(5, None, 10), columns=slice(1, None, 2)):
+    """What a lidar whose scan lines are ten rows apart would see of it."""
+    sparse = np.zeros_like(depths)
+    sparse[rows, columns] = depths[rows, columns]
+    return sparse
+
+
+def between_samples(sparse, margin):
+    """Pixels with samples on all sides, this far from the outer ones."""
+    rows, columns = np.nonzero(sparse)
+    inner = np.zeros(sparse.shape, bool)
+    inner[
+        rows.min() + margin : rows.max() + 1 - margin, columns.min() + margin : columns.max() + 1 - margin
+    ] = True
+    return inner
+
+
+SLANTED = {
+    "wall": ((0.0, 0.0, 1.0), 12.0),
+    "wall seen from the side": ((0.8, 0.0, 0.3), 4.0),
+    "road": ((0.0, 1.0, 0.25), 1.65),
+    "slope": ((0.3, 0.5, 0.4), 3.0),
+}
+
+
+@pytest.mark.parametrize("name", SLANTED)
+def test_quality_gives_back_a_slanted_plane_between_its_samples_exactly(name):
+    truth = plane(*SLANTED[name])
+    truth[truth > 60] = 0
+    sparse = scanned(truth)
+    dense = complete_depth(sparse, CAMERA)
+    inner = between_samples(sparse, 0) & (truth > 0) & (truth < 30)
+    assert inner.sum() > 5000
+    # seven digits of float32, over inverse depths of a few per mille
+    np.testing.assert_allclose(dense.depths[inner], truth[inner], rtol=2e-4)
+
+
+@pytest.mark.parametrize("name", SLANTED)
+def test_fast_comes_near_to_a_slanted_plane(name):
+    truth = plane(*SLANTED[name])
+    truth[truth > 60] = 0
+    sparse = scanned(truth)
+    dense = complete_depth(sparse, CAMERA, method="fast")
+    inner = between_samples(sparse, 3) & (truth > 0) & (truth < 30)
+    # samples stand for two columns, and five pixels are averaged: a plane as steep as these bends by a few per cent
+    assert np.abs(dense.depths[inner] / truth[inner] - 1).max() < 0.08
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_points_give_no_depths(method):
+    dense = complete_depth(np.zeros((120, 160), np.float32), CAMERA, method=method)
+    assert not dense.depths.any()
+    assert not dense.confidence.any()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_point_stays_one_point(method):
+    sparse = np.zeros((120, 160), np.float32)
+    sparse[40, 70] = 8.0
+    dense = complete_depth(sparse, CAMERA, method=method)
+    np.testing.assert_array_equal(dense.depths, sparse)
+    assert (dense.confidence > 0).sum() == 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_depths_that_are_none_are_refused_with_their_place(method, value):
+    sparse = np.zeros((120, 160), np.float32)
+    sparse[7, 9] = value
+    with pytest.raises(ArrayError, match=r"sparse\[7, 9\]"):
+        complete_depth(sparse, CAMERA, method=method)
+
+
+def test_a_picture_of_another_size_than_the_camera_is_refused():
+    with pytest.raises(ArrayError, match=r"rgb: \(120, 161, 3\)"):
+        complete_depth(np.zeros((120, 160), np.float32), CAMERA, np.zeros((120, 161, 3), np.uint8))
+    with pytest.raises(ArrayError, match=r"sparse: \(119, 160\)"):
+        complete_depth(np.zeros((119, 160), np.float32), CAMERA)
+
+
+def test_a_method_that_is_not_known_is_refused_with_those_that_are():
+    with pytest.raises(OptionError, match="fast, quality"):
+        complete_depth(np.zeros((120, 160), np.float32), CAMERA, method="best")
+
+
+def test_a_depth_image_without_its_camera_is_refused():
+    with pytest.raises(ArrayError, match="camera"):
+        complete_depth(np.zeros((120, 160), np.float32))

@@ -148,7 +148,10 @@ class FusionInterface:
         return outcome
 
     def send_motion(self, path: PosePath) -> Outcome:
-        """Tell where the vehicle was: poses of the lidar's frame (x forward, y left, z up) in a world that stands."""
+        """Tell where the vehicle was: poses in a world that stands, x forward, y left, z up.
+
+        They are of the body that the property `sensors` mounts lidars on (`body_from_lidar`), else of the lidar itself.
+        """
         with self._lock:
             if self._closed:
                 return refused(Cause.CLOSED, "the session has ended")

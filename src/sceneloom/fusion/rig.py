@@ -18,6 +18,7 @@ from sceneloom.fusion.ledger import Ledger, Stream, Ticket
 from sceneloom.fusion.messages.boxes import Boxes3d
 from sceneloom.fusion.messages.records import ResultRecord
 from sceneloom.fusion.messages.scene_form import boxes_2d_of, boxes_3d_of
+from sceneloom.fusion.mounting import way_of_mounted
 from sceneloom.fusion.outgoing import fused_detections_record, sensor_fusion_record
 from sceneloom.fusion.pairing import Leave
 from sceneloom.fusion.sensors import STILL
@@ -77,6 +78,7 @@ class Rig:
     _systems: dict[int, FusionSystem] = field(default_factory=dict)
     _cameras: set[tuple[int, int]] = field(default_factory=set)
     _path: PosePath | None = None
+    _ways: dict[int, PosePath] = field(default_factory=dict)
     _newest_ns: dict[Stream, int] = field(default_factory=dict)
     _left: list[tuple[Ticket, Leave]] = field(default_factory=list)
 
@@ -120,8 +122,17 @@ class Rig:
     def move(self, path: PosePath) -> None:
         """Let the vehicle move along a way from now on."""
         self._path = path
-        for system in self._systems.values():
-            system.move(path, reach_ns=REACH_NS)
+        for lidar_id in self._systems:
+            self._move(lidar_id)
+
+    def _move(self, lidar_id: int) -> None:
+        """Let a lidar ride on the body whose way is told, by the mounting in force."""
+        if self._path is None or self._setting is None:
+            return
+        declared = self._setting.sensors.get(lidar_id)
+        way = way_of_mounted(self._path, None if declared is None else declared.body_from_lidar)
+        self._ways[lidar_id] = way
+        self._systems[lidar_id].move(way, reach_ns=REACH_NS)
 
     def _follow_clock(self, stream: Stream, time_ns: int) -> Iterator[RigResult]:
         """Where a sensor's clock was set back, fuse all that waits, and begin anew."""
@@ -166,7 +177,7 @@ class Rig:
     def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[RigResult]:
         sweep: _Sent = fused.extras["sent"]
         compensated = self._path is not None and not fused.standing
-        world_from_lidar = self._world_from_lidar(fused.reference_ns) if compensated else _HERE
+        world_from_lidar = self._world_from_lidar(lidar_id, fused.reference_ns) if compensated else _HERE
         if self._path is not None and fused.standing and sweep.setting.configuration.motion_compensation:
             self.counters.add("motion.beyond-reach")
         for view in fused.views:
@@ -226,8 +237,7 @@ class Rig:
                 self._cameras.add((camera_id, lidar_id))
         for lidar_id, system in self._systems.items():
             system.configure(setting.configuration, period_ns=setting.sweep_period_ns)
-            if self._path is not None:
-                system.move(self._path, reach_ns=REACH_NS)
+            self._move(lidar_id)
             system.expect([f"camera{camera}" for camera, lidar in setting.pairs if lidar == lidar_id])
             yield from self._fetch(lidar_id, system)
 
@@ -254,10 +264,10 @@ class Rig:
         sent: _Sent = extras["sent"]
         self._left.append((sent.ticket, leave))
 
-    def _world_from_lidar(self, time_ns: int) -> RigidTransform:
-        if self._path is None:
+    def _world_from_lidar(self, lidar_id: int, time_ns: int) -> RigidTransform:
+        if lidar_id not in self._ways:
             return _HERE
-        pose = PoseSource(self._path, _HERE, REACH_NS).at(np.array([time_ns], np.int64))
+        pose = PoseSource(self._ways[lidar_id], _HERE, REACH_NS).at(np.array([time_ns], np.int64))
         if (
             pose.coverage[0] == OUT_OF_REACH
         ):  # which only a sweep without points can be, if it was compensated

@@ -1,6 +1,7 @@
 """Declared frames and motion: what is given in them comes back in them, as a slow reckoning by words says."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -210,6 +211,63 @@ def test_without_a_way_that_reaches_all_is_fused_as_if_standing_and_says_so(piec
     column, row, depth = seen(from_lidar(0.0) * (1, -1, 1))
     assert record.depths[row, column] == pytest.approx(depth, abs=1e-4)
     assert ("motion.beyond-reach" in counts) is counted
+
+
+BODY_FROM_LIDAR = (Rotation.from_euler("zyx", [0.4, -0.1, 0.2]), np.array([1.5, -0.7, 2.0]))
+"""How the lidar is mounted on a vehicle whose way is told."""
+
+
+def way_of_the_vehicle(first_ms, last_ms):
+    """That of `path`, which is the lidar's, as the vehicle has it: `world_from_lidar ∘ lidar_from_body`."""
+    of_lidar, (turn, place) = path(first_ms, last_ms), BODY_FROM_LIDAR
+    turns = Rotation.from_quat(of_lidar.quaternions_xyzw) * turn.inv()
+    return PosePath(of_lidar.timestamps_ns, of_lidar.positions - turns.apply(place), turns.as_quat())
+
+
+@pytest.mark.parametrize("words", ["+x,-y,+z", "+y,+x,+z"])
+def test_poses_of_the_vehicle_do_where_the_mounting_of_the_lidar_is_known(words):
+    turn, place = BODY_FROM_LIDAR
+    mounting = {"position": place.tolist(), "quaternion_xyzw": turn.as_quat().tolist()}
+    sensors = {"0": {"kind": "lidar", "body_from_lidar": mounting}, "1": {"kind": "camera"}}
+    found = []
+    for told in (json.dumps(sensors), ""):
+        with interface(words, "+z,+x,-y" if handed(words) == handed("+z,+x,-y") else "+x,-y,+z") as fusion:
+            assert fusion.set_property("sensors", told)
+            assert fusion.send_motion(way_of_the_vehicle(-50, 200))
+            assert fusion.send(moving_sweep(words))
+            assert fusion.send(image(90, 1))
+            fusion.flush()
+            found.append(fusion.get(0).record)
+    mounted, alone = found
+    expected = axes_matrix(words) @ (from_lidar(0.04) * (1, -1, 1))
+    np.testing.assert_allclose(mounted.points[:, :3], np.tile(expected, (5, 1)), atol=2e-4)
+    column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
+    assert mounted.depths[row, column] == pytest.approx(depth, abs=2e-4)
+    assert not np.allclose(alone.points[:, :3], expected, atol=0.01)  # taken for the lidar's own way
+
+
+@pytest.mark.parametrize(
+    ("mounting", "problem"),
+    [
+        ([1, 2, 3], "expected an object with position"),
+        ({"quaternion_xyzw": [0, 0, 0, 1]}, "expected an object with position"),
+        ({"position": [1, 2]}, "expected 3 finite numbers"),
+        ({"position": [1, 2, True]}, "expected 3 finite numbers"),
+        ({"position": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 2]}, "norm 2.0000; expected a unit quaternion"),
+        ({"position": [1, 2, 3], "yaw": 1}, "expected an object with position"),
+    ],
+)
+def test_a_mounting_that_is_none_is_refused(mounting, problem):
+    with FusionInterface(inline=True) as fusion:
+        for kind, told in (("lidar", problem), ("camera", "")):
+            outcome = fusion.set_property(
+                "sensors", json.dumps({"0": {"kind": kind, "body_from_lidar": mounting}})
+            )
+            assert outcome.status == 0
+            assert told in outcome.reason
+            assert "0.body_from_lidar" in outcome.reason
+        good = {"0": {"kind": "camera", "body_from_lidar": {"position": [0, 0, 0]}}}
+        assert "expected of lidars" in fusion.set_property("sensors", json.dumps(good)).reason
 
 
 def fused_by_cameras(pictures_ms):

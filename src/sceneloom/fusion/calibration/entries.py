@@ -7,6 +7,7 @@ import msgspec
 
 from sceneloom.errors import DataError
 from sceneloom.fusion.calibration.declared import check_calibration
+from sceneloom.fusion.json_property import read_json, sensor_id_of
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.tables import CALIBRATION
 
@@ -36,12 +37,9 @@ def parse_calibrations(text: str) -> tuple[CalibrationEntry, ...]:
         DataError: it is no JSON list of records of table 3 with `camera_id` and `lidar_id`, or two are of one pair.
         CalibrationError: the numbers of one are no lens or no transform.
     """
-    if not text.strip():
+    found = read_json(text, _OWNER)
+    if found is None:
         return ()
-    try:
-        found = msgspec.json.decode(text)
-    except msgspec.DecodeError as error:
-        raise DataError(_OWNER, "", f"no JSON: {error}") from error
     if isinstance(found, dict):
         found = [found]
     if not isinstance(found, list):
@@ -69,7 +67,7 @@ def entry_of(item: Any, place: str) -> CalibrationEntry:
     if unknown:
         known = ", ".join((*_IDS, *_FIELDS))
         raise DataError(_OWNER, f"{place}.{unknown[0]}", f"not a field of table 3; there are {known}")
-    camera_id, lidar_id = (_sensor_id(item.get(name, 0), f"{place}.{name}") for name in _IDS)
+    camera_id, lidar_id = (sensor_id_of(item.get(name, 0), _OWNER, f"{place}.{name}") for name in _IDS)
     missing = [row.name for row in CALIBRATION.rows if row.required and row.name not in item]
     if missing:
         raise DataError(_OWNER, f"{place}.{missing[0]}", "missing; expected as table 3 has it")
@@ -85,9 +83,3 @@ def format_calibrations(entries: tuple[CalibrationEntry, ...]) -> str:
     """Write the property's text, which `parse_calibrations` reads back."""
     items = [{"camera_id": e.camera_id, "lidar_id": e.lidar_id, **asdict(e.data)} for e in entries]
     return msgspec.json.encode(items).decode()
-
-
-def _sensor_id(value: Any, place: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 255:
-        raise DataError(_OWNER, place, f"{value!r}; expected a sensor_id, 0 to 255")
-    return value

@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-import msgspec
-
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError, DataError
+from sceneloom.fusion.json_property import read_by_sensor
 
 LENSES = "lenses"
 """Name of the property, a string that a session adds where it needs it."""
@@ -22,21 +21,8 @@ def parse_lenses(text: str) -> Mapping[int, Camera]:
         DataError: it is no JSON object of lenses.
         CalibrationError: a lens cannot be.
     """
-    if not text.strip():
-        return {}
-    try:
-        found = msgspec.json.decode(text)
-    except msgspec.DecodeError as error:
-        raise DataError(LENSES, "", f"no JSON: {error}") from error
-    if not isinstance(found, dict):
-        raise DataError(LENSES, "", "no JSON object; expected lenses by camera_id")
-    return {_camera_id(name): _lens(entry, name) for name, entry in found.items()}
-
-
-def _camera_id(name: str) -> int:
-    if not (name.isascii() and name.isdigit() and int(name) <= 255):
-        raise DataError(LENSES, name, "a camera_id; expected 0 to 255")
-    return int(name)
+    found = read_by_sensor(text, LENSES, '{"1": {"model": "fisheye", …}}')
+    return {camera_id: _lens(entry, str(camera_id)) for camera_id, entry in found.items()}
 
 
 def _lens(entry: Any, place: str) -> Camera:

@@ -146,7 +146,8 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
             PredefinedProperty(
                 "sensors",
                 'what each sensor_id is and what its raw data (table 4) hold, as JSON: {"0": {"kind": "lidar", '
-                '"raw": "records"}, "1": {"kind": "camera", "raw": "jpeg"}}; empty: told by what is sent',
+                '"raw": "records"}, "1": {"kind": "camera", "raw": "jpeg"}}; of a lidar also body_from_lidar, its '
+                "mounting on the body whose way SendMotion tells; empty: told by what is sent",
                 "string",
                 "",
                 check=parse_sensors,

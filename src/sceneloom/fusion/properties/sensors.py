@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-import msgspec
-
 from sceneloom.errors import DataError
 from sceneloom.fusion.calibration.axes import SensorKind
+from sceneloom.fusion.json_property import read_by_sensor
+from sceneloom.fusion.mounting import parse_mounting
+from sceneloom.geometry.rigid import RigidTransform
 
-_PLACE = "sensors"
+_PLACE, _MOUNTING = "sensors", "body_from_lidar"
 
 
 class RawForm(StrEnum):
@@ -41,11 +42,13 @@ class DeclaredSensor:
         sensor_id: 0 to 255.
         kind: camera or lidar.
         raw: what its raw data hold, or None where it sends none.
+        body_from_lidar: of a lidar, how it is mounted on the body whose way is told; None: the way is its own.
     """
 
     sensor_id: int
     kind: SensorKind
     raw: RawForm | None = None
+    body_from_lidar: RigidTransform | None = None
 
 
 def parse_sensors(text: str) -> Mapping[int, DeclaredSensor]:
@@ -54,27 +57,24 @@ def parse_sensors(text: str) -> Mapping[int, DeclaredSensor]:
     Raises:
         DataError: it is no JSON object of sensors.
     """
-    if not text.strip():
-        return {}
-    try:
-        found = msgspec.json.decode(text)
-    except msgspec.DecodeError as error:
-        raise DataError(_PLACE, "", f"no JSON: {error}") from error
-    if not isinstance(found, dict):
-        raise DataError(_PLACE, "", f'{text[:40]!r}; expected an object as {{"0": {{"kind": "lidar"}}}}')
-    sensors = (_declared(name, entry) for name, entry in found.items())
-    return {sensor.sensor_id: sensor for sensor in sensors}
+    found = read_by_sensor(text, _PLACE, '{"0": {"kind": "lidar"}}')
+    return {sensor_id: _declared(sensor_id, entry) for sensor_id, entry in found.items()}
 
 
-def _declared(name: str, entry: Any) -> DeclaredSensor:
-    if not (name.isascii() and name.isdigit() and int(name) <= 255):
-        raise DataError(_PLACE, name, "a sensor_id; expected 0 to 255")
-    if not isinstance(entry, dict) or not {"kind"} <= set(entry) <= {"kind", "raw"}:
-        raise DataError(_PLACE, name, f"{entry!r}; expected an object with kind and perhaps raw")
+def _declared(sensor_id: int, entry: Any) -> DeclaredSensor:
+    name = str(sensor_id)
+    if not isinstance(entry, dict) or not {"kind"} <= set(entry) <= {"kind", "raw", _MOUNTING}:
+        raise DataError(
+            _PLACE, name, f"{entry!r}; expected an object with kind and perhaps raw and {_MOUNTING}"
+        )
     if entry["kind"] not in list(SensorKind):
         raise DataError(_PLACE, f"{name}.kind", f"{entry['kind']!r}; expected {' or '.join(SensorKind)}")
     kind = SensorKind(entry["kind"])
     raw = entry.get("raw")
     if raw is not None and raw not in RAW_FORMS[kind]:
         raise DataError(_PLACE, f"{name}.raw", f"{raw!r}; expected one of {', '.join(RAW_FORMS[kind])}")
-    return DeclaredSensor(int(name), kind, None if raw is None else RawForm(raw))
+    place = f"{name}.{_MOUNTING}"
+    mounting = parse_mounting(entry[_MOUNTING], _PLACE, place) if _MOUNTING in entry else None
+    if mounting is not None and kind is not SensorKind.LIDAR:
+        raise DataError(_PLACE, place, "of a camera; expected of lidars: cameras are where calibrations say")
+    return DeclaredSensor(sensor_id, kind, None if raw is None else RawForm(raw), mounting)

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.colours import colour_points
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.detections.results import NO_BOX, FusedBoxes
+from sceneloom.fusion.algorithms import BUILT_IN, FusionType
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
@@ -46,11 +47,10 @@ def sensor_fusion_record(
     axes, kind = (
         (setting.frames.lidar, SensorKind.LIDAR) if of_lidar else (setting.frames.camera, SensorKind.CAMERA)
     )
-    colors, _ = colour_points(len(frame.points), [view], [0])
     points = replace(
         frame.points,
         positions=_moved(frame.points, world_from_frame, axes.standard_from_declared(kind).T),
-        colors=colors,
+        colors=_colors_of(frame, view, setting),
         camera_index=None,
     )
     return sensor_fusion_of(
@@ -65,6 +65,17 @@ def sensor_fusion_record(
         point_frame="lidar" if of_lidar else "camera",
         motion_compensated=motion_compensated,
     )
+
+
+def _colors_of(frame: FusedFrame, view: FusedView, setting: Setting) -> UInt8Array:
+    """The colours that one picture gives the points: those of the cloud, where it is the only one that gave them.
+
+    Algorithms of other packages may colour a cloud as they like.
+    """
+    own = setting.properties.algorithms[FusionType.SENSOR_DATA] in BUILT_IN[FusionType.SENSOR_DATA]
+    if own and len(frame.views) == 1 and frame.points.colors is not None:
+        return frame.points.colors
+    return colour_points(len(frame.points), [view], [0])[0]
 
 
 def _moved(

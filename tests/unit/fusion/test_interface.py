@@ -158,3 +158,20 @@ def test_an_unknown_fusion_type_is_an_error(fusion):
 def test_after_the_end_nothing_is_taken(fusion):
     fusion.close()
     assert fusion.send(cloud(0, 1)).cause is Cause.CLOSED
+
+
+def test_points_have_the_colours_of_the_picture_in_the_result_however_many_pictures_there_are():
+    points = ((10.0, 0.0, 0.0), (10.0, 1.0, 0.5), (-10.0, 0.0, 0.0))
+    for cameras in ((1,), (1, 2)):
+        with FusionInterface(inline=True) as fusion:
+            for camera in cameras:
+                assert fusion.set_calibration(calibration(), camera_id=camera, lidar_id=0)
+                assert fusion.send(image(0, 5, level=20 * camera, sensor_id=camera))
+            assert fusion.send(cloud(0, 5, points))
+            fusion.flush()
+            results = {result.record.camera_id: result.record for result in fusion.results(0)}
+        assert set(results) == set(cameras)
+        for camera, record in results.items():
+            colors = [record.point_fields.index(name) for name in "rgb"]
+            seen, other = [20.0 * camera] * 3, [255.0] * 3
+            assert record.points[:, colors].tolist() == [seen, seen, other]

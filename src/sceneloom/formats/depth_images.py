@@ -42,20 +42,53 @@ def write_depth_png(depth_image: Float32Array, path: Path, *, overwrite: bool = 
     return int(beyond.sum())
 
 
-def write_depth_npz(depth_image: Float32Array, path: Path, *, overwrite: bool = False) -> None:
+def write_depth_npz(
+    depth_image: Float32Array,
+    path: Path,
+    *,
+    confidence: Float32Array | None = None,
+    overwrite: bool = False,
+) -> None:
     """Write a depth image losslessly, as array `depth` of a compressed NPZ file.
 
     Args:
         depth_image: (H, W) float32 [m], 0 for none.
+        confidence: (H, W) float32, 0 to 1: goes into the array `confidence` of the file.
         overwrite: replace a file that is there.
 
     Raises:
-        ArrayError: the image is empty, or holds NaN or a negative depth.
+        ArrayError: the image is empty, or holds NaN or a negative depth, or the confidence is of another size.
         OutputError: the file exists or cannot be written.
     """
     _check(depth_image)
+    check_array("confidence", confidence, depth_image.shape, np.float32, optional=True)
+    arrays = {"depth": depth_image} | ({} if confidence is None else {"confidence": confidence})
     with replacing(path, overwrite=overwrite) as draft, draft.open("wb") as file:
-        np.savez_compressed(file, depth=depth_image)
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # its flags are keywords, too
+
+
+def write_confidence_png(confidence: Float32Array, path: Path, *, overwrite: bool = False) -> None:
+    """Write confidences as PNG with 8 bits a pixel: 255 for 1.
+
+    Args:
+        confidence: (H, W) float32, 0 to 1.
+        overwrite: replace a file that is there.
+
+    Raises:
+        ArrayError: the image is empty, or holds a number outside 0 to 1.
+        OutputError: the file exists or cannot be written.
+    """
+    from PIL import Image
+
+    check_array("confidence", confidence, (None, None), np.float32)
+    if confidence.size == 0 or not (confidence >= 0).all() or not (confidence <= 1).all():
+        raise ArrayError(
+            f"confidence: {confidence.shape}; expected at least one pixel, and numbers from 0 to 1"
+        )
+    with replacing(path, overwrite=overwrite) as draft:
+        Image.fromarray(np.rint(confidence * 255).astype(np.uint8)).save(
+            draft, "PNG", compress_level=_COMPRESSION
+        )
 
 
 def _check(depth_image: Float32Array) -> None:

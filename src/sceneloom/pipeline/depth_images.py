@@ -1,0 +1,304 @@
+"""Depth images of a drive, sparse or dense: one scene in, a folder of images out."""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.depth import METHODS, DenseDepth, complete_depth
+from sceneloom.errors import DataError, OptionError, PoseError
+from sceneloom.formats.depth_images import write_confidence_png, write_depth_npz, write_depth_png
+from sceneloom.formats.output import check_output, filling, replacing
+from sceneloom.fusion import FusionConfiguration
+from sceneloom.pictures.dense_depths import draw_dense_depth
+from sceneloom.pipeline.play import Skips, build_system, play, telling
+from sceneloom.pipeline.sinks import lidar_folders, names_of
+from sceneloom.pipeline.woven import Woven, weave
+from sceneloom.scene import CameraSensor, Identifier, Notice, Scene
+from sceneloom.scene.types import Progress, key_of
+
+SPARSE = "sparse"
+DEPTH_METHODS = (SPARSE, *METHODS)
+"""How depth images are made: of the measured points alone, or completed."""
+
+DEPTH_FORMS = ("png", "npz")
+
+
+class DepthCameraReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One camera's depth images.
+
+    Attributes:
+        camera: its id.
+        images: how many were written.
+        filled_percent: share of their pixels that have a depth.
+        confidence: mean of these pixels' confidence.
+    """
+
+    camera: Identifier
+    images: int
+    filled_percent: float
+    confidence: float
+
+
+class DepthReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The depth images of a drive.
+
+    Attributes:
+        source: what was read.
+        folder: where the images are.
+        method: how they were made.
+        sweeps: how many the drive, or the chosen part of it, has.
+        unfused: how many of them could not be placed, by reason.
+        skipped: one line for each sweep and picture that could not be read.
+        cameras: the images of each camera.
+        beyond_range: pixels whose depths the form cannot hold; they are written as 0.
+        seconds: how long it took.
+        notices: what was assumed, repaired or left out.
+    """
+
+    source: str
+    folder: str
+    method: str
+    sweeps: int
+    unfused: dict[str, int]
+    skipped: tuple[str, ...]
+    cameras: tuple[DepthCameraReport, ...]
+    beyond_range: int
+    seconds: float
+    notices: tuple[Notice, ...]
+
+
+@dataclass(slots=True)
+class _Tally:
+    images: int = 0
+    filled: float = 0.0
+    confidence: float = 0.0
+
+    def add(self, dense: DenseDepth) -> None:
+        known = dense.depths > 0
+        self.images += 1
+        self.filled += float(known.mean())
+        self.confidence += float(dense.confidence[known].mean()) if known.any() else 0.0
+
+    def report(self, camera: Identifier) -> DepthCameraReport:
+        count = max(self.images, 1)
+        return DepthCameraReport(
+            camera=camera,
+            images=self.images,
+            filled_percent=100.0 * self.filled / count,
+            confidence=self.confidence / count,
+        )
+
+
+@dataclass(slots=True)
+class _Writer:
+    """Writes `<camera>/<frame number>.png` or `.npz`; of several lidars below `<lidar>/`."""
+
+    folder: Path
+    folders: Mapping[Identifier, Path]
+    names: Mapping[Identifier, str]
+    form: str
+    confidence: bool
+    pictures: Path | None
+    drawn: Mapping[Identifier, Path]
+    beyond_range: int = 0
+    tallies: dict[Identifier, _Tally] = field(default_factory=dict)
+
+    def add(self, frame: FusedFrame, view: FusedView, dense: DenseDepth) -> None:
+        """Write one image, and what goes with it."""
+        name = f"{frame.index:06d}"
+        folder = _made(self.folders[frame.lidar_id] / self.names[view.camera_id])
+        target = folder / f"{name}.{self.form}"
+        if self.form == "npz":
+            write_depth_npz(dense.depths, target, confidence=dense.confidence)
+        else:
+            self.beyond_range += write_depth_png(dense.depths, target)
+        if self.confidence and self.form == "png":
+            write_confidence_png(dense.confidence, _made(folder / "confidence") / f"{name}.png")
+        if self.pictures is not None:
+            place = _made(self.drawn[frame.lidar_id] / self.names[view.camera_id]) / f"{name}.png"
+            with replacing(place, overwrite=False) as draft:
+                draw_dense_depth(view, dense).save(draft, "PNG", compress_level=2)
+        self.tallies[view.camera_id].add(dense)
+        self._note(frame, view, target)
+
+    def _note(self, frame: FusedFrame, view: FusedView, image: Path) -> None:
+        record = {
+            "file": image.relative_to(self.folder).as_posix(),
+            "lidar": frame.lidar_id,
+            "sweep_ns": frame.timestamp_ns,
+            "camera": view.camera_id,
+            "picture_ns": view.timestamp_ns,
+        }
+        with (self.folder / "index.jsonl").open("ab") as lines:
+            lines.write(msgspec.json.encode(record) + b"\n")
+
+
+def write_depth_images(
+    scene: Scene,
+    folder: str | Path,
+    *,
+    method: str = "quality",
+    form: str = "png",
+    cameras: Iterable[Identifier] | None = None,
+    confidence: bool = False,
+    pictures: str | Path | None = None,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    configuration: FusionConfiguration | None = None,
+    lenient: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> DepthReport:
+    """Write a depth image for each sweep and each picture that belongs to it.
+
+    Sweeps are read, completed and let go one after another. `index.jsonl` in the folder says of each image which sweep
+    and which picture it is of.
+
+    Args:
+        folder: for the images: `<camera>/<number of the sweep>.png`; of several lidars, below `<lidar>/`.
+        method: "sparse" (the measured points alone), "fast" or "quality".
+        form: "png" (16 bit, metres times 256) or "npz" (float32 metres and confidence).
+        cameras: the only cameras; None for all.
+        confidence: write `<camera>/confidence/<number>.png` (8 bit, 255 for 1) beside PNG images; NPZ always hold it.
+        pictures: folder for pictures to look at: photograph, depths and confidence.
+        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
+            None for the scene's default.
+        heading: "motion" to derive orientations where the trajectory has positions only.
+        start: seconds after the scene's first time stamp, None for the beginning.
+        stop: seconds after it, exclusive, None for the end.
+        configuration: settings of the fusion system.
+        lenient: count sweeps and pictures that cannot be read, and go on.
+        overwrite: whether files that exist may be replaced.
+        progress: told after each sweep.
+
+    Raises:
+        PoseError: the sensors' motion is not known, or at the time of no sweep.
+        DataError: there is no lidar or no camera, or a sweep or a picture cannot be read.
+        OutputError: the folder holds something, or cannot be written.
+        OptionError: a value is not one that can be followed.
+    """
+    begun = time.perf_counter()
+    place, drawn = Path(folder), None if pictures is None else Path(pictures)
+    _check_choices(method, form, place, drawn, overwrite=overwrite)
+    skips = Skips() if lenient else None
+    woven = weave(
+        _with_cameras(scene, cameras),
+        trajectory=trajectory,
+        heading=heading,
+        start=start,
+        stop=stop,
+        lenient=lenient,
+    )
+    system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
+    if skips is not None:
+        system.on_unreadable = skips.add
+    total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
+    unfused: dict[str, int] = {}
+    with telling(skips), ExitStack() as stack:
+        writer = _open_writer(
+            woven, place, drawn, stack, form=form, confidence=confidence, overwrite=overwrite
+        )
+        for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
+            if frame.unfused is not None:
+                unfused[frame.unfused] = unfused.get(frame.unfused, 0) + 1
+            for view in frame.views:
+                writer.add(frame, view, _depths_of(view, method))
+            if progress is not None:
+                progress(done, total)
+        _refuse_nothing_written(woven.scene, total, unfused)
+    return DepthReport(
+        source=scene.source,
+        folder=str(place),
+        method=method,
+        sweeps=total,
+        unfused=unfused,
+        skipped=() if skips is None else tuple(skips.reasons),
+        cameras=tuple(tally.report(camera_id) for camera_id, tally in writer.tallies.items()),
+        beyond_range=writer.beyond_range,
+        seconds=time.perf_counter() - begun,
+        notices=tuple(woven.scene.notices),
+    )
+
+
+def _depths_of(view: FusedView, method: str) -> DenseDepth:
+    if method == SPARSE:
+        return DenseDepth(view.depth_image, (view.depth_image > 0).astype(np.float32))
+    return complete_depth(view, method=method)
+
+
+def _check_choices(method: str, form: str, folder: Path, pictures: Path | None, *, overwrite: bool) -> None:
+    """Refuse what cannot be followed before anything is read."""
+    choices: Sequence[tuple[str, str, tuple[str, ...]]] = (
+        ("method", method, DEPTH_METHODS),
+        ("form", form, DEPTH_FORMS),
+    )
+    for name, value, known in choices:
+        if value not in known:
+            raise OptionError(f"{name} {value!r}; expected one of {', '.join(known)}")
+    if pictures is not None and pictures.absolute() == folder.absolute():
+        raise OptionError(f"{folder}: named for depth images and for pictures; expected two folders")
+    for place in filter(None, (folder, pictures)):
+        check_output(place, overwrite=overwrite)
+
+
+def _with_cameras(scene: Scene, cameras: Iterable[Identifier] | None) -> Scene:
+    """Leave out the pictures of all cameras but some, which need not be decoded then."""
+    if not scene.lidars:
+        raise DataError(scene.source, "", "no lidar in it; depth images need one")
+    if not scene.cameras:
+        raise DataError(scene.source, "", "no camera in it; depth images need one")
+    if cameras is None:
+        return scene
+    known = {key_of(camera.id) for camera in scene.cameras}
+    wanted = {key_of(identifier) for identifier in cameras}
+    if missing := [key for key in wanted if key not in known]:
+        there = ", ".join(str(camera.id) for camera in scene.cameras)
+        raise OptionError(f"{scene.source}: no camera {missing[0][-1]!r}; expected some of {there}")
+    kept = [s for s in scene.sensors if not isinstance(s, CameraSensor) or key_of(s.id) in wanted]
+    return replace(scene, sensors=tuple(kept))
+
+
+def _open_writer(
+    woven: Woven,
+    folder: Path,
+    pictures: Path | None,
+    stack: ExitStack,
+    *,
+    form: str,
+    confidence: bool,
+    overwrite: bool,
+) -> _Writer:
+    filled = stack.enter_context(filling(folder, overwrite=overwrite))
+    drawn = None if pictures is None else stack.enter_context(filling(pictures, overwrite=overwrite))
+    return _Writer(
+        filled,
+        lidar_folders(filled, woven.scene),
+        names_of(woven.scene.cameras),
+        form,
+        confidence,
+        drawn,
+        {} if drawn is None else lidar_folders(drawn, woven.scene),
+        tallies={camera.id: _Tally() for camera in woven.scene.cameras},
+    )
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _refuse_nothing_written(scene: Scene, total: int, unfused: Mapping[str, int]) -> None:
+    if total and sum(unfused.values()) == total:
+        reasons = ", ".join(f"{reason} ({count} times)" for reason, count in unfused.items())
+        raise PoseError(
+            f"{scene.source}: none of {total} sweeps could be placed: {reasons}; expected a trajectory on the clock of "
+            "the sweeps; `sceneloom info` tells both spans, and `--trajectory lidar` needs none"
+        )

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from sceneloom.formats.trajectories import read_trajectory, write_trajectory
     from sceneloom.motion.ego_motion import find_ego_motion
     from sceneloom.pipeline import convert, deskew, fuse, iter_fused, sync
+    from sceneloom.pipeline.depth_images import write_depth_images
     from sceneloom.scene import PosePath, Scene
     from sceneloom.service.client import FusionClient
     from sceneloom.simulate import simulate_street
@@ -69,6 +70,7 @@ __all__ = [
     "to_world",
     "validate",
     "write",
+    "write_depth_images",
     "write_trajectory",
 ]
 
@@ -100,6 +102,7 @@ _ON_FIRST_USE = {
     "to_world": ("sceneloom.editing", "to_world"),
     "validate": ("sceneloom.checks", "validate"),
     "write": ("sceneloom.formats.table", "write_scene"),
+    "write_depth_images": ("sceneloom.pipeline", "write_depth_images"),
     "write_trajectory": ("sceneloom.formats.trajectories", "write_trajectory"),
 }
 """Module and name there of everything that is imported when it is first asked for."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sceneloom.pipeline.conversion import ConversionReport, convert
+    from sceneloom.pipeline.depth_images import DepthReport, write_depth_images
     from sceneloom.pipeline.deskew_report import DeskewReport
     from sceneloom.pipeline.deskewing import deskew, deskewed_scene
     from sceneloom.pipeline.fusing import fuse, iter_fused
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CameraReport",
     "ConversionReport",
+    "DepthReport",
     "DeskewReport",
     "FusionOutputs",
     "FusionReport",
@@ -29,11 +31,13 @@ __all__ = [
     "fuse",
     "iter_fused",
     "sync",
+    "write_depth_images",
 ]
 
 _ON_FIRST_USE = {
     "CameraReport": "report",
     "ConversionReport": "conversion",
+    "DepthReport": "depth_images",
     "DeskewReport": "deskew_report",
     "FusionOutputs": "outputs",
     "FusionReport": "report",
@@ -44,6 +48,7 @@ _ON_FIRST_USE = {
     "fuse": "fusing",
     "iter_fused": "fusing",
     "sync": "syncing",
+    "write_depth_images": "depth_images",
 }
 """The module of everything that is imported when it is first asked for."""
 

@@ -12,6 +12,7 @@ NEEDED = {
     "demo": ("--keep", "OUT"),
     "info": ("DRIVE",),
     "fuse": ("DRIVE", "-o", "OUT.sfs"),
+    "depth": ("DRIVE", "-o", "OUT"),
     "convert": ("DRIVE", "OUT.sfs"),
     "validate": ("DRIVE", "--quick"),
     "salvage": ("DRIVE", "-o", "OUT.sfs"),

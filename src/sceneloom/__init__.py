@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sceneloom.formats.table import write_scene as write
     from sceneloom.formats.trajectories import read_trajectory, write_trajectory
     from sceneloom.motion.ego_motion import find_ego_motion
-    from sceneloom.pipeline import convert, deskew, fuse, iter_fused, sync
+    from sceneloom.pipeline import colour, convert, deskew, fuse, iter_fused, sync
     from sceneloom.pipeline.depth_images import write_depth_images
     from sceneloom.scene import PosePath, Scene
     from sceneloom.service.client import FusionClient
@@ -48,6 +48,7 @@ __all__ = [
     "SceneloomError",
     "__version__",
     "apply_corrections",
+    "colour",
     "convert",
     "count_points",
     "crop_scene",
@@ -80,6 +81,7 @@ _ON_FIRST_USE = {
     "Scene": ("sceneloom.scene", "Scene"),
     "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),
     "apply_corrections": ("sceneloom.editing", "apply_corrections"),
+    "colour": ("sceneloom.pipeline", "colour"),
     "convert": ("sceneloom.pipeline", "convert"),
     "count_points": ("sceneloom.visibility", "count_points"),
     "crop_scene": ("sceneloom.editing", "crop_scene"),

@@ -20,6 +20,7 @@ VERBS = MappingProxyType(
         "demo": "Make a small drive, fuse it, show what came out.",
         "info": "Say what is in a recording or a scene.",
         "fuse": "Fuse lidar and cameras of a drive into one scene.",
+        "colour": "Colour the points of a drive from all its cameras: one map, or sweep by sweep.",
         "depth": "Write depth images, sparse or dense, with a confidence.",
         "convert": "Write a recording or a scene in another format.",
         "validate": "Check a drive or a scene by rules, and mend what can be mended safely.",

@@ -8,6 +8,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sceneloom.pipeline.colour_report import ColourReport
+    from sceneloom.pipeline.colour_settings import ColourOutputs, ColourSettings
+    from sceneloom.pipeline.colouring import colour
     from sceneloom.pipeline.conversion import ConversionReport, convert
     from sceneloom.pipeline.depth_images import DepthReport, write_depth_images
     from sceneloom.pipeline.deskew_report import DeskewReport
@@ -19,12 +22,16 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CameraReport",
+    "ColourOutputs",
+    "ColourReport",
+    "ColourSettings",
     "ConversionReport",
     "DepthReport",
     "DeskewReport",
     "FusionOutputs",
     "FusionReport",
     "SyncReport",
+    "colour",
     "convert",
     "deskew",
     "deskewed_scene",
@@ -36,12 +43,16 @@ __all__ = [
 
 _ON_FIRST_USE = {
     "CameraReport": "report",
+    "ColourOutputs": "colour_settings",
+    "ColourReport": "colour_report",
+    "ColourSettings": "colour_settings",
     "ConversionReport": "conversion",
     "DepthReport": "depth_images",
     "DeskewReport": "deskew_report",
     "FusionOutputs": "outputs",
     "FusionReport": "report",
     "SyncReport": "syncing",
+    "colour": "colouring",
     "convert": "conversion",
     "deskew": "deskewing",
     "deskewed_scene": "deskewing",

@@ -118,17 +118,18 @@ def open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack, skips: Ski
             folder,
             lidar_folders(folder, woven.scene),
             _frames_to_draw(woven.scene, wanted.pictures_every),
-            DriveCloud(_spread(woven.scene, MOST_SWEEPS)),
+            DriveCloud(spread(woven.scene, MOST_SWEEPS)),
             None if woven.ego is None else woven.ego.path,
         )
     if wanted.scene is not None:
-        sinks.scene = _open_scene_sink(woven, wanted, wanted.scene, stack, skips)
+        sinks.scene = open_scene_sink(woven, wanted, wanted.scene, stack, skips)
     return sinks
 
 
-def _open_scene_sink(
+def open_scene_sink(
     woven: Woven, wanted: FusionOutputs, target: Path, stack: ExitStack, skips: Skips | None
 ) -> SceneSink:
+    """Begin a scene file with everything of a drive but its sweeps, which follow."""
     scene, sources = output_scene(woven, reach_ns=scene_period_ns(woven.scene))
     spans_ns = [span_ns for span_ns in map(time_span, (woven.scene, scene)) if span_ns is not None]
     writer = stack.enter_context(
@@ -171,13 +172,13 @@ def _add_readable(writer: SceneWriter, scene: Scene, skips: Skips) -> None:
 def _frames_to_draw(scene: Scene, every: int | None) -> frozenset[int]:
     """Numbers of the sweeps to draw: every Nth, or some spread over the drive."""
     return (
-        _spread(scene, PICTURES_PER_DRIVE)
+        spread(scene, PICTURES_PER_DRIVE)
         if every is None
         else frozenset(range(0, _most_sweeps(scene), every))
     )
 
 
-def _spread(scene: Scene, most: int) -> frozenset[int]:
+def spread(scene: Scene, most: int) -> frozenset[int]:
     """Numbers of at most so many sweeps, spread over the drive."""
     count = _most_sweeps(scene)
     return frozenset(np.linspace(0, count - 1, min(most, count)).astype(int).tolist())

@@ -1,0 +1,165 @@
+"""Which points lie on what moved: rays of other sweeps pass through their places.
+
+A point is voted free by another sweep whose rays pass it closely, all of them on to something clearly farther, and met
+by one that measures something at its place. What stood still is met again and again; what moved has left its place, or
+had not come there yet, when the others looked. A sweep is held against some before and some after it, so that little
+has to be kept. What moves later than the last of these stays: a parked car that leaves a minute after is not found.
+
+Votes of single points are noisy at outlines and where scan lines are far apart; neighbours decide with them.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, UInt8Array, check_array
+from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.kernels.free_space import fill_directions, vote_free_space
+from sceneloom.kernels.voxels import number_cubes
+
+LAGS = (2, 5, 10, 15)
+"""A sweep is held against those that came so many sweeps before and after it."""
+
+_CELL_DEG = 0.5
+_SURFACE_DISTANCE = 1.0
+"""Surfaces pass the lidar at this distance or more [m]: lidars stand higher above the road."""
+_MARGIN, _MARGIN_SHARE = 0.3, 0.01
+_ASIDE = 0.2
+_FARTHEST = 80.0
+_NUMBERS = np.array([_SURFACE_DISTANCE, _MARGIN, _MARGIN_SHARE, _ASIDE, _FARTHEST])
+_FEWEST_FREE = 2
+_FREE_PER_MET = 0.5
+_CUBE = 0.5
+_SPECK, _MOSTLY = 0.12, 0.5
+"""In a cube of neighbours, shares of moving points below which none of them is, and above which all are that were not
+met."""
+
+Load = TypeVar("Load")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenSweep:
+    """A sweep by the directions in which it was measured.
+
+    Attributes:
+        points_world: (N, 3) float32 [m].
+        way: of the lidar during it.
+        nearest: (rows, columns) int32, the nearest point in each cell of directions.
+    """
+
+    points_world: Float32Array
+    way: LidarWay
+    nearest: AnyArray
+
+    @classmethod
+    def of(cls, points_world: Float32Array, way: LidarWay) -> "SeenSweep":
+        """Sort a sweep (N, 3) float32 [m] by directions."""
+        check_array("points_world", points_world, (len(way.fractions), 3), np.float32)
+        columns = round(360 / _CELL_DEG)
+        nearest = np.empty((columns // 2, columns), np.int32)
+        points = np.ascontiguousarray(points_world)
+        fill_directions(points, way.fractions, np.ascontiguousarray(way.ends_world), nearest)
+        return cls(points, way, nearest)
+
+
+@dataclass(slots=True, eq=False)
+class _Waiting(Generic[Load]):
+    """A sweep whose votes are not complete yet."""
+
+    load: Load
+    sweep: SeenSweep | None
+    free: UInt8Array
+    met: UInt8Array
+
+
+@dataclass(slots=True)
+class MovingPoints(Generic[Load]):
+    """Finds moving points while sweeps pass, each of which is given on when those after it have been seen.
+
+    Memory depends on the sweeps in between, not on the drive.
+    """
+
+    _window: deque[_Waiting[Load]] = field(default_factory=deque)
+    _due: int = 0
+
+    def add(
+        self, load: Load, points_world: Float32Array, way: LidarWay | None
+    ) -> Iterator[tuple[Load, BoolArray]]:
+        """Take a sweep of one lidar; give on those that are judged now.
+
+        Args:
+            load: what belongs to the sweep and is given on with it.
+            points_world: (N, 3) float32 [m].
+            way: from where it was measured; None where that is not known: then nothing of it is taken as moving.
+
+        Yields:
+            What was given with a sweep, and which of its points move, (N,) bool.
+        """
+        count = check_array("points_world", points_world, (None, 3), np.float32)
+        sweep = None if way is None else SeenSweep.of(points_world, way)
+        now = _Waiting(load, sweep, np.zeros(count, np.uint8), np.zeros(count, np.uint8))
+        self._window.append(now)
+        for lag in LAGS:
+            if lag < len(self._window):
+                before = self._window[-1 - lag]
+                _vote(now, before)
+                _vote(before, now)
+        self._due += 1
+        if self._due > LAGS[-1]:
+            self._due -= 1
+            yield self._judged(self._window[-1 - LAGS[-1]])
+        if len(self._window) > 2 * LAGS[-1]:
+            self._window.popleft()
+
+    def flush(self) -> Iterator[tuple[Load, BoolArray]]:
+        """Give on what still waits for sweeps that do not come any more."""
+        waiting = list(self._window)[len(self._window) - self._due :]
+        self._window.clear()
+        self._due = 0
+        for each in waiting:
+            yield self._judged(each)
+
+    def _judged(self, waiting: _Waiting[Load]) -> tuple[Load, BoolArray]:
+        points = np.zeros((0, 3), np.float32) if waiting.sweep is None else waiting.sweep.points_world
+        moving = np.zeros(len(waiting.free), np.bool_)
+        if waiting.sweep is not None:
+            moving = judge_votes(points, waiting.free, waiting.met)
+        return waiting.load, moving
+
+
+def _vote(points: _Waiting[Load], others: _Waiting[Load]) -> None:
+    if points.sweep is None or others.sweep is None:
+        return
+    other = others.sweep
+    vote_free_space(
+        points.sweep.points_world,
+        other.points_world,
+        other.way.fractions,
+        np.ascontiguousarray(other.way.ends_world),
+        other.nearest,
+        _NUMBERS,
+        points.free,
+        points.met,
+    )
+
+
+def judge_votes(points_world: Float32Array, free: UInt8Array, met: UInt8Array) -> BoolArray:
+    """Say which points move, by their own votes and those of their neighbours.
+
+    Args:
+        points_world: (N, 3) float32 [m].
+        free: (N,) uint8, how many other sweeps looked through each point.
+        met: (N,) uint8, how many met something there.
+    """
+    own = (free >= _FEWEST_FREE) & (free > _FREE_PER_MET * met)
+    numbers = np.empty(len(points_world), np.int64)
+    count = number_cubes(points_world.astype(np.float64), _CUBE, numbers)
+    inside = numbers >= 0
+    held = np.bincount(numbers[inside], minlength=count)
+    share = np.bincount(numbers[inside], own[inside], count) / np.maximum(held, 1)
+    around = np.append(share, 0.0)[numbers]
+    moving: BoolArray = (own & (around >= _SPECK)) | ((around >= _MOSTLY) & (met <= free))
+    return moving

@@ -1,0 +1,130 @@
+"""Folders of label images: one image for each picture of each camera, named by the picture's number or time."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Int64Array, UInt16Array
+from sceneloom.errors import DataError
+from sceneloom.formats.file_names import file_stems
+from sceneloom.formats.label_images import read_label_png
+from sceneloom.scene import CameraSensor, Identifier
+
+NAMES_FILE = "labels.json"
+"""Beside the images: what each number means, as `{"7": "road"}`."""
+
+_NEAR_NS = 1_000
+"""Times in names may be rounded to microseconds."""
+_WHOLE, _SECONDS = re.compile(r"\d{1,19}"), re.compile(r"\d{1,10}\.\d{1,9}")
+
+
+@dataclass(slots=True)
+class LabelFolder:
+    """Label images of a scene's cameras.
+
+    Attributes:
+        folder: where they are.
+        names: what each number means, as far as it is said.
+        used: how many images were read.
+        missing: how many pictures had none.
+    """
+
+    folder: Path
+    names: Mapping[int, str]
+    used: int = 0
+    missing: int = 0
+    _files: dict[tuple[Identifier, int], Path] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, folder: Path, cameras: Sequence[CameraSensor]) -> "LabelFolder":
+        """Find the images: in a folder for each camera, by its id; of a single camera also in the folder itself.
+
+        Raises:
+            DataError: there is no image for any picture, or a name is neither the number nor the time of a picture.
+        """
+        if not folder.is_dir():
+            raise DataError(folder, "", "no such folder; expected one of label images")
+        found = cls(folder, _names(folder / NAMES_FILE))
+        stems = file_stems([camera.id for camera in cameras])
+        for camera, stem in zip(cameras, stems, strict=True):
+            place = folder / stem
+            if not place.is_dir() and len(cameras) == 1:
+                place = folder
+            images = sorted(place.glob("*.png")) if place.is_dir() else []
+            found._files.update(_matched(images, camera))
+        if not found._files:
+            expected = ", ".join(f"{stem}/<number or time>.png" for stem in stems)
+            raise DataError(
+                folder, "", f"no label image in it; expected {expected or 'a scene with cameras'}"
+            )
+        return found
+
+    def image(self, camera: CameraSensor, number: int, size_px: tuple[int, int]) -> UInt16Array | None:
+        """Read the image of a picture, (H, W) uint16; None where there is none, which is counted.
+
+        Args:
+            camera: of the picture.
+            number: of the picture.
+            size_px: width and height that it must have.
+
+        Raises:
+            DataError: it cannot be read, or has another size.
+        """
+        path = self._files.get((camera.id, number))
+        if path is None:
+            self.missing += 1
+            return None
+        labels = read_label_png(path)
+        if labels.shape != (size_px[1], size_px[0]):
+            problem = f"{labels.shape[1]}x{labels.shape[0]} pixels; expected {size_px[0]}x{size_px[1]}, the picture's"
+            raise DataError(path, "", problem)
+        self.used += 1
+        return labels
+
+
+def _names(path: Path) -> dict[int, str]:
+    if not path.is_file():
+        return {}
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=dict[int, str])
+    except (msgspec.MsgspecError, UnicodeDecodeError, OSError) as error:
+        raise DataError(path, "", f'{error}; expected numbers and names, {{"7": "road"}}') from error
+
+
+def _matched(images: Sequence[Path], camera: CameraSensor) -> dict[tuple[Identifier, int], Path]:
+    """The images of a camera by the numbers of its pictures; all names are numbers, or all are times."""
+    stamps_ns = camera.pictures.timestamps_ns
+    numbered = all(_WHOLE.fullmatch(path.stem) and int(path.stem) < len(stamps_ns) for path in images)
+    found: dict[tuple[Identifier, int], Path] = {}
+    for path in images:
+        number = int(path.stem) if numbered else _by_time(path, stamps_ns)
+        if (camera.id, number) in found:
+            other = found[camera.id, number].name
+            raise DataError(path, "", f"is for picture {number}, as {other} is; expected one image for each")
+        found[camera.id, number] = path
+    return found
+
+
+def _by_time(path: Path, stamps_ns: Int64Array) -> int:
+    """The number of the picture whose time a name says: nanoseconds or microseconds, or seconds with a point."""
+    if _SECONDS.fullmatch(path.stem):
+        whole, _, part = path.stem.partition(".")
+        told = [int(whole) * 1_000_000_000 + int(part.ljust(9, "0"))]
+    elif _WHOLE.fullmatch(path.stem):
+        told = [int(path.stem), int(path.stem) * 1_000]
+    else:
+        told = []
+    for time_ns in told:
+        if len(stamps_ns) and time_ns < 2**62:
+            number = int(np.argmin(np.abs(stamps_ns - time_ns)))
+            if abs(int(stamps_ns[number]) - time_ns) <= _NEAR_NS:
+                return number
+    span = f"{stamps_ns.min()} to {stamps_ns.max()} ns" if len(stamps_ns) else "none"
+    problem = (
+        f"named for no picture; expected a number from 0 to {len(stamps_ns) - 1}, or a time of one ({span})"
+    )
+    raise DataError(path, "", problem)

@@ -13,6 +13,7 @@ from grpc.aio import ServicerContext
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.fused import FusedDetections
+from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import DONE, Cause, refused
 from sceneloom.service.call_errors import CallError
@@ -172,6 +173,7 @@ class Handlers:
             if isinstance(error, grpc.aio.InternalError):  # the connection has broken
                 raise asyncio.CancelledError from error
             raise
+        session.fusion.counters.add(f"delivered.{kind_of(result.record).name}")
         session.last_fetched_s = self.sessions.clock()
 
     async def _reply(self, session: Session, result: Result) -> bytes:

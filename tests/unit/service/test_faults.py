@@ -7,16 +7,19 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 
 import grpc
 import numpy as np
 import pytest
 
+from sceneloom.errors import DataError
 from sceneloom.fusion.events import Refused
 from sceneloom.fusion.messages.protobuf_form import to_send_request
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.limits import ServiceLimits
-from sceneloom.service.log_file import is_complete
+from sceneloom.service.log_file import is_complete, read_log, unfinished_path
+from sceneloom.service.replay import compare
 
 PATIENCE_S = 60
 """For other processes on a busy machine."""
@@ -271,6 +274,62 @@ def test_a_server_that_is_told_to_end_delivers_what_waits_and_says_goodbye(conne
     lines = [json.loads(line) for line in err.splitlines()]
     assert [line["event"] for line in lines] == ["listening", "session begins", "draining", "ended"]
     assert lines[1]["session"] == "default"
+
+
+def test_what_was_handed_to_callers_is_counted_so_that_a_caller_can_tell_what_it_lost(call):
+    for seq in range(4):
+        call.send_pair(seq)
+    call("Flush")
+    assert [call("Get").number for _ in range(2)] == [0, 1]
+    assert [reply.number for reply in call("Subscribe", most=1)] == [2]
+    counts = call("GetCounters").counts
+    assert counts["delivered.sensor_data"] == 3
+    assert counts["results.sensor_data"] == 4  # one waits
+    assert "delivered.detections" not in counts
+
+
+def logged(path):
+    """What stands in a log that is being written."""
+    try:
+        return [entry.what for entry in read_log(path)]
+    except DataError:  # there is nothing yet
+        return []
+
+
+def test_a_server_that_is_killed_ends_calls_with_unavailable_and_leaves_a_log_to_be_read(connect, tmp_path):
+    log = tmp_path / "log.mcap"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sceneloom", "serve", "--json", "--quiet", "--log", str(log)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        told = "".join(iter(process.stdout.readline, "}\n")) + "}"
+        call = connect(json.loads(told)["address"])
+        call.calibrate()
+        results = call("Subscribe", timeout=PATIENCE_S)
+        for seq in range(3):
+            call.send_pair(seq)
+        assert next(results).number == 0
+        end = threading.Event()
+        requests = (call.request("Send") if end.wait(PATIENCE_S) else None for _ in range(1))
+        streaming = call.method("SendStream").future(requests, timeout=PATIENCE_S)
+        until_s = time.monotonic() + PATIENCE_S
+        while logged(unfinished_path(log)).count("record") < 6 and time.monotonic() < until_s:
+            assert process.poll() is None  # what was taken is on the disk after a second
+        process.kill()
+        process.wait()
+        with pytest.raises(grpc.RpcError) as caught:
+            list(results)
+        assert caught.value.code().name == "UNAVAILABLE"
+        assert streaming.exception(timeout=PATIENCE_S).code().name == "UNAVAILABLE"
+        end.set()
+    finally:
+        process.kill()
+        process.communicate()
+    assert not log.exists()
+    assert not is_complete(unfinished_path(log))
+    assert compare(unfinished_path(log))
 
 
 HANGING = """

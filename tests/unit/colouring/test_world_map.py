@@ -1,0 +1,115 @@
+"""A drive in cubes of space: one point each, the same whatever rests on the disk."""
+
+import numpy as np
+import pytest
+
+from sceneloom.colouring.world_map import WorldMap, empty_points
+from sceneloom.errors import OptionError
+
+VOXEL = 0.25
+
+
+def drive(count: int = 6000, sweeps: int = 8) -> list[np.ndarray]:
+    """Sweeps of points over several tiles, on either side of the origin."""
+    random = np.random.default_rng(2)
+    found = []
+    for k in range(sweeps):
+        points = empty_points(count)
+        points["position"] = random.uniform(-1, 1, (count, 3)) * [150, 150, 3] + [20 * k, 0, 0]
+        points["weight"] = random.uniform(0.1, 1, count)
+        points["color"] = 100 + random.integers(0, 20, (count, 3))
+        points["intensity"] = random.integers(0, 255, count)
+        points["label"] = random.integers(0, 3, count)
+        points["time_ns"] = k
+        found.append(points)
+    return found
+
+
+def gathered(sweeps, folder, **settings):
+    world = WorldMap(VOXEL, folder, **settings)
+    for points in sweeps:
+        world.add(points)
+    parts = list(world.points())
+    return np.concatenate(parts) if parts else empty_points(0)
+
+
+def by_cube(points):
+    """The points of each cube, the slow way."""
+    cubes = {}
+    for row in points:
+        cubes.setdefault(tuple(np.floor(row["position"] / VOXEL).astype(int).tolist()), []).append(row)
+    return cubes
+
+
+@pytest.mark.parametrize("most_cells", [300, 10_000_000])
+def test_each_cube_gives_one_point_with_the_means_of_its_points(tmp_path, most_cells):
+    sweeps = drive(400, 5)
+    points = np.concatenate(sweeps)
+    points["position"][:, 2] *= 0.2  # so that cubes hold several points
+    points["position"][:, :2] = np.round(points["position"][:, :2] / 12) * 12 + 0.1
+    slow = by_cube(points)
+    fast = by_cube(gathered(np.split(points, 5), tmp_path, most_cells=most_cells))
+    assert slow.keys() == fast.keys()
+    assert max(map(len, slow.values())) > 2
+    for cube, held in slow.items():
+        (point,) = fast[cube]
+        weights = np.array([row["weight"] for row in held])
+        np.testing.assert_allclose(point["position"], np.mean([row["position"] for row in held], axis=0))
+        colors = np.array([row["color"] for row in held])
+        # float32 sums
+        np.testing.assert_allclose(point["color"], np.average(colors, axis=0, weights=weights), rtol=1e-5)
+        best = held[int(weights.argmax())]
+        assert (point["weight"], point["time_ns"]) == (best["weight"], best["time_ns"])
+        said, counts = np.unique([row["label"] for row in held], return_counts=True)
+        assert point["label"] == said[counts.argmax()]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_map_does_not_depend_on_what_rests_on_the_disk(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    little = gathered(drive(), tmp_path / "a", most_cells=5_000)
+    much = gathered(drive(), tmp_path / "b")
+    assert little.tobytes() == much.tobytes()
+
+
+def test_tiles_rest_on_the_disk_while_others_are_added(tmp_path):
+    world = WorldMap(VOXEL, tmp_path, most_cells=5_000)
+    for points in drive():
+        world.add(points)
+    assert sum(tile.size for tile in world._tiles.values()) <= 5_000 or len(world._tiles) == 1
+    assert len(list(tmp_path.iterdir())) > 4
+
+
+def test_best_takes_the_colour_that_is_trusted_most(tmp_path):
+    points = empty_points(3)
+    points["position"] = 0.1
+    points["weight"], points["color"][:, 0] = [0.2, 0.9, 0.5], [10, 20, 30]
+    (point,) = gathered([points[:2], points[2:]], tmp_path, mean=False)
+    assert point["color"][0] == 20
+
+
+def test_colours_that_disagree_with_the_best_one_make_no_ghost(tmp_path):
+    points = empty_points(3)
+    points["position"] = 0.1
+    points["weight"], points["color"] = [0.9, 0.8, 0.5], np.array([[200], [20], [190]])
+    (point,) = gathered([points], tmp_path)
+    np.testing.assert_allclose(point["color"], (0.9 * 200 + 0.5 * 190) / 1.4, rtol=1e-5)
+
+
+def test_uncoloured_points_stay_white_and_do_not_dim_the_coloured_ones(tmp_path):
+    points = empty_points(3)
+    points["position"] = [[0.1, 0.1, 0.1], [0.2, 0.2, 0.2], [5.0, 5.0, 5.0]]
+    points["weight"][0], points["color"][0], points["camera"][0] = 0.4, 50, 2
+    found = {row["camera"]: row for row in gathered([points], tmp_path)}
+    assert found[2]["color"].tolist() == [50, 50, 50]
+    assert found[255]["color"].tolist() == [255, 255, 255]
+
+
+def test_points_that_are_nowhere_are_left_out_and_an_empty_map_has_no_points(tmp_path):
+    points = empty_points(3)
+    points["position"][0], points["position"][1] = np.nan, np.inf
+    assert len(gathered([points], tmp_path)) == 1
+    assert len(gathered([], tmp_path)) == 0
+    with pytest.raises(OptionError, match="voxel 0"):
+        WorldMap(0.0, tmp_path)

@@ -60,7 +60,7 @@ def find_cues(frame: CalibrationFrame) -> Cues:
     features = extract(frame)
     bright, kinds, steps = _intensity_edges(features)
     levels = _spread_out(features.levels)
-    parts = [
+    parts: list[tuple[Float64Array, AnyArray, AnyArray, int]] = [
         (features.edge_points, np.sqrt(features.edge_weights), features.edge_kinds, _MOST_EDGES),
         (bright, steps, kinds, _MOST_EDGES),
         (features.level_points, levels, np.full(len(levels), LEVEL_MAP), _MOST_LEVELS),

@@ -11,42 +11,51 @@ Pandey, McBride, Savarese and Eustice 2012; Gaussian scale space, coarse to fine
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
-from sceneloom.arrays import AnyArray, Float32Array, Float64Array
-from sceneloom.calibrate.measures.candidate import COUNT, UNITS, Change
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array
 from sceneloom.calibrate.refinement.cues import CHANNELS, Cues
-from sceneloom.cameras.models import project_unbounded
+from sceneloom.calibrate.refinement.moving_pixels import moving_pixels
 from sceneloom.kernels.aligned_maps import sum_maps
 
-WIDTHS_PX = (12.0, 6.0, 3.0, 1.5)
+WIDTHS_PX = (6.0, 3.0, 1.5)
 """How far pictures are blurred [px of the measured picture], from the first look to the last."""
+_STRIDES = {6.0: 3, 3.0: 2, 1.5: 1}
+"""So many pixels of a picture are one of the map: a wide blur leaves nothing between them."""
 
-_WIDER = 3.0
+_WIDER = 4.0
 _CELL_WIDTHS = 2.0
 """Points of a channel within so many widths see the same of a picture: they count as one."""
-_DERIVATIVE_SHARE = 0.02
-"""Derivatives of pixels are taken over this part of the units."""
 
 
 def maps_of(cues: Cues, width: float) -> Float32Array:
     """Give the maps of a picture at a width, (K, H, W): edges by direction, then brightness."""
-    picture = cues.features.picture
+    picture, stride = cues.features.picture, _STRIDES[width]
     layers = [*picture.edges["fine"], picture.levels]
-    every = stride_of(width)
-    return np.stack([_band(np.asarray(layer, np.float32), width)[::every, ::every] for layer in layers])
+    return np.stack(
+        [_band(_reduced(np.asarray(layer, np.float32), stride), width / stride) for layer in layers]
+    )
 
 
-def stride_of(width: float) -> int:
-    """Every so many pixels of a map are kept; a wide blur leaves nothing between them."""
-    return max(int(width / 1.5 / 1.5), 1)
+def _reduced(image: Float32Array, stride: int) -> Float32Array:
+    """Average blocks of pixels; what is left over at the right and the bottom is cut."""
+    if stride == 1:
+        return image
+    height, width = max(image.shape[0] // stride, 1), max(image.shape[1] // stride, 1)
+    blocks = image[: height * stride, : width * stride]
+    return np.asarray(
+        blocks.reshape(height, -1, width, blocks.shape[1] // width).mean(axis=(1, 3)), np.float32
+    )
 
 
 def _band(image: Float32Array, width: float) -> Float32Array:
+    """Blur, and take off what a blur of several times the width leaves: two boxes are nearly a Gaussian."""
     fine = ndimage.gaussian_filter(image, width, truncate=3.0)
-    wide = ndimage.gaussian_filter(image, _WIDER * width + 4.0, truncate=2.0)
+    box = 2 * round(_WIDER * width * np.sqrt(6.0) / 2.0) + 1
+    wide = ndimage.uniform_filter(ndimage.uniform_filter(image, box, mode="nearest"), box, mode="nearest")
     return np.asarray(fine - wide, np.float32)
 
 
@@ -61,6 +70,7 @@ class Level:
         rows: (N,) int32, the map of each point.
         groups: (N,) int32, frame and channel of each point.
         weights: (N,) float32.
+        chosen: (N,) int64, number of each point among those of all frames; None where all are there.
     """
 
     cues: tuple[Cues, ...]
@@ -69,6 +79,7 @@ class Level:
     rows: AnyArray
     groups: AnyArray
     weights: Float32Array
+    chosen: AnyArray | None = None
 
     @classmethod
     def of(cls, cues: Sequence[Cues], width: float) -> "Level":
@@ -84,34 +95,31 @@ class Level:
             np.concatenate([one.weights for one in cues]),
         )
 
+    def part(self, frames: AnyArray, *, every: int = 1) -> "Level":
+        """Keep the points of some frames, (F,) bool, and every so many of them; the maps are shared."""
+        kept = np.flatnonzero(frames[self.groups // len(CHANNELS)])[::every]
+        return replace(self, chosen=kept if self.chosen is None else self.chosen[kept], **self._rows(kept))
+
+    def _rows(self, kept: AnyArray) -> dict[str, Any]:
+        return {"rows": self.rows[kept], "groups": self.groups[kept], "weights": self.weights[kept]}
+
     def around(self, numbers: Float64Array, free: AnyArray) -> "Linearised":
         """Take pixels and their derivatives at a candidate, (8,) numbers, for those of them that are free, (P,)."""
-        scale = 1.0 / stride_of(self.width)
-        pixels, slopes = [], []
-        for one in self.cues:
-            pixels.append(_pixels(one, numbers) * scale)
-            ways = []
-            for k in free:
-                step = np.zeros(COUNT)
-                step[k] = _DERIVATIVE_SHARE * UNITS[k]
-                change = _pixels(one, numbers + step) - _pixels(one, numbers - step)
-                ways.append(change * (scale / (2.0 * _DERIVATIVE_SHARE)))
-            slopes.append(np.stack(ways, axis=2))
-        return Linearised(
-            self,
-            np.ascontiguousarray(np.concatenate(pixels), np.float32),
-            np.ascontiguousarray(np.concatenate(slopes), np.float32),
+        stride = _STRIDES[self.width]
+        chosen = np.arange(len(self.groups)) if self.chosen is None else self.chosen
+        begins = np.cumsum([0, *(len(one.weights) for one in self.cues)])
+        of = np.searchsorted(chosen, begins)
+        pixels, slopes = (
+            np.empty((len(chosen), 2), np.float32),
+            np.empty((len(chosen), 2, len(free)), np.float32),
         )
-
-
-def _pixels(cues: Cues, numbers: Float64Array) -> Float64Array:
-    change = Change.of(numbers)
-    matrix = change.camera_from_points(cues.frame)
-    camera = cues.features.picture.camera
-    scale = float(np.exp(numbers[6]))
-    if scale != 1.0:
-        camera = replace(camera, fx=camera.fx * scale, fy=camera.fy * scale)
-    return project_unbounded(camera, cues.points_lidar @ matrix[:3, :3].T + matrix[:3, 3])
+        for k, one in enumerate(self.cues):
+            own = slice(of[k], of[k + 1])
+            if of[k] < of[k + 1]:
+                found, ways = moving_pixels(one, chosen[own] - begins[k], numbers, free)
+                pixels[own] = (found + 0.5) / stride - 0.5
+                slopes[own] = ways / stride
+        return Linearised(self, pixels, slopes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,23 +164,23 @@ class Linearised:
         return Sums(values.reshape(shape), squares.reshape(shape), gradients.reshape(*shape, -1))
 
     def channel_weights(self, step: Float64Array) -> Float64Array:
-        """What each channel counts at a step, (C,): m/v of its values, times the share of points that tell anything new.
+        """What each channel counts at a step, (C,): m/v of its values, times the share of points that tell news.
 
         A channel whose points do not fit better than others would gets 0.
         """
         sums = self.sums(step)
         groups = self.level.groups % len(CHANNELS)
-        inside = np.isfinite(self.pixels).all(axis=1)
+        inside: BoolArray = np.asarray(np.isfinite(self.pixels).all(axis=1))
         counts = np.bincount(groups[inside], minlength=len(CHANNELS)).astype(np.float64)
-        distinct = self._distinct(groups, inside)
+        distinct = self._distinct(inside)
         safe = np.maximum(counts, 1.0)
         means = sums.values.sum(axis=0) / safe
         variances = np.maximum(sums.squares.sum(axis=0) / safe - means**2, 1e-12)
         return np.asarray(np.maximum(means, 0.0) / variances * distinct / safe, np.float64)
 
-    def _distinct(self, groups: AnyArray, inside: AnyArray) -> Float64Array:
+    def _distinct(self, inside: BoolArray) -> Float64Array:
         """How many cells of a few widths the points of each channel fall into."""
-        cell = _CELL_WIDTHS * self.level.width / stride_of(self.level.width)
+        cell = _CELL_WIDTHS * self.level.width / _STRIDES[self.level.width]
         cells = np.floor(self.pixels[inside] / cell).astype(np.int64)
         keys = np.unique(np.column_stack([self.level.groups[inside], cells]), axis=0)[:, 0] % len(CHANNELS)
         return np.bincount(keys, minlength=len(CHANNELS)).astype(np.float64)

@@ -10,12 +10,19 @@ from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.calibrate.measures.candidate import COUNT, UNITS
 from sceneloom.calibrate.refinement.objective import Level, Linearised
 
-_FARTHEST = np.array([6.0, 6.0, 6.0, 3.0, 3.0, 3.0, 2.0, 2.5])
+FARTHEST = np.array([6.0, 6.0, 6.0, 3.0, 3.0, 3.0, 2.0, 2.5])
 """How far a calibration is usually off, in units: 1.5 degrees, 15 cm, 2 % of the focal length, 50 ms."""
-_STARTS = 48
-_KEPT = 3
-_ROUNDS = (2, 2, 2, 3)
+TURNS = np.arange(3)
+_STARTS = 200
+_KEPT = 4
+_ROUNDS = 2
+_EVERY = (3, 2, 1)
+"""At the wider looks so many points are one: their maps are smooth."""
+_MOST_STEPS = 10
 _SEED = 7
+_CURVATURE_STEP = 0.1
+"""Curvature is taken over this part of the units: over less, single pixels show."""
+_LAST_STEPS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,50 +32,72 @@ class Found:
     Attributes:
         numbers: (8,) float64, as of a `Change`.
         free: (P,) int64, which of them were searched.
-        value: of the objective at the last level.
         weights: (C,) of the channels there.
+        curvature: (P, P), minus the second derivatives of the objective by units, at the last level.
         last: the last level around these numbers.
     """
 
     numbers: Float64Array
     free: AnyArray
-    value: float
     weights: Float64Array
+    curvature: Float64Array
     last: Linearised
 
 
-def search(levels: Sequence[Level], free: AnyArray, start: Float64Array) -> Found:
-    """Find the best candidate near a start.
+def search(
+    levels: Sequence[Level],
+    frames: AnyArray,
+    free: AnyArray,
+    *,
+    thinned: int = 1,
+) -> Found:
+    """Find the best candidate near the stated calibration.
+
+    Turns are searched first, from many beginnings, for they move what is far away as well as what is near; then all
+    numbers together from there.
 
     Args:
         levels: from wide to narrow.
+        frames: (F,) bool, which of them count.
         free: (P,) int64, which of the eight numbers are searched.
-        start: (8,).
+        thinned: one point of so many counts.
     """
-    found: list[tuple[float, Float64Array]] = [(0.0, begun) for begun in _beginnings(levels[0], free, start)]
-    weights = np.zeros(0)
+    parts = [level.part(frames, every=every * thinned) for level, every in zip(levels, _EVERY, strict=True)]
+    best = _turned(parts)
+    if len(free) > len(TURNS):
+        for level in parts[1:]:
+            best = _climb(level, free, best)
+    return _polished(parts[-1], free, best)
+
+
+def _turned(levels: Sequence[Level]) -> Float64Array:
+    """The best turn of the stated calibration."""
+    found = _beginnings(levels[0])
     for number, level in enumerate(levels):
-        climbed = []
-        for _, numbers in found:
-            value, numbers, weights = _climb(level, free, numbers, start, _ROUNDS[number % len(_ROUNDS)])
-            climbed.append((value, numbers))
-        climbed.sort(key=lambda one: -one[0])
-        found = climbed[: max(_KEPT - number, 1)]
-    value, best = found[0]
-    last = levels[-1].around(best, free)
-    return Found(best, free, value, last.channel_weights(np.zeros(len(free))), last)
+        climbed = [_climb(level, TURNS, begun) for begun in found]
+        found = _best(level, climbed)[: max(_KEPT - 2 * (number + 1), 1)]
+    return found[0]
 
 
-def _beginnings(level: Level, free: AnyArray, start: Float64Array) -> list[Float64Array]:
-    """The start, and the best of some others drawn around it, at the widest look."""
-    linearised = level.around(start, free)
-    drawn = np.random.default_rng(_SEED).normal(0.0, 0.5, (_STARTS, len(free))) * _FARTHEST[free]
-    weights = np.maximum(linearised.channel_weights(np.zeros(len(free))), 0.0)
-    if not weights.any():
-        weights = np.ones_like(weights)
-    values = [(linearised.sums(step).values.sum(axis=0) * weights).sum() for step in drawn]
-    best = np.argsort(values)[::-1][: _KEPT - 1]
-    return [start, *(start + _spread(free, drawn[k]) for k in best)]
+def _beginnings(level: Level) -> list[Float64Array]:
+    """The stated calibration, and the best of some others turned from it."""
+    around = level.around(np.zeros(COUNT), TURNS)
+    drawn = np.random.default_rng(_SEED).normal(0.0, 0.5, (_STARTS, len(TURNS))) * FARTHEST[TURNS]
+    best = np.argsort([-_standing(around, step) for step in drawn])[: _KEPT - 1]
+    return [np.zeros(COUNT), *(_spread(TURNS, drawn[k]) for k in best)]
+
+
+def _best(level: Level, found: Sequence[Float64Array]) -> list[Float64Array]:
+    """Those found, the best first."""
+    standing = [_standing(level.around(numbers, TURNS), np.zeros(len(TURNS))) for numbers in found]
+    return [found[k] for k in np.argsort(standing)[::-1]]
+
+
+def _standing(linearised: Linearised, step: Float64Array) -> float:
+    """How far the channels together stand above 0, in standard deviations; weights play no part, so it compares."""
+    sums = linearised.sums(step)
+    scores = sums.values.sum(axis=0) / np.sqrt(np.maximum(sums.squares.sum(axis=0), 1e-9))
+    return float(scores.sum())
 
 
 def _spread(free: AnyArray, step: Float64Array) -> Float64Array:
@@ -78,45 +107,68 @@ def _spread(free: AnyArray, step: Float64Array) -> Float64Array:
     return numbers
 
 
-def _climb(
-    level: Level, free: AnyArray, numbers: Float64Array, start: Float64Array, rounds: int
-) -> tuple[float, Float64Array, Float64Array]:
+def _climb(level: Level, free: AnyArray, numbers: Float64Array) -> Float64Array:
     """Go uphill at one level, with pixels linearised anew in each round."""
-    value, weights = 0.0, np.zeros(0)
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
+        hill = _Hill.around(level, free, numbers)
+        reach = [(-2.0, 2.0)] * len(free)
+        options = {"maxiter": _MOST_STEPS}
+        result = minimize(  # type: ignore[call-overload]
+            hill.downwards, np.zeros(len(free)), jac=True, method="L-BFGS-B", bounds=reach, options=options
+        )
+        numbers = numbers + _spread(free, result.x)
+        if np.abs(result.x).max() < 0.05:
+            break
+    return numbers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hill:
+    """The objective around a candidate: what the channels say, and what speaks against going far."""
+
+    linearised: Linearised
+    weights: Float64Array
+    reach: Float64Array
+    offset: Float64Array
+
+    @classmethod
+    def around(cls, level: Level, free: AnyArray, numbers: Float64Array) -> "_Hill":
         linearised = level.around(numbers, free)
         weights = linearised.channel_weights(np.zeros(len(free)))
-        offset = ((numbers - start) / UNITS)[free]
+        return cls(linearised, weights, FARTHEST[free], (numbers / UNITS)[free])
 
-        def downhill(step: Float64Array) -> tuple[float, Float64Array]:
-            value, slope = evaluate(linearised, weights, _FARTHEST[free], offset, step)  # noqa: B023
-            return -value, -slope
+    def downwards(self, step: Float64Array) -> tuple[float, Float64Array]:
+        """Minus the objective and its slope at a step, (P,) in units."""
+        sums = self.linearised.sums(step)
+        away = (self.offset + step) / self.reach
+        value = float((sums.values.sum(axis=0) * self.weights).sum() - 0.5 * away @ away)
+        return -value, away / self.reach - np.einsum("fcp,c->p", sums.gradients, self.weights)
 
-        reach = [(-2.0, 2.0)] * len(free)
-        result = minimize(downhill, np.zeros(len(free)), jac=True, method="L-BFGS-B", bounds=reach)
-        numbers = numbers + _spread(free, result.x)
-        value = -float(result.fun)
-        if np.abs(result.x).max() < 0.02:
+    def curvature(self) -> Float64Array:
+        """Minus the second derivatives of the objective, (P, P), by units."""
+        rows = []
+        for axis in np.eye(len(self.reach)) * _CURVATURE_STEP:
+            (_, ahead), (_, behind) = self.downwards(axis), self.downwards(-axis)
+            rows.append((ahead - behind) / (2.0 * _CURVATURE_STEP))
+        curvature = np.array(rows)
+        return np.asarray(0.5 * (curvature + curvature.T), np.float64)
+
+
+def _polished(level: Level, free: AnyArray, numbers: Float64Array) -> Found:
+    """Newton's steps to the top, which long narrow ridges need; none that leads down."""
+    for _ in range(_LAST_STEPS):
+        hill = _Hill.around(level, free, numbers)
+        curvature = hill.curvature()
+        value, slope = hill.downwards(np.zeros(len(free)))
+        step = np.clip(-solved(curvature, hill.reach, slope), -1.0, 1.0)
+        if hill.downwards(step)[0] >= value:
             break
-    return value, numbers, weights
+        numbers = numbers + _spread(free, step)
+    return Found(numbers, free, hill.weights, hill.curvature(), hill.linearised)
 
 
-def evaluate(
-    linearised: Linearised,
-    weights: Float64Array,
-    reach: Float64Array,
-    offset: Float64Array,
-    step: Float64Array,
-) -> tuple[float, Float64Array]:
-    """Give the objective and its slope at a step, with what speaks against going far from the start.
-
-    Args:
-        weights: (C,) of the channels.
-        reach: (P,) how far calibrations are usually off, in units.
-        offset: (P,) how far the linearised candidate is from the start, in units.
-        step: (P,) from the candidate, in units.
-    """
-    sums = linearised.sums(step)
-    away = (offset + step) / reach
-    value = float((sums.values.sum(axis=0) * weights).sum() - 0.5 * away @ away)
-    return value, np.einsum("fcp,c->p", sums.gradients, weights) - away / reach
+def solved(curvature: Float64Array, reach: Float64Array, right: Float64Array) -> Float64Array:
+    """Solve with a curvature; where it rises it counts as flat, so that the reach alone bounds it."""
+    values, vectors = np.linalg.eigh(curvature)
+    steep = np.maximum(values, np.diagonal(vectors.T @ np.diag(reach**-2.0) @ vectors))
+    return np.asarray(vectors @ ((vectors.T @ right).T / steep).T, np.float64)

@@ -1,0 +1,76 @@
+"""Where points fall in a picture under a candidate calibration, and how that changes with its numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float64Array
+from sceneloom.calibrate.measures.candidate import UNITS, Change, Parameter
+from sceneloom.calibrate.refinement.cues import Cues
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project_unbounded
+
+_STEP_SHARE = 1e-4
+"""Derivatives of the lens are taken over this part of a point's distance."""
+_FOCAL_STEP = 1e-4
+
+
+def moving_pixels(
+    cues: Cues, chosen: AnyArray, numbers: Float64Array, free: AnyArray
+) -> tuple[Float64Array, Float64Array]:
+    """Give pixels (M, 2) [px of the measured picture] of some points of a frame, and their derivatives (M, 2, P).
+
+    Args:
+        chosen: (M,) int64, which points.
+        numbers: (8,) of the candidate.
+        free: (P,) int64, the numbers by which derivatives are taken, each by its unit.
+    """
+    points = cues.points_lidar[chosen]
+    change = Change.of(numbers)
+    matrix = change.camera_from_points(cues.frame)
+    camera = focused(cues.features.picture.camera, float(numbers[Parameter.FOCAL]))
+    seen = points @ matrix[:3, :3].T + matrix[:3, 3]
+    pixels = project_unbounded(camera, seen)
+    by_place = _by_place(camera, seen)
+    slopes = np.zeros((len(points), 2, len(free)))
+    for column, k in enumerate(free.tolist()):
+        if k == Parameter.FOCAL:
+            wider = project_unbounded(focused(camera, _FOCAL_STEP), seen)
+            slopes[:, :, column] = (wider - pixels) / _FOCAL_STEP * UNITS[k]
+        else:
+            slopes[:, :, column] = (
+                np.einsum("nij,nj->ni", by_place, _velocity(cues, k, seen, points, matrix)) * UNITS[k]
+            )
+    return pixels, slopes
+
+
+def focused(camera: Camera, logarithm: float) -> Camera:
+    """The camera with focal lengths multiplied by a factor, of which the logarithm is given."""
+    scale = float(np.exp(logarithm))
+    return camera if scale == 1.0 else replace(camera, fx=camera.fx * scale, fy=camera.fy * scale)
+
+
+def _by_place(camera: Camera, seen: Float64Array) -> Float64Array:
+    """How pixels change with the points' places in the camera frame, (M, 2, 3) [px/m]."""
+    steps = _STEP_SHARE * np.linalg.norm(seen, axis=1)[:, None]
+    ways = []
+    for axis in np.eye(3):
+        ahead = project_unbounded(camera, seen + steps * axis)
+        behind = project_unbounded(camera, seen - steps * axis)
+        ways.append((ahead - behind) / (2.0 * steps))
+    return np.stack(ways, axis=2)
+
+
+def _velocity(
+    cues: Cues, parameter: int, seen: Float64Array, points_lidar: Float64Array, matrix: Float64Array
+) -> Float64Array:
+    """How the points move in the camera frame as a number grows, (M, 3)."""
+    if parameter < 3:
+        return np.cross(np.eye(3)[parameter], seen)
+    if parameter < 6:
+        return np.broadcast_to(np.eye(3)[parameter - 3], seen.shape)
+    twist = cues.frame.twist_lidar
+    if twist is None:
+        return np.zeros_like(seen)
+    moved: Float64Array = -(np.cross(twist[:3], points_lidar) + twist[3:]) @ matrix[:3, :3].T
+    return moved

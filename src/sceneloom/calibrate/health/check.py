@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames
 from sceneloom.calibrate.health.objective import Objective
-from sceneloom.calibrate.health.search import GROUPS, Top, find_rotation, find_top
+from sceneloom.calibrate.health.search import GROUPS, Top, find_group, find_rotation
 from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
 from sceneloom.calibrate.measures.agreement import MEASURES, Agreement
 from sceneloom.calibrate.measures.candidate import COUNT, ROTATION, Change
@@ -23,7 +23,6 @@ _OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
 _PLAIN = 0.9
 """Pictures of which more shows nothing are dark, covered or fogged."""
-_RADII = (4.0, 2.0)
 _BETTER, _BETTER_SIGMAS = 1.0, 3.0
 """A part counts as off only if changing it, too, makes pictures and sweeps agree better by this."""
 _ALIKE = 0.6
@@ -38,7 +37,8 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source: the drive.
         camera_id, lidar_id: whose calibration.
-        verdict: of all of it: that of the worst part; cannot tell where the rotation cannot be told.
+        verdict: of all of it: that of the worst part. Cannot tell where the rotation cannot be told, or where another
+            part seems to be off but that may be chance.
         items: by part.
         frames: pictures that were looked at.
         views: how many different views they show.
@@ -97,7 +97,7 @@ def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") 
             f"({rotation.distinctness:.1f} deviations; expected {DISTINCT:g}): it is far off, or they show too little"
         )
         return _untold(frames, views, source, reason, objective, rotation)
-    joint = {name: find_top(objective, rotation.change, group, _RADII) for name, group in GROUPS.items()}
+    joint = {name: find_group(objective, rotation.change, group) for name, group in GROUPS.items()}
     found = _Found(frames, objective, rotation, joint)
     items = found.items()
     return CalibrationHealth(
@@ -202,7 +202,10 @@ _WORST_FIRST = (Verdict.WRONG, Verdict.DRIFTING)
 
 def _overall(items: Sequence[Item]) -> Verdict:
     verdicts = {item.verdict for item in items}
-    return next((verdict for verdict in _WORST_FIRST if verdict in verdicts), items[0].verdict)
+    worst = next((verdict for verdict in _WORST_FIRST if verdict in verdicts), items[0].verdict)
+    if worst is Verdict.GOOD and any(item.suspected for item in items):
+        return Verdict.CANNOT_TELL
+    return worst
 
 
 def _standings(objective: Objective, top: Top) -> dict[str, object]:

@@ -10,9 +10,11 @@ from sceneloom.calibrate.health.objective import FINE, WIDE, Objective
 from sceneloom.calibrate.health.surface import Surface, coefficients
 from sceneloom.calibrate.measures.candidate import COUNT, ROTATION, TRANSLATION, UNITS, Change, Parameter
 
-_WIDE_RADII = (12.0, 7.0, 4.0)
+_WIDE_RADII = (20.0, 11.0, 6.0, 3.5)
 _FINE_RADII = (2.4, 1.6)
 """Balls of rotations that are looked at, one after another [units of a quarter degree]."""
+_NEAR_RADII, _FAR_RADII = (4.0, 2.0), (10.0, 5.0, 2.0)
+_FINE_FROM = 4.0
 _LOOKS_PER_COEFFICIENT = 4.0
 _FARTHEST_DEG = 6.0
 
@@ -76,7 +78,7 @@ def find_top(
     """Find the best place around a start, (8,), by some parameters, in balls of some radii [units]."""
     place = start
     for radius in radii[:-1]:
-        place, _ = _climb(objective, place, parameters, radius, FINE)
+        place, _ = _climb(objective, place, parameters, radius, FINE if radius <= _FINE_FROM else WIDE)
     place, replicates = _climb(objective, place, parameters, radii[-1], FINE)
     there, here = objective.agreement.score(Change.of(place), FINE), objective.agreement.score(Change.of(start), FINE)
     gains = objective.standing(there, replicated=True) - objective.standing(here, replicated=True)
@@ -90,6 +92,12 @@ def find_top(
         float(objective.standing(there)[0] - objective.standing(here)[0]),
         float(gains.std()),
     )
+
+
+def find_group(objective: Objective, start: Float64Array, parameters: Sequence[Parameter]) -> Top:
+    """Find the best place by several parameters, from near and from farther away; the higher of both counts."""
+    tops = [find_top(objective, start, parameters, radii) for radii in (_NEAR_RADII, _FAR_RADII)]
+    return max(tops, key=lambda top: top.height)
 
 
 def _climb(

@@ -41,6 +41,14 @@ class Item(msgspec.Struct, frozen=True, kw_only=True):
     values: tuple[float, ...] = ()
     sigmas: tuple[float, ...] = ()
 
+    @property
+    def suspected(self) -> bool:
+        """Whether it seems to be off, but that may be chance."""
+        limits = LIMITS.get(self.name)
+        if limits is None or self.verdict is not Verdict.CANNOT_TELL or not self.values:
+            return False
+        return max(abs(v) - 2.0 * s for v, s in zip(self.values, self.sigmas, strict=True)) > limits.good
+
     @classmethod
     def unknown(cls, name: str, reason: str) -> "Item":
         """Say why nothing can be said."""

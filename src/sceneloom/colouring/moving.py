@@ -23,6 +23,16 @@ from sceneloom.kernels.voxels import number_cubes
 LAGS = (2, 5, 10, 15)
 """A sweep is held against those that came so many sweeps before and after it."""
 
+_LONG_DRIVE = 21
+"""Shorter drives are compared over shorter times."""
+
+
+def lags_for(sweeps: int) -> tuple[int, ...]:
+    """The lags for a drive of so many sweeps, so that each has others to be held against."""
+    share = min(1.0, max(sweeps - 1, 1) / (_LONG_DRIVE - 1))
+    return tuple(sorted({max(1, round(lag * share)) for lag in LAGS}))
+
+
 _CELL_DEG = 0.5
 _SURFACE_DISTANCE = 1.0
 """Surfaces pass the lidar at this distance or more [m]: lidars stand higher above the road."""
@@ -80,8 +90,12 @@ class MovingPoints(Generic[Load]):
     """Finds moving points while sweeps pass, each of which is given on when those after it have been seen.
 
     Memory depends on the sweeps in between, not on the drive.
+
+    Attributes:
+        lags: how many sweeps before and after each one it is held against, ascending.
     """
 
+    lags: tuple[int, ...] = LAGS
     _window: deque[_Waiting[Load]] = field(default_factory=deque)
     _due: int = 0
 
@@ -102,16 +116,16 @@ class MovingPoints(Generic[Load]):
         sweep = None if way is None else SeenSweep.of(points_world, way)
         now = _Waiting(load, sweep, np.zeros(count, np.uint8), np.zeros(count, np.uint8))
         self._window.append(now)
-        for lag in LAGS:
+        for lag in self.lags:
             if lag < len(self._window):
                 before = self._window[-1 - lag]
                 _vote(now, before)
                 _vote(before, now)
         self._due += 1
-        if self._due > LAGS[-1]:
+        if self._due > self.lags[-1]:
             self._due -= 1
-            yield self._judged(self._window[-1 - LAGS[-1]])
-        if len(self._window) > 2 * LAGS[-1]:
+            yield self._judged(self._window[-1 - self.lags[-1]])
+        if len(self._window) > 2 * self.lags[-1]:
             self._window.popleft()
 
     def flush(self) -> Iterator[tuple[Load, BoolArray]]:

@@ -12,11 +12,12 @@ import numpy as np
 from sceneloom.arrays import BoolArray
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
 from sceneloom.colouring.lidar_way import LidarWay
-from sceneloom.colouring.moving import MovingPoints
+from sceneloom.colouring.moving import MovingPoints, lags_for
 from sceneloom.colouring.moving_boxes import MovingBoxes
 from sceneloom.errors import DataError, PoseError
 from sceneloom.formats.label_folders import LabelFolder
 from sceneloom.fusion import FusionConfiguration, FusionSystem
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pipeline.colour_outputs import ColourSinks, open_colour_sinks
 from sceneloom.pipeline.colour_report import ColourReport, ExposureReport, LabelReport
@@ -106,6 +107,7 @@ class _Job:
     removed_in_boxes: int = 0
     removed_by_rays: int = 0
     unjudged: int = 0
+    guessed: int = 0
     coloured: int = 0
     labelled: int = 0
     classes: set[int] = field(default_factory=set)
@@ -147,6 +149,7 @@ class _Job:
         """Colour every sweep and give it to the outputs."""
         places = self._places() if self.settings.remove_moving else {}
         finders: dict[Identifier, MovingPoints[ColouredSweep]] = {}
+        lags = {lidar.id: lags_for(len(lidar.frames)) for lidar in self.woven.scene.lidars}
         for frame in play(self.woven.scene, self._system(), skips=self.skips):
             self.tally.add(frame)
             self._step()
@@ -159,7 +162,7 @@ class _Job:
             if not self.settings.remove_moving:
                 self._give(sweep, np.ones(len(sweep.points), np.bool_), sinks)
                 continue
-            finder = finders.setdefault(frame.lidar_id, MovingPoints())
+            finder = finders.setdefault(frame.lidar_id, MovingPoints(lags[frame.lidar_id]))
             self._give_judged(
                 finder.add(sweep, sweep.frame.points.positions, self._way(sweep, places)), sinks
             )
@@ -200,10 +203,16 @@ class _Job:
         return way
 
     def _places(self) -> dict[Identifier, PoseSource | None]:
-        scene, reach_ns = self.woven.scene, scene_period_ns(self.woven.scene)
-        return {
-            lidar.id: lidar_place(scene, lidar, self.woven.ego, reach_ns=reach_ns) for lidar in scene.lidars
-        }
+        """From where the lidars measured; the middle of the cameras stands for one that is not known."""
+        scene, ego, reach_ns = self.woven.scene, self.woven.ego, scene_period_ns(self.woven.scene)
+        mounts = [camera.mount.translation for camera in scene.cameras if camera.mount is not None]
+        places = {lidar.id: lidar_place(scene, lidar, ego, reach_ns=reach_ns) for lidar in scene.lidars}
+        for lidar_id, place in places.items():
+            if place is None and ego is not None and mounts:
+                middle = RigidTransform(np.eye(3), np.mean(mounts, axis=0))
+                places[lidar_id] = PoseSource(ego.path, middle, reach_ns)
+                self.guessed += 1
+        return places
 
     def _system(self) -> FusionSystem:
         system = build_system(self.woven.scene, self.woven.ego, FusionConfiguration())
@@ -223,17 +232,31 @@ class _Job:
     def notices(self) -> tuple[Notice, ...]:
         """What had to be assumed, beyond what the scene and the sweeps tell."""
         told = told_once(self.woven.scene.notices, self.tally.notices())
-        if not self.unjudged:
-            return told
-        message = (
-            "sweeps of which it is not known from where they were measured; their moving points stay, but for those "
-            "in annotated boxes"
+        found = (
+            (
+                "moving-points-unjudged",
+                self.unjudged,
+                (
+                    "sweeps of which it is not known from where they were measured; their moving points stay, but for "
+                    "those in annotated boxes"
+                ),
+            ),
+            (
+                "lidar-place-guessed",
+                self.guessed,
+                (
+                    "it is not known where a lidar is, whose points come in the ego's frame; the middle of the cameras "
+                    "stands for it where moving points are looked for"
+                ),
+            ),
         )
-        place, kind = "sensors[].frames[]", NoticeKind.ASSUMED
+        place, kind = "sensors[]", NoticeKind.ASSUMED
         return (
             *told,
-            Notice(
-                kind=kind, code="moving-points-unjudged", place=place, message=message, count=self.unjudged
+            *(
+                Notice(kind=kind, code=code, place=place, message=message, count=count)
+                for code, count, message in found
+                if count
             ),
         )
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sceneloom.arrays import Int64Array
 from sceneloom.calibrate.conventions.alignment import edges_meeting
 from sceneloom.calibrate.conventions.deciding import Decision, decide
 from sceneloom.calibrate.conventions.point_frames import possible_frames
@@ -19,7 +20,16 @@ from sceneloom.calibrate.conventions.report import (
 from sceneloom.calibrate.conventions.time_units import RATES_HZ, time_units
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.errors import PoseError
-from sceneloom.scene import CameraSensor, Identifier, LidarSensor, Scene
+from sceneloom.scene import (
+    CameraSensor,
+    GnssSensor,
+    Identifier,
+    ImuSensor,
+    LidarSensor,
+    RadarSensor,
+    Scene,
+    Sensor,
+)
 from sceneloom.scene.types import Progress
 
 MOST_FRAMES = 8
@@ -123,9 +133,26 @@ def _is_as_read(decision: Decision) -> bool | None:
 
 def _times(scene: Scene) -> Iterator[TimesFound]:
     for sensor in scene.sensors:
-        kind = sensor.type.value
-        stamps = getattr(getattr(sensor, "frames", getattr(sensor, "pictures", None)), "timestamps_ns", None)
-        stamps = getattr(sensor, "timestamps_ns", None) if stamps is None else stamps
-        if kind in RATES_HZ and stamps is not None and len(stamps) > 1:
-            seconds = np.asarray(stamps, np.int64) * 1e-9
-            yield TimesFound(sensor=sensor.id, kind=kind, possible=time_units(seconds.tolist(), kind))
+        kind = str(sensor.type)
+        stamps = _stamps(sensor)
+        if kind in RATES_HZ and len(stamps) > 1:
+            yield TimesFound(sensor=sensor.id, kind=kind, possible=time_units((stamps * 1e-9).tolist(), kind))
+
+
+def _stamps(sensor: Sensor) -> Int64Array:
+    """When a sensor measured, (N,) int64 [ns]; of an IMU its stream of the most samples."""
+    match sensor:
+        case CameraSensor():
+            return sensor.pictures.timestamps_ns
+        case LidarSensor() | RadarSensor():
+            return sensor.frames.timestamps_ns
+        case GnssSensor():
+            return sensor.timestamps_ns
+        case ImuSensor():
+            return max(
+                (stream.timestamps_ns for stream in sensor.streams.values()), key=len, default=_NO_STAMPS
+            )
+    return _NO_STAMPS
+
+
+_NO_STAMPS: Int64Array = np.zeros(0, np.int64)

@@ -25,7 +25,7 @@ class Judge:
 
 @pytest.fixture(scope="module")
 def judge():
-    frames = calibration_frames(simulate_street(4, frames=6).scene, most=3)
+    frames = calibration_frames(simulate_street(4, frames=3).scene, most=2)
     return Judge(frames, edges_meeting(frames), frames[0].camera_from_lidar.matrix)
 
 
@@ -99,14 +99,14 @@ def _judged(judge, combination):
 
 
 def test_rigs_written_in_some_of_all_ways_are_told(judge):
-    verdicts = [_judged(judge, combination) for combination in COMBINATIONS[:: len(COMBINATIONS) // 7]]
+    verdicts = [_judged(judge, combination) for combination in COMBINATIONS[:: len(COMBINATIONS) // 5]]
     assert "wrong" not in verdicts
     assert verdicts.count("right") >= 0.9 * len(verdicts)
 
 
 @pytest.mark.slow
-def test_a_rig_written_in_every_way_is_told_or_left_open(judge):
-    verdicts = [_judged(judge, combination) for combination in COMBINATIONS]
+def test_a_rig_written_in_a_third_of_all_ways_is_told_or_left_open(judge):
+    verdicts = [_judged(judge, combination) for combination in COMBINATIONS[::3]]
     assert verdicts.count("wrong") <= 0.01 * len(verdicts)
     assert verdicts.count("right") >= 0.9 * len(verdicts)
 

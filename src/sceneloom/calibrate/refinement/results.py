@@ -70,3 +70,8 @@ class Refinement:
         return {
             Parameter(k).name.lower(): float(root) for k, root in zip(self.free.tolist(), roots, strict=True)
         }
+
+    @property
+    def found_change(self) -> dict[str, float]:
+        """What was found of each number that was searched, in the same units."""
+        return {Parameter(k).name.lower(): self.change.numbers[k] for k in self.free.tolist()}

@@ -163,7 +163,9 @@ def chosen_camera(scene: Scene, camera_id: Identifier | None) -> CameraSensor:
     for camera in scene.cameras:
         if len(camera.pictures):
             return camera
-    raise OptionError(f"{scene.source}: no camera with pictures; a calibration is judged by pictures and sweeps")
+    raise OptionError(
+        f"{scene.source}: no camera with pictures; a calibration is judged by pictures and sweeps"
+    )
 
 
 def chosen_lidar(scene: Scene, lidar_id: Identifier | None) -> LidarSensor:
@@ -216,9 +218,7 @@ class _Places:
         return cls(at_camera, _lidar_place(scene, lidar, ego, reach_ns) or of_points, of_points)
 
 
-def _lidar_place(
-    scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, reach_ns: int
-) -> PoseSource | None:
+def _lidar_place(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, reach_ns: int) -> PoseSource | None:
     try:
         return sensor_source(scene, lidar, ego, reach_ns=reach_ns)
     except PoseError:
@@ -276,7 +276,9 @@ def _frame(
         points_lidar=np.ascontiguousarray(points[finite]),
         intensities=None if levels is None else levels[finite],
         seconds=seconds,
-        scan=find_scan_order(measured[finite], None if rings is None else rings[finite]) if of_lidar else None,
+        scan=find_scan_order(measured[finite], None if rings is None else rings[finite])
+        if of_lidar
+        else None,
         grey=rgb @ _LUMA,
         rgb=rgb,
         twist_lidar=twist,

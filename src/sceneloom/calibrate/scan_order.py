@@ -65,9 +65,7 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
             return None
     numbers, count = _from_below(lines, elevations)
     rows = np.lexsort((azimuths, numbers))
-    return ScanOrder(
-        used[rows], numbers[rows], azimuths[rows], elevations[rows], ranges[rows], count
-    )
+    return ScanOrder(used[rows], numbers[rows], azimuths[rows], elevations[rows], ranges[rows], count)
 
 
 def _by_rings(rings: Int64Array) -> Int64Array | None:
@@ -109,7 +107,7 @@ def _by_elevations(elevations: Float64Array) -> Int64Array | None:
 
 
 def _unevenness(lines: Int64Array, elevations: Float64Array) -> float:
-    """How much the elevations within a line differ, as part of the way to the next line; chance clusters differ much."""
+    """How much the elevations within a line differ, as part of the way to the next line."""
     numbers, count = _from_below(lines, elevations)
     counts = np.maximum(np.bincount(numbers, minlength=count), 1)
     means = np.bincount(numbers, elevations, minlength=count) / counts

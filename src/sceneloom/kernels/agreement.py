@@ -124,5 +124,3 @@ def sum_by_table(
         b = _between(image, pixels[i, 0], pixels[i, 1])
         sums[cells[point]] += _between(table, b, levels[point])
         totals[cells[point]] += 1.0
-
-

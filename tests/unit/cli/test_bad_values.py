@@ -18,6 +18,7 @@ NEEDED = {
     "salvage": ("DRIVE", "-o", "OUT.sfs"),
     "diff": ("DRIVE", "DRIVE"),
     "sync": ("DRIVE",),
+    "calibrate": ("DRIVE",),
     "serve": (),
     "send": ("DRIVE", "localhost:1"),
     "conformance": ("localhost:1", "--checks"),

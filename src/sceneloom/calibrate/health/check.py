@@ -1,18 +1,18 @@
 """The check of a calibration: are pictures and sweeps of a drive where it says that they are?"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Int64Array
 from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames
 from sceneloom.calibrate.health.objective import Objective
 from sceneloom.calibrate.health.search import GROUPS, Top, find_group, find_rotation
 from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
 from sceneloom.calibrate.measures.agreement import MEASURES, Agreement
-from sceneloom.calibrate.measures.candidate import COUNT, ROTATION, Change
+from sceneloom.calibrate.measures.candidate import COUNT, Change
 from sceneloom.calibrate.measures.features import FrameFeatures
 from sceneloom.scene import Identifier, Scene
 
@@ -45,7 +45,8 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
         distinctness: how far the best calibration around stands above chance, in chance's own deviations.
         stated_distinctness: the same of the stated one.
         measures: how far each measure stands above chance, under the stated calibration and under the best one.
-        change: what leads from the stated calibration to the best one: turn about the camera's x, y, z [deg].
+        change: what leads from the stated calibration to the best one, as `Change.numbers`; zeros where that cannot be
+            told.
     """
 
     source: str
@@ -58,7 +59,7 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
     distinctness: float
     stated_distinctness: float
     measures: dict[str, tuple[float, float]]
-    change: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    change: tuple[float, ...] = (0.0,) * COUNT
 
     def item(self, name: str) -> Item:
         """The part of that name."""
@@ -108,7 +109,7 @@ def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") 
         items=items,
         frames=len(frames),
         views=int(views.max()) + 1,
-        **_standings(objective, found.best),
+        **asdict(_standings(objective, found.best)),
     )
 
 
@@ -161,7 +162,9 @@ class _Found:
         speed = max(float(np.linalg.norm(twist[3:])) for twist in twists)
         turn = max(float(np.linalg.norm(twist[:3])) for twist in twists)
         if speed < _LEAST_SPEED and turn < _LEAST_TURN:
-            return Item.unknown("time_offset", f"the ego hardly moved: {speed:.1f} m/s, {np.degrees(turn):.1f} deg/s")
+            return Item.unknown(
+                "time_offset", f"the ego hardly moved: {speed:.1f} m/s, {np.degrees(turn):.1f} deg/s"
+            )
         return self._joint("time_offset")
 
 
@@ -208,17 +211,29 @@ def _overall(items: Sequence[Item]) -> Verdict:
     return worst
 
 
-def _standings(objective: Objective, top: Top) -> dict[str, object]:
+@dataclass(frozen=True, slots=True)
+class _Standings:
+    """How far the stated and the best calibration stand above chance."""
+
+    distinctness: float
+    stated_distinctness: float
+    measures: dict[str, tuple[float, float]]
+    change: tuple[float, ...] = (0.0,) * COUNT
+
+
+def _standings(objective: Objective, top: Top) -> _Standings:
     stated, best = (objective.agreement.score(change) for change in (Change(), Change.of(top.change)))
     pairs = zip(
-        MEASURES, *(objective.deviations_of(score.values()[None])[0].tolist() for score in (stated, best)), strict=True
+        MEASURES,
+        *(objective.deviations_of(score.values()[None])[0].tolist() for score in (stated, best)),
+        strict=True,
     )
-    return {
-        "distinctness": objective.distinctness(best),
-        "stated_distinctness": objective.distinctness(stated),
-        "measures": {name: (here, there) for name, here, there in pairs},
-        "change": tuple(np.degrees(top.change[:3]).tolist()),
-    }
+    return _Standings(
+        objective.distinctness(best),
+        objective.distinctness(stated),
+        {name: (here, there) for name, here, there in pairs},
+        tuple(top.change.tolist()),
+    )
 
 
 def _untold(
@@ -230,9 +245,9 @@ def _untold(
     top: Top | None = None,
 ) -> CalibrationHealth:
     names = ("rotation", "translation", "focal_length", "principal_point", "time_offset")
-    told = {"distinctness": 0.0, "stated_distinctness": 0.0, "measures": {}}
+    told = _Standings(0.0, 0.0, {})
     if objective is not None and top is not None:
-        told = {**_standings(objective, top), "change": (0.0, 0.0, 0.0)}
+        told = replace(_standings(objective, top), change=(0.0,) * COUNT)
     return CalibrationHealth(
         source=source,
         camera_id=frames[0].camera_id,
@@ -241,5 +256,5 @@ def _untold(
         items=tuple(Item.unknown(name, reason) for name in names),
         frames=len(frames),
         views=int(views.max()) + 1,
-        **told,
+        **asdict(told),
     )

@@ -30,8 +30,8 @@ class Chance:
     """What the measures come to where nothing fits.
 
     Attributes:
-        means, deviations: (M,) by measure; the deviation of one that has no value is infinite, so that it counts nothing.
-        sum_deviations: deviation of the sum over the fine measures, in units of theirs.
+        means, deviations: (M,) by measure; the deviation of one without a value is infinite, so that it counts nothing.
+        sum_deviation: deviation of the sum over the fine measures, in units of theirs.
     """
 
     means: Float64Array
@@ -57,7 +57,9 @@ class Objective:
         self.chance = self._measured_chance()
         self.replicates = self._drawn_cells()
 
-    def standing(self, score: Score, measures: Collection[str] = FINE, *, replicated: bool = False) -> Float64Array:
+    def standing(
+        self, score: Score, measures: Collection[str] = FINE, *, replicated: bool = False
+    ) -> Float64Array:
         """Deviations above chance, summed over measures: (1,), or (B,) for the replicates."""
         values = score.values(self.replicates) if replicated else score.values()[None]
         return np.asarray(self.deviations_of(values)[:, _rows(measures)].sum(axis=1))
@@ -79,7 +81,10 @@ class Objective:
         values = np.array(looks)
         known = np.isfinite(values).sum(axis=0) >= _FAR_LOOKS // 2
         means, deviations = np.zeros(len(MEASURES)), np.full(len(MEASURES), np.inf)
-        means[known], deviations[known] = np.nanmean(values[:, known], axis=0), np.nanstd(values[:, known], axis=0)
+        means[known], deviations[known] = (
+            np.nanmean(values[:, known], axis=0),
+            np.nanstd(values[:, known], axis=0),
+        )
         deviations[deviations < _NOTHING] = np.inf
         fine = np.nan_to_num((values - means) / deviations)[:, _rows(FINE)].sum(axis=1)
         return Chance(means, deviations, max(float(fine.std()), 1.0))
@@ -89,7 +94,9 @@ class Objective:
         occupied = np.flatnonzero(self.agreement.score(Change()).totals.sum(axis=0) > 0)
         weights = np.zeros((_REPLICATES, self.agreement.cells))
         if len(occupied):
-            draws = self.generator.multinomial(len(occupied), np.full(len(occupied), 1 / len(occupied)), _REPLICATES)
+            draws = self.generator.multinomial(
+                len(occupied), np.full(len(occupied), 1 / len(occupied)), _REPLICATES
+            )
             weights[:, occupied] = draws
         return weights
 

@@ -62,8 +62,7 @@ def find_rotation(objective: Objective) -> Top:
         wide = _climb(objective, wide, ROTATION, radius, WIDE)[0]
         wide = _bounded(wide)
     tops = [_refined(objective, start) for start in (wide, begun)]
-    best = max(tops, key=lambda top: top.height)
-    return best
+    return max(tops, key=lambda top: top.height)
 
 
 def _refined(objective: Objective, start: Float64Array) -> Top:
@@ -80,7 +79,10 @@ def find_top(
     for radius in radii[:-1]:
         place, _ = _climb(objective, place, parameters, radius, FINE if radius <= _FINE_FROM else WIDE)
     place, replicates = _climb(objective, place, parameters, radii[-1], FINE)
-    there, here = objective.agreement.score(Change.of(place), FINE), objective.agreement.score(Change.of(start), FINE)
+    there, here = (
+        objective.agreement.score(Change.of(place), FINE),
+        objective.agreement.score(Change.of(start), FINE),
+    )
     gains = objective.standing(there, replicated=True) - objective.standing(here, replicated=True)
     return Top(
         tuple(parameters),
@@ -101,7 +103,11 @@ def find_group(objective: Objective, start: Float64Array, parameters: Sequence[P
 
 
 def _climb(
-    objective: Objective, middle: Float64Array, parameters: Sequence[Parameter], radius: float, measures: Sequence[str]
+    objective: Objective,
+    middle: Float64Array,
+    parameters: Sequence[Parameter],
+    radius: float,
+    measures: Sequence[str],
 ) -> tuple[Float64Array, Float64Array]:
     """Go to the top of the quadratic through looks at a ball; gives it, (8,), and those of the replicates, (B, P)."""
     columns = list(parameters)

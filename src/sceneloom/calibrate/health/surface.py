@@ -34,12 +34,13 @@ class Surface:
         places = _in_ball(count, dimensions, generator)
         places[0] = 0.0
         probes = _in_ball(_PROBES, dimensions, generator)
-        return cls(places, np.linalg.pinv(_terms(places)), probes, _terms(probes))
+        return cls(places, np.asarray(np.linalg.pinv(_terms(places)), np.float64), probes, _terms(probes))
 
     def tops(self, values: Float64Array) -> Float64Array:
         """Give the tops, (B, P), of the quadratics through values (B, N)."""
         heights = values @ self.solve.T @ self.probe_terms.T
-        return self.probes[np.argmax(heights, axis=1)]
+        tops: Float64Array = self.probes[np.argmax(heights, axis=1)]
+        return tops
 
     def heights(self, values: Float64Array, places: Float64Array) -> Float64Array:
         """Give the heights (B, K) at some places (K, P) of the quadratics through values (B, N)."""

@@ -43,7 +43,7 @@ class Score:
     totals: Float64Array
 
     def values(self, weights: Float64Array | None = None) -> Float64Array:
-        """Give the means by measure, (M,), or (B, M) for weights (B, C) of the cells; NaN where nothing was measured."""
+        """Give means by measure, (M,), or (B, M) for weights (B, C) of the cells; NaN where nothing was measured."""
         sums, totals = (
             (self.sums.sum(axis=1), self.totals.sum(axis=1))
             if weights is None
@@ -82,7 +82,8 @@ class Agreement:
 
     @cached_property
     def _stated_totals(self) -> Float64Array:
-        return self._score(Change()).totals.sum(axis=1)
+        totals: Float64Array = self._score(Change()).totals.sum(axis=1)
+        return totals
 
     def score(self, change: Change, measures: Collection[str] = MEASURES) -> Score:
         """Score a candidate; a measure whose features have mostly left the pictures has no value.

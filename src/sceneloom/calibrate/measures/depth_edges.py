@@ -130,7 +130,8 @@ def _jumps_anywhere(
     points = points_lidar[chosen] - eye_lidar
     ranges = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
     directions = points / ranges[:, None]
-    distances, others = cKDTree(directions).query(directions, k=_NEIGHBOURS + 1)
+    found = cKDTree(directions).query(directions, k=_NEIGHBOURS + 1)
+    distances, others = np.asarray(found[0]), np.asarray(found[1], np.int64)
     usual = np.median(distances[:, -1])
     jumps = _is_jump(ranges[:, None], ranges[others], distances) & (distances < _ISOLATED * usual)
     nearest = np.argmax(jumps, axis=1)

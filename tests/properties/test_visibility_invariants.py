@@ -84,7 +84,7 @@ def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, know
     eyes = np.array([[0.1, -0.5, 0.3], [0.2, -0.4, math.inf]])[: 2 if known_way else 0]
     ids, fractions = np.arange(rows.shape[1]), np.ones(rows.shape[1], np.float32)
     mark_unhidden(
-        rows[:2], rows[2], cell, math.radians(window_deg), near, 0.0, near, 2.0, 0.15, 0.01,
+        rows[:2], rows[2], rows[2], cell, math.radians(window_deg), near, 0.0, near, 2.0, 0.15, 0.01,
         eyes, ids, fractions, 0.85, visible,
     )  # fmt: skip
     check()

@@ -78,4 +78,4 @@ def camera_coordinates(x, y, z, pose):  # type: ignore[no-untyped-def]
 @njit(**INLINE)
 def in_picture(u, v, width, height):  # type: ignore[no-untyped-def]
     """Say whether (u, v) lies in the picture; a NaN does not."""
-    return -0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5
+    return (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)

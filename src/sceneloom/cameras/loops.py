@@ -33,13 +33,13 @@ def _keep_in_picture(  # type: ignore[no-untyped-def]
     """Append those of a block's points that lie in the picture to the outputs; give the new count.
 
     The test is made on the float32 pixels that are stored: rounding them to the nearest must stay in the picture.
-    `count` is unsigned, which spares the test for indices from the end.
+    `count` is unsigned, which spares the test for indices from the end. Every point is written and only those that
+    count are left standing: there is room for it, and to guess which ones these are would take longer.
     """
     for i in range(len(columns)):
-        if in_picture(columns[i], rows[i], width, height):
-            point_ids[count], depths[count] = first_id + i, block_depths[i]
-            flat_pixels[uint64(2) * count], flat_pixels[uint64(2) * count + uint64(1)] = columns[i], rows[i]
-            count += uint64(1)
+        point_ids[count], depths[count] = first_id + i, block_depths[i]
+        flat_pixels[uint64(2) * count], flat_pixels[uint64(2) * count + uint64(1)] = columns[i], rows[i]
+        count += uint64(in_picture(columns[i], rows[i], width, height))
     return count
 
 

@@ -1,7 +1,8 @@
 """The algorithms of sensor-data fusion, by name."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Protocol
 
@@ -14,6 +15,7 @@ from sceneloom.colouring.rolling_shutter import ShutterWay
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.crew import Crew
 from sceneloom.scene import Identifier
 
 
@@ -91,21 +93,27 @@ def fuse_by_projection(
         CalibrationError: a camera's model is unknown or has other coefficients.
         OptionError: a camera's index is out of range.
     """
-    views = tuple(
-        view_points(
+    # Threads share the pictures where these are enough, which has them wait for one another once only.
+    many = len(requests) >= visibility.threads
+    settings = replace(visibility, threads=1) if many else visibility
+
+    def view(request: ViewRequest) -> FusedView:
+        return view_points(
             points_world,
             request.camera,
             request.world_from_camera,
             request.rgb,
             camera_id=request.camera_id,
             timestamp_ns=request.timestamp_ns,
-            visibility=visibility,
+            visibility=settings,
             way=way,
             shutter=request.shutter,
         )
-        for request in requests
-    )
-    colors, camera_index = colour_points(len(points_world), views, [r.camera_index for r in requests])
+
+    crew = Crew(visibility.threads if many else 1)
+    views = tuple(crew.gather([partial(view, request) for request in requests]))
+    indices = [request.camera_index for request in requests]
+    colors, camera_index = colour_points(len(points_world), views, indices, threads=visibility.threads)
     return ColouredPoints(views, colors, camera_index)
 
 

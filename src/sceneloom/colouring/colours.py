@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sceneloom.arrays import UInt8Array
+from sceneloom.arrays import Float64Array, UInt8Array
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
+from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.point_colours import paint_points
 
 NO_CAMERA = 255
@@ -14,7 +15,7 @@ NO_CAMERA = 255
 
 
 def colour_points(
-    count: int, views: Sequence[FusedView], camera_indices: Sequence[int]
+    count: int, views: Sequence[FusedView], camera_indices: Sequence[int], *, threads: int = 1
 ) -> tuple[UInt8Array, UInt8Array]:
     """Give each point the colour of its nearest pixel.
 
@@ -26,6 +27,7 @@ def colour_points(
         count: number of points of the cloud.
         views: the cloud in each picture.
         camera_indices: what to write into `camera_index`, one for each view, 0 to 254.
+        threads: how many share the points.
 
     Returns:
         colors: (count, 3) uint8, red green blue; 255, 255, 255 where no picture shows the point.
@@ -42,7 +44,23 @@ def colour_points(
         if not 0 <= index < NO_CAMERA:
             raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
         rgb = np.ascontiguousarray(view.rgb)
-        paint_points(
-            view.point_ids, view.pixels, view.visible, rgb, index, eccentricities, colors, camera_index
-        )
+        _paint(view, rgb, index, eccentricities, colors, camera_index, Crew.of(threads, len(view.point_ids)))
     return colors, camera_index
+
+
+def _paint(
+    view: FusedView,
+    rgb: UInt8Array,
+    index: int,
+    eccentricities: Float64Array,
+    colors: UInt8Array,
+    camera_index: UInt8Array,
+    crew: Crew,
+) -> None:
+    """Paint the points of one picture, which are all different: threads write to different rows."""
+
+    def paint(_: int, a: int, b: int) -> None:
+        ids, pixels, visible = view.point_ids[a:b], view.pixels[a:b], view.visible[a:b]
+        paint_points(ids, pixels, visible, rgb, index, eccentricities, colors, camera_index)
+
+    crew.share(len(view.point_ids), paint)

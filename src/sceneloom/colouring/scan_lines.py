@@ -7,7 +7,7 @@ from math import cos, pi, radians, sin
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
-from sceneloom.kernels.spacing import find_neighbours
+from sceneloom.kernels.spacing import find_neighbours, find_slopes
 
 _CELL = radians(0.1)
 _REACH_CELLS = 25
@@ -88,7 +88,8 @@ def measure_spacings(neighbours: Neighbours) -> Float64Array:
     """
     found = neighbours.distances
     axes = np.concatenate([found[:, : _SECTORS // 2], found[:, _SECTORS // 2 :]])
-    return np.array([_mean_of_middle(steps[~np.isnan(steps)]) for steps in axes.T])
+    ordered, known = np.sort(axes.T), np.count_nonzero(~np.isnan(axes), axis=0)
+    return np.array([_mean_of_middle(steps[:count]) for steps, count in zip(ordered, known, strict=True)])
 
 
 def measure_surface_distance(
@@ -113,22 +114,18 @@ def measure_surface_distance(
     Returns:
         Four fifths of the distance that 95 % of the surfaces keep, 0.1 to 1.5 m; 0.5 where too few were found.
     """
-    has_any = (neighbours.ids >= 0).any(axis=1)
-    half, points, ids = _SECTORS // 2, neighbours.points[has_any, None], neighbours.ids[has_any]
-    known = (ids[:, :half] >= 0) & (ids[:, half:] >= 0)
-    first, second = np.where(known, ids[:, :half], points), np.where(known, ids[:, half:], points)
-    to_first, to_second = (
-        np.hypot(*(directions[:, side] - directions[:, points]).astype(np.float64))
-        for side in (first, second)
+    slopes = np.empty(len(neighbours.points))
+    find_slopes(
+        directions,
+        inverse_ranges,
+        neighbours.points,
+        neighbours.ids,
+        _CELL * 1e-3,
+        margin,
+        margin_share,
+        slopes,
     )
-    apart = np.maximum(to_first + to_second, _CELL * 1e-3)
-    own, one, other = (inverse_ranges[ids].astype(np.float64) for ids in (points, first, second))
-    off = np.abs(own - (one * to_second + other * to_first) / apart)
-    straight = known & (off <= margin * own * own + margin_share * own)
-    # The map widens angles off its axis by up to 1 / cos(θ/2).
-    scale = np.sqrt(np.maximum(1 - 0.25 * (directions[:, points].astype(np.float64) ** 2).sum(axis=0), 0))
-    slopes = np.where(straight, scale * np.abs(one - other) / apart, 0.0).max(axis=1, initial=0.0)
-    slopes = np.sort(slopes[straight.any(axis=1)])
+    slopes = np.sort(slopes[~np.isnan(slopes)])
     if len(slopes) < _FEWEST_SURFACES:
         return USUAL_SURFACE_DISTANCE
     steepest = max(float(slopes[int(_STEEPER_THAN * len(slopes))]), 1e-3)
@@ -165,9 +162,9 @@ def _disc() -> tuple[Int64Array, Int64Array, Int64Array, Float64Array]:
     return right[order], down[order], sectors[order], distances[order] * _CELL
 
 
-def _mean_of_middle(steps: Float64Array) -> float:
+def _mean_of_middle(ordered: Float64Array) -> float:
     """Average the middle half: robust as the median, but not bound to whole cells. NaN for too few."""
-    if len(steps) < _SAMPLES:
+    if len(ordered) < _SAMPLES:
         return np.nan
-    ordered = np.sort(steps)
-    return float(ordered[len(steps) // 4 : len(steps) - len(steps) // 4].mean())
+    middle = ordered[len(ordered) // 4 : len(ordered) - len(ordered) // 4]
+    return float(middle.sum() / len(middle))

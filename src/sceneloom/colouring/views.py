@@ -12,6 +12,7 @@ from sceneloom.colouring.results import FusedView
 from sceneloom.colouring.rolling_shutter import ShutterWay, project_by_lines
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
 from sceneloom.scene import Identifier
 
@@ -48,7 +49,8 @@ def view_points(
     check_array("points_world", points_world, (None, 3), np.float64)
     settings = VisibilitySettings() if visibility is None else visibility
     points = np.ascontiguousarray(points_world)
-    seen = _see(points, camera, world_from_camera, shutter)
+    crew = Crew.of(settings.threads, len(points))
+    seen = _see(points, camera, world_from_camera, shutter, crew)
     point_ids, pixels, depths = seen.point_ids, seen.pixels, seen.depths
     visible = (
         find_visible(seen.cloud, seen.rows, seen.camera_from_cloud, settings, way=seen.known(way))
@@ -56,7 +58,7 @@ def view_points(
         else np.ones(len(point_ids), np.bool_)
     )
     depth_image = np.zeros((camera.height, camera.width), np.float32)
-    draw_depths(pixels, depths, visible, depth_image)
+    draw_depths(pixels, depths, visible, depth_image, crew=crew)
     if not settings.enabled:
         mark_nearest(pixels, depths, depth_image, visible)
     return FusedView(
@@ -107,11 +109,15 @@ class _Seen:
 
 
 def _see(
-    points_world: Float64Array, camera: Camera, world_from_camera: RigidTransform, shutter: ShutterWay | None
+    points_world: Float64Array,
+    camera: Camera,
+    world_from_camera: RigidTransform,
+    shutter: ShutterWay | None,
+    crew: Crew,
 ) -> _Seen:
     if shutter is None:
         camera_from_world = world_from_camera.inverse().matrix
-        point_ids, pixels, depths = _project(points_world, camera, camera_from_world)
+        point_ids, pixels, depths = _project(points_world, camera, camera_from_world, crew)
         return _Seen(point_ids, pixels, depths, points_world, point_ids, camera_from_world)
     rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
     return _Seen(
@@ -127,22 +133,28 @@ def _see(
 
 
 def _project(
-    points_world: Float64Array, camera: Camera, camera_from_world: Float64Array
+    points_world: Float64Array, camera: Camera, camera_from_world: Float64Array, crew: Crew
 ) -> tuple[Int64Array, Float32Array, Float32Array]:
     """Give ids, pixels and depths of the points that fall into the picture."""
     count = len(points_world)
     point_ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
     depths = np.empty(count, np.float32)
-    kept = projection_kernel(camera.model)(
-        points_world,
-        camera_from_world,
-        lens_vector(camera),
-        camera.width,
-        camera.height,
-        point_ids,
-        pixels,
-        depths,
-    )
+    kernel, lens = projection_kernel(camera.model), lens_vector(camera)
+    found: list[tuple[int, int]] = []
+
+    def project(_: int, a: int, b: int) -> None:
+        out = point_ids[a:b], pixels[a:b], depths[a:b]
+        size = kernel(points_world[a:b], camera_from_world, lens, camera.width, camera.height, *out)
+        found.append((a, size))
+
+    crew.share(count, project)
+    kept = 0
+    for start, size in sorted(found):
+        if start > 0:
+            point_ids[kept : kept + size] = point_ids[start : start + size] + start
+            pixels[kept : kept + size] = pixels[start : start + size]
+            depths[kept : kept + size] = depths[start : start + size]
+        kept += size
     if 2 * kept > count:
         return point_ids[:kept], pixels[:kept], depths[:kept]
     # The view may live long, and must not hold the room that all points would have needed.

@@ -58,12 +58,14 @@ from sceneloom.colouring.scan_lines import (
     measure_surface_distance,
 )
 from sceneloom.errors import OptionError
+from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
 
 _CELL_DEG = 0.16
 _NEARING = 0.85
 _STRAIGHTNESS = 0.5
+_MOST_THREADS = 256
 _NO_WAY = (np.zeros((0, 3)), np.zeros(0, np.float32))
 
 
@@ -82,6 +84,7 @@ class VisibilitySettings:
             four fifths of what is measured in the cloud, between 0.1 and 1.5; 0.5 otherwise.
         margin: how much nearer than a point something must be to hide it [m] …
         margin_share: … plus this share of the point's range.
+        threads: how many share the work on one cloud; what they find is the same.
 
     Raises:
         OptionError: a number is negative, not finite, or 0 where it must not be.
@@ -93,6 +96,7 @@ class VisibilitySettings:
     surface_distance: float | None = None
     margin: float = 0.15
     margin_share: float = 0.01
+    threads: int = 1
 
     def __post_init__(self) -> None:
         for name in ("surface_distance", "margin", "margin_share"):
@@ -103,6 +107,8 @@ class VisibilitySettings:
             raise OptionError(
                 f"surface_distance {self.surface_distance}; expected a positive distance in metres"
             )
+        if not 1 <= self.threads <= _MOST_THREADS:
+            raise OptionError(f"threads {self.threads}; expected 1 to {_MOST_THREADS}")
         for name in ("window_deg", "near_deg"):
             value = getattr(self, name)
             if value is not None and not 0 < value <= 45:
@@ -137,13 +143,15 @@ def find_visible(
     directions = np.empty((2, len(point_ids)), np.float32)
     inverse_ranges = np.empty(len(point_ids), np.float32)
     visible = np.empty(len(point_ids), np.bool_)
-    map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges)
+    crew = Crew.of(settings.threads, len(point_ids))
+    map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges, crew=crew)
     reach, surface_distance = _measure(directions, inverse_ranges, settings, known_way=way is not None)
     eyes, fractions = (
         _NO_WAY if way is None else (_in_camera(way.ends_world, camera_from_world), way.fractions)
     )
     mark_unhidden(
         directions,
+        inverse_ranges,
         inverse_ranges,
         max(max(reach.window, reach.across, reach.along) / CELLS_PER_REACH, radians(_CELL_DEG)),
         reach.window,
@@ -156,6 +164,7 @@ def find_visible(
         fractions,
         _NEARING,
         visible,
+        crew=crew,
     )
     return visible
 

@@ -4,9 +4,10 @@ import math
 
 import numba
 import numpy as np
-from numba import boolean, float32, types, void
+from numba import boolean, float32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array
+from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.pixel_numbers import BLOCK, PART, number_pixels
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
@@ -17,11 +18,14 @@ _NOTHING, _ENDLESS = np.float32(0.0), np.float32(math.inf)
 
 
 @numba.njit(**PART)
-def _lower(numbers: AnyArray, depths: Float32Array, visible: BoolArray, image: Float32Array) -> None:
+def _lower(
+    numbers: AnyArray, first: int, depths: Float32Array, visible: BoolArray, image: Float32Array
+) -> None:
+    """Lower the pixels of a part of the image, whose first one has the number `first`."""
     for i in range(numbers.shape[0]):
-        depth = depths[i]
-        if visible[i] and numbers[i] >= 0 and _NOTHING < depth < _ENDLESS:
-            p = np.uint32(numbers[i])
+        depth, place = depths[i], np.int64(numbers[i]) - first
+        if visible[i] and 0 <= place < image.shape[0] and _NOTHING < depth < _ENDLESS:
+            p = np.uint32(place)
             there = image[p]
             image[p] = depth if (there == _NOTHING) | (depth < there) else there
 
@@ -34,10 +38,32 @@ def _compare(numbers: AnyArray, depths: Float32Array, image: Float32Array, visib
 
 
 @numba.njit(
-    void(_IN_F32_2D, _IN_F32_1D, _IN_BOOL_1D, float32[:, ::1]), cache=True, nogil=True, error_model="numpy"
+    void(_IN_F32_2D, _IN_F32_1D, _IN_BOOL_1D, int64, int64, float32[:, ::1]),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
 )
+def _draw_rows(
+    pixels: Float32Array, depths: Float32Array, visible: BoolArray, top: int, bottom: int, depth_image: Float32Array
+) -> None:  # fmt: skip
+    """Draw what falls into some rows of the image."""
+    height, width = depth_image.shape
+    flat_pixels, image = pixels.reshape(pixels.size), depth_image.reshape(depth_image.size)
+    numbers, rows = np.empty(BLOCK, np.int32), image[top * width : bottom * width]
+    for start in range(0, depths.shape[0], BLOCK):
+        stop = min(start + BLOCK, depths.shape[0])
+        block = numbers[: stop - start]
+        number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
+        _lower(block, top * width, depths[start:stop], visible[start:stop], rows)
+
+
 def draw_depths(
-    pixels: Float32Array, depths: Float32Array, visible: BoolArray, depth_image: Float32Array
+    pixels: Float32Array,
+    depths: Float32Array,
+    visible: BoolArray,
+    depth_image: Float32Array,
+    *,
+    crew: Crew = ALONE,
 ) -> None:
     """Lower each pixel of the depth image to the least positive depth of the visible points in it.
 
@@ -46,15 +72,12 @@ def draw_depths(
         depths: (M,) [m].
         visible: (M,); other points make no depth.
         depth_image: (H, W) [m], 0 for nothing; written.
+        crew: the threads that share the rows of the image.
     """
-    height, width = depth_image.shape
-    flat_pixels, image = pixels.reshape(pixels.size), depth_image.reshape(depth_image.size)
-    numbers = np.empty(BLOCK, np.int32)
-    for start in range(0, depths.shape[0], BLOCK):
-        stop = min(start + BLOCK, depths.shape[0])
-        block = numbers[: stop - start]
-        number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
-        _lower(block, depths[start:stop], visible[start:stop], image)
+    crew.share(
+        len(depth_image),
+        lambda _, top, bottom: _draw_rows(pixels, depths, visible, top, bottom, depth_image),
+    )
 
 
 @numba.njit(

@@ -43,6 +43,24 @@ def fraction(value: Any, per_cell: Any) -> Any:
 
 
 @numba.njit(**INNER)
+def span(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, per_cell: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Give the first and the last column and row in which a point lies, counted from the edge of the map.
+
+    Where no point takes part, the first is 2^30 and the last -1.
+    """
+    left, right, top, bottom = _FAR, _NONE, _FAR, _NONE
+    for i in range(inverse_ranges.shape[0]):
+        a, b = rightward[i], downward[i]
+        placed = _is_placed(a, b, inverse_ranges[i])
+        column, row = _step(a, placed, per_cell), _step(b, placed, per_cell)
+        left, right = min(left, column if placed else _FAR), max(right, column if placed else _NONE)
+        top, bottom = min(top, row if placed else _FAR), max(bottom, row if placed else _NONE)
+    return left, right, top, bottom
+
+
+@numba.njit(**INNER)
 def fit_grid(
     directions: Float32Array, inverse_ranges: Float32Array, cell: float, border: int
 ) -> tuple[Any, Any, Any, int, int]:
@@ -60,16 +78,8 @@ def fit_grid(
         columns, rows: of the grid, border included.
     """
     per_cell = np.float32(1.0 / cell)
-    rightward, downward = directions[0], directions[1]
-    left, right, top, bottom = _FAR, _NONE, _FAR, _NONE
-    for i in range(inverse_ranges.shape[0]):
-        a, b = rightward[i], downward[i]
-        placed = _is_placed(a, b, inverse_ranges[i])
-        column, row = _step(a, placed, per_cell), _step(b, placed, per_cell)
-        left, right = min(left, column if placed else _FAR), max(right, column if placed else _NONE)
-        top, bottom = min(top, row if placed else _FAR), max(bottom, row if placed else _NONE)
-    columns = max(int(right - left), 0) + 1 + 2 * border
-    rows = max(int(bottom - top), 0) + 1 + 2 * border
+    left, right, top, bottom = span(directions[0], directions[1], inverse_ranges, per_cell)
+    columns, rows = max(int(right - left), 0) + 1 + 2 * border, max(int(bottom - top), 0) + 1 + 2 * border
     return per_cell, np.int32(left - border), np.int32(top - border), columns, rows
 
 
@@ -89,7 +99,7 @@ def number_cells(
 
 @numba.njit(**INNER)
 def _rank(
-    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, counting: Float32Array,
     grid: tuple[Any, Any, Any, int, int], numbers: AnyArray, keys: AnyArray,
 ) -> None:  # fmt: skip
     """Write each point's cell, as `number_cells`, and its key: inverse range, then how far right and down in the cell.
@@ -98,7 +108,7 @@ def _rank(
     nearest point. Of equally near ones it is the one farther right.
     """
     per_cell, first_column, first_row, columns, _ = grid
-    bits = inverse_ranges.view(np.int32)
+    bits = counting.view(np.int32)
     for i in range(numbers.shape[0]):
         a, b = rightward[i], downward[i]
         placed = _is_placed(a, b, inverse_ranges[i])
@@ -114,23 +124,26 @@ def _rank(
 
 @numba.njit(**INNER)
 def keep_nearest(
-    directions: Float32Array, inverse_ranges: Float32Array, grid: tuple[Any, Any, Any, int, int],
-    numbers: AnyArray, keys: AnyArray,
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, counting: Float32Array,
+    grid: tuple[Any, Any, Any, int, int], numbers: AnyArray, keys: AnyArray,
 ) -> None:  # fmt: skip
     """Write each point's cell, and raise the key of each cell to that of its nearest point.
 
     Args:
-        directions, inverse_ranges, grid: as of `fit_grid`.
+        rightward, downward, inverse_ranges: (M,) float32, as of `fit_grid`.
+        counting: (M,) float32 [1/m], by what they count as near; 0 for a point that is nearer than none.
+        grid: what `fit_grid` gives.
         numbers: (M,) int32, written; 0, where no point is, for a point that takes no part.
         keys: (cells,) int64, raised.
     """
-    rightward, downward, block_keys = directions[0], directions[1], np.empty(BLOCK, np.int64)
+    block_keys = np.empty(BLOCK, np.int64)
     for start in range(0, numbers.shape[0], BLOCK):
         stop = min(start + BLOCK, numbers.shape[0])
         block = numbers[start:stop]
         _rank(
-            rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], grid, block, block_keys
-        )
+            rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], counting[start:stop], grid,
+            block, block_keys,
+        )  # fmt: skip
         for k in range(block.shape[0]):
             cell = np.uint32(block[k])
             keys[cell] = max(block_keys[k], keys[cell])

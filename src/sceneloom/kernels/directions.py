@@ -8,6 +8,7 @@ import numpy as np
 from numba import float32, float64, int64, types, void
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.kernels.crew import ALONE, Crew
 
 _IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
@@ -60,17 +61,41 @@ def _map(
 
 
 @numba.njit(
-    void(_IN_F64_2D, _IN_I64_1D, _IN_F64_2D, float32[:, ::1], float32[::1]),
+    void(_IN_F64_2D, _IN_I64_1D, _IN_F64_2D, float32[::1], float32[::1], float32[::1]),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
+def _map_all(
+    points_world: Float64Array,
+    point_ids: Int64Array,
+    camera_from_world: Float64Array,
+    rightward: Float32Array,
+    downward: Float32Array,
+    inverse_ranges: Float32Array,
+) -> None:
+    """Map the points with the given ids."""
+    m = camera_from_world
+    pose = (
+        m[0, 0], m[0, 1], m[0, 2], m[0, 3],
+        m[1, 0], m[1, 1], m[1, 2], m[1, 3],
+        m[2, 0], m[2, 1], m[2, 2], m[2, 3],
+    )  # fmt: skip
+    x, y, z = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    for start in range(0, point_ids.shape[0], _BLOCK):
+        stop = min(start + _BLOCK, point_ids.shape[0])
+        _gather(points_world, point_ids[start:stop], x, y, z)
+        _map(x, y, z, pose, rightward[start:stop], downward[start:stop], inverse_ranges[start:stop])
+
+
 def map_directions(
     points_world: Float64Array,
     point_ids: Int64Array,
     camera_from_world: Float64Array,
     directions: Float32Array,
     inverse_ranges: Float32Array,
+    *,
+    crew: Crew = ALONE,
 ) -> None:
     """Write the direction and the inverse range of the points with the given ids.
 
@@ -85,18 +110,18 @@ def map_directions(
         directions: (2, M), written: rightward and downward, inside the disc of radius 2.
         inverse_ranges: (M,) [1/m], written; 0 for a point that is not finite, lies in the camera's centre, or
             does not exist.
+        crew: the threads that share the points.
 
     Source: J. P. Snyder, Map Projections - A Working Manual, 1987, eq. 24-1 and 24-2.
     """
-    m = camera_from_world
-    pose = (
-        m[0, 0], m[0, 1], m[0, 2], m[0, 3],
-        m[1, 0], m[1, 1], m[1, 2], m[1, 3],
-        m[2, 0], m[2, 1], m[2, 2], m[2, 3],
-    )  # fmt: skip
-    x, y, z = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
-    rightward, downward = directions[0], directions[1]
-    for start in range(0, point_ids.shape[0], _BLOCK):
-        stop = min(start + _BLOCK, point_ids.shape[0])
-        _gather(points_world, point_ids[start:stop], x, y, z)
-        _map(x, y, z, pose, rightward[start:stop], downward[start:stop], inverse_ranges[start:stop])
+    crew.share(
+        len(point_ids),
+        lambda _, a, b: _map_all(
+            points_world,
+            point_ids[a:b],
+            camera_from_world,
+            directions[0, a:b],
+            directions[1, a:b],
+            inverse_ranges[a:b],
+        ),
+    )

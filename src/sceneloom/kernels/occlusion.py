@@ -5,244 +5,81 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import boolean, float32, float64, int64, types, void
+from numba import float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
-from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, fraction, keep_nearest, read_keys
-from sceneloom.kernels.lanes import LANES, find_beside, find_nearing, find_quadrants
+from sceneloom.kernels.crew import ALONE, Crew
+from sceneloom.kernels.direction_grid import keep_nearest, read_keys, span
+from sceneloom.kernels.lanes import LANES
 from sceneloom.kernels.occlusion_bounds import bound_hiding
-
-INLINED = {**INNER, "inline": "always"}
-"""Options of what is called point by point: a call would count references to every array it is given."""
+from sceneloom.kernels.occlusion_search import search_hiding
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
-_IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
-_IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
-_IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
-
-_NOTHING, _ONE, _QUARTER, _BEHIND = np.float32(0.0), np.float32(1.0), np.float32(0.25), np.float32(1e-3)
-_QUADRANT, _NO_CELL = np.uint64(2**LANES - 1), np.uint64(0)
-_SECOND, _THIRD, _FOURTH = np.uint64(LANES), np.uint64(2 * LANES), np.uint64(3 * LANES)
+_KERNEL: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
-@numba.njit(**INNER)
-def _list_strips(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Float32Array, Float32Array]:
-    """List strips of as many cells as there are lanes, which cover so many cells to each side of a middle one.
-
-    Returns:
-        offsets: (K,) int64, from the number of the middle cell to that of a strip's first.
-        right, down: (K,) float32, the same as columns and rows.
-    """
-    rows, wide = 2 * size_y + 1, (2 * size_x + LANES) // LANES
-    offsets = np.empty(rows * wide, np.int64)
-    right, down = np.empty(rows * wide, np.float32), np.empty(rows * wide, np.float32)
-    for k in range(rows * wide):
-        dx, dy = k // rows * LANES - size_x, k % rows - size_y
-        offsets[k], right[k], down[k] = dy * columns + dx, dx, dy
-    return offsets, right, down
-
-
-@numba.njit(**INLINED)
-def _shift(
-    rightward: Any, downward: Any, eyes: Float64Array, fraction: Any, per_cell: Any
-) -> tuple[Any, Any]:
-    """Give the shift [cells m], per inverse range, of what lies in a direction when the eye moves to the camera.
-
-    Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the part of the eye's way across the line of sight.
-    """
-    squared = rightward * rightward + downward * downward
-    half = np.float32(math.sqrt(max(_ONE - _QUARTER * squared, _BEHIND)))
-    scale, x, y, z = _ONE / half, half * rightward, half * downward, _ONE - np.float32(0.5) * squared
-    eye_x = np.float32(eyes[0, 0]) + fraction * np.float32(eyes[1, 0] - eyes[0, 0])
-    eye_y = np.float32(eyes[0, 1]) + fraction * np.float32(eyes[1, 1] - eyes[0, 1])
-    eye_z = np.float32(eyes[0, 2]) + fraction * np.float32(eyes[1, 2] - eyes[0, 2])
-    along = x * eye_x + y * eye_y + z * eye_z
-    across = along + _QUARTER * scale * scale * (eye_z - along * z)
-    scale *= per_cell
-    return (eye_x - x * across) * scale, (eye_y - y * across) * scale
-
-
-@numba.njit(**INLINED)
-def _threshold(inverse: Any, limits: tuple[Any, Any, Any, Any]) -> Any:
-    """Give the inverse range beyond which something is nearer than a point."""
-    return inverse + limits[2] * inverse * inverse + limits[3] * inverse
-
-
-@numba.njit(**INNER)
-def _pick(
-    inverse_ranges: Float32Array, numbers: AnyArray, from_any: Float32Array, limits: tuple[Any, Any, Any, Any],
-    visible: BoolArray, picked: AnyArray,
-) -> int:  # fmt: skip
-    """List the points of a block that something may hide; let all others be seen that are in a cell."""
-    count = 0
-    for i in range(numbers.shape[0]):
-        c = np.uint32(numbers[i])
-        visible[i] = c > 0
-        picked[count] = i
-        count += (from_any[c] > _threshold(inverse_ranges[i], limits)) & (c > 0)
-    return count
-
-
-@numba.njit(**INNER)
-def _gather(
-    picked: AnyArray, rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
-    numbers: AnyArray, per_cell: Any, limits: tuple[Any, Any, Any, Any], cells: AnyArray, room: Float32Array,
-) -> None:  # fmt: skip
-    """Put side by side what is asked of the listed points: cell, place in it, threshold, square of the slope."""
-    for k in range(picked.shape[0]):
-        i = np.uint32(picked[k])
-        a, b = rightward[i], downward[i]
-        cells[k] = numbers[i]
-        room[0, k], room[1, k] = fraction(a, per_cell), fraction(b, per_cell)
-        room[2, k] = _threshold(inverse_ranges[i], limits)
-        room[3, k] = limits[1] / max(_ONE - _QUARTER * (a * a + b * b), _BEHIND)
-
-
-@numba.njit(**INNER)
-def _search_beside(
-    cells: AnyArray, a: Float32Array, b: Float32Array, thresholds: Float32Array, slopes_squared: Float32Array,
-    nearest: Float32Array, right: Float32Array, down: Float32Array,
-    strips: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
-    alone: AnyArray, others: AnyArray,
-) -> tuple[int, int]:  # fmt: skip
-    """List the points that anything in the ellipse around them hides, and the others; give how many each are."""
-    hidden, free = 0, 0
-    for k in range(cells.shape[0]):
-        found = _NO_CELL
-        for j in range(strips[0].shape[0]):
-            found |= find_beside(
-                nearest, right, down, np.uint64(cells[k] + strips[0][j]),
-                (strips[1][j] - a[k], strips[2][j] - b[k],
-                thresholds[k], slopes_squared[k], near[0], near[1], near[2]),
-            )  # fmt: skip
-        # Without branches: what is hidden cannot be predicted, and a wrong guess costs more than the search.
-        alone[hidden], others[free] = k, k
-        hidden += found != _NO_CELL
-        free += found == _NO_CELL
-    return hidden, free
-
-
-@numba.njit(**INNER)
-def _search_nearing(
-    listed: AnyArray, cells: AnyArray, a: Float32Array, b: Float32Array, thresholds: Float32Array,
-    slopes_squared: Float32Array, nearest: Float32Array, right: Float32Array, down: Float32Array,
-    strips: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
-    inverse_ranges: Float32Array, shift_x: Float32Array, shift_y: Float32Array, nearing: Any,
-    others: AnyArray, free: int,
-) -> int:  # fmt: skip
-    """Add those of the listed points to `others` that nothing hides which came nearer from the lidar to the camera."""
-    for n in range(listed.shape[0]):
-        k = np.uint32(listed[n])
-        found = _NO_CELL
-        for j in range(strips[0].shape[0]):
-            found |= find_nearing(
-                nearest, right, down, np.uint64(cells[k] + strips[0][j]),
-                (strips[1][j] - a[k], strips[2][j] - b[k],
-                thresholds[k], slopes_squared[k], near[0], near[1], near[2],
-                inverse_ranges[n], shift_x[n], shift_y[n], nearing),
-            )  # fmt: skip
-        others[free] = k
-        free += found == _NO_CELL
-    return free
-
-
-@numba.njit(**INNER)
-def _search_between(
-    listed: AnyArray, picked: AnyArray, cells: AnyArray, a: Float32Array, b: Float32Array,
-    thresholds: Float32Array, slopes_squared: Float32Array, nearest: Float32Array, right: Float32Array,
-    down: Float32Array, strips: tuple[Int64Array, Float32Array, Float32Array], window_squared: Any,
-    visible: BoolArray,
-) -> None:  # fmt: skip
-    """Write which of the listed points things in opposite quadrants around them do not hide."""
-    for n in range(listed.shape[0]):
-        k = np.uint32(listed[n])
-        found = _NO_CELL
-        for j in range(strips[0].shape[0]):
-            found |= find_quadrants(
-                nearest, right, down, np.uint64(cells[k] + strips[0][j]),
-                (strips[1][j] - a[k], strips[2][j] - b[k],
-                thresholds[k], slopes_squared[k], window_squared),
-            )  # fmt: skip
-        first, third = found & _QUADRANT, (found >> _THIRD) & _QUADRANT
-        second, fourth = (found >> _SECOND) & _QUADRANT, found >> _FOURTH
-        hidden = ((first != _NO_CELL) & (third != _NO_CELL)) | ((second != _NO_CELL) & (fourth != _NO_CELL))
-        visible[picked[k]] = not hidden
-
-
-@numba.njit(**INNER)
-def _keep_bounded(
-    listed: AnyArray, picked: AnyArray, cells: AnyArray, thresholds: Float32Array, from_opposite: Float32Array,
-    visible: BoolArray,
-) -> int:  # fmt: skip
-    """Keep those listed that things in opposite quadrants may hide, and let the others be seen; give their count."""
-    count = 0
-    for n in range(listed.shape[0]):
-        k = np.uint32(listed[n])
-        visible[picked[k]] = True
-        listed[count] = k
-        count += from_opposite[np.uint32(cells[k])] > thresholds[k]
-    return count
-
-
-@numba.njit(**INNER)
-def _shift_all(
-    listed: AnyArray, picked: AnyArray, rightward: Float32Array, downward: Float32Array,
-    inverse_ranges: Float32Array, point_ids: Int64Array, fractions: Float32Array, eyes: Float64Array,
-    per_cell: Any, room: Float32Array,
-) -> None:  # fmt: skip
-    """Write inverse range and shift of the listed points, of each in its turn."""
-    for n in range(listed.shape[0]):
-        i = np.uint32(picked[listed[n]])
-        room[0, n] = inverse_ranges[i]
-        room[1, n], room[2, n] = _shift(rightward[i], downward[i], eyes, fractions[point_ids[i]], per_cell)
-
-
-@numba.njit(**INNER)
-def _decide(
-    picked: AnyArray, rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
-    numbers: AnyArray, per_cell: Any, nearest: Float32Array, right: Float32Array, down: Float32Array,
-    from_opposite: Float32Array,
-    beside: tuple[Int64Array, Float32Array, Float32Array], around: tuple[Int64Array, Float32Array, Float32Array],
-    near: tuple[Any, Any, Any], limits: tuple[Any, Any, Any, Any],
-    eyes: Float64Array, point_ids: Int64Array, fractions: Float32Array, nearing: Any, visible: BoolArray,
-    lists: AnyArray, room: Float32Array,
-) -> None:  # fmt: skip
-    """Write which of the listed points of a block are not hidden."""
-    count = picked.shape[0]
-    cells, alone, others, a, b = lists[0, :count], lists[1], lists[2], room[0], room[1]
-    _gather(picked, rightward, downward, inverse_ranges, numbers, per_cell, limits, cells, room)
-    hidden, free = _search_beside(
-        cells, a, b, room[2], room[3], nearest, right, down, beside, near, alone, others
-    )
-    for n in range(hidden):
-        visible[picked[alone[n]]] = False
-    if eyes.shape[0] > 0:
-        _shift_all(
-            alone[:hidden], picked, rightward, downward, inverse_ranges, point_ids, fractions, eyes, per_cell,
-            room[4:],
-        )  # fmt: skip
-        free = _search_nearing(
-            alone[:hidden], cells, a, b, room[2], room[3], nearest, right, down, beside, near,
-            room[4], room[5], room[6], nearing, others, free,
-        )  # fmt: skip
-    free = _keep_bounded(others[:free], picked, cells, room[2], from_opposite, visible)
-    _search_between(
-        others[:free], picked, cells, a, b, room[2], room[3], nearest, right, down, around, limits[0], visible
-    )
+@numba.njit(void(_IN_F32_1D, _IN_F32_1D, _IN_F32_1D, float64, int64[::1]), **_KERNEL)
+def _find_span(
+    rightward: Float32Array,
+    downward: Float32Array,
+    inverse_ranges: Float32Array,
+    cell: float,
+    found: AnyArray,
+) -> None:
+    """Write the first and last column, the first and last row that points lie in."""
+    found[0], found[1], found[2], found[3] = span(rightward, downward, inverse_ranges, np.float32(1.0 / cell))
 
 
 @numba.njit(
     void(
-        _IN_F32_2D, _IN_F32_1D, float64, float64, float64, float64, float64, float64, float64, float64,
-        _IN_F64_2D, _IN_I64_1D, _IN_F32_1D, float64, boolean[::1]
+        _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, float64, int64, int64, int64, int64, int32[::1], int64[::1]
     ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    **_KERNEL,
 )  # fmt: skip
+def _keep_nearest(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, hiding: Float32Array, cell: float,
+    first_column: int, first_row: int, columns: int, rows: int, numbers: AnyArray, keys: AnyArray,
+) -> None:  # fmt: skip
+    """Number the cells of some points, and raise the keys of these cells."""
+    grid = (np.float32(1.0 / cell), np.int32(first_column), np.int32(first_row), columns, rows)
+    keep_nearest(rightward, downward, inverse_ranges, hiding, grid, numbers, keys)
+    keys[0] = 0
+
+
+@numba.njit(void(int64[:, ::1], int64, int64, float32[::1], float32[::1], float32[::1]), **_KERNEL)
+def _read_keys(
+    keys: AnyArray, start: int, stop: int, nearest: Float32Array, right: Float32Array, down: Float32Array
+) -> None:
+    """Take the largest keys of some cells apart, out of several tables."""
+    whole = keys[0, start:stop]
+    for part in range(1, keys.shape[0]):
+        other = keys[part, start:stop]
+        for c in range(whole.shape[0]):
+            whole[c] = max(whole[c], other[c])
+    read_keys(whole, nearest[start:stop], right[start:stop], down[start:stop])
+
+
+@numba.njit(
+    void(
+        _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, int64, int64, float64, float64, float64, float32[::1], float32[::1]
+    ),
+    **_KERNEL,
+)  # fmt: skip
+def _bound_hiding(
+    nearest: Float32Array, right: Float32Array, down: Float32Array, columns: int, border: int, slope: float,
+    reach_x: float, reach_y: float, from_any: Float32Array, from_opposite: Float32Array,
+) -> None:  # fmt: skip
+    """Write the bounds of some rows' cells, `border` rows in from both ends."""
+    bound_hiding(
+        nearest, right, down, columns, border, np.float32(slope), np.float32(reach_x), np.float32(reach_y),
+        from_any, from_opposite,
+    )  # fmt: skip
+
+
 def mark_unhidden(
     directions: Float32Array,
     inverse_ranges: Float32Array,
+    hiding: Float32Array,
     cell: float,
     window: float,
     near_xx: float,
@@ -256,6 +93,8 @@ def mark_unhidden(
     fractions: Float32Array,
     nearing: float,
     visible: BoolArray,
+    *,
+    crew: Crew = ALONE,
 ) -> None:
     """Write which points no nearer points hide.
 
@@ -264,6 +103,7 @@ def mark_unhidden(
     Args:
         directions: (2, M) in the equal-area map [rad].
         inverse_ranges: (M,) [1/m]; a point with 0 takes no part and is not visible.
+        hiding: (M,) [1/m], the same for points that may hide others, 0 for those that shall not.
         cell: size of a cell [rad], at least 0.001, which bounds the memory.
         window: within it two things on opposite sides of a point hide it [rad].
         near_xx, near_xy, near_yy: p, q, r of the ellipse p x² + q x y + r y² <= 1 in which a single thing hides
@@ -277,40 +117,62 @@ def mark_unhidden(
         nearing: to what share of its distance in the lidar's eyes a single thing must have come to hide; of no account
             where `eyes` are not known.
         visible: (M,), written.
+        crew: the threads that share the work; what comes out is the same.
     """
     # From here on lengths are in cells.
     xx, xy, yy = near_xx * cell * cell, near_xy * cell * cell, near_yy * cell * cell
     area = xx * yy - 0.25 * xy * xy
     reach_x, reach_y, radius = math.sqrt(yy / area), math.sqrt(xx / area), window / cell
-    size = (math.ceil(reach_x), math.ceil(reach_y))
-    border = max(math.ceil(radius), size[0], size[1])
-    grid = fit_grid(directions, inverse_ranges, cell, border)
-    columns, cells, count = grid[3], grid[3] * grid[4], inverse_ranges.shape[0]
-    keys, numbers = np.zeros(cells, np.int64), np.empty(count, np.int32)
-    keep_nearest(directions, inverse_ranges, grid, numbers, keys)
-    keys[0] = 0
+    size_x, size_y = math.ceil(reach_x), math.ceil(reach_y)
+    border = max(math.ceil(radius), size_x, size_y)
+    points = (directions[0], directions[1], inverse_ranges)
+    first_column, first_row, columns, rows = _fit(points, cell, border, crew)
+    cells, numbers = columns * rows, np.empty(len(inverse_ranges), np.int32)
+    keys = np.zeros((crew.size, cells), np.int64)
+
+    def keep(part: int, a: int, b: int) -> None:
+        some = _some(points, a, b)
+        corner = (cell, first_column, first_row)
+        _keep_nearest(*some, hiding[a:b], *corner, columns, rows, numbers[a:b], keys[part])
+
+    crew.share(len(numbers), keep)
     # Lanes beyond the last cell read what lies behind it.
-    nearest, right, down = (
-        np.zeros(cells + LANES, np.float32), np.zeros(cells + LANES, np.float32), np.zeros(cells + LANES, np.float32)
-    )  # fmt: skip
-    read_keys(keys, nearest[:cells], right[:cells], down[:cells])
-    from_any, from_opposite = bound_hiding(
-        nearest[:cells], right[:cells], down[:cells], columns, border, np.float32(slope * cell),
-        np.float32(reach_x), np.float32(reach_y),
-    )  # fmt: skip
-    near = (np.float32(xx), np.float32(xy), np.float32(yy))
-    steepest = np.float32(slope * cell * slope * cell)
-    limits = (np.float32(radius * radius), steepest, np.float32(margin), np.float32(margin_share))
-    beside, around = _list_strips(size[0], size[1], columns), _list_strips(border, border, columns)
-    picked, lists, room = (
-        np.empty(BLOCK + 1, np.int32), np.empty((3, BLOCK + 1), np.int32), np.empty((7, BLOCK), np.float32)
-    )  # fmt: skip
-    for start in range(0, count, BLOCK):
-        stop = min(start + BLOCK, count)
-        seen, inverse, block = visible[start:stop], inverse_ranges[start:stop], numbers[start:stop]
-        found = _pick(inverse, block, from_any, limits, seen, picked)
-        _decide(
-            picked[:found], directions[0, start:stop], directions[1, start:stop], inverse, block, grid[0],
-            nearest, right, down, from_opposite, beside, around, near, limits,
-            eyes, point_ids[start:stop], fractions, np.float32(nearing), seen, lists, room,
+    held, bounds = np.zeros((3, cells + LANES), np.float32), np.zeros((2, cells), np.float32)
+    crew.share(cells, lambda _, a, b: _read_keys(keys, a, b, held[0], held[1], held[2]))
+
+    def bound(_: int, first: int, last: int) -> None:
+        # Each has the rows around its own as well.
+        around = _some((held[0], held[1], held[2]), first * columns, (last + 2 * border) * columns)
+        own = slice((first + border) * columns, (last + border) * columns)
+        reach = (slope * cell, reach_x, reach_y)
+        _bound_hiding(*around, columns, border, *reach, bounds[0, own], bounds[1, own])
+
+    crew.share(rows - 2 * border, bound)
+    limits = (radius * radius, (slope * cell) ** 2, margin, margin_share, xx, xy, yy, nearing)
+    rule = np.array(limits, np.float32)
+
+    def search(_: int, a: int, b: int) -> None:
+        search_hiding(
+            *_some(points, a, b), numbers[a:b], 1.0 / cell, columns, held[0], held[1], held[2],
+            bounds[0], bounds[1], size_x, size_y, border, rule, eyes, point_ids[a:b], fractions, visible[a:b],
         )  # fmt: skip
+
+    crew.share(len(numbers), search)
+
+
+_Rows = tuple[Float32Array, Float32Array, Float32Array]
+
+
+def _some(rows: _Rows, start: int, stop: int) -> _Rows:
+    return rows[0][start:stop], rows[1][start:stop], rows[2][start:stop]
+
+
+def _fit(points: _Rows, cell: float, border: int, crew: Crew) -> tuple[int, int, int, int]:
+    """Fit the grid: its first column and row, counted from the edge of the map, its columns and rows."""
+    found = np.empty((crew.size, 4), np.int64)
+    found[:] = 2**30, -1, 2**30, -1
+    crew.share(len(points[2]), lambda part, a, b: _find_span(*_some(points, a, b), cell, found[part]))
+    left, top = (int(found[:, i].min()) for i in (0, 2))
+    right, bottom = (int(found[:, i].max()) for i in (1, 3))
+    columns, rows = (max(last - first, 0) + 1 + 2 * border for first, last in ((left, right), (top, bottom)))
+    return left - border, top - border, columns, rows

@@ -15,28 +15,65 @@ _SLACK = np.float32(0.001)
 _CHUNK = 1024
 """Cells whose bounds are made at once, in the nearest cache."""
 
-_NOTHING, _ONE, _DIAGONAL = np.float32(0.0), np.float32(1.0), np.float32(math.sqrt(0.5) * (1 - 1e-6))
+_NOTHING, _ONE = np.float32(0.0), np.float32(1.0)
+
+
+@numba.njit(**INNER)
+def _drop_upright(
+    dropped: Float32Array, source: Float32Array, down: Float32Array, from_y: Any, sign: Any, reach: Any, slope: Any
+) -> None:  # fmt: skip
+    """Write what the cells of one row still have at the border of the next row, `from_y + sign * down` away."""
+    for i in range(dropped.shape[0]):
+        gap = max(from_y + sign * down[i], _NOTHING)
+        dropped[i] = source[i] - slope * gap if gap <= reach else _NOTHING
+
+
+@numba.njit(**INNER)
+def _raise_to_three(target: Float32Array, source: Float32Array) -> None:
+    """Lift `target` to the largest of the three cells around its place, which lies one farther in `source`."""
+    for i in range(target.shape[0]):
+        target[i] = max(target[i], source[i], source[i + 1], source[i + 2])
+
+
+@numba.njit(**INNER)
+def _raise_along(
+    target: Float32Array, source: Float32Array, right: Float32Array, reach: Any, slope: Any
+) -> None:
+    """Lift `target` to its own cell, and to what the cells on both sides still have at its border."""
+    for i in range(target.shape[0]):
+        from_left = max(_ONE - _SLACK - right[i], _NOTHING)
+        from_right = max(right[i + 2] - _SLACK, _NOTHING)
+        left = source[i] - slope * from_left if from_left <= reach else _NOTHING
+        other = source[i + 2] - slope * from_right if from_right <= reach else _NOTHING
+        target[i] = max(target[i], source[i + 1], left, other)
 
 
 @numba.njit(**INNER)
 def _raise_by_places(
-    target: Float32Array, source: Float32Array, right: Float32Array, down: Float32Array,
-    step_x: Any, step_y: Any, reach_x: Any, reach_y: Any, slope: Any,
+    target: Float32Array, start: int, columns: int, nearest: Float32Array, right: Float32Array,
+    down: Float32Array, reach_x: Any, reach_y: Any, slope: Any, room: Float32Array,
 ) -> None:  # fmt: skip
-    """Lift `target` to what `source`, so many steps away, still has within reach at the border of the target's cell.
+    """Lift the bounds of a run of cells to what hides alone in the same cell or the eight around it.
 
-    The way there is taken as that to the nearest side of an octagon, which is no longer and needs no root.
+    What a surface gains on the way is taken along the rows or up and down alone, which is no more than all of it.
     """
-    sign_x, sign_y = np.float32(np.sign(step_x)), np.float32(np.sign(step_y))
-    # Steps to the right: step - 1 whole cells and the part before the point; to the left: the part behind it.
-    from_x = abs(step_x) - _SLACK - (_ONE if sign_x > _NOTHING else _NOTHING)
-    from_y = abs(step_y) - _SLACK - (_ONE if sign_y > _NOTHING else _NOTHING)
-    for i in range(target.shape[0]):
-        gap_x, gap_y = max(from_x + sign_x * right[i], _NOTHING), max(from_y + sign_y * down[i], _NOTHING)
-        gap = max(gap_x, gap_y, (gap_x + gap_y) * _DIAGONAL)
-        value = source[i] - slope * gap
-        value = value if (gap_x <= reach_x) & (gap_y <= reach_y) else _NOTHING
-        target[i] = max(value, target[i])
+    size = target.shape[0] + 2
+    first = start - 1
+    _raise_along(target, nearest[first : first + size], right[first : first + size], reach_x, slope)
+    for first, from_y, sign in (
+        (start - 1 - columns, _ONE - _SLACK, -_ONE),
+        (start - 1 + columns, -_SLACK, _ONE),
+    ):
+        _drop_upright(
+            room[:size],
+            nearest[first : first + size],
+            down[first : first + size],
+            from_y,
+            sign,
+            reach_y,
+            slope,
+        )
+        _raise_to_three(target, room[:size])
 
 
 @numba.njit(**INNER)
@@ -103,34 +140,29 @@ def _raise_by_squares(
 @numba.njit(**INNER)
 def bound_hiding(
     nearest: Float32Array, right: Float32Array, down: Float32Array, columns: int, border: int, slope: Any,
-    reach_x: Any, reach_y: Any,
-) -> tuple[Float32Array, Float32Array]:  # fmt: skip
-    """Bound for each cell the inverse range of what can hide anything in it.
+    reach_x: Any, reach_y: Any, from_any: Float32Array, from_opposite: Float32Array,
+) -> None:  # fmt: skip
+    """Bound for each cell of some rows the inverse range of what can hide anything in it.
 
     Args:
-        nearest, right, down: (cells,) float32, as of `direction_grid`.
+        nearest, right, down: (cells,) float32, as of `direction_grid`, with `border` rows more above and below.
         columns, border: of the grid.
         slope: what a surface may gain [1/m/cell].
         reach_x, reach_y: how far a single thing hides [cells].
-
-    Returns:
-        from_any: (cells,) float32 [1/m], of what hides alone or with another.
-        from_opposite: (cells,) float32 [1/m], of what hides with another: the smaller of two opposite quadrants, the
-            larger of the two pairs.
+        from_any: (cells,) float32 [1/m], written: of what hides alone or with another; the first and the last
+            `border` are left.
+        from_opposite: (cells,) float32 [1/m], written likewise: of what hides with another: the smaller of two
+            opposite quadrants, the larger of the two pairs.
     """
-    from_any, from_opposite = np.zeros_like(nearest), np.zeros_like(nearest)
     levels, largest = join_squares(nearest, columns, border), np.empty((4, _CHUNK), np.float32)
-    margin, size = border * (columns + 1), math.ceil(max(reach_x, reach_y))
+    room = np.empty(_CHUNK + 2, np.float32)
+    margin, above, size = border * (columns + 1), border * columns, math.ceil(max(reach_x, reach_y))
     # Rows are taken as one long line: what reaches over their ends meets empty cells only.
     for start in range(margin, nearest.shape[0] - margin, _CHUNK):
         stop = min(start + _CHUNK, nearest.shape[0] - margin)
-        bounded = from_any[start:stop]
-        _raise_by_squares(levels, columns, size, slope, start, bounded, from_opposite[start:stop], largest)
-        for dy in range(-1, 2):
-            for dx in range(-1, 2):
-                first, last = start + dy * columns + dx, stop + dy * columns + dx
-                _raise_by_places(
-                    bounded, nearest[first:last], right[first:last], down[first:last],
-                    np.float32(dx), np.float32(dy), reach_x, reach_y, slope,
-                )  # fmt: skip
-    return from_any, from_opposite
+        bounded, opposite = (
+            from_any[start - above : stop - above],
+            from_opposite[start - above : stop - above],
+        )
+        _raise_by_squares(levels, columns, size, slope, start, bounded, opposite, largest)
+        _raise_by_places(bounded, start, columns, nearest, right, down, reach_x, reach_y, slope, room)

@@ -14,6 +14,7 @@ _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 _IN_F64_1D = types.Array(float64, 1, "C", readonly=True)
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
+_IN_I64_2D = types.Array(int64, 2, "C", readonly=True)
 
 
 @numba.njit(**INNER)
@@ -93,3 +94,65 @@ def find_neighbours(
             if holder > 0 and neighbours[s, sectors[k]] < 0:
                 found[s, sectors[k]], neighbours[s, sectors[k]] = distances[k], holder - 1
                 missing -= 1
+
+
+@numba.njit(**INNER)
+def _slope(
+    directions: Float32Array, inverse_ranges: Float32Array, own: int, one: int, other: int, nothing: float,
+    margin: float, margin_share: float,
+) -> float:  # fmt: skip
+    """Give how the inverse range changes from one neighbour to the other, NaN where the point is not on their line."""
+    x, y, inverse = (
+        float64(directions[0, own]),
+        float64(directions[1, own]),
+        float64(inverse_ranges[own]),
+    )
+    to_one = math.hypot(directions[0, one] - x, directions[1, one] - y)
+    to_other = math.hypot(directions[0, other] - x, directions[1, other] - y)
+    apart = max(to_one + to_other, nothing)
+    first, second = float64(inverse_ranges[one]), float64(inverse_ranges[other])
+    off = abs(inverse - (first * to_other + second * to_one) / apart)
+    # The map widens angles off its axis by up to 1 / cos(θ/2).
+    scale = math.sqrt(max(1.0 - 0.25 * (x * x + y * y), 0.0))
+    straight = off <= margin * inverse * inverse + margin_share * inverse
+    return scale * abs(first - second) / apart if straight else math.nan
+
+
+@numba.njit(
+    void(_IN_F32_2D, _IN_F32_1D, _IN_I64_1D, _IN_I64_2D, float64, float64, float64, float64[::1]),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def find_slopes(
+    directions: Float32Array,
+    inverse_ranges: Float32Array,
+    points: Int64Array,
+    neighbours: Int64Array,
+    nothing: float,
+    margin: float,
+    margin_share: float,
+    slopes: Float64Array,
+) -> None:
+    """Write how fast the inverse range changes around some points, along the straightest steepest line there.
+
+    Args:
+        directions: (2, M) in the equal-area map [rad].
+        inverse_ranges: (M,) [1/m].
+        points: (S,) rows of `inverse_ranges`.
+        neighbours: (S, sectors), likewise, -1 for none; sectors half of their number apart are opposite.
+        nothing: neighbours nearer than this together count as so far apart [rad].
+        margin: how far from the line between two opposite neighbours a point may lie [m] …
+        margin_share: … plus this share of its range.
+        slopes: (S,) [1/m/rad], written: the largest of all lines, NaN for a point that lies on none.
+    """
+    half = neighbours.shape[1] // 2
+    for s in range(points.shape[0]):
+        slopes[s] = math.nan
+        for axis in range(half):
+            one, other = neighbours[s, axis], neighbours[s, axis + half]
+            if one >= 0 and other >= 0:
+                slope = _slope(
+                    directions, inverse_ranges, points[s], one, other, nothing, margin, margin_share
+                )
+                slopes[s] = slopes[s] if slope <= slopes[s] or math.isnan(slope) else slope

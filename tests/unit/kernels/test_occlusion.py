@@ -19,13 +19,14 @@ def ellipse(across_deg=0.38, along_deg=0.24, angle=math.pi / 2):
     return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
-def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None):
+def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None, hiding=None):
     """The kernel's answer; point i has row i of the fractions, which rise from 0 to 1."""
     count = len(inverse_ranges)
     visible = np.zeros(len(inverse_ranges), bool)
     mark_unhidden(
         np.ascontiguousarray(directions, np.float32),
         np.ascontiguousarray(inverse_ranges, np.float32),
+        np.ascontiguousarray(inverse_ranges if hiding is None else hiding, np.float32),
         cell,
         window,
         *(ellipse() if near is None else near),

@@ -14,7 +14,9 @@ from sceneloom.scene.at import CuboidPoses, cuboid_poses
 MOVES = 1.0
 """A box moves if its centre comes so far from its first place [m]; annotators' hands are steadier than that."""
 _ROOM = 0.15
-"""Boxes are taken larger by this on all sides [m]: they are drawn around most points, not around all."""
+"""Boxes are taken larger by this on all sides but below [m]: they are drawn around most points, not around all."""
+_GROUND = 0.08
+"""Points so near to the bottom of a box are those of the road, which it stands on [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,5 +83,7 @@ def _within(points_world: Float64Array, poses: CuboidPoses) -> BoolArray:
     world_from_box = matrix_from_quaternion(poses.quaternions_xyzw[there])
     apart = points_world[there] - poses.centers_world[there]
     in_box = np.einsum("nij,ni->nj", world_from_box, apart)
-    inside[there] = (np.abs(in_box) <= poses.sizes_lwh[there] / 2 + _ROOM).all(axis=1)
+    halves = poses.sizes_lwh[there] / 2
+    above = in_box[:, 2] >= np.minimum(_GROUND, halves[:, 2]) - halves[:, 2]
+    inside[there] = (np.abs(in_box) <= halves + _ROOM).all(axis=1) & above
     return inside

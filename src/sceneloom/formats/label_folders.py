@@ -98,10 +98,11 @@ def _names(path: Path) -> dict[int, str]:
 def _matched(images: Sequence[Path], camera: CameraSensor) -> dict[tuple[Identifier, int], Path]:
     """The images of a camera by the numbers of its pictures; all names are numbers, or all are times."""
     stamps_ns = camera.pictures.timestamps_ns
-    numbered = all(_WHOLE.fullmatch(path.stem) and int(path.stem) < len(stamps_ns) for path in images)
+    whole = {path for path in images if _WHOLE.fullmatch(path.stem)}
+    numbered = all(int(path.stem) < len(stamps_ns) for path in whole)
     found: dict[tuple[Identifier, int], Path] = {}
     for path in images:
-        number = int(path.stem) if numbered else _by_time(path, stamps_ns)
+        number = int(path.stem) if numbered and path in whole else _by_time(path, stamps_ns)
         if (camera.id, number) in found:
             other = found[camera.id, number].name
             raise DataError(path, "", f"is for picture {number}, as {other} is; expected one image for each")

@@ -97,8 +97,10 @@ class SweepColouring:
         gains = {} if self.gains is None else self.gains.for_views(frame.views, indices)
         if self.blend == "nearest":
             return _nearest(frame, indices, gains, points_world, times)
-        eye = np.mean([view.world_from_camera.translation for view in frame.views], axis=0)
-        normals = estimate_normals(points_world, eye) if frame.views else None
+        normals = None
+        if frame.views:
+            eyes = [view.world_from_camera.translation for view in frame.views]
+            normals = estimate_normals(points_world, np.mean(eyes, axis=0))
         settings = BlendSettings(mode=self.blend)
         blended = blend_colours(
             points_world,

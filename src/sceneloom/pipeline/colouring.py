@@ -83,8 +83,8 @@ def colour(
     woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
     job = _Job(woven, scene, chosen, Skips() if lenient else None, progress)
     with telling(job.skips), ExitStack() as stack:
-        gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
         labels = None if chosen.labels is None else LabelFolder.of(chosen.labels, scene.cameras)
+        gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
         colouring = SweepColouring(scene, chosen.blend, gains, labels)
         rest = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sceneloom-map-")))
         sinks = open_colour_sinks(woven, wanted, chosen, colouring, stack, rest)

@@ -1,0 +1,231 @@
+"""A drive as coloured clouds: maps, sweeps, labels there and back, and what is refused."""
+
+import json
+from dataclasses import replace
+
+import laspy
+import numpy as np
+import pytest
+from PIL import Image
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError, OptionError, OutputError
+from sceneloom.formats.clouds import NO_LABEL, read_cloud
+from sceneloom.pipeline import ColourOutputs, ColourSettings, colour, iter_fused
+from sceneloom.scene import LabeledPointsAnnotation
+from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
+
+LENS = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 99.5)
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def exposed(tmp_path_factory):
+    """Two cameras that overlap, each with an automatic of its own; from files, so that pictures are made once."""
+    cameras = [
+        CameraSpec(LENS, camera_mount(yaw_deg=yaw), exposure=ExposureSpec(drift_stops=0.4), supersampling=2)
+        for yaw in (0.0, 55.0)
+    ]
+    drive = simulate_street(21, frames=FRAMES, lidar=LidarSpec(beams=32, steps=600), cameras=cameras)
+    folder = tmp_path_factory.mktemp("drives") / "drive"
+    sceneloom.write(drive.scene, folder, pictures="png")
+    with sceneloom.open(folder) as scene:
+        yield replace(drive, scene=scene)
+
+
+def label_folder(scene, folder, *, name="{number:06d}", camera="camera0"):
+    """Label images whose number is the column's hundred, so that left and right differ."""
+    place = folder / camera
+    place.mkdir(parents=True)
+    image = np.broadcast_to(np.where(np.arange(320) < 160, 3, 300).astype(np.uint16), (200, 320))
+    pictures = next(c for c in scene.cameras if c.id == camera).pictures
+    for number, time_ns in enumerate(pictures.timestamps_ns.tolist()):
+        Image.fromarray(image).save(place / (name.format(number=number, time_ns=time_ns) + ".png"))
+    return folder
+
+
+def mean_error(drive, folder, blend, *, exposure):
+    """Mean difference of colours from the exact ones, all sweeps brightened alike by the best factor."""
+    settings = ColourSettings(blend=blend, exposure=exposure)
+    colour(drive.scene, settings=settings, outputs=ColourOutputs(per_sweep=folder))
+    colors, truth = [], []
+    for k in range(FRAMES):
+        cloud = read_cloud(folder / f"{k:06d}.ply").columns
+        seen = cloud["camera"] != 255
+        found = np.stack([cloud[name] for name in ("red", "green", "blue")], axis=1)
+        colors.append(found[seen].astype(float))
+        truth.append(drive.truth.clean_points_world(k).colors[seen].astype(float))
+    found, wanted = np.concatenate(colors), np.concatenate(truth)
+    factor = np.median(found / np.maximum(wanted, 1))
+    return float(np.abs(found - np.minimum(factor * wanted, 255)).mean())
+
+
+def test_evening_out_exposures_takes_a_third_of_the_error_and_blending_adds_nothing_to_it(exposed, tmp_path):
+    plain = mean_error(exposed, tmp_path / "plain", "nearest", exposure=False)
+    nearest, best, weighted = (
+        mean_error(exposed, tmp_path / blend, blend, exposure=True)
+        for blend in ("nearest", "best", "weighted")
+    )
+    assert weighted < 0.75 * plain
+    assert weighted <= best  # the mean has less noise
+    assert best <= 1.05 * nearest  # pictures of few pixels: what lies between them is blurred
+
+
+def test_a_map_holds_every_point_of_every_sweep_with_its_time_and_provenance(exposed, tmp_path):
+    report = colour(exposed.scene, tmp_path / "map.las", settings=ColourSettings(provenance=True))
+    read = laspy.read(tmp_path / "map.las")
+    clouds = [frame.points for frame in iter_fused(exposed.scene)]
+    assert report.written == len(read) == sum(map(len, clouds))
+    times = np.concatenate([points.timestamps_ns for points in clouds]) * 1e-9
+    np.testing.assert_allclose(np.asarray(read.gps_time), times, atol=1e-6)
+    seen = np.asarray(read.camera) != 255
+    assert report.coloured_percent == pytest.approx(100 * seen.mean())
+    assert (np.asarray(read.picture)[seen] >= 0).all()
+    assert (np.asarray(read.picture)[~seen] == -1).all()
+    assert (np.asarray(read.weight)[seen] > 0).all()
+    # the pixel that is named has the colour, but for the gain and what lies between pixels
+    row = np.flatnonzero(seen)[::97]
+    for k in row.tolist():
+        camera = exposed.scene.cameras[int(read.camera[k])]
+        assert 0 <= read.u[k] + 0.5 <= camera.pictures[int(read.picture[k])].camera.width
+
+
+def test_positions_of_a_map_are_those_of_the_source_s_world(exposed, tmp_path):
+    colour(exposed.scene, tmp_path / "map.ply", settings=ColourSettings(exposure=False))
+    cloud = read_cloud(tmp_path / "map.ply").columns
+    first = exposed.truth.clean_points_world(0).positions_world
+    found = np.stack([cloud[axis] for axis in "xyz"], axis=1)[: len(first)]
+    assert np.median(np.linalg.norm(found - first, axis=1)) < 0.05  # noise of the lidar
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz", ".ply", ".pcd", ".sfs"])
+def test_a_map_of_cubes_has_one_point_for_each(exposed, tmp_path, suffix):
+    report = colour(exposed.scene, tmp_path / f"map{suffix}", settings=ColourSettings(voxel=0.5))
+    if suffix == ".sfs":
+        with sceneloom.open(tmp_path / "map.sfs") as scene:
+            (sensor,) = scene.sensors
+            positions, colors = sensor.positions.copy(), sensor.colors.copy()
+        assert len(colors) == len(positions)
+    else:
+        cloud = read_cloud(tmp_path / f"map{suffix}")
+        positions = np.stack([cloud.columns[axis] for axis in "xyz"], axis=1)
+    assert len(positions) == report.written < 0.5 * report.points
+    # means of points lie in their own cubes; the origin of the cubes is the ego's first position
+    origin = 0.0 if suffix == ".sfs" else exposed.scene.trajectories["groundTruth"].positions[0]
+    cubes = np.floor((positions - origin) / 0.5)
+    # the road lies in a face of the cubes, which rounding to a millimetre moves some points over
+    assert len(np.unique(cubes, axis=0)) > 0.95 * len(positions)
+
+
+def test_labels_go_onto_points_by_number_and_by_time_and_into_every_kind_of_file(exposed, tmp_path):
+    by_number = label_folder(exposed.scene, tmp_path / "numbers")
+    by_time = label_folder(exposed.scene, tmp_path / "times", name="{time_ns}")
+    (by_number / "labels.json").write_text(json.dumps({"3": "left"}))
+    first = colour(exposed.scene, tmp_path / "a.las", settings=ColourSettings(labels=by_number))
+    colour(exposed.scene, tmp_path / "b.las", settings=ColourSettings(labels=by_time))
+    a, b = laspy.read(tmp_path / "a.las"), laspy.read(tmp_path / "b.las")
+    assert (np.asarray(a.label) == np.asarray(b.label)).all()
+    assert set(np.unique(a.label).tolist()) == {3, 300, NO_LABEL}
+    assert (np.asarray(a.classification)[np.asarray(a.label) == 3] == 3).all()
+    assert (np.asarray(a.classification)[np.asarray(a.label) != 3] == 0).all()
+    assert (first.labels.images, first.labels.missing, first.labels.classes) == (FRAMES, FRAMES, 2)
+    assert first.labels.points == int((np.asarray(a.label) != NO_LABEL).sum())
+    colour(exposed.scene, tmp_path / "c.sfs", settings=ColourSettings(labels=by_number))
+    with sceneloom.open(tmp_path / "c.sfs") as scene:
+        assert {each.label for each in scene.annotations} == {"left", "300"}
+        assert sum(len(e.labeled_points[0].point_ids) for e in scene.annotations) == first.labels.points
+
+
+def test_labels_of_sweeps_go_back_into_the_pictures_that_they_came_from(exposed, tmp_path):
+    labels = label_folder(exposed.scene, tmp_path / "labels")
+    outputs = ColourOutputs(per_sweep=tmp_path / "drive.sfs")
+    colour(exposed.scene, settings=ColourSettings(labels=labels), outputs=outputs)
+    with sceneloom.open(tmp_path / "drive.sfs") as scene:
+        assert len(scene.lidars[0].frames) == FRAMES
+        kinds = [each for each in scene.annotations if isinstance(each, LabeledPointsAnnotation)]
+        assert {each.label for each in kinds} == {"3", "300"}
+        report = colour(scene, outputs=ColourOutputs(project_labels=tmp_path / "back"))
+    assert report.labels.drawn == 2 * FRAMES
+    assert json.loads((tmp_path / "back" / "labels.json").read_text()) == {"3": "3", "300": "300"}
+    wrong = drawn = 0
+    for number in range(FRAMES):
+        found = np.asarray(Image.open(tmp_path / "back" / "camera0" / f"{number:06d}.png"))
+        wanted = np.asarray(Image.open(labels / "camera0" / f"{number:06d}.png"))
+        drawn += int((found > 0).sum())
+        wrong += int(((found > 0) & (found != wanted)).sum())
+    assert drawn > 5000
+    assert (
+        wrong < 0.005 * drawn
+    )  # float32 positions and microseconds in the file move points over a pixel's edge
+
+
+def test_moving_points_are_left_out_by_boxes_and_by_rays_and_counted(tmp_path):
+    drive = simulate_street(
+        8, frames=22, lidar=LidarSpec(beams=24, steps=400), cameras=(), traffic=TrafficSpec()
+    )
+    (tmp_path / "rays").mkdir()
+    settings = ColourSettings(remove_moving=True)
+    report = colour(drive.scene, settings=settings, outputs=ColourOutputs(per_sweep=tmp_path / "rays" / "s"))
+    assert report.removed_in_boxes + report.removed_by_rays > 200
+    truth = [np.linalg.norm(drive.truth.clean_points_world(k).velocities, axis=1) > 0.5 for k in range(22)]
+    left = sum(read_cloud(path).count for path in (tmp_path / "rays" / "s").glob("*.ply"))
+    removed = sum(map(len, truth)) - left
+    assert removed == report.removed_in_boxes + report.removed_by_rays
+    assert 0.5 * sum(t.sum() for t in truth) < removed < 1.2 * sum(t.sum() for t in truth)
+
+
+def test_a_drive_without_cameras_is_a_map_without_colours(tmp_path):
+    drive = simulate_street(8, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=())
+    report = colour(drive.scene, tmp_path / "map.las")
+    assert report.coloured_percent == 0
+    assert report.exposure is None
+    assert (np.asarray(laspy.read(tmp_path / "map.las").red) == 65535).all()
+    with pytest.raises(DataError, match="expected a scene with cameras"):
+        colour(drive.scene, tmp_path / "b.las", settings=ColourSettings(labels=tmp_path))
+
+
+def test_only_coloured_points_are_kept_on_request(exposed, tmp_path):
+    report = colour(exposed.scene, tmp_path / "map.las", settings=ColourSettings(only_coloured=True))
+    assert (np.asarray(laspy.read(tmp_path / "map.las").camera) != 255).all()
+    assert report.written == round(report.points * report.coloured_percent / 100)
+
+
+def test_label_images_that_do_not_fit_are_refused_with_their_names(exposed, tmp_path):
+    def refused(settings_folder, match):
+        with pytest.raises(DataError, match=match):
+            colour(exposed.scene, tmp_path / "m.las", settings=ColourSettings(labels=settings_folder))
+        assert not (tmp_path / "m.las").exists()
+
+    refused(tmp_path / "nowhere", "no such folder")
+    (tmp_path / "empty").mkdir()
+    refused(tmp_path / "empty", r"no label image in it; expected camera0/<number or time>\.png")
+    small = label_folder(exposed.scene, tmp_path / "small")
+    Image.new("L", (32, 20)).save(small / "camera0" / "000002.png")
+    refused(small, r"000002\.png: 32x20 pixels; expected 320x200")
+    Image.new("RGB", (320, 200)).save(small / "camera0" / "000002.png")
+    refused(small, r"pixels are colours \(RGB\)")
+    (small / "camera0" / "000002.png").write_bytes(b"nothing")
+    refused(small, "is no PNG file")
+    (small / "camera0" / "000002.png").rename(small / "camera0" / "rose.png")
+    refused(small, r"rose\.png: named for no picture")
+
+
+def test_what_cannot_be_done_is_refused_before_anything_is_written(exposed, tmp_path):
+    with pytest.raises(OptionError, match=r"'\.xyz'; expected one of \.las \.laz \.ply \.pcd .* or \.sfs"):
+        colour(exposed.scene, tmp_path / "map.xyz")
+    with pytest.raises(OptionError, match="nothing to write"):
+        colour(exposed.scene)
+    with pytest.raises(OptionError, match="named twice"):
+        outputs = ColourOutputs(map=tmp_path / "m.las", pictures=tmp_path / "m.las")
+        colour(exposed.scene, outputs=outputs)
+    (tmp_path / "there.las").touch()
+    with pytest.raises(OutputError, match="exists already"):
+        colour(exposed.scene, tmp_path / "there.las")
+    with pytest.raises(DataError, match="no labelled points"):
+        colour(exposed.scene, outputs=ColourOutputs(project_labels=tmp_path / "back"))
+    with pytest.raises(OptionError, match="blend 'mean'"):
+        ColourSettings(blend="mean")
+    with pytest.raises(OptionError, match="voxel -1"):
+        ColourSettings(voxel=-1)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["there.las"]

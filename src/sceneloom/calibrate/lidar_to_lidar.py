@@ -1,0 +1,226 @@
+"""How two lidars lie to each other, by fitting the clouds of many frames onto one another."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.calibrate.ground_start import ground_start
+from sceneloom.calibrate.mounting_estimate import MountingEstimate, unobserved_directions
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import quaternion_from_rotation_vector, rotation_vector_from_quaternion
+from sceneloom.motion.cloud_registration import CloudFit, PreparedCloud, fit_cloud
+from sceneloom.motion.deskew import BodyKnots
+from sceneloom.scene import Identifier, LidarFrame, LidarSensor, PointsFrame, PosePath, Scene
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.sample_places import choose_ego
+from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Progress, key_of
+
+MOST = 20
+_REACHES = (2.0, 1.0, 0.5)
+_LEAST_OVERLAP = 0.15
+_LEAST_POINTS = 300
+_FARTHEST = 80.0
+_NEAREST = 1.0
+_SYSTEMATIC = np.array([*np.full(3, np.radians(0.02)), *np.full(3, 0.005)])
+"""What all frames may share [rad], [m]: surfaces that are thinned on both sides."""
+_LEAST_AGREEING = 0.5
+_AGREEING = np.array([np.radians(0.5), 0.1])
+"""Frames whose fit is farther from the median than this [rad], [m] went astray."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarToLidar:
+    """What was found.
+
+    Attributes:
+        first_id, second_id: the lidars.
+        stated: `first_from_second` as the scene has it, or None.
+        mounting: `first_from_second` with its covariance about the first lidar's axes.
+        overlap: share of the second lidar's points that lie on what the first one sees.
+        frames, agreeing: how many frames were compared, and how many of them agree.
+        started: "stated" or "ground": where the search began.
+    """
+
+    first_id: Identifier
+    second_id: Identifier
+    stated: RigidTransform | None
+    mounting: MountingEstimate
+    overlap: float
+    frames: int
+    agreeing: int
+    started: str
+
+
+def lidar_to_lidar(
+    scene: Scene,
+    first_id: Identifier | None = None,
+    second_id: Identifier | None = None,
+    *,
+    use_stated: bool = True,
+    most: int = MOST,
+    progress: Progress | None = None,
+) -> LidarToLidar:
+    """Find `first_from_second` of two lidars.
+
+    Sweeps are brought to one time by the ego's recorded way where there is one.
+
+    Args:
+        first_id, second_id: None for the scene's first two.
+        use_stated: begin at the stated mountings; without them the ground and a search over headings give a start.
+        most: so many frames at most, evenly spread.
+        progress: told after each frame.
+
+    Raises:
+        OptionError: there are no two such lidars.
+        PoseError: no start is found, the clouds do not overlap, or the frames do not agree.
+        DataError: a sweep cannot be read.
+    """
+    first, second = _chosen(scene, first_id, second_id)
+    stated = None if first.mount is None or second.mount is None else first.mount.inverse() @ second.mount
+    pairs = list(_clouds(scene, first, second, most))
+    if not pairs:
+        raise PoseError(
+            f"{scene.source}: no sweeps of {first.id!r} and {second.id!r} at one time; expected some"
+        )
+    start = stated if use_stated else None
+    started = "stated" if start is not None else "ground"
+    start = start or ground_start(*pairs[len(pairs) // 2])
+    if start is None:
+        raise PoseError(
+            f"{scene.source}: no ground in both clouds; expected one, or stated mountings to begin with"
+        )
+    fits = []
+    for done, (target, source) in enumerate(pairs, start=1):
+        fits.append(fit_cloud(PreparedCloud(target), PreparedCloud(source), start.matrix, _REACHES))
+        if progress is not None:
+            progress(done, len(pairs))
+    mounting, agreeing = _joined(fits, scene.source)
+    overlap = float(np.median([fit.overlap for fit in fits]))
+    return LidarToLidar(first.id, second.id, stated, mounting, overlap, len(fits), agreeing, started)
+
+
+def _chosen(
+    scene: Scene, first_id: Identifier | None, second_id: Identifier | None
+) -> tuple[LidarSensor, LidarSensor]:
+    known = {key_of(lidar.id): lidar for lidar in scene.lidars}
+    ids = [lidar.id for lidar in scene.lidars]
+    first = first_id if first_id is not None else next(iter(ids), None)
+    second = second_id if second_id is not None else next((one for one in ids if one != first), None)
+    for wanted in (first, second):
+        if wanted is None or key_of(wanted) not in known:
+            listed = ", ".join(map(repr, ids)) or "none"
+            raise OptionError(f"{scene.source}: lidars {listed}; expected two, and {wanted!r} among them")
+    if first == second:
+        raise OptionError(f"lidar {first!r} is named twice; expected two of them")
+    return known[key_of(first)], known[key_of(second)]  # type: ignore[arg-type]
+
+
+def _clouds(
+    scene: Scene, first: LidarSensor, second: LidarSensor, most: int
+) -> Iterator[tuple[Float64Array, Float64Array]]:
+    """Clouds of both lidars at one time, each in its own frame then."""
+    ego = choose_ego(scene, None) if scene.trajectories else None
+    reach_ns = scene_period_ns(scene)
+    chosen = np.unique(
+        np.linspace(0, len(first.frames) - 1, min(most, len(first.frames))).round().astype(int)
+    )
+    times = second.frames.timestamps_ns
+    for k in chosen.tolist():
+        if len(times) == 0:
+            return
+        sweep = first.frames[k]
+        other = int(np.argmin(np.abs(times - sweep.timestamp_ns)))
+        if abs(int(times[other]) - sweep.timestamp_ns) > reach_ns:
+            continue
+        clouds = [
+            _usable(
+                _at_one_time(frame, lidar, None if ego is None else ego.path, sweep.reference_ns, reach_ns)
+            )
+            for frame, lidar in ((sweep, first), (second.frames[other], second))
+        ]
+        if min(map(len, clouds)) >= _LEAST_POINTS:
+            yield clouds[0], clouds[1]
+
+
+def _at_one_time(
+    frame: LidarFrame, lidar: LidarSensor, path: PosePath | None, time_ns: int, reach_ns: int
+) -> Float64Array:
+    """The points of a sweep where its lidar was at a time, as far as the ego's way tells."""
+    points = frame.points.positions.astype(np.float64)
+    if lidar.points_frame is PointsFrame.WORLD:
+        raise PoseError(f"points of lidar {lidar.id!r} are in the world already; expected its own frame")
+    if lidar.points_frame is PointsFrame.EGO and lidar.mount is not None:
+        points = lidar.mount.inverse().apply(points)
+    times = frame.points.timestamps_ns
+    if path is None or lidar.mount is None or times is None or len(times) == 0:
+        return points
+    source = PoseSource(path, lidar.mount, reach_ns)
+    at = source.at(np.array([time_ns], np.int64))
+    if not np.isfinite(at.positions).all():
+        return points
+    here = RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
+    try:
+        knots = BodyKnots.of(source, int(times.min()), int(times.max()))
+    except PoseError:
+        return points
+    return knots.seen_from(here.inverse()).moved(points.astype(np.float32), times, lidar.mount)
+
+
+def _usable(points: Float64Array) -> Float64Array:
+    ranges = np.linalg.norm(points, axis=1)
+    usable: Float64Array = points[np.isfinite(ranges) & (ranges > _NEAREST) & (ranges < _FARTHEST)]
+    return usable
+
+
+def _joined(fits: list[CloudFit], source: str) -> tuple[MountingEstimate, int]:
+    """One mounting from those of all frames, each by its information; how they scatter is the covariance.
+
+    Raises:
+        PoseError: the clouds do not overlap, or the frames do not agree.
+    """
+    overlap = float(np.median([fit.overlap for fit in fits]))
+    if overlap < _LEAST_OVERLAP:
+        raise PoseError(
+            f"{source}: {100 * overlap:.0f} % of the points find a partner; expected {100 * _LEAST_OVERLAP:.0f} % or "
+            "more: do the lidars see the same, and is the start near enough?"
+        )
+    poses = [RigidTransform.nearest(fit.matrix)[0] for fit in fits]
+    middle = poses[_most_central(poses)]
+    steps = np.array([_right_step(middle, pose) for pose in poses])
+    agreeing = (np.linalg.norm(steps[:, :3], axis=1) < _AGREEING[0]) & (
+        np.linalg.norm(steps[:, 3:], axis=1) < _AGREEING[1]
+    )
+    if agreeing.mean() < _LEAST_AGREEING:
+        raise PoseError(
+            f"{source}: {int(agreeing.sum())} of {len(fits)} frames agree within 0.5 deg and 10 cm; expected half of "
+            "them: the start is too far off, or what both see does not hold the lidars"
+        )
+    used = np.flatnonzero(agreeing)
+    informations = np.array([fits[k].information for k in used])
+    whole = np.linalg.inv(informations.sum(axis=0) + 1e-9 * np.eye(6))
+    mean = whole @ np.einsum("fij,fj->i", informations, steps[used])
+    pulls = np.einsum("fij,fj->fi", informations, steps[used] - mean)
+    count = len(used)
+    scatter = whole @ (pulls.T @ pulls * (count / max(count - 1, 1))) @ whole
+    axes = np.kron(np.eye(2), middle.rotation)
+    covariance = axes @ scatter @ axes.T + np.diag(_SYSTEMATIC**2)
+    turn = RigidTransform.from_quaternion(mean[3:], quaternion_from_rotation_vector(mean[:3]))
+    return MountingEstimate(
+        middle @ turn, covariance, unobserved_directions(covariance, "first lidar")
+    ), count
+
+
+def _most_central(poses: list[RigidTransform]) -> int:
+    """The pose that is nearest to all others."""
+    places = np.array([[*pose.translation, *(10.0 * pose.rotation.ravel())] for pose in poses])
+    distances = np.linalg.norm(places[:, None] - places[None], axis=2)
+    return int(np.argmin(np.median(distances, axis=1)))
+
+
+def _right_step(middle: RigidTransform, pose: RigidTransform) -> Float64Array:
+    step = middle.inverse() @ pose
+    return np.concatenate([rotation_vector_from_quaternion(step.quaternion_xyzw), step.translation])

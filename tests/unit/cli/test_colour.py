@@ -1,0 +1,62 @@
+"""`sceneloom colour` from the command line."""
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+from PIL import Image
+
+
+def test_a_map_is_written_and_summed_up(call, recording, tmp_path):
+    done = call(
+        "colour", recording, "-o", tmp_path / "map.laz", "--voxel", "0.2", "--pictures", tmp_path / "look"
+    )
+    assert done.code == 0, done.err
+    assert "coloured 3 of 3 sweeps" in done.out
+    assert "map.laz" in done.out
+    assert len(laspy.read(tmp_path / "map.laz")) > 50
+    assert len(list((tmp_path / "look").glob("*.png"))) == 2
+
+
+def test_the_report_comes_as_json(call, recording, tmp_path):
+    done = call("colour", recording, "--per-sweep", tmp_path / "sweeps", "--remove-moving", "--json")
+    report = json.loads(done.out)
+    assert report["files"] == {"sweeps": 3}
+    assert report["exposure"]["seam_before"] is None
+    assert report["removed_by_rays"] + report["removed_in_boxes"] < 0.1 * report["points"]
+    assert sorted(path.name for path in (tmp_path / "sweeps").iterdir()) == [
+        f"00000{k}.ply" for k in range(3)
+    ]
+
+
+def test_missing_label_images_are_counted_and_told(call, recording, tmp_path):
+    (tmp_path / "labels").mkdir()
+    Image.fromarray(np.full((64, 96), 9, np.uint8)).save(tmp_path / "labels" / "1.png")
+    done = call("colour", recording, "-o", tmp_path / "map.las", "--labels", tmp_path / "labels")
+    assert done.code == 0, done.err
+    assert "labels: 1 image painted onto" in done.out
+    assert "no image of 2 pictures" in done.out
+    assert set(np.unique(laspy.read(tmp_path / "map.las").label).tolist()) == {9, 65535}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        ((), 2, "nothing to write"),
+        (("-o", "map.xyz"), 2, "expected one of .las .laz .ply .pcd"),
+        (("-o", "map.las", "--voxel", "0"), 2, "expected a number above 0"),
+        (("-o", "map.las", "--label-radius", "2"), 2, "--project-labels"),
+        (("-o", "map.las", "--labels", "nowhere"), 1, "no such folder"),
+        (("--project-labels", "back"), 1, "no labelled points"),
+    ],
+)
+def test_what_cannot_be_done_is_one_clear_error(
+    call, recording, tmp_path, monkeypatch, arguments, code, message
+):
+    monkeypatch.chdir(tmp_path)
+    done = call("colour", recording, *arguments)
+    assert done.code == code
+    assert message in done.err
+    assert "Traceback" not in done.err
+    assert list(tmp_path.iterdir()) == []

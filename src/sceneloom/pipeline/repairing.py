@@ -7,12 +7,13 @@ import msgspec
 
 from sceneloom.calibrate.frames import MOST, calibration_frames
 from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
+from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
 from sceneloom.calibrate.mounting_estimate import MountingEstimate, step_between
 from sceneloom.calibrate.refinement import DEFAULT, Refinement, RefinementVerdict, refine
 from sceneloom.formats.output import check_output
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.calibration_outputs import Repair, form_for, write_calibration
-from sceneloom.scene import Identifier, Scene
+from sceneloom.scene import Identifier, LidarSensor, Scene
 from sceneloom.scene.types import Progress
 
 
@@ -119,6 +120,44 @@ def mount_lidar(
     )
     repair = Repair(None, result.lidar_id, stated, mounting.a_from_b)
     return _written(scene, repair, report, target, form, overwrite=overwrite)
+
+
+def align_lidars(
+    scene: Scene,
+    target: Path | None = None,
+    *,
+    lidar: Identifier | None = None,
+    onto: Identifier | None = None,
+    most: int = MOST,
+    form: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RepairReport:
+    """Find how a lidar lies to another one by their clouds; its own mounting is what changes.
+
+    Args:
+        lidar: the one that is mounted anew; None for the second one.
+        onto: the one that stays; None for the first one.
+
+    Raises:
+        OptionError, PoseError, DataError: as `lidar_to_lidar` and `write_calibration` say.
+        OutputError: the target exists, or cannot be written.
+    """
+    _check_target(target, form, overwrite=overwrite)
+    result = lidar_to_lidar(scene, onto, lidar, most=most, progress=progress)
+    ids = str(result.first_id), str(result.second_id)
+    stated = result.stated or RigidTransform.identity()
+    remarks = [
+        f"{100 * result.overlap:.0f} % of the points of {ids[1]} lie on what {ids[0]} sees",
+        f"{result.agreeing} of {result.frames} frames agree; begun at the {result.started} mounting",
+    ]
+    report = mounting_report(scene, "lidar-to-lidar", ids, stated, result.mounting, result.frames, remarks)
+    first = scene.sensor(result.first_id)
+    of_first = first.mount if isinstance(first, LidarSensor) else None
+    mount = result.mounting.a_from_b if of_first is None else of_first @ result.mounting.a_from_b
+    return _written(
+        scene, Repair(None, result.second_id, stated, mount), report, target, form, overwrite=overwrite
+    )
 
 
 def mounting_report(

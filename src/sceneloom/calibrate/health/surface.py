@@ -42,11 +42,6 @@ class Surface:
         tops: Float64Array = self.probes[np.argmax(heights, axis=1)]
         return tops
 
-    def heights(self, values: Float64Array, places: Float64Array) -> Float64Array:
-        """Give the heights (B, K) at some places (K, P) of the quadratics through values (B, N)."""
-        heights: Float64Array = values @ self.solve.T @ _terms(places).T
-        return heights
-
 
 def coefficients(dimensions: int) -> int:
     """How many a quadratic has."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.calibrate_conventions import check_conventions
 from sceneloom.cli.identifiers import known_id
 from sceneloom.cli.printing import print_json, print_table, several
 
@@ -21,6 +22,17 @@ EXIT_CODES = MappingProxyType({"good": 0, "drifting": 3, "wrong": 4, "cannot tel
 @click.command()
 @click.argument("path", type=options.place)
 @click.option("--check", is_flag=True, help="Say whether the calibration is right. The default.")
+@click.option(
+    "--conventions",
+    is_flag=True,
+    help="Say what the extrinsics of PATH mean, a drive or a file of numbers: direction, layout, order, unit, axes.",
+)
+@click.option(
+    "--drive",
+    type=options.place,
+    metavar="DRIVE",
+    help="With --conventions of a file: the drive to judge it by.",
+)
 @click.option("--camera", "camera_id", metavar="ID", help="The camera. [default: the first with pictures]")
 @click.option("--lidar", "lidar_id", metavar="ID", help="The lidar. [default: the first with sweeps]")
 @click.option(
@@ -43,7 +55,9 @@ def calibrate(
     context: click.Context,
     /,
     path: Path | str,
-    check: bool,  # noqa: ARG001 - the only thing to do so far
+    check: bool,
+    conventions: bool,
+    drive: Path | str | None,
     camera_id: str | None,
     lidar_id: str | None,
     most: int,
@@ -52,7 +66,7 @@ def calibrate(
     start: float | None,
     stop: float | None,
     as_json: bool,
-    quiet: bool,  # noqa: ARG001 - nothing is told beside the result
+    quiet: bool,
     verbose: bool,
     **reading: Any,
 ) -> None:
@@ -60,6 +74,15 @@ def calibrate(
 
     Exit 0 where the calibration is good, 3 where it is drifting, 4 where it is wrong, 5 where the drive cannot tell.
     """
+    if check and conventions:
+        raise click.UsageError("--check and --conventions: say one of them")
+    if drive is not None and not conventions:
+        raise click.UsageError("--drive DRIVE does nothing without --conventions")
+    if conventions:
+        code = check_conventions(
+            path, drive, camera_id=camera_id, lidar_id=lidar_id, as_json=as_json, quiet=quiet, reading=reading
+        )
+        context.exit(code)
     from sceneloom.calibrate.frames import calibration_frames
     from sceneloom.calibrate.health.check import check_frames
     from sceneloom.formats import open_scene

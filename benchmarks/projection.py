@@ -31,15 +31,16 @@ LIDAR_WORLD = CAMERA_WORLD + np.array([-0.3, 0.0, 0.6])
 Fusion = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
-def make_street(count: int) -> np.ndarray:
+def make_street(count: int, *, azimuth_deg: float = 42) -> np.ndarray:
     """Cast a dense lidar's rays on a road, two walls, and boxes along it; (count, 3) points [m].
 
-    The points come as a spinning lidar fires: all elevations of one azimuth, then those of the next.
+    The points come as a spinning lidar fires: all elevations of one azimuth, then those of the next, from so far on the
+    one side of straight ahead to as far on the other.
     """
     random = np.random.default_rng(0)
-    side = round(np.sqrt(count * 1.6))
+    side = round(np.sqrt(count * (1.6 if azimuth_deg < 90 else 2.4)))
     elevation, azimuth = np.meshgrid(
-        np.radians(np.linspace(-27, 16, side)), np.radians(np.linspace(-42, 42, side))
+        np.radians(np.linspace(-27, 16, side)), np.radians(np.linspace(-azimuth_deg, azimuth_deg, side))
     )
     elevation, azimuth = elevation.ravel(), azimuth.ravel()
     rays = np.stack(

@@ -8,16 +8,15 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, progress_bar
+from sceneloom.cli.service_options import certificate_of, host_and_port, let_in
 
 if TYPE_CHECKING:
     from sceneloom.service.conformance.catalogue import Check
     from sceneloom.service.conformance.examination import Examination, Finding
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-
 
 @click.command()
-@click.argument("address", metavar="HOST:PORT", required=False)
+@click.argument("address", type=host_and_port, metavar="HOST:PORT", required=False)
 @click.option(
     "--report",
     type=options.target,
@@ -32,10 +31,7 @@ _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
     help="Run this check (5.4-3), or those of a clause or table (5.4, T9); may be said again.",
 )
 @click.option("--checks", "list_checks", is_flag=True, help="List the checks and stop.")
-@click.option("--ca", type=_FILE, help="PEM file: who signed the server's certificate; without it no TLS.")
-@click.option("--token-file", type=_FILE, help="File with the token that the server asks for.")
-@click.option("--client-cert", type=_FILE, help="PEM file: a certificate to show, where it is asked for.")
-@click.option("--client-key", type=_FILE, help="PEM file: its key.")
+@let_in
 @options.printing
 @click.pass_context
 def conformance(
@@ -70,13 +66,12 @@ def conformance(
         return
     if address is None:
         raise click.UsageError("Missing argument 'HOST:PORT'.", context)
-    if (client_cert is None) != (client_key is None):
-        raise click.UsageError("--client-cert and --client-key belong together", context)
+    certificate = certificate_of(client_cert, client_key)
     if report is not None:
         form_of(report)
         check_output(report, overwrite=overwrite)
     with (
-        GrpcTransport.connected(address, Doors(ca, token_file, client_cert, client_key)) as transport,
+        GrpcTransport.connected(address, Doors(ca, token_file, certificate)) as transport,
         progress_bar("checking", quiet=quiet) as progress,
     ):
         examination = examine(transport, address=address, only=only, progress=progress)

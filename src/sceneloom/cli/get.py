@@ -11,7 +11,7 @@ import msgspec
 
 from sceneloom.cli import options
 from sceneloom.cli.printing import print_json
-from sceneloom.cli.service_options import calling, connected
+from sceneloom.cli.service_options import calling, connected, host_and_port
 
 if TYPE_CHECKING:
     from sceneloom.fusion.events import Result
@@ -21,7 +21,7 @@ _TYPES = {"sensor": 0, "detection": 1}
 
 
 @click.command()
-@click.argument("address", metavar="HOST:PORT")
+@click.argument("address", type=host_and_port, metavar="HOST:PORT")
 @click.option("--type", "kind", type=click.Choice(list(_TYPES)), required=True, help="Which fusion.")
 @click.option(
     "-o",

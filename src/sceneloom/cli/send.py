@@ -7,7 +7,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_notices, progress_bar
-from sceneloom.cli.service_options import calling, connected
+from sceneloom.cli.service_options import calling, connected, host_and_port
 
 if TYPE_CHECKING:
     from sceneloom.service.sending import SendReport
@@ -17,7 +17,7 @@ _CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
 
 @click.command()
 @click.argument("path", type=options.place)
-@click.argument("address", metavar="HOST:PORT")
+@click.argument("address", type=host_and_port, metavar="HOST:PORT")
 @click.option(
     "--rate",
     type=options.not_negative,

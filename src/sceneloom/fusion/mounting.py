@@ -1,4 +1,4 @@
-"""How a lidar is mounted on the body whose way a session is told: the way of the lidar follows from that of the body."""
+"""How a lidar is mounted on the body whose way a session is told; its own way follows from that."""
 
 from typing import Any
 

@@ -20,6 +20,7 @@ from sceneloom.fusion.properties import Property
 from sceneloom.scene.poses import PosePath
 from sceneloom.service.client_errors import code_of, service_error
 from sceneloom.service.motion_form import motion_request
+from sceneloom.service.pem import read_certificates, read_pair
 from sceneloom.service.received import Sent, outcome_of, property_of, result_of, sent_of
 from sceneloom.service.values import value_to_protobuf
 
@@ -49,6 +50,7 @@ class FusionClient:
 
     Raises:
         OptionError: a token for another machine without `ca`: it could be read on the way.
+        DataError: a file holds no certificate, or no key of it.
         OSError: a file cannot be read.
     """
 
@@ -277,8 +279,8 @@ def _channel(
         if certificate is not None:
             raise OptionError("a certificate of the client without `ca`; expected both, or none")
         return grpc.insecure_channel(address, options)
-    chain, key = (None, None) if certificate is None else (Path(file).read_bytes() for file in certificate)
-    credentials = grpc.ssl_channel_credentials(Path(ca).read_bytes(), key, chain)
+    chain, key = (None, None) if certificate is None else read_pair(*map(Path, certificate))
+    credentials = grpc.ssl_channel_credentials(read_certificates(Path(ca)), key, chain)
     return grpc.secure_channel(address, credentials, options)
 
 

@@ -87,6 +87,7 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
     for number in _ENDING:
         loop.add_signal_handler(number, ended.set)
     server = FusionServer(settings)
+    server.check_ports()  # before the seconds that warming takes
     await loop.run_in_executor(None, warm_up)
     gc.freeze()  # what is there now stays: looking through it again and again would stop all sessions
     await server.start()

@@ -11,6 +11,7 @@ import grpc
 from grpc.aio import ServerInterceptor, ServicerContext
 
 from sceneloom.errors import DataError, OptionError
+from sceneloom.service.pem import read_certificates, read_pair
 
 _OPEN_SERVICES = ("/grpc.health.v1.Health/",)
 """Services that need no token: they tell whether the server is up, and nothing else."""
@@ -59,12 +60,20 @@ class Security:
             )
 
     def credentials(self) -> grpc.ServerCredentials | None:
-        """Give what the server encrypts with; None for nothing."""
+        """Give what the server encrypts with; None for nothing.
+
+        Raises:
+            DataError: a file holds no certificate, or no key of it.
+            OSError: a file cannot be read.
+        """
         if self.tls_certificate is None or self.tls_key is None:
             return None
-        authority = None if self.tls_client_authority is None else self.tls_client_authority.read_bytes()
+        certificate, key = read_pair(self.tls_certificate, self.tls_key)
+        authority = (
+            None if self.tls_client_authority is None else read_certificates(self.tls_client_authority)
+        )
         return grpc.ssl_server_credentials(
-            [(self.tls_key.read_bytes(), self.tls_certificate.read_bytes())],
+            [(key, certificate)],
             root_certificates=authority,
             require_client_auth=authority is not None,
         )

@@ -19,6 +19,7 @@ from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.queues import QueueLimits
 from sceneloom.service.handlers import Handlers
 from sceneloom.service.limits import ServiceLimits
+from sceneloom.service.listening import check_port
 from sceneloom.service.methods import SERVICE
 from sceneloom.service.metrics import Metrics, serve_metrics
 from sceneloom.service.security import Security
@@ -78,9 +79,12 @@ class FusionServer:
 
         Raises:
             OptionError: others than this machine could reach it without TLS or without a token.
+            DataError: a file holds no certificate, or no key of it.
+            OSError: such a file cannot be read.
         """
         self.settings = settings or ServerSettings()
         self.settings.security.check_host(self.settings.host)
+        self._credentials = self.settings.security.credentials()
         self.sessions = SessionTable(
             self._interface,
             self.settings.limits,
@@ -111,6 +115,16 @@ class FusionServer:
         host = self.settings.host
         return f"[{host}]:{self.port}" if ":" in host and not host.startswith("[") else f"{host}:{self.port}"
 
+    def check_ports(self) -> None:
+        """Check that the server could listen where it is set up to.
+
+        Raises:
+            OptionError: it could not.
+        """
+        check_port(self.settings.host, self.settings.port)
+        if self.settings.metrics_port is not None:
+            check_port("127.0.0.1", self.settings.metrics_port, option="metrics port")
+
     async def start(self) -> None:
         """Listen.
 
@@ -118,6 +132,7 @@ class FusionServer:
             OptionError: the address cannot be had.
         """
         limits, security = self.settings.limits, self.settings.security
+        self.check_ports()
         server = grpc.aio.server(
             interceptors=security.interceptors(),
             options=_channel_options(limits),
@@ -128,12 +143,11 @@ class FusionServer:
         names = (SERVICE.full_name, health.SERVICE_NAME, reflection.SERVICE_NAME)
         reflection.enable_server_reflection(names, server)
         self.port = self.settings.port
-        credentials = security.credentials()
         try:
-            if credentials is None:
+            if self._credentials is None:
                 self.port = server.add_insecure_port(self.address)
             else:
-                self.port = server.add_secure_port(self.address, credentials)
+                self.port = server.add_secure_port(self.address, self._credentials)
         except RuntimeError as error:
             raise OptionError(f"cannot listen at {self.address}: {error}") from error
         await server.start()

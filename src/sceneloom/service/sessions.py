@@ -244,7 +244,9 @@ class SessionTable:
                 f"session {name[:80]!r}; expected {wanted}",
             )
         if len(self) + len(self._ending) >= self._limits.most_sessions:
-            raise _exhausted(f"there are {len(self)} sessions, as many as there may be")
+            raise _exhausted(
+                f"there are {len(self)} sessions, as many as there may be; end one, or raise the limit most_sessions"
+            )
         session = Session(name, self._make_interface, self._limits, self._pool, self.clock())
         session.observed = self._observed
         self._sessions[name] = session

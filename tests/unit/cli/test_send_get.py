@@ -36,9 +36,10 @@ def logged(tmp_path_factory):
     return tmp_path_factory.mktemp("log") / "session.mcap"
 
 
-def run(*arguments, code=0):
+def run(*arguments, code=0, told=""):
     done = CliRunner().invoke(program, [str(argument) for argument in arguments])
     assert done.exit_code == code, (done.output, done.exception)
+    assert told in done.stderr
     return done.stdout
 
 
@@ -141,3 +142,9 @@ def test_a_token_is_read_from_a_file(drive, tmp_path):
 def test_nobody_there_and_a_half_certificate_end_with_their_codes(drive, tmp_path):
     run("get", "127.0.0.1:9", "--type", "sensor", code=1)
     run("get", "127.0.0.1:9", "--type", "sensor", "--client-cert", drive, code=2)
+
+
+@pytest.mark.parametrize("address", ["nonsense", "host:", ":50051", "host:port", "a b:1"])
+@pytest.mark.parametrize("verb", [("get", "--type", "sensor"), ("send", "drive"), ("conformance",)])
+def test_an_address_without_a_port_is_told_at_once(verb, address):
+    run(*verb, address, code=2, told="expected HOST:PORT")

@@ -1,6 +1,5 @@
 """Who may call: this machine, or those with a token over TLS."""
 
-import contextlib
 import datetime as dt
 import ipaddress
 
@@ -13,6 +12,9 @@ from cryptography.x509.oid import NameOID
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from sceneloom.errors import DataError, OptionError
+from sceneloom.service.client import FusionClient
+from sceneloom.service.listening import check_port
+from sceneloom.service.pem import read_pair
 from sceneloom.service.security import Security, is_loopback, read_token
 from sceneloom.service.server import FusionServer, ServerSettings
 
@@ -191,15 +193,52 @@ def test_a_token_is_read_from_a_file_that_holds_nothing_else(tmp_path):
 
 def test_a_port_that_is_taken_is_told(serve):
     server = serve()
-    with (
-        pytest.raises(OptionError, match=f"cannot listen at 127.0.0.1:{server.port}"),
-        contextlib.ExitStack(),
-    ):
+    taken = f"cannot listen at 127.0.0.1:{server.port}: address already in use; choose another port"
+    with pytest.raises(OptionError, match=taken):
         serve(port=server.port)
+    with pytest.raises(OptionError, match="already in use; choose another metrics port"):
+        serve(metrics_port=server.port)
 
 
-def test_certificates_that_are_none_are_told(serve, tmp_path):
-    pem = tmp_path / "some.pem"
-    pem.write_text("nothing")
-    with pytest.raises(OptionError, match="cannot listen"):
-        serve(security=Security(tls_certificate=pem, tls_key=pem, token=TOKEN))
+@pytest.mark.parametrize(("host", "reason"), [("203.0.113.9", "assign"), ("nowhere.invalid", "no such host")])
+def test_an_address_that_is_not_of_this_machine_is_told(host, reason):
+    with pytest.raises(OptionError, match=f"cannot listen at {host}:0: .*{reason}"):
+        check_port(host, 0)
+
+
+def test_the_file_that_is_no_certificate_or_not_its_key_is_named(serve, authority, tmp_path):
+    certificate, key = authority.issue("server")
+    _, another = authority.issue("another")
+    none = tmp_path / "none.pem"
+    none.write_text("nothing")
+    for pair, client_authority, wrong in (
+        ((none, key), None, "none.pem: no certificate"),
+        ((certificate, none), None, "none.pem: not that key"),
+        ((certificate, another), None, "another.key: not that key"),
+        ((certificate, key), none, "none.pem: no certificate"),
+    ):
+        security = Security(tls_certificate=pair[0], tls_key=pair[1], tls_client_authority=client_authority)
+        with pytest.raises(DataError, match=wrong):
+            serve(security=security)
+
+
+def test_a_key_with_a_password_is_refused_and_nobody_asked_for_it(authority, tmp_path):
+    certificate, key = authority.issue("server")
+    locked = tmp_path / "locked.key"
+    private = serialization.load_pem_private_key(key.read_bytes(), None)
+    locked.write_bytes(
+        private.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.BestAvailableEncryption(b"secret"),
+        )
+    )
+    with pytest.raises(DataError, match="expected the unencrypted key"):
+        read_pair(certificate, locked)
+
+
+def test_a_client_names_the_file_that_is_no_certificate(tmp_path):
+    none = tmp_path / "none.pem"
+    none.write_text("nothing")
+    with pytest.raises(DataError, match=r"none.pem: no certificate"):
+        FusionClient("127.0.0.1:1", ca=none)

@@ -12,6 +12,7 @@ from grpc_reflection.v1alpha import reflection_pb2
 
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.service.pem import read_certificates, read_pair
 from sceneloom.service.security import read_token
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
@@ -22,9 +23,12 @@ PATIENCE_S = 30.0
 
 LARGEST_MESSAGE = 256 * 2**20
 
+_SHUT = ("UNAUTHENTICATED", "PERMISSION_DENIED")
+"""Answered to who does not show the token: it would fail every check alike."""
+
 
 class NobodyAnswersError(SceneloomError):
-    """No server answers at an address."""
+    """No server answers at an address, or it does not let the kit in."""
 
 
 class CallFailedError(SceneloomError):
@@ -78,13 +82,12 @@ class Doors:
     Attributes:
         ca: file of the certificate (PEM) that the server's is signed with; None for a connection that is not encrypted.
         token_file: file of the bearer token; None for none.
-        certificate, key: files of what the kit shows to servers that ask who it is (PEM); None for nothing.
+        certificate: files (PEM) of the certificate and the key that the kit shows to servers that ask; None for none.
     """
 
     ca: Path | None = None
     token_file: Path | None = None
-    certificate: Path | None = None
-    key: Path | None = None
+    certificate: tuple[Path, Path] | None = None
 
     def metadata(self) -> tuple[tuple[str, str], ...]:
         """What every call carries.
@@ -103,12 +106,13 @@ class Doors:
 
         Raises:
             OptionError: there is a token, but no encryption to keep it secret on the way to another machine.
+            DataError: a file holds no certificate, or no key of it.
             OSError: a file cannot be read.
         """
         options = [(f"grpc.max_{way}_message_length", LARGEST_MESSAGE) for way in ("send", "receive")]
         if self.ca is not None:
-            shown = [None if path is None else path.read_bytes() for path in (self.key, self.certificate)]
-            credentials = grpc.ssl_channel_credentials(self.ca.read_bytes(), *shown)
+            chain, key = (None, None) if self.certificate is None else read_pair(*self.certificate)
+            credentials = grpc.ssl_channel_credentials(read_certificates(self.ca), key, chain)
             return grpc.secure_channel(address, credentials, options)
         if self.token_file is not None and not _is_here(address):
             raise OptionError(f"{address}: a token over a connection that is not encrypted; say --ca, too")
@@ -137,9 +141,9 @@ class GrpcTransport:
         """Connect to a server.
 
         Raises:
-            NobodyAnswersError: no server answers there.
+            NobodyAnswersError: no server answers there, or it does not let the kit in.
             OptionError: there is a token, but no encryption to keep it secret on the way to another machine.
-            DataError: the file holds no token.
+            DataError: a file holds no token, or no certificate.
             OSError: a file cannot be read.
         """
         channel = doors.channel(address)
@@ -147,8 +151,19 @@ class GrpcTransport:
             grpc.channel_ready_future(channel).result(timeout=PATIENCE_S / 3)
         except grpc.FutureTimeoutError:
             channel.close()
-            raise NobodyAnswersError(f"{address}: no server answers there") from None
-        return cls(channel, metadata=doors.metadata())
+            told = (
+                "no server answers there; is it running, and are both sides with or both without TLS (--ca)?"
+            )
+            raise NobodyAnswersError(f"{address}: {told}") from None
+        transport = cls(channel, metadata=doors.metadata())
+        try:
+            transport.call("CloseSession", fusion_pb2.CloseSessionRequest(session="conformance-knocks"))
+        except CallFailedError as error:
+            if error.code in _SHUT:
+                channel.close()
+                told = "say the token that it was started with (--token-file)"
+                raise NobodyAnswersError(f"{address}: {error.code}: {error.details}; {told}") from None
+        return transport
 
     def __enter__(self) -> Self:
         return self

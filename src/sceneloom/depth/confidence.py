@@ -18,14 +18,32 @@ from sceneloom.kernels.depth_grades import grade_depths
 TOLERANCE, TOLERANCE_SHARE = 0.5, 0.05
 """What counts as right: an error of less than 0.5 m, or of less than 5 % where that is more."""
 
-_SLOPE_SHARE = 0.05
+SLOPE_SHARE = 0.05
 DOUBT_STEPS = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
 GAP_STEPS = (0.5, 1.1, 1.6, 2.1, 3.1, 5.1)
 
 TABLES: Mapping[str, tuple[tuple[float, ...], ...]] = MappingProxyType(
     {
-        "fast": ((1.0,) * 7,) * 8,
-        "quality": ((1.0,) * 7,) * 8,
+        "fast": (
+            (0.973, 0.973, 0.973, 0.863, 0.863, 0.863, 0.863),
+            (0.973, 0.973, 0.973, 0.817, 0.815, 0.815, 0.815),
+            (0.973, 0.973, 0.947, 0.768, 0.768, 0.768, 0.768),
+            (0.973, 0.893, 0.795, 0.721, 0.373, 0.373, 0.373),
+            (0.973, 0.830, 0.795, 0.721, 0.373, 0.373, 0.373),
+            (0.973, 0.830, 0.795, 0.721, 0.373, 0.373, 0.373),
+            (0.939, 0.805, 0.795, 0.721, 0.358, 0.358, 0.358),
+            (0.045, 0.045, 0.045, 0.045, 0.045, 0.045, 0.045),
+        ),
+        "quality": (
+            (0.995, 0.995, 0.995, 0.936, 0.936, 0.936, 0.936),
+            (0.991, 0.991, 0.972, 0.852, 0.852, 0.852, 0.852),
+            (0.981, 0.980, 0.928, 0.830, 0.820, 0.735, 0.437),
+            (0.981, 0.828, 0.809, 0.809, 0.772, 0.694, 0.437),
+            (0.981, 0.828, 0.809, 0.809, 0.683, 0.683, 0.437),
+            (0.981, 0.828, 0.809, 0.809, 0.683, 0.683, 0.437),
+            (0.974, 0.828, 0.809, 0.809, 0.668, 0.668, 0.437),
+            (0.538, 0.535, 0.449, 0.356, 0.356, 0.356, 0.356),
+        ),
     }
 )
 """Confidence by method, row by row of rising doubt, column by column of rising gaps."""
@@ -47,7 +65,7 @@ def grade(method: str, filled: Filled) -> Float32Array:
         max(filled.spacing, 1.0),
         TOLERANCE,
         TOLERANCE_SHARE,
-        _SLOPE_SHARE,
+        SLOPE_SHARE,
         np.array(DOUBT_STEPS, np.float32),
         np.array(GAP_STEPS, np.float32),
         np.array(TABLES[method], np.float32),

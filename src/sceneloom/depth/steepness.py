@@ -6,7 +6,7 @@ plane is seen: a road 1.65 m below the camera has the slope 0.6 1/m everywhere. 
 nearer than that, or a jump from one thing to another.
 
 How near surfaces pass the camera is measured: most of a street's picture is ground and walls, so 0.7 of the picture is
-no steeper than they are. What is 1.6 times as steep is half a jump.
+no steeper than they are. What is 1.3 times as steep is half a jump.
 """
 
 import numpy as np
@@ -15,12 +15,12 @@ from sceneloom.arrays import AnyArray, Float32Array
 from sceneloom.depth.samples import weighted_quantile
 
 _SURFACES = 0.7
-_STEEPER = 1.6
+_STEEPER = 1.2
 _LEAST, _MOST = 0.5, 10.0
 """Bounds of what counts as steep [1/m/rad]: surfaces that pass the camera at 2 m are never cut apart."""
 
-EVEN, SUDDEN = 0.8, 1.3
-"""Up to 0.8 of it there is one surface; from 1.3 on there are two."""
+EVEN, SUDDEN = 0.85, 1.3
+"""Up to 0.85 of it there is one surface; from 1.3 on there are two."""
 
 
 def steepest_slope(slopes: AnyArray, weights: AnyArray, per_radian: float) -> float:

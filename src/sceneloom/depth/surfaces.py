@@ -15,17 +15,21 @@ from sceneloom.kernels.delaunay import CORNERS, MOST_EXTENT, hilbert_codes, tria
 from sceneloom.kernels.edge_aware import link_pixels, smooth_downward, smooth_rightward
 from sceneloom.kernels.triangle_filling import fill_triangles, measure_triangles
 
-_LONGEST_SURFACE, _LONGEST_JUMP = 12.0, 4.0
+_LONGEST_SURFACE, _LONGEST_JUMP = 12.0, 2.5
 """The longest side of a triangle that is filled, in spacings of the scan lines."""
 
 _SLIVER_PX2 = 0.05
 """Triangles of less area tell no slope."""
 
 _TRUST_OF_JUMPS = 0.02
-_EDGE_LEVELS = 15.0
+_EDGE_LEVELS = 12.0
 """A difference of so many levels, all three channels together, weakens what flows between two pixels by e."""
 
 _TURNS = 2
+_BELIEF_IN_EDGES = np.float32(0.85)
+"""Not every edge of a picture is one of a thing: by so much jumps go to where the picture has them."""
+
+_UNDRAWN = 2.0
 
 
 def cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -> Filled:
@@ -46,8 +50,8 @@ def cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) 
     spacing = weighted_quantile(sides, areas, 0.5)
     steepest = steepest_slope(slopes[broad], areas[broad], per_radian)
     trusts = trusts_of(slopes, steepest)
-    _fill(samples, triangles, sides, trusts, spacing, filled)
-    depths = _guide(filled, rgb, spacing)
+    beyond = _fill(samples, triangles, sides, trusts, spacing, filled)
+    depths = _guide(filled, beyond, rgb, spacing)
     return Filled(depths, filled.trusts, filled.spreads, filled.gaps, spacing)
 
 
@@ -81,17 +85,22 @@ def _fill(
     trusts: Float32Array,
     spacing: float,
     filled: Filled,
-) -> None:
-    """Draw the triangles that are not too large into the images, over what the gaps told."""
+) -> BoolArray:
+    """Draw the triangles that are not too large over what the gaps told; tell where there are none."""
     longest = np.where(trusts > 0.5, _LONGEST_SURFACE, _LONGEST_JUMP) * max(spacing, 2.0)
     small: BoolArray = sides <= longest
+    beside = filled.trusts.copy()
+    filled.trusts.fill(_UNDRAWN)
     images = (filled.depths, filled.trusts, filled.spreads, filled.gaps)
     fill_triangles(samples.pixels, samples.depths, triangles, small, trusts, sides, *images)
+    beyond: BoolArray = filled.trusts == _UNDRAWN
+    np.copyto(filled.trusts, beside, where=beyond)
+    return beyond
 
 
-def _guide(filled: Filled, rgb: UInt8Array | None, spacing: float) -> Float32Array:
-    """Let depths flow from surfaces into jumps along the picture; trusted pixels keep theirs."""
-    depths, trusts = filled.depths, filled.trusts
+def _guide(filled: Filled, beyond: BoolArray, rgb: UInt8Array | None, spacing: float) -> Float32Array:
+    """Let depths flow from surfaces into jumps along the picture; on surfaces and beyond triangles they stay."""
+    depths, trusts = filled.depths, np.where(beyond, np.float32(0), filled.trusts)
     rightward, downward = _links(rgb, depths)
     weights = np.where(depths > 0, trusts + np.float32(_TRUST_OF_JUMPS), np.float32(0))
     flows, room = weights * depths, np.empty_like(depths)
@@ -100,8 +109,8 @@ def _guide(filled: Filled, rgb: UInt8Array | None, spacing: float) -> Float32Arr
         smooth_rightward(rightward, strength, flows, weights)
         smooth_downward(downward, strength, flows, weights, room)
     np.divide(flows, weights, out=flows, where=weights > 0)
-    guided = depths * trusts + flows * (1 - trusts)
-    return np.where(depths > 0, guided, np.float32(0))
+    guided = depths + _BELIEF_IN_EDGES * (1 - trusts) * (flows - depths)
+    return np.where(beyond, depths, guided)
 
 
 def _links(rgb: UInt8Array | None, depths: Float32Array) -> tuple[Float32Array, Float32Array]:

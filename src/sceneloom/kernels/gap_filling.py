@@ -14,8 +14,8 @@ _PART: dict[str, Any] = {"nogil": True, "inline": "always", "error_model": "nump
 
 _FAR = np.float32(1e6)
 _NOTHING = np.float32(0)
-_EVEN, _SUDDEN = np.float32(0.8), np.float32(2)
-"""Up to 0.8 of the steepest slope two samples are of one surface; from 1.3 on there is a jump between them."""
+_EVEN, _SUDDEN = np.float32(0.85), np.float32(1 / 0.45)
+"""Up to 0.85 of the steepest slope two samples are of one surface; from 1.3 on there is a jump between them."""
 
 _BEYOND = np.float32(0.3)
 """How far another surface may be, as a share of the depth, where only one side is known."""

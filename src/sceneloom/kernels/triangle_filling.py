@@ -16,7 +16,7 @@ _IN_BOOL_1D = types.Array(boolean, 1, "C", readonly=True)
 _KERNEL: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 _PART: dict[str, Any] = {"nogil": True, "inline": "always", "error_model": "numpy"}
 
-_ROUNDING = np.float32(1e-3)
+_ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may lie and still be filled by it, as a share of the triangle."""
 
 
@@ -75,7 +75,9 @@ def fill_triangles(
     spread_image: Float32Array,
     length_image: Float32Array,
 ) -> None:
-    """Fill the pixels of triangles: where trusted linearly in inverse depth, across jumps linearly in depth.
+    """Fill the pixels of triangles: linearly in inverse depth where these are trusted.
+
+    Across jumps, what the image told already stays, and where it told nothing, depths are linear.
 
     Args:
         pixels: (N, 2) [px].
@@ -84,7 +86,7 @@ def fill_triangles(
         filled: (T,), others are left out.
         trusts: (T,), 1 for one surface, 0 for a jump.
         lengths: (T,), longest sides [px].
-        depth_image: (H, W) [m], written where a triangle is.
+        depth_image: (H, W) [m], 0 for nothing; written where a triangle is.
         trust_image: (H, W), the triangle's trust.
         spread_image: (H, W) [m], how far apart the triangle's depths are.
         length_image: (H, W) [px], the triangle's longest side.
@@ -119,8 +121,9 @@ def fill_triangles(
                 of_b, of_c = share_b + np.float32(column) * step_b, share_c + np.float32(column) * step_c
                 of_a = one - of_b - of_c
                 surface = one / (of_a * ya + of_b * yb + of_c * yc)
-                between = of_a * za + of_b * zb + of_c * zc
                 u = left + column
+                told = depth_image[row, u]
+                between = told if told > 0 else of_a * za + of_b * zb + of_c * zc
                 depth_image[row, u] = trust * surface + (one - trust) * between
                 trust_image[row, u] = trust
                 spread_image[row, u] = spread

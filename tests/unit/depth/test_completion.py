@@ -108,3 +108,62 @@ def test_a_method_that_is_not_known_is_refused_with_those_that_are():
 def test_a_depth_image_without_its_camera_is_refused():
     with pytest.raises(ArrayError, match="camera"):
         complete_depth(np.zeros((120, 160), np.float32))
+
+
+def two_walls(edge=80, near=6.0, far=20.0):
+    """A near wall left of an edge and a far one right of it, and their picture."""
+    truth = np.full((120, 160), far, np.float32)
+    truth[:, :edge] = near
+    rgb = np.full((120, 160, 3), 60, np.uint8)
+    rgb[:, :edge] = 190
+    return truth, rgb
+
+
+def test_quality_puts_a_jump_where_the_picture_has_its_edge():
+    truth, rgb = two_walls()
+    # samples eight columns apart leave the place of the edge open: they end 4 px before it and begin 4 px behind it
+    sparse = scanned(truth, slice(5, None, 10), slice(4, None, 8))
+    dense = complete_depth(sparse, CAMERA, rgb)
+    rows = slice(10, 110)
+    half = (6.0 + 20.0) / 2
+    jumps = np.argmax(dense.depths[rows] > half, axis=1)
+    assert np.abs(jumps - 80).max() <= 1
+    # beyond three pixels nothing of the other wall is left but what no edge of a picture is believed for
+    assert np.abs(dense.depths[rows, 60:76] - 6).max() < 0.02
+    assert np.abs(dense.depths[rows, 85:100] - 20).max() < 0.02
+
+
+def test_quality_without_a_picture_puts_the_jump_between_the_samples():
+    truth, _ = two_walls()
+    dense = complete_depth(scanned(truth, slice(5, None, 10), slice(4, None, 8)), CAMERA)
+    jumps = np.argmax(dense.depths[10:110] > 13.0, axis=1)
+    assert ((jumps > 76) & (jumps <= 84)).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_confidence_falls_at_a_jump_and_beyond_the_last_samples(method):
+    truth = np.full((120, 160), 20.0, np.float32)
+    truth[80:] = 6.0
+    dense = complete_depth(scanned(truth, slice(45, None, 10)), CAMERA, method=method)
+    surface = dense.confidence[57:70, 20:140]
+    assert surface.min() > dense.confidence[78:82, 20:140].max()
+    assert surface.min() > dense.confidence[38:41, 20:140].max()
+    assert ((dense.confidence > 0) == (dense.depths > 0)).all()
+    assert not dense.depths[:30].any()  # nothing was measured near the sky
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_black_picture_changes_nothing_of_a_plane(method):
+    truth = plane(*SLANTED["wall"])
+    black = np.zeros((120, 160, 3), np.uint8)
+    with_picture = complete_depth(scanned(truth), CAMERA, black, method=method)
+    without = complete_depth(scanned(truth), CAMERA, method=method)
+    np.testing.assert_array_equal(with_picture.depths, without.depths)
+
+
+def test_depths_below_a_confidence_are_taken_away():
+    truth, rgb = two_walls()
+    dense = complete_depth(scanned(truth), CAMERA, rgb)
+    kept = dense.above(0.9)
+    assert (kept[dense.confidence < 0.9] == 0).all()
+    np.testing.assert_array_equal(kept[dense.confidence >= 0.9], dense.depths[dense.confidence >= 0.9])

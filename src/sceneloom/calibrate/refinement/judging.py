@@ -10,8 +10,12 @@ from sceneloom.calibrate.refinement.objective import Level
 from sceneloom.calibrate.refinement.results import RefinementVerdict
 from sceneloom.calibrate.refinement.search import Found, search
 
-LOOSEST = {"rotation": np.radians(0.5), "translation": 0.04, "time": 0.01, "focal": 0.01}
-"""Standard deviations [rad], [m], [s], and of the focal length's logarithm, from which a group is not told."""
+LOOSEST = {"rotation": np.radians(0.5), "translation": 0.15, "time": 0.05, "focal": 0.02}
+"""Standard deviations [rad], [m], [s], and of the focal length's logarithm, from which a group is not told: the stated
+calibration is usually known as well."""
+LEAST_VIEWS = 4
+"""Shift, time and focal length move pixels by a little as a turn does: what single objects suggest of the difference
+averages out over several views only."""
 
 _SHARPEST_WRONG = 4.0
 """How far above others around it, in their standard deviations, wrong calibrations come at most; right ones reach 6."""

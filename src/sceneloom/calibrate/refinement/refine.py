@@ -10,7 +10,7 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame
 from sceneloom.calibrate.measures.candidate import UNITS, Change, Parameter
 from sceneloom.calibrate.refinement.cues import Cues, find_cues
-from sceneloom.calibrate.refinement.judging import LOOSEST, held_out_gain, judged, sharpness_of
+from sceneloom.calibrate.refinement.judging import LEAST_VIEWS, LOOSEST, held_out_gain, judged, sharpness_of
 from sceneloom.calibrate.refinement.moving_pixels import focused
 from sceneloom.calibrate.refinement.objective import WIDTHS_PX, Level
 from sceneloom.calibrate.refinement.results import GROUPS, Refinement, RefinementVerdict
@@ -160,6 +160,12 @@ def _best(
 ) -> tuple[Found, Float64Array, tuple[str, ...], tuple[str, ...]]:
     """Search for all groups, and again without those that the drive does not tell."""
     held: list[str] = []
+    count = int(drive.views[-1]) + 1
+    if count < LEAST_VIEWS:
+        held = [
+            f"{name}: {count} views; expected {LEAST_VIEWS} or more" for name in groups if name != "rotation"
+        ]
+        groups = ("rotation",)
     while True:
         free = np.array([int(parameter) for name in groups for parameter in GROUPS[name]], np.int64)
         found = told.after(search(drive.levels, drive.all_frames, free))

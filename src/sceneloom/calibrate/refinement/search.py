@@ -14,7 +14,8 @@ FARTHEST = np.array([6.0, 6.0, 6.0, 3.0, 3.0, 3.0, 2.0, 2.5])
 """How far a calibration is usually off, in units: 1.5 degrees, 15 cm, 2 % of the focal length, 50 ms."""
 TURNS = np.arange(3)
 _STARTS = 200
-_KEPT = 4
+_KEPT = (8, 3, 1)
+"""So many candidates are followed up after each look."""
 _ROUNDS = 2
 _EVERY = (3, 2, 1)
 """At the wider looks so many points are one: their maps are smooth."""
@@ -75,7 +76,7 @@ def _turned(levels: Sequence[Level]) -> Float64Array:
     found = _beginnings(levels[0])
     for number, level in enumerate(levels):
         climbed = [_climb(level, TURNS, begun) for begun in found]
-        found = _best(level, climbed)[: max(_KEPT - 2 * (number + 1), 1)]
+        found = _best(level, climbed)[: _KEPT[number]]
     return found[0]
 
 
@@ -83,7 +84,7 @@ def _beginnings(level: Level) -> list[Float64Array]:
     """The stated calibration, and the best of some others turned from it."""
     around = level.around(np.zeros(COUNT), TURNS)
     drawn = np.random.default_rng(_SEED).normal(0.0, 0.5, (_STARTS, len(TURNS))) * FARTHEST[TURNS]
-    best = np.argsort([-_standing(around, step) for step in drawn])[: _KEPT - 1]
+    best = np.argsort([-_standing(around, step) for step in drawn])[: _KEPT[0] - 1]
     return [np.zeros(COUNT), *(_spread(TURNS, drawn[k]) for k in best)]
 
 

@@ -9,7 +9,7 @@ picture whose lens has the eight coefficients of the rational Brown-Conrady mode
   stretch, two by the clock, best of all runs, which needs a machine with two idle processors.
 - stages: each stage's time, the bytes that it cannot but read or write, and what share that is of the memory's
   bandwidth, as plain copying has it in the same run.
-- rig: a cloud all around and six such cameras; frame sets a second by the clock, best of all runs, and by processor time.
+- rig: a cloud all around and six such cameras; frame sets a second by the clock and by processor time, best of all runs.
 - lenses: the projection of each model beside that of a pinhole.
 """
 

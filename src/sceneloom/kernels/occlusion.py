@@ -137,7 +137,8 @@ def mark_unhidden(
 
     crew.share(len(numbers), keep)
     # Lanes beyond the last cell read what lies behind it.
-    held, bounds = np.zeros((3, cells + LANES), np.float32), np.zeros((2, cells), np.float32)
+    held, bounds = np.empty((3, cells + LANES), np.float32), np.empty((2, cells), np.float32)
+    held[:, cells:] = 0.0
     crew.share(cells, lambda _, a, b: _read_keys(keys, a, b, held[0], held[1], held[2]))
 
     def bound(_: int, first: int, last: int) -> None:

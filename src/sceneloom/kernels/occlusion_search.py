@@ -41,24 +41,32 @@ def _list_strips(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Fl
     return offsets, right, down
 
 
-@numba.njit(**INLINED)
+@numba.njit(**INNER)
 def _shift(
-    rightward: Any, downward: Any, eyes: Float64Array, fraction: Any, per_cell: Any
-) -> tuple[Any, Any]:
-    """Give the shift [cells m], per inverse range, of what lies in a direction when the eye moves to the camera.
+    rightward: Float32Array, downward: Float32Array, eye_fractions: Float32Array, eyes: Float64Array, per_cell: Any,
+) -> None:  # fmt: skip
+    """Put shifts [cells m] in the place of directions: of what lies there, per inverse range, when the eye moves.
+
+    It moves from the lidar to the camera.
 
     Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the part of the eye's way across the line of sight.
     """
-    squared = rightward * rightward + downward * downward
-    half = np.float32(math.sqrt(max(_ONE - _QUARTER * squared, _BEHIND)))
-    scale, x, y, z = _ONE / half, half * rightward, half * downward, _ONE - np.float32(0.5) * squared
-    eye_x = np.float32(eyes[0, 0]) + fraction * np.float32(eyes[1, 0] - eyes[0, 0])
-    eye_y = np.float32(eyes[0, 1]) + fraction * np.float32(eyes[1, 1] - eyes[0, 1])
-    eye_z = np.float32(eyes[0, 2]) + fraction * np.float32(eyes[1, 2] - eyes[0, 2])
-    along = x * eye_x + y * eye_y + z * eye_z
-    across = along + _QUARTER * scale * scale * (eye_z - along * z)
-    scale *= per_cell
-    return (eye_x - x * across) * scale, (eye_y - y * across) * scale
+    first_x, first_y, first_z = np.float32(eyes[0, 0]), np.float32(eyes[0, 1]), np.float32(eyes[0, 2])
+    way_x, way_y, way_z = (
+        np.float32(eyes[1, 0] - eyes[0, 0]), np.float32(eyes[1, 1] - eyes[0, 1]), np.float32(eyes[1, 2] - eyes[0, 2])
+    )  # fmt: skip
+    for n in range(eye_fractions.shape[0]):
+        squared = rightward[n] * rightward[n] + downward[n] * downward[n]
+        half = np.float32(math.sqrt(max(_ONE - _QUARTER * squared, _BEHIND)))
+        scale, x, y = _ONE / half, half * rightward[n], half * downward[n]
+        z = _ONE - np.float32(0.5) * squared
+        eye_x = first_x + eye_fractions[n] * way_x
+        eye_y = first_y + eye_fractions[n] * way_y
+        eye_z = first_z + eye_fractions[n] * way_z
+        along = x * eye_x + y * eye_y + z * eye_z
+        across = along + _QUARTER * scale * scale * (eye_z - along * z)
+        scale *= per_cell
+        rightward[n], downward[n] = (eye_x - x * across) * scale, (eye_y - y * across) * scale
 
 
 @numba.njit(**INLINED)
@@ -184,16 +192,15 @@ def _keep_bounded(
 
 
 @numba.njit(**INNER)
-def _shift_all(
+def _gather_ways(
     listed: AnyArray, picked: AnyArray, rightward: Float32Array, downward: Float32Array,
-    inverse_ranges: Float32Array, point_ids: Int64Array, fractions: Float32Array, eyes: Float64Array,
-    per_cell: Any, room: Float32Array,
+    inverse_ranges: Float32Array, point_ids: Int64Array, fractions: Float32Array, room: Float32Array,
 ) -> None:  # fmt: skip
-    """Write inverse range and shift of the listed points, of each in its turn."""
+    """Put side by side inverse range, direction and how far along the lidar was, of the listed points."""
     for n in range(listed.shape[0]):
         i = np.uint32(picked[listed[n]])
-        room[0, n] = inverse_ranges[i]
-        room[1, n], room[2, n] = _shift(rightward[i], downward[i], eyes, fractions[point_ids[i]], per_cell)
+        room[0, n], room[1, n], room[2, n] = inverse_ranges[i], rightward[i], downward[i]
+        room[3, n] = fractions[point_ids[i]]
 
 
 @numba.njit(**INNER)
@@ -216,10 +223,10 @@ def _decide(
     for n in range(hidden):
         visible[picked[alone[n]]] = False
     if eyes.shape[0] > 0:
-        _shift_all(
-            alone[:hidden], picked, rightward, downward, inverse_ranges, point_ids, fractions, eyes, per_cell,
-            room[4:],
-        )  # fmt: skip
+        _gather_ways(
+            alone[:hidden], picked, rightward, downward, inverse_ranges, point_ids, fractions, room[4:]
+        )
+        _shift(room[5], room[6], room[7, :hidden], eyes, per_cell)
         free = _search_nearing(
             alone[:hidden], cells, a, b, room[2], room[3], nearest, right, down, beside, near,
             room[4], room[5], room[6], nearing, others, free,
@@ -265,7 +272,7 @@ def search_hiding(
     rule, near = (limits[0], limits[1], limits[2], limits[3]), (limits[4], limits[5], limits[6])
     beside, around = _list_strips(size_x, size_y, columns), _list_strips(border, border, columns)
     picked, lists, room = (
-        np.empty(BLOCK + 1, np.int32), np.empty((3, BLOCK + 1), np.int32), np.empty((7, BLOCK), np.float32)
+        np.empty(BLOCK + 1, np.int32), np.empty((3, BLOCK + 1), np.int32), np.empty((8, BLOCK), np.float32)
     )  # fmt: skip
     for start in range(0, count, BLOCK):
         stop = min(start + BLOCK, count)

@@ -37,17 +37,22 @@ def _choose(
 @numba.njit(**PART)
 def _paint(
     point_ids: Int64Array, numbers: AnyArray, visible: BoolArray, flat_rgb: UInt8Array, camera: int,
-    flat_colors: UInt8Array, camera_index: UInt8Array,
+    flat_colors: UInt8Array, camera_index: UInt8Array, sources: AnyArray, targets: AnyArray,
 ) -> None:  # fmt: skip
     """Copy the colours of the numbered pixels."""
+    # First listed, without guessing which ones are seen, then copied: many pixels are on their way from memory at once.
+    count = 0
     for i in range(numbers.shape[0]):
         k = np.uint64(point_ids[i])
-        if numbers[i] >= 0 and visible[i] and k < np.uint64(camera_index.shape[0]):
-            source, target = np.uint32(3) * np.uint32(numbers[i]), np.uint64(3) * k
-            camera_index[k] = camera
-            flat_colors[target] = flat_rgb[source]
-            flat_colors[target + np.uint64(1)] = flat_rgb[source + np.uint32(1)]
-            flat_colors[target + np.uint64(2)] = flat_rgb[source + np.uint32(2)]
+        sources[count], targets[count] = numbers[i], k
+        count += (numbers[i] >= 0) & visible[i] & (k < np.uint64(camera_index.shape[0]))
+    for n in range(count):
+        source, k = np.uint32(3) * sources[n], targets[n]
+        target = np.uint64(3) * k
+        camera_index[k] = camera
+        flat_colors[target] = flat_rgb[source]
+        flat_colors[target + np.uint64(1)] = flat_rgb[source + np.uint32(1)]
+        flat_colors[target + np.uint64(2)] = flat_rgb[source + np.uint32(2)]
 
 
 @numba.njit(
@@ -85,11 +90,12 @@ def paint_points(
         rgb.reshape(rgb.size),
         colors.reshape(colors.size),
     )
-    numbers = np.empty(BLOCK, np.int32)
+    numbers, sources = np.empty(BLOCK, np.int32), np.empty(BLOCK + 1, np.uint32)
+    targets = np.empty(BLOCK + 1, np.uint64)
     for start in range(0, point_ids.shape[0], BLOCK):
         stop = min(start + BLOCK, point_ids.shape[0])
         block, ids, seen = numbers[: stop - start], point_ids[start:stop], visible[start:stop]
         number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
         if eccentricities.shape[0] > 0:
             _choose(ids, flat_pixels[2 * start : 2 * stop], seen, width, height, eccentricities, block)
-        _paint(ids, block, seen, flat_rgb, camera, flat_colors, camera_index)
+        _paint(ids, block, seen, flat_rgb, camera, flat_colors, camera_index, sources, targets)

@@ -54,9 +54,11 @@ def reach_for(spacings: np.ndarray) -> tuple[float, float, float, float]:
     pair = int(np.nanargmax(np.abs(np.log(spacings[:2] / spacings[2:]))))
     axis = pair if spacings[pair] > spacings[pair + 2] else pair + 2
     across, along = spacings[axis], spacings[(axis + 2) % 4]
-    window = np.clip(1.15 * across, *np.radians([0.3, 2.5]))
+    window = np.clip(1.15 * across, *np.radians([0.3, 3.0]))
     near = np.clip(
-        [0.9 * across, 1.2 * along], [np.radians(0.1), max(np.radians(0.1), window / 6)], np.radians(2.0)
+        np.array([0.95 * across, 1.3 * along]) - np.radians(0.08),
+        [np.radians(0.1), max(np.radians(0.1), window / 6)],
+        np.radians(2.4),
     )
     return float(window), float(near[0]), float(near[1]), axis * np.pi / 4
 

@@ -11,12 +11,14 @@ from sceneloom.kernels.spacing import find_neighbours, find_slopes
 
 _CELL = radians(0.1)
 _REACH_CELLS = 25
+SPARSEST = _CELL * _REACH_CELLS
+"""Neighbours farther away are not found [rad]."""
 _SAMPLES = 256
 _SECTORS = 8
 
 _WINDOW_PER_SPACING = 1.15
-_NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG = 0.9, 1.2
-_WINDOWS_DEG, _NEARS_DEG = (0.3, 2.5), (0.1, 2.0)
+_NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG, _OUTLINE_DEG = 0.95, 1.3, 0.08
+_WINDOWS_DEG, _NEARS_DEG = (0.3, 3.0), (0.1, 2.4)
 _USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
 
 CELLS_PER_REACH = 6
@@ -50,6 +52,35 @@ class Reach:
         return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
+@dataclass(frozen=True, slots=True)
+class ScanLines:
+    """How the scan lines of a lidar lie in a view.
+
+    Attributes:
+        across: from line to line [rad].
+        along: from point to point on a line [rad].
+        angle: of the axis across the lines, from rightward to downward.
+    """
+
+    across: float
+    along: float
+    angle: float
+
+    @property
+    def reach(self) -> "Reach":
+        """How far occlusion must reach to bridge them."""
+        across, along = np.degrees([self.across, self.along])
+        window = np.clip(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)
+        # Of the points of a cell only the nearest counts, so that what is near reaches a cell at least.
+        least = max(_NEARS_DEG[0], window / CELLS_PER_REACH)
+        return Reach(
+            radians(window),
+            radians(np.clip(_NEAR_PER_SPACING_ACROSS * across - _OUTLINE_DEG, *_NEARS_DEG)),
+            radians(np.clip(_NEAR_PER_SPACING_ALONG * along - _OUTLINE_DEG, least, _NEARS_DEG[1])),
+            self.angle,
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbours:
     """The next point in each of eight sectors around some points of a cloud; opposite sectors make an axis.
@@ -65,16 +96,19 @@ class Neighbours:
     distances: Float64Array
 
 
-def look_around(directions: Float32Array, inverse_ranges: Float32Array) -> Neighbours:
+def look_around(
+    directions: Float32Array, inverse_ranges: Float32Array, *, samples: int = _SAMPLES
+) -> Neighbours:
     """Find the neighbours of some points, evenly drawn from a cloud.
 
     Args:
         directions: (2, M) float32 in the equal-area map [rad].
         inverse_ranges: (M,) float32 [1/m]; 0 for a point that takes no part.
+        samples: how many points; of fewer each one.
     """
-    distances, ids = np.empty((_SAMPLES, _SECTORS)), np.empty((_SAMPLES, _SECTORS), np.int64)
+    distances, ids = np.empty((samples, _SECTORS)), np.empty((samples, _SECTORS), np.int64)
     find_neighbours(directions, inverse_ranges, _CELL, *_disc(), distances, ids)
-    drawn = min(_SAMPLES, len(inverse_ranges))
+    drawn = min(samples, len(inverse_ranges))
     points = np.arange(drawn) * len(inverse_ranges) // max(drawn, 1)
     return Neighbours(points, ids[:drawn], distances[:drawn])
 
@@ -132,23 +166,22 @@ def measure_surface_distance(
     return float(np.clip(_OF_SURFACE_DISTANCE / steepest, *_SURFACE_DISTANCES))
 
 
-def fit_reach(spacings: Float64Array) -> Reach:
-    """Fit the reach to spacings along the four axes: of the two upright pairs of axes, the one that differs more."""
+def find_lines(spacings: Float64Array) -> ScanLines | None:
+    """Tell the lines from spacings along the four axes: of the two upright pairs of axes, the one that differs more."""
     ratios = np.abs(np.log(spacings[:2] / spacings[2:]))
     if np.isnan(ratios).all():
-        return Reach(radians(_USUAL_WINDOW_DEG), radians(_USUAL_NEAR_DEG), radians(_USUAL_NEAR_DEG))
+        return None
     pair = int(np.nanargmax(ratios))
     axis = pair if spacings[pair] > spacings[pair + 2] else pair + 2
-    across, along = np.degrees([spacings[axis], spacings[(axis + 2) % 4]])
-    window = np.clip(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)
-    # Of the points of a cell only the nearest counts, so that what is near reaches a cell at least.
-    least = max(_NEARS_DEG[0], window / CELLS_PER_REACH)
-    return Reach(
-        radians(window),
-        radians(np.clip(_NEAR_PER_SPACING_ACROSS * across, *_NEARS_DEG)),
-        radians(np.clip(_NEAR_PER_SPACING_ALONG * along, least, _NEARS_DEG[1])),
-        axis * pi / 4,
-    )
+    return ScanLines(float(spacings[axis]), float(spacings[(axis + 2) % 4]), axis * pi / 4)
+
+
+def fit_reach(spacings: Float64Array) -> Reach:
+    """Fit the reach to spacings along the four axes; a usual one where they tell no lines."""
+    lines = find_lines(spacings)
+    if lines is None:
+        return Reach(radians(_USUAL_WINDOW_DEG), radians(_USUAL_NEAR_DEG), radians(_USUAL_NEAR_DEG))
+    return lines.reach
 
 
 @lru_cache(maxsize=1)

@@ -18,10 +18,12 @@ from point to point in the cloud itself tell how near its surfaces pass the came
 **Hidden points lie within silhouettes.** P is hidden if one such Q is so near in direction that no other sample of
 Q's surface can be expected between them, or if two of them lie in opposite quadrants around P within a window. Q on
 one side only, and farther away, is a neighbour beyond a silhouette: P is the background beside it and stays. How near
-is near depends on the lidar: an ellipse of 0.9 spacings across the scan lines (between the last line on a roof and the
-next, which misses it, nothing tells where the roof ends; the point that is coloured wrongly is the worse loss) and 1.2
-spacings along them. The window reaches a little over one spacing of the scan lines. Since lidars differ, and mountings
-turn and tilt them, the spacings and their axes are measured in the cloud, as the camera sees it.
+is near depends on the lidar: an ellipse of 0.95 spacings across the scan lines and 1.3 along them (between the last
+line on a roof and the next, which misses it, nothing tells where the roof ends; the point that is coloured wrongly is
+the worse loss), less 0.08 degrees, within which no calibration says on which side of an outline a point lies. The
+window reaches a little over one spacing of the scan lines. Since lidars differ, and mountings turn and tilt them, the
+spacings and their axes are measured in the cloud, as the camera sees it. Where lines lie close together in one part of
+a lidar's view and far apart in another, each point hides with the reach of its own part (`uneven_lines`).
 
 **The lidar saw P.** So no edge of Q's surface reached P as the lidar saw the two: between them the edge may be
 anywhere. From the lidar to the camera Q shifts against P by the difference of their inverse ranges times the eye's way
@@ -50,13 +52,14 @@ from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.scan_lines import (
     CELLS_PER_REACH,
     USUAL_SURFACE_DISTANCE,
-    Neighbours,
     Reach,
+    find_lines,
     fit_reach,
     look_around,
     measure_spacings,
     measure_surface_distance,
 )
+from sceneloom.colouring.uneven_lines import are_uneven, split_by_spacing
 from sceneloom.errors import OptionError
 from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.directions import map_directions
@@ -76,9 +79,9 @@ class VisibilitySettings:
     Attributes:
         enabled: False leaves a plain z-buffer over the pixels.
         window_deg: how far things on opposite sides of a point may be from it to hide it [deg]; None for 1.15 times
-            the spacing of the scan lines, measured from the cloud, between 0.3 and 2.5.
-        near_deg: within this one thing alone hides a point [deg]; None for 0.9 times the spacing of the scan lines
-            across them and 1.2 times the spacing of the points along them, measured, between 0.1 and 2.
+            the spacing of the scan lines, measured from the cloud, between 0.3 and 3.
+        near_deg: within this one thing alone hides a point [deg]; None for 0.95 times the spacing of the scan lines
+            across them and 1.3 times the spacing of the points along them, less 0.08, measured, between 0.1 and 2.4.
         surface_distance: surfaces whose plane passes the camera farther away than this never hide themselves [m];
             less than the height of the camera above the ground. None: where it is known from where the lidar measured,
             four fifths of what is measured in the cloud, between 0.1 and 1.5; 0.5 otherwise.
@@ -142,31 +145,61 @@ def find_visible(
         check_array("way.fractions", way.fractions, (len(points_world),), np.float32)
     directions = np.empty((2, len(point_ids)), np.float32)
     inverse_ranges = np.empty(len(point_ids), np.float32)
-    visible = np.empty(len(point_ids), np.bool_)
+    visible = np.zeros(len(point_ids), np.bool_)
     crew = Crew.of(settings.threads, len(point_ids))
     map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges, crew=crew)
-    reach, surface_distance = _measure(directions, inverse_ranges, settings, known_way=way is not None)
     eyes, fractions = (
         _NO_WAY if way is None else (_in_camera(way.ends_world, camera_from_world), way.fractions)
     )
-    mark_unhidden(
-        directions,
-        inverse_ranges,
-        inverse_ranges,
-        max(max(reach.window, reach.across, reach.along) / CELLS_PER_REACH, radians(_CELL_DEG)),
-        reach.window,
-        *reach.ellipse,
-        1.0 / surface_distance,
-        settings.margin,
-        settings.margin_share,
-        eyes,
-        point_ids,
-        fractions,
-        _NEARING,
-        visible,
-        crew=crew,
-    )
+    from_lidar = _FromLidar(points_world, point_ids, camera_from_world, eyes, fractions)
+    passes, surface_distance = _measure(directions, inverse_ranges, settings, from_lidar)
+    for number, (reach, hiding) in enumerate(passes):
+        seen = np.empty(len(point_ids), np.bool_)
+        mark_unhidden(
+            directions,
+            inverse_ranges,
+            hiding,
+            max(max(reach.window, reach.across, reach.along) / CELLS_PER_REACH, radians(_CELL_DEG)),
+            reach.window,
+            *reach.ellipse,
+            1.0 / surface_distance,
+            settings.margin,
+            settings.margin_share,
+            eyes,
+            point_ids,
+            fractions,
+            _NEARING,
+            seen,
+            crew=crew,
+        )
+        visible = seen if number == 0 else visible & seen
     return visible
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FromLidar:
+    """Points, and from where the lidar measured them; arguments of `find_visible`, eyes in the camera frame."""
+
+    points_world: Float64Array
+    point_ids: Int64Array
+    camera_from_world: Float64Array
+    eyes: Float64Array
+    fractions: Float32Array
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known from where."""
+        return len(self.eyes) > 0
+
+    def directions(self) -> Float32Array:
+        """Where the lidar saw the points, (2, M) in the equal-area map around the camera's axis [rad]."""
+        share = self.fractions[self.point_ids, None].astype(np.float64)
+        from_eyes = _in_camera(self.points_world[self.point_ids], self.camera_from_world)
+        from_eyes -= self.eyes[0] + share * (self.eyes[1] - self.eyes[0])
+        count = len(self.point_ids)
+        directions, inverse_ranges = np.empty((2, count), np.float32), np.empty(count, np.float32)
+        map_directions(from_eyes, np.arange(count), np.eye(4), directions, inverse_ranges)
+        return directions
 
 
 def _in_camera(points_world: Float64Array, camera_from_world: Float64Array) -> Float64Array:
@@ -175,26 +208,40 @@ def _in_camera(points_world: Float64Array, camera_from_world: Float64Array) -> F
 
 
 def _measure(
-    directions: Float32Array, inverse_ranges: Float32Array, settings: VisibilitySettings, *, known_way: bool
-) -> tuple[Reach, float]:
-    """Take the settings' reach and surface distance, or measure in the cloud what they leave open."""
+    directions: Float32Array,
+    inverse_ranges: Float32Array,
+    settings: VisibilitySettings,
+    from_lidar: _FromLidar,
+) -> tuple[list[tuple[Reach, Float32Array]], float]:
+    """Take the settings' reach and surface distance, or measure in the cloud what they leave open.
+
+    Returns:
+        passes: each reach with the inverse ranges of the points that hide so far, (M,) float32, 0 for the others.
+        surface_distance: of all of them [m].
+    """
     window, near, distance = settings.window_deg, settings.near_deg, settings.surface_distance
-    if distance is None and not known_way:
+    if distance is None and not from_lidar.known:
         distance = USUAL_SURFACE_DISTANCE
     if window is not None and near is not None and distance is not None:
-        return Reach(radians(window), radians(near), radians(near)), distance
+        return [(Reach(radians(window), radians(near), radians(near)), inverse_ranges)], distance
     neighbours = look_around(directions, inverse_ranges)
     if distance is None:
         margins = _STRAIGHTNESS * settings.margin, _STRAIGHTNESS * settings.margin_share
         distance = measure_surface_distance(neighbours, directions, inverse_ranges, *margins)
-    return _reach(neighbours, window, near), distance
+    spacings = measure_spacings(neighbours)
+    lines = find_lines(spacings)
+    if lines is not None and (window is None or near is None) and are_uneven(neighbours):
+        seen = from_lidar.directions() if from_lidar.known else directions
+        parts = split_by_spacing(seen, inverse_ranges, lines)
+        return [
+            (_with(part.lines.reach, window, near), np.where(part.members, inverse_ranges, np.float32(0.0)))
+            for part in parts
+        ], distance
+    return [(_with(fit_reach(spacings), window, near), inverse_ranges)], distance
 
 
-def _reach(neighbours: Neighbours, window_deg: float | None, near_deg: float | None) -> Reach:
-    """Take the reach that is given, or what fits the cloud's scan lines where it is left open."""
-    if window_deg is not None and near_deg is not None:
-        return Reach(radians(window_deg), radians(near_deg), radians(near_deg))
-    measured = fit_reach(measure_spacings(neighbours))
+def _with(measured: Reach, window_deg: float | None, near_deg: float | None) -> Reach:
+    """Take what is given in place of what was measured."""
     if near_deg is not None:
-        return Reach(measured.window, radians(near_deg), radians(near_deg))
+        measured = Reach(measured.window, radians(near_deg), radians(near_deg))
     return measured if window_deg is None else replace(measured, window=radians(window_deg))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, read_only
+from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, LidarPoints
 from sceneloom.simulate.bounds import check_bounds
@@ -43,7 +44,8 @@ class LidarSpec:
 
     Attributes:
         beams: number of lasers; ring 0 is the lowest.
-        elevations_deg: elevation of the lowest and of the highest laser; the others lie evenly between.
+        elevations_deg: elevation of the lowest and of the highest laser, between which the others lie evenly; or that
+            of each, rising.
         steps: shots of each laser in a turn; `beams * steps` shots make a sweep.
         period_ns: time of a turn [ns].
         offset_ns: how much later than the drive the first turn starts [ns].
@@ -60,7 +62,7 @@ class LidarSpec:
     """
 
     beams: int = 64
-    elevations_deg: tuple[float, float] = (-24.8, 2.0)
+    elevations_deg: tuple[float, ...] = (-24.8, 2.0)
     steps: int = 1800
     period_ns: int = 100_000_000
     clockwise: bool = True
@@ -75,12 +77,17 @@ class LidarSpec:
     def __post_init__(self) -> None:
         own = (("beams", self.beams, 1, 65535), ("steps", self.steps, 1, self.period_ns))
         check_bounds("lidar", (*scan_bounds(self), *own, *self._angles()))
+        if (count := len(self.elevations_deg)) not in {2, self.beams}:
+            raise OptionError(
+                f"lidar.elevations_deg: {count} angles; expected 2, or {self.beams} for as many beams"
+            )
 
     def _angles(self) -> Iterator[tuple[str, float, float, float]]:
         """Bounds of the angles: ring 0 is the lowest."""
-        low, high = self.elevations_deg
-        yield "elevations_deg[0]", low, -90.0, 90.0
-        yield "elevations_deg[1]", high, low, 90.0
+        least = -90.0
+        for number, elevation in enumerate(self.elevations_deg):
+            yield f"elevations_deg[{number}]", elevation, least, 90.0
+            least = elevation
         yield "start_azimuth_deg", self.start_azimuth_deg, -360.0, 360.0
 
     def plan_shots(self) -> Callable[[int], Shots]:
@@ -212,7 +219,9 @@ class ScanningLidar:
 
 def _rays(spec: LidarSpec, column: Int64Array, beam: Int64Array) -> Rays:
     """Directions of all shots, ordered by column, then by ring; each column has a pose of its own."""
-    elevations = np.radians(np.linspace(*spec.elevations_deg, spec.beams))
+    low, *_, high = spec.elevations_deg
+    evenly = np.linspace(low, high, spec.beams)
+    elevations = np.radians(spec.elevations_deg if len(spec.elevations_deg) == spec.beams else evenly)
     turn = (-2.0 if spec.clockwise else 2.0) * np.pi / spec.steps
     azimuths = np.radians(spec.start_azimuth_deg) + turn * np.arange(spec.steps)
     directions = directions_at(azimuths[column], elevations[beam])

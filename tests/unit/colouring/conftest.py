@@ -3,7 +3,7 @@
 All bodies are boxes and upright cylinders, so every ray has an exact answer and what the camera sees is known.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,10 +89,10 @@ def cast(
     return ranges, hits
 
 
-def lidar_rays(beams: int, pitch_deg: float, top_deg: float, azimuth_deg: float) -> np.ndarray:
+def lidar_rays(elevations_deg: Sequence[float], azimuth_deg: float) -> np.ndarray:
     """Unit rays of a lidar that looks ahead, all azimuths of a beam after the other."""
     elevation, azimuth = np.meshgrid(
-        np.radians(top_deg - pitch_deg * np.arange(beams)),
+        np.radians(elevations_deg),
         np.radians(np.arange(-75, 75, azimuth_deg)),
         indexing="ij",
     )
@@ -118,14 +118,19 @@ def view_street(
     pitch_deg: float = 0.42,
     top_deg: float = 2.0,
     azimuth_deg: float = 0.17,
+    elevations_deg: Sequence[float] | None = None,
     roll: float = 0.0,
     noise: float = 0.02,
     seed: int = 0,
 ) -> StreetView:
-    """Look ahead into the street; `lidar_above` is the lidar's place from the camera (forward, left, up)."""
+    """Look ahead into the street; `lidar_above` is the lidar's place from the camera (forward, left, up).
+
+    The lines lie evenly from `top_deg` downward, or at `elevations_deg`.
+    """
     bodies, center = street_bodies(seed), np.array([0.0, 0.0, height])
     origin = center + lidar_above
-    rays = lidar_rays(beams, pitch_deg, top_deg, azimuth_deg)
+    evenly = tuple(top_deg - pitch_deg * np.arange(beams))
+    rays = lidar_rays(evenly if elevations_deg is None else elevations_deg, azimuth_deg)
     ranges, _ = cast(bodies, origin, rays)
     rays, ranges = rays[np.isfinite(ranges)], ranges[np.isfinite(ranges)]
     noisy = ranges + np.random.default_rng(seed + 1).normal(scale=noise, size=len(ranges))

@@ -51,6 +51,22 @@ SPARSE = {
 """Lidars that leave so much open that it takes their place to tell what is hidden."""
 
 
+FINE_IN_THE_MIDDLE = (
+    *np.arange(15.0, 2.0, -1.0),
+    *np.arange(2.0, -6.0, -1 / 6),
+    *np.arange(-6.0, -14.0, -1.0),
+    *np.arange(-14.0, -26.0, -4.0),
+)
+"""Elevations of a lidar of 72 lines [deg]."""
+
+UNEVEN = {
+    "lidar above": (WIDE, {"lidar_above": (-0.3, 0.0, 1.2)}),
+    "lidar behind and above": (BARREL, {"lidar_above": (-1.4, 0.2, 0.8)}),
+    "lidar beside": (WIDE, {"lidar_above": (0.0, 1.2, 0.1)}),
+    "camera on its side": (Camera("pinhole", 900, 900, 500.0, 500.0, 449.5, 449.5), {"roll": math.pi / 2}),
+}
+
+
 def view(street_view, settings=None, *, known_way=False):
     count = len(street_view.points_world)
     way = LidarWay(np.tile(street_view.lidar_world, (2, 1)), np.zeros(count, np.float32))
@@ -101,6 +117,21 @@ def test_knowing_from_where_the_lidar_measured_helps_sparse_lidars_as_well(stree
     assert visible_lost < (0.05 if name in SPARSE else 0.03)
 
 
+@pytest.mark.parametrize("name", UNEVEN)
+def test_where_lines_lie_far_apart_points_hide_with_a_longer_reach(street, name):
+    camera, kwargs = UNEVEN[name]
+    street_view = street(camera, elevations_deg=FINE_IN_THE_MIDDLE, azimuth_deg=0.2, **kwargs)
+    hidden_passed, visible_lost = shares(street_view, view(street_view, known_way=True))
+    assert hidden_passed < 0.03
+    # Lines 1 and 4 degrees apart leave open where things end, as those of sparse lidars do.
+    assert visible_lost < 0.05
+    # One reach for all would be that of the dense lines, which most points lie on.
+    of_dense = VisibilitySettings(window_deg=0.33, near_deg=0.19)
+    assert shares(street_view, view(street_view, of_dense, known_way=True))[0] > 5 * hidden_passed
+    of_sparse = VisibilitySettings(window_deg=1.35, near_deg=1.05)
+    assert shares(street_view, view(street_view, of_sparse, known_way=True))[1] > 2 * visible_lost
+
+
 def test_what_the_lidar_saw_as_near_to_an_edge_as_the_camera_does_is_not_hidden(street):
     street_view = street(KITTI, lidar_above=(0.0, 0.0, 0.02))
     assert street_view.seen[street_view.counted].mean() > 0.999
@@ -117,12 +148,10 @@ def test_the_place_of_the_lidar_is_taken_at_the_time_of_each_point(street):
     street_view = street(KITTI, lidar_above=(0.0, 0.8, 0.1))
     count = len(street_view.points_world)
     away, at_home = street_view.lidar_world - (0, 1.6, 0), street_view.lidar_world
-    fractions = np.ones(count, np.float32)
+    wide, fractions = VisibilitySettings(near_deg=0.5), np.ones(count, np.float32)
     matrix, ids = street_view.world_from_camera.inverse().matrix, np.arange(count)
     found = [
-        find_visible(
-            street_view.points_world, ids, matrix, VisibilitySettings(), way=LidarWay(ends, fractions)
-        )
+        find_visible(street_view.points_world, ids, matrix, wide, way=LidarWay(ends, fractions))
         for ends in (np.stack([away, at_home]), np.stack([at_home, at_home]), np.stack([at_home, away]))
     ]
     np.testing.assert_array_equal(found[0], found[1])

@@ -19,7 +19,9 @@ def ellipse(across_deg=0.38, along_deg=0.24, angle=math.pi / 2):
     return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
-def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None, hiding=None):
+def marked(
+    directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None, hiding=None
+):
     """The kernel's answer; point i has row i of the fractions, which rise from 0 to 1."""
     count = len(inverse_ranges)
     visible = np.zeros(len(inverse_ranges), bool)
@@ -199,3 +201,21 @@ def test_a_point_outside_the_map_is_not_visible_and_hides_nothing(direction):
 def test_no_points_and_a_single_point_are_fine():
     assert marked(np.zeros((2, 0)), np.zeros(0)).tolist() == []
     assert marked(np.array([[1.9], [-0.5]]), np.array([1e-3])).tolist() == [True]
+
+
+def test_points_that_shall_not_hide_others_are_hidden_themselves():
+    rng = np.random.default_rng(8)
+    directions, inverse = rng.uniform(-0.1, 0.1, (2, 3000)), rng.uniform(0.02, 0.5, 3000)
+    hides = rng.random(3000) < 0.3
+    partly = marked(directions, inverse, hiding=np.where(hides, inverse, 0.0))
+    # As if the others were asked one at a time, each among those that hide.
+    alone = marked(directions[:, hides], inverse[hides])
+    np.testing.assert_array_equal(partly[hides], alone)
+    for i in np.flatnonzero(~hides)[:40]:
+        rows = np.append(np.flatnonzero(hides), i)
+        # Where it takes the place of a hiding one in the grid, the answer may not be compared.
+        in_cell = np.abs(directions[:, hides] - directions[:, [i]]).max(axis=0) < CELL
+        if not in_cell.any():
+            assert partly[i] == marked(directions[:, rows], inverse[rows])[-1]
+    assert not marked(directions, inverse, hiding=np.zeros(3000))[inverse == 0].any()
+    assert marked(directions, inverse, hiding=np.zeros(3000)).all()

@@ -1,0 +1,143 @@
+"""Lidars whose scan lines lie close together in one part of their view and far apart in another.
+
+Many have lines a sixth of a degree apart in the middle and a degree or more above and below; rosettes are dense in the
+middle. A reach for all of them would be too short for the sparse part, behind which everything shows through, or too
+long for the dense one. How far a surface may go on beyond its last sample is a matter of the lines that hit it, so each
+point hides with the reach of its own part of the lidar's view. There, spacings do not depend on what stands where: seen
+from the camera the lines on a near thing lie between those on things far behind it.
+"""
+
+from dataclasses import dataclass
+from math import cos, log, pi, radians, sin
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from sceneloom.colouring.scan_lines import SPARSEST, Neighbours, ScanLines, look_around
+
+_UNEVEN = 2.5
+"""How many times as far apart sparse neighbours are as dense ones. Where all lines lie alike, what stands before what
+makes that up to 1.8; lidars as above have 3.7 and more (simulated streets)."""
+_DENSE, _SPARSE = 15, 85
+_FEWEST = 64
+_SPARSER_THAN = 1.5
+
+_SAMPLES = 2048
+_TILE_ACROSS, _TILE_ALONG = radians(1.0), radians(8.0)
+_LEAST_IN_TILE = 2
+_LEAST_KNOWN = 5
+_STEP = log(2.0)
+_LEAST_SHARE = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Points whose scan lines lie alike.
+
+    Attributes:
+        lines: how.
+        members: (M,) bool.
+    """
+
+    lines: ScanLines
+    members: BoolArray
+
+
+def are_uneven(neighbours: Neighbours) -> bool:
+    """Say whether the lines around some points lie so differently that one reach does not fit all."""
+    spacings = _around(neighbours)
+    known = spacings[np.isfinite(spacings)]
+    if len(known) < _FEWEST:
+        return False
+    dense, sparse = np.percentile(known, [_DENSE, _SPARSE])
+    return bool(sparse > _UNEVEN * dense)
+
+
+def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lines: ScanLines) -> list[Part]:
+    """Split a cloud by how far apart its scan lines are where its points lie.
+
+    Args:
+        directions: (2, M) float32 [rad], where the lidar saw the points, in the equal-area map.
+        inverse_ranges: (M,) float32 [1/m]; 0 for a point that takes no part.
+        lines: of the cloud as a whole, in case that too few points tell how its sparse lines lie.
+
+    Returns:
+        Parts in which spacings are alike within a factor of two; less than a hundredth of the points makes no part.
+    """
+    neighbours = look_around(directions, inverse_ranges, samples=_SAMPLES)
+    of_samples = _around(neighbours)
+    lines = _sparse_lines(neighbours, of_samples, lines)
+    spacings = _spread(of_samples, neighbours.points, *_tiles(directions, lines.angle))
+    middle = float(np.median(spacings))
+    steps = np.rint(np.log(spacings / middle) / _STEP).astype(np.int64)
+    parts = []
+    for step in _filled(steps):
+        members = steps == step
+        across = float(np.median(spacings[members]))
+        parts.append(Part(ScanLines(across, lines.along, lines.angle), members))
+    return parts
+
+
+def _sparse_lines(neighbours: Neighbours, spacings: Float64Array, lines: ScanLines) -> ScanLines:
+    """Tell how lines lie from where they are far apart: dense ones look much the same across and along."""
+    known = spacings[np.isfinite(spacings)]
+    sparse = spacings > _SPARSER_THAN * (np.median(known) if len(known) else np.inf)
+    if np.count_nonzero(sparse) < _FEWEST:
+        return lines
+    found = neighbours.distances[sparse]
+    distances = np.where(np.isnan(found), SPARSEST, found)
+    half = distances.shape[1] // 2
+    axes = np.median(np.concatenate([distances[:, :half], distances[:, half:]]), axis=0)
+    along = int(np.argmin(axes))
+    across = (along + half // 2) % half
+    return ScanLines(float(axes[across]), float(axes[along]), across * pi / half)
+
+
+def _filled(steps: Int64Array) -> list[int]:
+    """Give the steps that have enough members, and let those of the others join the nearest of them, in place."""
+    found, counts = np.unique(steps, return_counts=True)
+    kept = found[counts >= _LEAST_SHARE * len(steps)]
+    nearest = kept[np.argmin(np.abs(found[:, None] - kept), axis=1)]
+    steps[:] = nearest[np.searchsorted(found, steps)]
+    filled: list[int] = kept.tolist()
+    return filled
+
+
+def _around(neighbours: Neighbours) -> Float64Array:
+    """Give the spacing of the lines around each point [rad], whichever way they lie; NaN where few are in reach.
+
+    Of eight sectors two look along the line, the others to the next lines: the upper quartile is across.
+    """
+    ordered = np.sort(neighbours.distances, axis=1)
+    known = np.isfinite(ordered).sum(axis=1)
+    last = np.clip(np.minimum(3 * known // 4, known - 1), 0, None)
+    spacings = ordered[np.arange(len(ordered)), last] if len(ordered) else np.zeros(0)
+    return np.where(known >= _LEAST_KNOWN, spacings, np.nan)
+
+
+def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:
+    """Number the tiles, long along the lines, that points lie in, (M,), and say how many lie side by side."""
+    c, s = cos(angle), sin(angle)
+    across = np.floor((c * directions[0] + s * directions[1]) / _TILE_ACROSS).astype(np.int64)
+    along = np.floor((c * directions[1] - s * directions[0]) / _TILE_ALONG).astype(np.int64)
+    columns = int(np.ptp(along)) + 1
+    return (across - across.min()) * columns + along - along.min(), columns
+
+
+def _spread(spacings: Float64Array, samples: Int64Array, tiles: Int64Array, columns: int) -> Float64Array:
+    """Give each point the median spacing of the samples in its tile; without, that of the tiles beside it."""
+    rows = int(tiles.max()) // columns + 1
+    of_sample, values = tiles[samples], np.where(np.isnan(spacings), SPARSEST, spacings)
+    field = np.full((rows, columns), np.nan)
+    for tile in np.unique(of_sample).tolist():
+        inside = values[of_sample == tile]
+        if len(inside) >= _LEAST_IN_TILE:
+            field[tile // columns, tile % columns] = np.median(inside)
+    told = np.flatnonzero(np.isfinite(field).any(axis=1))
+    if len(told) == 0:
+        return np.full(len(tiles), np.median(values))
+    for row in range(rows):
+        nearest = field[told[np.argmin(np.abs(told - row))]]
+        field[row] = np.where(np.isnan(field[row]), np.nanmedian(nearest), field[row])
+    spread: Float64Array = field.ravel()[tiles]
+    return spread

@@ -8,6 +8,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.calibrate_conventions import check_conventions
+from sceneloom.cli.calibrate_repair import asked_repair, repair_calibration, repair_options
 from sceneloom.cli.identifiers import known_id
 from sceneloom.cli.printing import print_json, print_table, several
 
@@ -33,6 +34,7 @@ EXIT_CODES = MappingProxyType({"good": 0, "drifting": 3, "wrong": 4, "cannot tel
     metavar="DRIVE",
     help="With --conventions of a file: the drive to judge it by.",
 )
+@repair_options
 @click.option("--camera", "camera_id", metavar="ID", help="The camera. [default: the first with pictures]")
 @click.option("--lidar", "lidar_id", metavar="ID", help="The lidar. [default: the first with sweeps]")
 @click.option(
@@ -74,14 +76,21 @@ def calibrate(
 
     Exit 0 where the calibration is good, 3 where it is drifting, 4 where it is wrong, 5 where the drive cannot tell.
     """
-    if check and conventions:
-        raise click.UsageError("--check and --conventions: say one of them")
+    asked = asked_repair(reading)
+    if check + conventions + (asked is not None) > 1:
+        raise click.UsageError("--check, --conventions and a repair: say one of them")
     if drive is not None and not conventions:
         raise click.UsageError("--drive DRIVE does nothing without --conventions")
     if conventions:
         code = check_conventions(
             path, drive, camera_id=camera_id, lidar_id=lidar_id, as_json=as_json, quiet=quiet, reading=reading
         )
+        context.exit(code)
+    if asked is not None:
+        code = repair_calibration(
+            path, asked, camera_id=camera_id, lidar_id=lidar_id, most=most, start=start, stop=stop,
+            pictures=pictures, overwrite=overwrite, as_json=as_json, quiet=quiet, reading=reading,
+        )  # fmt: skip
         context.exit(code)
     from sceneloom.calibrate.frames import calibration_frames
     from sceneloom.calibrate.health.check import check_frames

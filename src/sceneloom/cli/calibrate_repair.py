@@ -1,4 +1,4 @@
-"""`sceneloom calibrate --refine`, `--hand-eye`, `--lidar-to-lidar`: a calibration repaired by the drive."""
+"""`sceneloom calibrate --refine`, `--hand-eye`, `--lidar-to-lidar`, `--target`: a calibration repaired by the drive."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 EXIT_CODES = {"refined": 0, "kept": 3, "cannot tell": 5}
 """What each outcome means to the shell."""
 
-_FLAGS = ("refine", "hand_eye", "lidar_to_lidar")
+_FLAGS = ("refine", "hand_eye", "lidar_to_lidar", "target")
 _VALUES = ("output", "parameters", "form", "onto")
 
 _OPTIONS = (
@@ -27,6 +27,12 @@ _OPTIONS = (
         "--hand-eye", is_flag=True, help="Find how a lidar is mounted from its odometry and a trajectory."
     ),
     click.option("--lidar-to-lidar", is_flag=True, help="Find how --lidar lies to --onto by their clouds."),
+    click.option(
+        "--target",
+        metavar="BOARD",
+        help="Find how a camera lies to a lidar by a checkerboard of COLUMNSxROWS inner corners with squares of SQUARE "
+        "metres on a board of WIDTHxHEIGHT metres: COLUMNSxROWS:SQUARE[:WIDTHxHEIGHT].",
+    ),
     click.option("--onto", metavar="ID", help="With --lidar-to-lidar: the other lidar. [default: the first]"),
     click.option(
         "-o",
@@ -57,6 +63,7 @@ class AskedRepair:
     parameters: str | None
     form: str | None
     onto: str | None
+    board: str | None
 
 
 def repair_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -72,7 +79,8 @@ def asked_repair(given: dict[str, Any]) -> AskedRepair | None:
     Raises:
         click.UsageError: several are, or an output without any.
     """
-    modes = [name for name in _FLAGS if given.pop(name)]
+    asked = {name: given.pop(name) for name in _FLAGS}
+    modes = [name for name in _FLAGS if asked[name]]
     values = {name: given.pop(name) for name in _VALUES}
     if len(modes) > 1:
         raise click.UsageError(
@@ -81,9 +89,9 @@ def asked_repair(given: dict[str, Any]) -> AskedRepair | None:
     if not modes:
         said = [name for name, value in values.items() if value is not None]
         if said:
-            raise click.UsageError(f"--{said[0]}: needs --refine, --hand-eye or --lidar-to-lidar")
+            raise click.UsageError(f"--{said[0]}: needs --refine, --hand-eye, --lidar-to-lidar or --target")
         return None
-    return AskedRepair(modes[0], **values)
+    return AskedRepair(modes[0], board=asked["target"], **values)
 
 
 def repair_calibration(
@@ -95,12 +103,15 @@ def repair_calibration(
     most: int,
     start: float | None,
     stop: float | None,
+    pictures: Path | None,
     overwrite: bool,
     as_json: bool,
     quiet: bool,
     reading: dict[str, Any],
 ) -> int:
     """Repair, write, print, and give the exit code."""
+    if pictures is not None and asked.mode != "refine":
+        raise click.UsageError("--pictures: with --check and --refine only")
     from sceneloom.formats import open_scene
     from sceneloom.scene.part import cut_scene
 
@@ -132,6 +143,7 @@ def _repaired(
     lidar: "str | int | None",
     most: int,
     *,
+    pictures: Path | None,
     overwrite: bool,
     progress: Any,
 ) -> "RepairReport":
@@ -148,7 +160,7 @@ def _repaired(
         {} if asked.parameters is None else {"parameters": tuple(asked.parameters.split(","))}
     )
     return repairing.refine_drive(
-        scene, asked.output, camera=camera, lidar=lidar, most=most, **named, **common
+        scene, asked.output, camera=camera, lidar=lidar, most=most, pictures=pictures, **named, **common
     )
 
 

@@ -37,10 +37,21 @@ def save_calibration_pictures(
     Raises:
         OutputError: the folder has something in it and `overwrite` is not said, or it cannot be written.
     """
+    return save_change_pictures(frames, Change(health.change), folder, overwrite=overwrite)
+
+
+def save_change_pictures(
+    frames: Sequence[CalibrationFrame], best: Change, folder: Path, *, overwrite: bool = False
+) -> list[Path]:
+    """Draw frames under the stated calibration and, where that is another one, under the best.
+
+    Raises:
+        OutputError: the folder has something in it and `overwrite` is not said, or it cannot be written.
+    """
     rows = np.unique(np.linspace(0, len(frames) - 1, min(MOST_DRAWN, len(frames))).astype(int)).tolist()
     changes = {"": Change()}
-    if any(health.change):
-        changes["_best"] = Change(health.change)
+    if any(best.numbers):
+        changes["_best"] = best
     written = []
     with filling(folder, overwrite=overwrite) as drafts:
         for frame in (frames[row] for row in rows):

@@ -5,13 +5,15 @@ from pathlib import Path
 
 import msgspec
 
-from sceneloom.calibrate.frames import MOST, calibration_frames
+from sceneloom.calibrate.frames import MOST, calibration_frames, chosen_camera, chosen_lidar
 from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
 from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
 from sceneloom.calibrate.mounting_estimate import MountingEstimate, step_between
 from sceneloom.calibrate.refinement import DEFAULT, Refinement, RefinementVerdict, refine
+from sceneloom.calibrate.target import Board, board_views, start_from_target
 from sceneloom.formats.output import check_output
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pictures.calibration import save_change_pictures
 from sceneloom.pipeline.calibration_outputs import Repair, form_for, write_calibration
 from sceneloom.scene import Identifier, LidarSensor, Scene
 from sceneloom.scene.types import Progress
@@ -62,12 +64,16 @@ def refine_drive(
     parameters: Sequence[str] = DEFAULT,
     most: int = MOST,
     form: str | None = None,
+    pictures: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RepairReport:
     """Refine the calibration of a camera against a lidar by the drive itself.
 
-    Nothing is written unless the calibration was refined.
+    Nothing is written unless the calibration was refined; pictures are drawn in any case.
+
+    Args:
+        pictures: folder for pictures of points and edges under the stated and the best calibration.
 
     Raises:
         OptionError: a sensor, a parameter or the form is unknown.
@@ -77,6 +83,8 @@ def refine_drive(
     _check_target(target, form, overwrite=overwrite)
     frames = calibration_frames(scene, camera, lidar, most)
     found = refine(frames, parameters=parameters, progress=progress)
+    if pictures is not None:
+        save_change_pictures(frames, found.change, pictures, overwrite=overwrite)
     first = frames[0]
     repair = Repair(
         first.camera_id,
@@ -158,6 +166,43 @@ def align_lidars(
     return _written(
         scene, Repair(None, result.second_id, stated, mount), report, target, form, overwrite=overwrite
     )
+
+
+def calibrate_by_target(
+    scene: Scene,
+    target: Path | None = None,
+    *,
+    board: str,
+    camera: Identifier | None = None,
+    lidar: Identifier | None = None,
+    most: int = MOST,
+    form: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RepairReport:
+    """Find how a camera lies to a lidar by a checkerboard that both see; no guess is needed.
+
+    Args:
+        board: as `Board.parse` reads it.
+
+    Raises:
+        OptionError, PoseError, DataError: as `board_views`, `start_from_target` and `write_calibration` say.
+        OutputError: the target exists, or cannot be written.
+    """
+    _check_target(target, form, overwrite=overwrite)
+    wanted = Board.parse(board)
+    views = list(board_views(scene, wanted, camera, lidar, most=most, progress=progress))
+    mounting = start_from_target(views, wanted)
+    seeing, scanning = chosen_camera(scene, camera), chosen_lidar(scene, lidar)
+    stated = (
+        RigidTransform.identity()
+        if seeing.mount is None or scanning.mount is None
+        else seeing.mount.inverse() @ scanning.mount
+    )
+    ids = str(seeing.id), str(scanning.id)
+    report = mounting_report(scene, "target", ids, stated, mounting, len(views))
+    repair = Repair(seeing.id, scanning.id, stated, mounting.a_from_b, seeing.camera)
+    return _written(scene, repair, report, target, form, overwrite=overwrite)
 
 
 def mounting_report(

@@ -1,0 +1,178 @@
+"""A checkerboard in pictures and clouds, against exact scenes and OpenCV's detector."""
+
+import cv2
+import numpy as np
+import pytest
+
+from sceneloom.calibrate.mounting_estimate import step_between
+from sceneloom.calibrate.target import (
+    Board,
+    BoardView,
+    board_in_cloud,
+    board_pose,
+    find_corners,
+    start_from_target,
+)
+from sceneloom.cameras import project, unproject
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import quaternion_from_rotation_vector
+
+BOARD = Board(7, 5, 0.12, 1.1, 0.86)
+CAMERA = Camera("brown_conrady", 600, 380, 465.0, 465.0, 301.0, 186.0, (-0.1, 0.02, 0.0005, -0.0003, 0.0))
+AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+CAMERA_FROM_LIDAR = RigidTransform.from_quaternion(
+    np.array([0.12, -0.25, -0.4]), quaternion_from_rotation_vector(np.radians([1.0, -2.0, 1.5]))
+) @ RigidTransform(AXES, np.zeros(3))
+PLACES = [
+    (-0.5, 0.1, 3.2, 25.0, 20.0, 8.0),
+    (0.6, -0.1, 3.5, -30.0, 15.0, -12.0),
+    (0.0, 0.2, 2.6, 10.0, -35.0, 20.0),
+    (0.4, 0.0, 4.2, -15.0, -25.0, 5.0),
+    (-0.8, -0.2, 4.0, 20.0, 35.0, -20.0),
+]
+
+
+def rendered(camera: Camera, camera_from_board: RigidTransform, board: Board, *, seed: int = 0) -> np.ndarray:
+    """The board before a grey wall, (H, W) float32, four rays a pixel."""
+    total = np.zeros((camera.height, camera.width))
+    v, u = np.mgrid[: camera.height, : camera.width].astype(float)
+    for du, dv in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
+        rays = unproject(camera, np.stack([u.ravel() + du, v.ravel() + dv], axis=1))
+        total += _brightness(rays, camera_from_board, board).reshape(total.shape)
+    noise = np.random.default_rng(seed).normal(0.0, 2.0, total.shape)
+    return np.clip(total / 4.0 + noise, 0, 255).astype(np.float32)
+
+
+def _brightness(rays: np.ndarray, camera_from_board: RigidTransform, board: Board) -> np.ndarray:
+    x, y, hit = _on_board(rays, np.zeros(3), camera_from_board)
+    column = np.floor(x / board.square + (board.columns + 1) / 2.0)
+    row = np.floor(y / board.square + (board.rows + 1) / 2.0)
+    on = hit & (np.abs(x) < board.width / 2) & (np.abs(y) < board.height / 2)
+    pattern = (column >= 0) & (column <= board.columns) & (row >= 0) & (row <= board.rows)
+    black = pattern & ((column + row) % 2 == 0)
+    return np.where(on, np.where(black, 30.0, 225.0), 110.0)
+
+
+def _on_board(
+    rays: np.ndarray, origin: np.ndarray, frame_from_board: RigidTransform
+) -> tuple[np.ndarray, ...]:
+    inverse = frame_from_board.inverse()
+    directions, start = inverse.rotate(rays), inverse.apply(origin)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = -start[2] / directions[:, 2]
+    places = start + distance[:, None] * directions
+    return places[:, 0], places[:, 1], np.isfinite(distance) & (distance > 0)
+
+
+def cloud(lidar_from_board: RigidTransform, board: Board, *, noise: float, seed: int = 0) -> np.ndarray:
+    """What a lidar 1.5 m above flat ground measures of the board and the ground, (N, 3) [m]."""
+    azimuths = np.radians(np.arange(-60.0, 60.0, 0.2))
+    elevations = np.radians(np.arange(-25.0, 15.0, 0.4))
+    a, e = (grid.ravel() for grid in np.meshgrid(azimuths, elevations))
+    rays = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
+    x, y, hit = _on_board(rays, np.zeros(3), lidar_from_board)
+    on = hit & (np.abs(x) < board.width / 2) & (np.abs(y) < board.height / 2)
+    with np.errstate(divide="ignore"):
+        ground = np.where(rays[:, 2] < 0, -1.5 / rays[:, 2], np.inf)
+    local = np.stack([x, y, np.zeros_like(x)], axis=1)
+    ranges = np.where(on, np.linalg.norm(lidar_from_board.apply(local), axis=1), ground)
+    ranges = ranges + np.random.default_rng(seed).normal(0.0, noise, len(ranges))
+    seen = np.isfinite(ranges) & (ranges < 30.0)
+    return rays[seen] * ranges[seen, None]
+
+
+def placed(place: tuple[float, ...]) -> RigidTransform:
+    """`camera_from_board`."""
+    turn = quaternion_from_rotation_vector(np.radians(place[3:]))
+    return RigidTransform.from_quaternion(np.array(place[:3]), turn)
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_corners_lie_where_they_were_rendered(place: tuple[float, ...]) -> None:
+    corners = find_corners(rendered(CAMERA, placed(place), BOARD), BOARD)
+    assert corners is not None
+    truth, visible = project(CAMERA, placed(place).apply(BOARD.corners))
+    assert visible.all()
+    error = min(np.sqrt(np.mean(np.sum((order - truth) ** 2, axis=1))) for order in (corners, corners[::-1]))
+    assert error < 0.15  # noise of 2 grey levels moves a saddle by some hundredths of a pixel
+
+
+def test_corners_are_those_that_opencv_finds() -> None:
+    picture = rendered(CAMERA, placed(PLACES[0]), BOARD)
+    ours = find_corners(picture, BOARD)
+    found, theirs = cv2.findChessboardCornersSB(picture.astype(np.uint8), (BOARD.columns, BOARD.rows))
+    assert found
+    assert ours is not None
+    theirs = theirs.reshape(-1, 2)
+    differences = [np.abs(order - theirs).max() for order in (ours, ours[::-1])]
+    assert min(differences) < 0.35  # both are good to some tenths of a pixel at single corners
+
+
+def test_pictures_without_the_whole_board_give_nothing() -> None:
+    rng = np.random.default_rng(0)
+    assert find_corners(np.zeros((200, 300), np.float32), BOARD) is None
+    assert find_corners(rng.uniform(0, 255, (200, 300)).astype(np.float32), BOARD) is None
+    picture = rendered(CAMERA, placed(PLACES[0]), BOARD)
+    assert find_corners(picture[:, 250:], BOARD) is None
+
+
+def test_the_pose_of_the_board_is_found_from_its_corners() -> None:
+    truth = placed(PLACES[1])
+    pixels, _ = project(CAMERA, truth.apply(BOARD.corners))
+    found = board_pose(CAMERA, pixels, BOARD)
+    assert found is not None
+    np.testing.assert_allclose(step_between(found[0], truth), 0.0, atol=1e-6)
+    assert found[1] < 1e-5
+
+
+def test_the_board_is_told_from_the_ground_and_from_things_of_another_size() -> None:
+    lidar_from_board = CAMERA_FROM_LIDAR.inverse() @ placed(PLACES[0])
+    points = cloud(lidar_from_board, BOARD, noise=0.01)
+    found = board_in_cloud(points, BOARD)
+    assert found is not None
+    assert abs(found.normal @ lidar_from_board.rotation[:, 2]) > np.cos(np.radians(1.0))
+    assert np.linalg.norm(found.center - lidar_from_board.translation) < 0.05
+    assert board_in_cloud(points, Board(7, 5, 0.12, 2.4, 1.9)) is None
+    assert board_in_cloud(np.zeros((0, 3)), BOARD) is None
+
+
+@pytest.fixture(scope="module")
+def views() -> list[BoardView]:
+    """What camera and lidar tell of all places, with 1 cm of noise."""
+    found = []
+    for seed, place in enumerate(PLACES):
+        corners = find_corners(rendered(CAMERA, placed(place), BOARD, seed=seed), BOARD)
+        assert corners is not None
+        pose = board_pose(CAMERA, corners, BOARD)
+        seen = board_in_cloud(
+            cloud(CAMERA_FROM_LIDAR.inverse() @ placed(place), BOARD, noise=0.01, seed=seed), BOARD
+        )
+        assert pose is not None
+        assert seen is not None
+        found.append(BoardView(pose[0], seen))
+    return found
+
+
+def test_five_views_of_a_board_give_the_mounting_without_any_guess(views: list[BoardView]) -> None:
+    mounting = start_from_target(views, BOARD)
+    step = step_between(mounting.a_from_b, CAMERA_FROM_LIDAR)
+    assert np.degrees(np.linalg.norm(step[:3])) < 0.3
+    assert np.linalg.norm(step[3:]) < 0.02
+    assert (np.abs(step) < 4.0 * mounting.sigmas + 1e-9).all()
+    assert mounting.unobserved == ()
+
+
+def test_too_few_views_or_views_that_are_alike_are_refused(views: list[BoardView]) -> None:
+    found = views[:1]
+    with pytest.raises(PoseError, match="expected 3 or more"):
+        start_from_target(found, BOARD)
+    with pytest.raises(PoseError, match="turned alike"):
+        start_from_target(found * 4, BOARD)
+
+
+@pytest.mark.parametrize("text", ["", "7x5", "7x5:0.1:0.2", "2x5:0.1", "7x5:0.1:0.3x0.3", "axb:c"])
+def test_boards_that_make_no_sense_are_refused(text: str) -> None:
+    with pytest.raises(OptionError, match="expected"):
+        Board.parse(text)

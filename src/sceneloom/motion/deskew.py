@@ -26,13 +26,41 @@ def points_to_world(frame: LidarFrame, source: PoseSource) -> tuple[Float64Array
     Raises:
         PoseError: a point's time lies beyond the reach of the path.
     """
-    times = frame.points.timestamps_ns
-    if times is None or len(times) == 0:
-        times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
+    times = _point_times(frame)
     if len(times) == 0:
         return np.zeros((0, 3)), False
     knots = BodyKnots.of(source, int(times.min()), int(times.max()))
     return knots.moved(frame.points.positions, times, source.mount), knots.extrapolated
+
+
+def points_at(frame: LidarFrame, source: PoseSource, moment_ns: int) -> tuple[Float64Array, bool]:
+    """Take the points of one sweep to where the sensor would have seen them at any one moment, had they stood still.
+
+    Args:
+        frame: points in the frame that `source.mount` mounts; without point times all have the frame's time.
+        moment_ns: within the sweep or not [ns], such as the time of a picture.
+
+    Returns:
+        positions: (N, 3) float64 [m], in the sensor's frame at that moment.
+        extrapolated: whether poses beyond the path's ends were used.
+
+    Raises:
+        PoseError: the moment or a point's time lies beyond the reach of the path.
+    """
+    times = _point_times(frame)
+    first_ns, last_ns = int(times.min(initial=moment_ns)), int(times.max(initial=moment_ns))
+    knots = BodyKnots.of(source, first_ns, last_ns)
+    pose = source.at(np.array([moment_ns], np.int64))
+    at_moment = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+    moved = knots.seen_from(at_moment.inverse()).moved(frame.points.positions, times, source.mount)
+    return moved, knots.extrapolated
+
+
+def _point_times(frame: LidarFrame) -> Int64Array:
+    times = frame.points.timestamps_ns
+    if times is None or len(times) == 0:
+        return np.full(len(frame.points), frame.timestamp_ns, np.int64)
+    return times
 
 
 @dataclass(frozen=True, slots=True, eq=False)

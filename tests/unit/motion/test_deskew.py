@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.deskew import points_to_world
+from sceneloom.motion.deskew import points_at, points_to_world
 from sceneloom.scene import LidarFrame, LidarPoints, PosePath
 from sceneloom.scene.pose_source import PoseSource
 
@@ -45,6 +45,23 @@ def test_each_point_is_placed_by_the_pose_at_its_own_time(seed: int) -> None:
     # 30 m at double precision; scipy's slerp and ours differ by rounding only
     np.testing.assert_allclose(world, scipy_world(path, MOUNT, times, positions.astype(float)), atol=1e-9)
     assert not extrapolated
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_points_are_taken_to_any_moment_within_the_sweep_or_beyond(share: float) -> None:
+    rng = np.random.default_rng(7)
+    path = random_path(rng)
+    early, late = int(path.timestamps_ns[3]), int(path.timestamps_ns[5])
+    times = rng.integers(early, late, 300)
+    moment = int(path.start_ns + share * (path.stop_ns - path.start_ns))
+    positions = rng.normal(scale=30, size=(300, 3)).astype(np.float32)
+    moved, extrapolated = points_at(frame_at(times, positions), PoseSource(path, MOUNT), moment)
+    seen_again = scipy_world(path, MOUNT, np.full(300, moment), moved)
+    world = scipy_world(path, MOUNT, times, positions.astype(float))
+    np.testing.assert_allclose(seen_again, world, atol=1e-9)
+    assert not extrapolated
+    with pytest.raises(PoseError, match="the poses reach"):
+        points_at(frame_at(times, positions), PoseSource(path, MOUNT), path.stop_ns + 1)
 
 
 def test_neighbouring_poses_of_opposite_sign_are_joined_on_the_shorter_arc() -> None:

@@ -8,12 +8,14 @@ from sceneloom.arrays import Float64Array, Int64Array, UInt16Array
 
 _LEAST_LINES, _MOST_LINES = 4, 512
 _LEAST_POINTS = 64
+_MOST_PEAKS = 160
 _ORDERED_SHARE = 0.95
 """Of the steps in the order of a file that goes along its lines, so many turn the same way."""
 _JITTER = np.radians(5.0)
 _BIN = np.radians(0.02)
 _PEAKED_SHARE = 0.9
 _PEAKED_BINS = 0.35
+_FEW_SHARE = 0.1
 _LEVEL_SHARE = 0.25
 """A line's elevations deviate by less than this part of the way to the next line."""
 
@@ -58,11 +60,12 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
     elevations = np.arcsin(np.clip(points[:, 2] / ranges, -1.0, 1.0))
     lines = None if rings is None else _by_rings(rings[used].astype(np.int64))
     if lines is None:
-        found = [_by_file_order(azimuths, cut) for cut in (0.0, np.pi, float(azimuths[0]))]
-        tried = [way for way in (*found, _by_elevations(elevations)) if way is not None]
-        lines = min(tried, key=lambda way: _unevenness(way, elevations), default=None)
-        if lines is None or _unevenness(lines, elevations) > _LEVEL_SHARE:
-            return None
+        ways = [_by_file_order(azimuths, cut) for cut in (0.0, np.pi, float(azimuths[0]))]
+        lines = _most_level(ways, elevations)
+    if lines is None:
+        lines = _most_level([_by_elevations(elevations)], elevations)
+    if lines is None:
+        return None
     numbers, count = _from_below(lines, elevations)
     rows = np.lexsort((azimuths, numbers))
     return ScanOrder(used[rows], numbers[rows], azimuths[rows], elevations[rows], ranges[rows], count)
@@ -97,13 +100,21 @@ def _by_elevations(elevations: Float64Array) -> Int64Array | None:
     needed = int(np.searchsorted(np.cumsum(full), _PEAKED_SHARE * len(elevations))) + 1
     if needed > _PEAKED_BINS * len(counts):
         return None
-    occupied = counts >= full[needed - 1]
+    occupied = counts >= _FEW_SHARE * full[needed // 2]
     lines = np.cumsum(np.diff(occupied.astype(np.int64), prepend=0) == 1)
     count = int(lines[-1])
-    if not _LEAST_LINES <= count <= _MOST_LINES:
+    if not _LEAST_LINES <= count <= _MOST_PEAKS:
         return None
-    numbers: Int64Array = np.maximum(lines[bins] - 1, 0)
-    return numbers
+    of_line = lines[bins[occupied[bins]]] - 1
+    means = np.bincount(of_line, elevations[occupied[bins]]) / np.bincount(of_line)
+    return np.searchsorted(0.5 * (means[1:] + means[:-1]), elevations).astype(np.int64)
+
+
+def _most_level(ways: list[Int64Array | None], elevations: Float64Array) -> Int64Array | None:
+    """Of several ways to number lines the one whose lines keep their elevations best; None where none does."""
+    found = [(_unevenness(lines, elevations), lines) for lines in ways if lines is not None]
+    unevenness, lines = min(found, key=lambda pair: pair[0], default=(np.inf, None))
+    return lines if unevenness <= _LEVEL_SHARE else None
 
 
 def _unevenness(lines: Int64Array, elevations: Float64Array) -> float:

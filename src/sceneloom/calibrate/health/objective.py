@@ -91,7 +91,7 @@ class Objective:
 
     def _drawn_cells(self) -> Float64Array:
         """Draw cells with replacement, of those that hold anything."""
-        occupied = np.flatnonzero(self.agreement.score(Change()).totals.sum(axis=0) > 0)
+        occupied = np.flatnonzero(self.agreement.score(Change(), by_cells=True).totals.sum(axis=0) > 0)
         weights = np.zeros((_REPLICATES, self.agreement.cells))
         if len(occupied):
             draws = self.generator.multinomial(

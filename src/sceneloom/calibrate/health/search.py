@@ -8,6 +8,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.calibrate.health.objective import FINE, WIDE, Objective
 from sceneloom.calibrate.health.surface import Surface, coefficients
+from sceneloom.calibrate.measures.agreement import Score
 from sceneloom.calibrate.measures.candidate import COUNT, ROTATION, TRANSLATION, UNITS, Change, Parameter
 
 _WIDE_RADII = (20.0, 11.0, 6.0, 3.5)
@@ -15,7 +16,7 @@ _FINE_RADII = (2.4, 1.6)
 """Balls of rotations that are looked at, one after another [units of a quarter degree]."""
 _NEAR_RADII, _FAR_RADII = (4.0, 2.0), (10.0, 5.0, 2.0)
 _FINE_FROM = 4.0
-_LOOKS_PER_COEFFICIENT = 4.0
+_LOOKS_PER_COEFFICIENT = (4.0, 2.5)
 _FARTHEST_DEG = 6.0
 
 
@@ -59,7 +60,7 @@ def find_rotation(objective: Objective) -> Top:
     begun = np.zeros(COUNT)
     wide = begun
     for radius in _WIDE_RADII:
-        wide = _climb(objective, wide, ROTATION, radius, WIDE)[0]
+        wide = _climb(objective, wide, ROTATION, radius, WIDE)
         wide = _bounded(wide)
     tops = [_refined(objective, start) for start in (wide, begun)]
     return max(tops, key=lambda top: top.height)
@@ -67,7 +68,7 @@ def find_rotation(objective: Objective) -> Top:
 
 def _refined(objective: Objective, start: Float64Array) -> Top:
     for radius in _FINE_RADII[:-1]:
-        start = _climb(objective, start, ROTATION, radius, FINE)[0]
+        start = _climb(objective, start, ROTATION, radius, FINE)
     return find_top(objective, start, ROTATION, (_FINE_RADII[-1],))
 
 
@@ -77,11 +78,10 @@ def find_top(
     """Find the best place around a start, (8,), by some parameters, in balls of some radii [units]."""
     place = start
     for radius in radii[:-1]:
-        place, _ = _climb(objective, place, parameters, radius, FINE if radius <= _FINE_FROM else WIDE)
-    place, replicates = _climb(objective, place, parameters, radii[-1], FINE)
+        place = _climb(objective, place, parameters, radius, FINE if radius <= _FINE_FROM else WIDE)
+    place, replicates = _look_around(objective, place, parameters, radii[-1], FINE)
     there, here = (
-        objective.agreement.score(Change.of(place), FINE),
-        objective.agreement.score(Change.of(start), FINE),
+        objective.agreement.score(Change.of(numbers), FINE, by_cells=True) for numbers in (place, start)
     )
     gains = objective.standing(there, replicated=True) - objective.standing(here, replicated=True)
     return Top(
@@ -108,22 +108,51 @@ def _climb(
     parameters: Sequence[Parameter],
     radius: float,
     measures: Sequence[str],
-) -> tuple[Float64Array, Float64Array]:
-    """Go to the top of the quadratic through looks at a ball; gives it, (8,), and those of the replicates, (B, P)."""
+) -> Float64Array:
+    """Go to the top of the quadratic through looks at a ball, (8,)."""
     columns = list(parameters)
-    looks = int(_LOOKS_PER_COEFFICIENT * coefficients(len(columns)))
-    surface = Surface.of(looks, len(columns), objective.generator)
+    surface, scores = _looks(objective, middle, columns, radius, measures)
+    values = np.array([objective.standing(score, measures) for score in scores]).T
+    found = middle.copy()
+    found[columns] += radius * UNITS[columns] * surface.tops(values)[0]
+    return found
+
+
+def _look_around(
+    objective: Objective,
+    middle: Float64Array,
+    parameters: Sequence[Parameter],
+    radius: float,
+    measures: Sequence[str],
+) -> tuple[Float64Array, Float64Array]:
+    """Go to the top like `_climb`, and give those of the replicates, (B, P), too."""
+    columns = list(parameters)
+    surface, scores = _looks(objective, middle, columns, radius, measures, by_cells=True)
+    values = np.array([objective.standing(score, measures) for score in scores]).T
+    replicated = np.array([objective.standing(score, measures, replicated=True) for score in scores]).T
+    found = middle.copy()
+    found[columns] += radius * UNITS[columns] * surface.tops(values)[0]
+    return found, middle[columns] + radius * UNITS[columns] * surface.tops(replicated)
+
+
+def _looks(
+    objective: Objective,
+    middle: Float64Array,
+    columns: list[Parameter],
+    radius: float,
+    measures: Sequence[str],
+    *,
+    by_cells: bool = False,
+) -> tuple[Surface, list[Score]]:
+    """Score places in a ball; one number more to be found needs more of them, but not as many more as it has terms."""
+    count = int(_LOOKS_PER_COEFFICIENT[len(columns) > len(ROTATION)] * coefficients(len(columns)))
+    surface = Surface.of(count, len(columns), objective.generator)
     scores = []
     for place in surface.places:
         numbers = middle.copy()
         numbers[columns] += radius * UNITS[columns] * place
-        scores.append(objective.agreement.score(Change.of(numbers), measures))
-    values = np.array([objective.standing(score, measures) for score in scores]).T
-    replicated = np.array([objective.standing(score, measures, replicated=True) for score in scores]).T
-    top, tops = surface.tops(values)[0], surface.tops(replicated)
-    found = middle.copy()
-    found[columns] += radius * UNITS[columns] * top
-    return found, middle[columns] + radius * UNITS[columns] * tops
+        scores.append(objective.agreement.score(Change.of(numbers), measures, by_cells=by_cells))
+    return surface, scores
 
 
 def _bounded(numbers: Float64Array) -> Float64Array:

@@ -85,25 +85,29 @@ class Agreement:
         totals: Float64Array = self._score(Change()).totals.sum(axis=1)
         return totals
 
-    def score(self, change: Change, measures: Collection[str] = MEASURES) -> Score:
+    def score(self, change: Change, measures: Collection[str] = MEASURES, *, by_cells: bool = False) -> Score:
         """Score a candidate; a measure whose features have mostly left the pictures has no value.
 
         Args:
             measures: the only ones to be taken; the others have no value.
+            by_cells: share out the information among the cells, which takes longer; else the first one has it all.
         """
-        score = self._score(change, measures)
+        score = self._score(change, measures, by_cells=by_cells)
         few = score.totals.sum(axis=1) < _LEAST_SHARE * self._stated_totals
         if not few.any():
             return score
         return Score(np.where(few[:, None], 0.0, score.sums), np.where(few[:, None], 0.0, score.totals))
 
-    def _score(self, change: Change, measures: Collection[str] = MEASURES) -> Score:
+    def _score(
+        self, change: Change, measures: Collection[str] = MEASURES, *, by_cells: bool = False
+    ) -> Score:
         sums, totals = np.zeros((len(MEASURES), self.cells)), np.zeros((len(MEASURES), self.cells))
         placed = []
         histogram = np.zeros((LEVELS, LEVELS))
         for features, view in zip(self.features, self.views.tolist(), strict=True):
             own = slice(view * TILES, (view + 1) * TILES)
-            ids, pixels = project_features(features, features.edge_points, change)
+            placing = change.camera_from_points(features.frame), change.lens(features.picture.lens)
+            ids, pixels = project_features(features, features.edge_points, *placing)
             for row, name in enumerate(MEASURES):
                 if name in _WIDTHS and name in measures:
                     sum_edges(
@@ -112,11 +116,15 @@ class Agreement:
                     )  # fmt: skip
             if INFORMATION not in measures:
                 continue
-            ids, pixels = project_features(features, features.level_points, change)
+            ids, pixels = project_features(features, features.level_points, *placing)
             fill_histogram(ids, pixels, features.levels, features.picture.levels, histogram)
             placed.append((features, own, ids, pixels))
         row = MEASURES.index(INFORMATION)
         table = pointwise_information(histogram)
+        if not by_cells:
+            # bins share points as the table shares its numbers, so that all points together need no second look
+            sums[row, 0], totals[row, 0] = (histogram * table).sum(), histogram.sum()
+            return Score(sums, totals)
         for features, own, ids, pixels in placed:
             sum_by_table(
                 ids, pixels, features.levels, features.level_cells, features.picture.levels, table,

@@ -6,7 +6,6 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.calibrate.frames import CalibrationFrame
-from sceneloom.calibrate.measures.candidate import Change
 from sceneloom.calibrate.measures.depth_edges import find_depth_edges
 from sceneloom.calibrate.measures.pictures import DIRECTIONS, LEVELS, MeasuredPicture, measured_picture
 from sceneloom.cameras.models import domain_angle, project_unbounded, projection_kernel, unproject
@@ -63,11 +62,13 @@ def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> 
         project_unbounded(picture.camera, stated.apply(points))
         for points in (edges.points_lidar, edges.outwards_lidar)
     )
-    known = np.isfinite(near).all(axis=1) & np.isfinite(far).all(axis=1)
-    towards = np.arctan2(far[known, 1] - near[known, 1], far[known, 0] - near[known, 0])
-    kinds = np.rint(towards * DIRECTIONS / np.pi).astype(np.int64) % DIRECTIONS
+    towards = np.arctan2(far[:, 1] - near[:, 1], far[:, 0] - near[:, 0])
+    known = _as_in_memory(near, np.flatnonzero(np.isfinite(near).all(axis=1) & np.isfinite(towards)))
+    kinds = np.rint(towards[known] * DIRECTIONS / np.pi).astype(np.int64) % DIRECTIONS
     seen, visible = _seen(frame, chosen)
     level_rows, levels = _levels(frame, visible)
+    level_pixels = project_unbounded(picture.camera, stated.apply(frame.points_lidar[level_rows]))
+    order = _as_in_memory(level_pixels, np.arange(len(level_rows)))
     return FrameFeatures(
         frame,
         picture,
@@ -75,23 +76,36 @@ def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> 
         kinds.astype(np.uint8),
         edges.weights[known],
         _tiles(near[known], picture),
-        np.ascontiguousarray(frame.points_lidar[level_rows]),
-        levels,
-        _tiles(project_unbounded(picture.camera, stated.apply(frame.points_lidar[level_rows])), picture),
+        np.ascontiguousarray(frame.points_lidar[level_rows[order]]),
+        levels[order],
+        _tiles(level_pixels[order], picture),
         seen,
     )
 
 
+def _as_in_memory(pixels: Float64Array, rows: Int64Array) -> Int64Array:
+    """Order rows of (N, 2) pixels by where a picture has them: what lies together is looked up together."""
+    lines = np.floor(pixels[rows, 1] / 4.0)
+    ordered: Int64Array = rows[np.lexsort((pixels[rows, 0], lines))]
+    return ordered
+
+
 def project_features(
-    features: FrameFeatures, points_lidar: Float64Array, change: Change
+    features: FrameFeatures, points_lidar: Float64Array, camera_from_points: Float64Array, lens: Float64Array
 ) -> tuple[Int64Array, Float32Array]:
-    """Give ids and pixels of the points that fall into the (reduced) picture under a candidate."""
+    """Give ids and pixels of the points that fall into the (reduced) picture under a candidate.
+
+    Args:
+        points_lidar: (N, 3) [m].
+        camera_from_points: (4, 4), as `Change.camera_from_points` gives it.
+        lens: as `Change.lens` gives it.
+    """
     camera, count = features.picture.camera, len(points_lidar)
     point_ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
     kept = projection_kernel(camera.model)(
         points_lidar,
-        change.camera_from_points(features.frame),
-        change.lens(features.picture.lens),
+        camera_from_points,
+        lens,
         camera.width,
         camera.height,
         point_ids,

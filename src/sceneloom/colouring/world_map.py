@@ -21,12 +21,14 @@ from sceneloom.colouring.map_points import (
 )
 from sceneloom.errors import OptionError
 
-TILE_CUBES = 512
+TILE_CUBES = 256
 """A tile is a square column of so many cubes along x and y."""
 
 _MOST_CELLS = 2_000_000
 """Cubes that are held in memory at most, some 250 MB, but for those of one tile; others rest on the disk."""
 _PENDING_SHARE, _LEAST_PENDING = 0.5, 50_000
+_ROOM_SHARE = 0.75
+"""What is left in memory once tiles are put onto the disk."""
 _HEIGHT_CUBES = 1 << 24
 _FARTHEST_TILE = 1 << 30
 _BOUNDS = np.array([64.0 * _HEIGHT_CUBES, 64.0 * _HEIGHT_CUBES, 0.5 * _HEIGHT_CUBES])
@@ -38,16 +40,25 @@ Tile = tuple[int, int]
 
 @dataclass(slots=True, eq=False)
 class _Tile:
-    """What is in memory of a tile: its cells, and points that are not in cells yet."""
+    """A tile: its cells, in memory or on the disk, and points that are not in cells yet, likewise.
 
-    cells: AnyArray
-    votes: AnyArray
+    Attributes:
+        cells, votes: None where they rest on the disk.
+        known: how many cells there are.
+        pending: points in memory that are not in cells yet.
+        waiting: how many points are not in cells yet, those on the disk included.
+    """
+
+    cells: AnyArray | None = field(default_factory=lambda: np.zeros(0, CELL))
+    votes: AnyArray = field(default_factory=lambda: np.zeros(0, VOTE))
+    known: int = 0
     pending: list[AnyArray] = field(default_factory=list)
     waiting: int = 0
 
     @property
     def size(self) -> int:
-        return len(self.cells) + self.waiting
+        """What is in memory of it, counted in cells."""
+        return (0 if self.cells is None else len(self.cells)) + sum(map(len, self.pending))
 
 
 @dataclass(slots=True)
@@ -71,7 +82,7 @@ class WorldMap:
     most_cells: int = _MOST_CELLS
     added: int = 0
     _tiles: OrderedDict[Tile, _Tile] = field(default_factory=OrderedDict)
-    _known: dict[Tile, None] = field(default_factory=dict)
+    _size: int = 0
 
     def __post_init__(self) -> None:
         if not (isfinite(self.voxel) and 0.001 <= self.voxel <= 1000):
@@ -91,22 +102,33 @@ class WorldMap:
         self._rest()
 
     def _take(self, key: Tile, points: AnyArray) -> None:
-        tile = self._opened(key)
+        tile = self._tiles.setdefault(key, _Tile())
+        self._tiles.move_to_end(key)
         tile.pending.append(points)
         tile.waiting += len(points)
-        if tile.waiting > max(_LEAST_PENDING, _PENDING_SHARE * len(tile.cells)):
-            self._settle(tile)
+        self._size += len(points)
+        if tile.waiting > max(_LEAST_PENDING, _PENDING_SHARE * tile.known):
+            self._settle(key, tile)
 
-    def _settle(self, tile: _Tile) -> None:
+    def _settle(self, key: Tile, tile: _Tile) -> None:
         """Put the points that wait into cells."""
+        before = tile.size
+        resting = self._file(key, "pending")
+        if resting.exists():
+            tile.pending.insert(0, np.fromfile(resting, POINT))
+            resting.unlink()
+        if tile.cells is None:
+            tile.cells = np.load(self._file(key, "cells"))
+            tile.votes = np.load(self._file(key, "votes"))
         if tile.pending:
             points = np.concatenate(tile.pending)
-            cubes = self._numbers(points)
-            tile.cells = merged(
-                [tile.cells, cells_of(points, cubes, agreement=_AGREEMENT)], agreement=_AGREEMENT
-            )
-            tile.votes = added_votes([tile.votes, votes_of(points, cubes)])
             tile.pending, tile.waiting = [], 0
+            cubes = self._numbers(points)
+            made = cells_of(points, cubes, agreement=_AGREEMENT)
+            tile.cells = merged([tile.cells, made], agreement=_AGREEMENT)
+            tile.votes = added_votes([tile.votes, votes_of(points, cubes)])
+            tile.known = len(tile.cells)
+        self._size += tile.size - before
 
     def _numbers(self, points: AnyArray) -> Int64Array:
         """The number of each point's cube in its tile."""
@@ -116,42 +138,33 @@ class WorldMap:
         ) * _HEIGHT_CUBES + (cubes[:, 2] + _HEIGHT_CUBES // 2)
         return numbers
 
-    def _opened(self, key: Tile) -> _Tile:
-        if key in self._tiles:
-            self._tiles.move_to_end(key)
-            return self._tiles[key]
-        if key in self._known:
-            tile = _Tile(np.load(self._file(key, "cells")), np.load(self._file(key, "votes")))
-        else:
-            tile = _Tile(np.zeros(0, CELL), np.zeros(0, VOTE))
-        self._known[key] = None
-        self._tiles[key] = tile
-        return tile
-
     def _rest(self) -> None:
         """Put the tiles that were not touched for longest onto the disk, until the others fit."""
-        size = sum(tile.size for tile in self._tiles.values())
-        while size > self.most_cells and len(self._tiles) > 1:
-            key, tile = self._tiles.popitem(last=False)
-            size -= tile.size
-            self._settle(tile)
-            np.save(self._file(key, "cells"), tile.cells)
-            np.save(self._file(key, "votes"), tile.votes)
+        for key, tile in [*self._tiles.items()] if self._size > self.most_cells else ():
+            if self._size <= self.most_cells * _ROOM_SHARE:
+                break
+            self._size -= tile.size
+            if tile.pending:
+                with self._file(key, "pending").open("ab") as file:
+                    file.writelines(points.tobytes() for points in tile.pending)
+                tile.pending = []
+            if tile.cells is not None:
+                np.save(self._file(key, "cells"), tile.cells)
+                np.save(self._file(key, "votes"), tile.votes)
+                tile.cells = None
 
     def _file(self, key: Tile, what: str) -> Path:
         return self.folder / f"{key[0]}_{key[1]}_{what}.npy"
 
     def points(self) -> Iterator[AnyArray]:
         """Give the map tile by tile, (C,) of dtype `POINT` each; nothing can be added afterwards."""
-        for key in sorted(self._known):
-            tile = self._opened(key)
-            self._settle(tile)
-            del self._tiles[key]
+        for key in sorted(self._tiles):
+            tile = self._tiles.pop(key)
+            self._settle(key, tile)
             for what in ("cells", "votes"):
                 self._file(key, what).unlink(missing_ok=True)
-            if len(tile.cells):
+            if tile.cells is not None and len(tile.cells):
                 yield points_of_cells(tile.cells, tile.votes, mean=self.mean)
-        self._known.clear()
 
 
 def empty_points(count: int) -> AnyArray:

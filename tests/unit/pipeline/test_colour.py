@@ -13,7 +13,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.clouds import NO_LABEL, read_cloud
 from sceneloom.pipeline import ColourOutputs, ColourSettings, colour, iter_fused
-from sceneloom.scene import LabeledPointsAnnotation
+from sceneloom.scene import LabeledPointsAnnotation, LazyFrames, LidarFrame, LidarPoints, Picture
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
 
 LENS = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 99.5)
@@ -229,3 +229,47 @@ def test_what_cannot_be_done_is_refused_before_anything_is_written(exposed, tmp_
     with pytest.raises(OptionError, match="voxel -1"):
         ColourSettings(voxel=-1)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["there.las"]
+
+
+def odd_scene(points, level=0, *, yaw_deg=0.0):
+    """Three sweeps of these points, and a camera that takes pictures of one grey level."""
+    drive = simulate_street(
+        2,
+        frames=3,
+        lidar=LidarSpec(beams=4, steps=90),
+        cameras=[CameraSpec(LENS, camera_mount(yaw_deg=yaw_deg))],
+    )
+    lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
+    times = lidar.frames.timestamps_ns.tolist()
+    cloud = LidarPoints(np.asarray(points, np.float32).reshape(-1, 3))
+    sweeps = LazyFrames.of([LidarFrame(time_ns, cloud) for time_ns in times], times)
+    stamps = camera.pictures.timestamps_ns.tolist()
+    rgb = np.full((200, 320, 3), level, np.uint8)
+    pictures = LazyFrames.of([Picture.of(time_ns, LENS, rgb) for time_ns in stamps], stamps)
+    sensors = (replace(lidar, frames=sweeps), replace(camera, pictures=pictures))
+    return replace(drive.scene, sensors=sensors)
+
+
+@pytest.mark.parametrize(
+    ("points", "level", "yaw_deg", "coloured"),
+    [
+        ([[8.0, 0.0, 0.0]], 90, 0.0, 3),  # one point
+        ([[8.0, 0.0, 0.0]], 90, 180.0, 0),  # behind the camera
+        ([], 90, 0.0, 0),
+        ([[8.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [np.inf, 1.0, 1.0]], 90, 0.0, 3),
+        (np.random.default_rng(0).uniform(5, 20, (900, 3)) * [1, 0.2, 0.05], 0, 0.0, None),  # all black
+    ],
+)
+def test_odd_drives_become_maps_all_the_same(tmp_path, points, level, yaw_deg, coloured):
+    scene = odd_scene(points, level, yaw_deg=yaw_deg)
+    for blend in ("nearest", "best", "weighted"):
+        target = tmp_path / f"{blend}.las"
+        report = colour(scene, target, settings=ColourSettings(blend=blend, remove_moving=True))
+        read = laspy.read(target)
+        seen = np.asarray(read.camera) == 0
+        assert (np.asarray(read.red)[seen] == level * 257).all()
+        assert (np.asarray(read.red)[~seen] == 65535).all()
+        assert report.exposure.seam_before is None
+        if coloured is not None:
+            assert seen.sum() == coloured
+        assert len(read) <= np.isfinite(np.asarray(points).reshape(-1, 3)).all(axis=1).sum() * 3

@@ -59,7 +59,7 @@ from sceneloom.colouring.scan_lines import (
     measure_spacings,
     measure_surface_distance,
 )
-from sceneloom.colouring.uneven_lines import are_uneven, split_by_spacing
+from sceneloom.colouring.uneven_lines import Part, are_uneven, split_by_spacing
 from sceneloom.errors import OptionError
 from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.directions import map_directions
@@ -233,11 +233,16 @@ def _measure(
     if lines is not None and (window is None or near is None) and are_uneven(neighbours):
         seen = from_lidar.directions() if from_lidar.known else directions
         parts = split_by_spacing(seen, inverse_ranges, lines)
-        return [
-            (_with(part.lines.reach, window, near), np.where(part.members, inverse_ranges, np.float32(0.0)))
-            for part in parts
-        ], distance
+        if len(parts) > 1:
+            return [_pass(part, inverse_ranges, window, near) for part in parts], distance
     return [(_with(fit_reach(spacings), window, near), inverse_ranges)], distance
+
+
+def _pass(
+    part: Part, inverse_ranges: Float32Array, window_deg: float | None, near_deg: float | None
+) -> tuple[Reach, Float32Array]:
+    hiding = np.where(part.members, inverse_ranges, np.float32(0.0))
+    return _with(part.lines.reach, window_deg, near_deg), hiding
 
 
 def _with(measured: Reach, window_deg: float | None, near_deg: float | None) -> Reach:

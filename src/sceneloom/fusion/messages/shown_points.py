@@ -30,7 +30,7 @@ def pack_shown(names: Sequence[str], table: Float32Array) -> tuple[tuple[PackedF
     colors = [k for k, name in enumerate(names) if name in _SHOWN]
     if len(colors) != len(_SHOWN) or not _are_bytes(table[:, colors]):
         fields = tuple(PackedField(name, 4 * k, "float32") for k, name in enumerate(names))
-        return fields, np.ascontiguousarray(table, "<f4").view(np.uint8).reshape(len(table), -1)
+        return fields, np.ascontiguousarray(table, "<f4").view(np.uint8).reshape(len(table), 4 * len(names))
     others = [k for k in range(len(names)) if k not in colors]
     stop = 4 * len(others)
     rows = np.empty((len(table), stop + 4), np.uint8)

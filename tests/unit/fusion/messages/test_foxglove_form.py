@@ -305,3 +305,20 @@ def test_other_records_and_schemas_are_refused():
     five = ImageData(**COMMON, height=1, width=1, encoding="raw", channel=5, data=np.zeros(5, np.uint8))
     with pytest.raises(OptionError, match="raw pixels of 5 values; expected 1, 3 or 4"):
         to_foxglove(five, frame_id="a")
+
+
+@pytest.mark.parametrize("names", [("x", "y", "z"), ("x", "y", "z", "r", "g", "b")])
+def test_a_sweep_in_which_nothing_was_measured_is_shown_and_read(names):
+    none = np.zeros((0, len(names)), np.float32)
+    record = PointCloudData(
+        sensor_id=0,
+        timestamp=Timestamp(1, 2),
+        seq=3,
+        number=0,
+        fields=names,
+        fields_number=len(names),
+        data=none,
+    )
+    (message,) = to_foxglove(record, frame_id="lidar").values()
+    assert (message.content["data"], message.content["point_stride"] > 0) == (b"", True)
+    assert from_foxglove(message, sensor_id=0, seq=3).fields == names

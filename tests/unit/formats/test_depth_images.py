@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, OutputError
-from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
+from sceneloom.formats.depth_images import write_confidence_png, write_depth_npz, write_depth_png
 
 
 def _depths():
@@ -76,3 +76,28 @@ def test_existing_files_are_replaced_only_on_request(tmp_path, write):
 def test_a_missing_folder_is_an_output_error(tmp_path, write):
     with pytest.raises(OutputError, match="missing"):
         write(_depths(), tmp_path / "missing" / "d")
+
+
+def test_opencv_reads_confidences_as_255_for_one(tmp_path):
+    confidence = np.array([[0.0, 0.5, 1.0], [0.25, 0.999, 0.001]], np.float32)
+    write_confidence_png(confidence, tmp_path / "c.png")
+    read = cv2.imread(str(tmp_path / "c.png"), cv2.IMREAD_UNCHANGED)
+    assert read.dtype == np.uint8
+    np.testing.assert_array_equal(read, [[0, 128, 255], [64, 255, 0]])
+
+
+@pytest.mark.parametrize("value", [np.nan, -0.1, 1.1])
+def test_what_is_no_confidence_is_refused(tmp_path, value):
+    with pytest.raises(ArrayError, match="from 0 to 1"):
+        write_confidence_png(np.full((2, 2), value, np.float32), tmp_path / "c.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_npz_files_hold_the_confidence_of_the_same_size_only(tmp_path):
+    depths = _depths()
+    confidence = (depths > 0).astype(np.float32)
+    write_depth_npz(depths, tmp_path / "d.npz", confidence=confidence)
+    with np.load(tmp_path / "d.npz") as arrays:
+        np.testing.assert_array_equal(arrays["confidence"], confidence)
+    with pytest.raises(ArrayError, match="confidence"):
+        write_depth_npz(depths, tmp_path / "e.npz", confidence=confidence[1:])

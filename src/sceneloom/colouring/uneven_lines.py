@@ -125,19 +125,25 @@ def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:
 
 
 def _spread(spacings: Float64Array, samples: Int64Array, tiles: Int64Array, columns: int) -> Float64Array:
-    """Give each point the median spacing of the samples in its tile; without, that of the tiles beside it."""
+    """Give each point the median spacing of the samples in its tile; without, that of the nearest row of tiles."""
     rows = int(tiles.max()) // columns + 1
-    of_sample, values = tiles[samples], np.where(np.isnan(spacings), SPARSEST, spacings)
     field = np.full((rows, columns), np.nan)
-    for tile in np.unique(of_sample).tolist():
-        inside = values[of_sample == tile]
-        if len(inside) >= _LEAST_IN_TILE:
-            field[tile // columns, tile % columns] = np.median(inside)
-    told = np.flatnonzero(np.isfinite(field).any(axis=1))
-    if len(told) == 0:
-        return np.full(len(tiles), np.median(values))
-    for row in range(rows):
-        nearest = field[told[np.argmin(np.abs(told - row))]]
-        field[row] = np.where(np.isnan(field[row]), np.nanmedian(nearest), field[row])
-    spread: Float64Array = field.ravel()[tiles]
+    told, medians = _medians(tiles[samples], np.where(np.isnan(spacings), SPARSEST, spacings))
+    field.ravel()[told] = medians
+    known = np.flatnonzero(np.isfinite(field).any(axis=1))
+    if len(known) == 0:
+        return np.full(len(tiles), SPARSEST)
+    of_rows = np.nanmedian(field[known], axis=1)
+    nearest = np.argmin(np.abs(np.arange(rows)[:, None] - known), axis=1)
+    whole = np.where(np.isnan(field), of_rows[nearest][:, None], field)
+    spread: Float64Array = whole.ravel()[tiles]
     return spread
+
+
+def _medians(groups: Int64Array, values: Float64Array) -> tuple[Int64Array, Float64Array]:
+    """Give the groups that have enough values, rising, and their medians."""
+    order = np.lexsort((values, groups))
+    found, first, counts = np.unique(groups[order], return_index=True, return_counts=True)
+    medians = 0.5 * (values[order][first + (counts - 1) // 2] + values[order][first + counts // 2])
+    enough = counts >= _LEAST_IN_TILE
+    return found[enough], medians[enough]

@@ -11,6 +11,7 @@ from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.clock import ClockEstimate, ClockVerdict, Turning, compare_turnings
 from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.motion.gnss_receivers import gnss_receivers
 from sceneloom.motion.odometry import lidar_odometry
 from sceneloom.motion.trajectories import LIDAR
 from sceneloom.scene import Identifier, LidarSensor, PointsFrame, PosePath, Scene
@@ -70,6 +71,11 @@ def lidar_to_ego(
         raise PoseError(
             f"{scene.source}: points of lidar {lidar.id!r} are in the {lidar.points_frame} frame already; "
             "expected its own: its mounting cannot be found from them"
+        )
+    if not scene.trajectories and not gnss_receivers(scene):
+        raise PoseError(
+            f"{scene.source}: no trajectory and no satellite fixes in it; expected a way of the ego that others "
+            "than the lidar told, to compare the lidar's own with"
         )
     ego = find_ego_motion(_without_lidars(scene), name=trajectory)
     sensor = _lidar_way(scene, lidar, progress)

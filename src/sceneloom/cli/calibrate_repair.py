@@ -121,14 +121,9 @@ def repair_calibration(
     ):
         part = cut_scene(scene, start=start, stop=stop)
         report = _repaired(
-            part,
-            asked,
-            _id(part, camera_id),
-            _id(part, lidar_id),
-            most,
-            overwrite=overwrite,
-            progress=progress,
-        )
+            part, asked, _id(part, camera_id), _id(part, lidar_id), most,
+            pictures=pictures, overwrite=overwrite, progress=progress,
+        )  # fmt: skip
     if as_json:
         print_json(report)
     else:
@@ -155,6 +150,10 @@ def _repaired(
     if asked.mode == "lidar_to_lidar":
         return repairing.align_lidars(
             scene, asked.output, lidar=lidar, onto=_id(scene, asked.onto), most=most, **common
+        )
+    if asked.board is not None:
+        return repairing.calibrate_by_target(
+            scene, asked.output, board=asked.board, camera=camera, lidar=lidar, most=most, **common
         )
     named: dict[str, Any] = (
         {} if asked.parameters is None else {"parameters": tuple(asked.parameters.split(","))}

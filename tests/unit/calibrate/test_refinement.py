@@ -1,0 +1,171 @@
+"""Refinement of a calibration on simulated drives, whose truth is exact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
+from sceneloom.calibrate.measures.candidate import UNITS, Change
+from sceneloom.calibrate.mounting_estimate import step_between
+from sceneloom.calibrate.refinement import RefinementVerdict, refine
+from sceneloom.calibrate.refinement.cues import find_cues
+from sceneloom.calibrate.refinement.moving_pixels import moving_pixels
+from sceneloom.calibrate.refinement.views import views_of
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.aligned_maps import sum_maps
+from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, simulate_street
+
+LENS = Camera("pinhole", 621, 188, 360.0, 360.0, 310.0, 93.5)
+
+
+@pytest.fixture(scope="module")
+def frames() -> tuple[CalibrationFrame, ...]:
+    """Six frames of a small drive, rightly calibrated."""
+    drive = simulate_street(
+        5,
+        frames=18,
+        cameras=[CameraSpec(LENS)],
+        lidar=LidarSpec(beams=48, steps=1200),
+        path=PathSpec(speeds=(6.0, 12.0)),
+    )
+    return calibration_frames(drive.scene, most=6)
+
+
+def off_by(frames: tuple[CalibrationFrame, ...], numbers: list[float]) -> tuple[CalibrationFrame, ...]:
+    """The same frames with a calibration that is wrong."""
+    wrong = Change.of(np.array(numbers)).camera_from_lidar(frames[0].camera_from_lidar.matrix)
+    stated = RigidTransform.nearest(wrong)[0]
+    return tuple(replace(frame, camera_from_lidar=stated) for frame in frames)
+
+
+def test_a_planted_error_is_taken_out_again(frames: tuple[CalibrationFrame, ...]) -> None:
+    wrong = off_by(frames, [0.008, -0.006, 0.004, 0, 0, 0, 0, 0])
+    found = refine(wrong, parameters=("rotation",))
+    assert found.verdict is RefinementVerdict.REFINED
+    step = step_between(frames[0].camera_from_lidar, found.camera_from_lidar)
+    assert np.degrees(np.linalg.norm(step[:3])) < 0.1  # a pixel is 0.16 degrees here
+    assert found.sigmas.keys() == {"pitch", "yaw", "roll"}
+    assert min(found.gains) > 0
+
+
+def test_the_right_calibration_stays_what_it_is_within_what_is_known(
+    frames: tuple[CalibrationFrame, ...],
+) -> None:
+    found = refine(frames, parameters=("rotation",))
+    step = step_between(frames[0].camera_from_lidar, found.camera_from_lidar)
+    assert np.degrees(np.linalg.norm(step[:3])) < 0.1
+
+
+def test_black_pictures_tell_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
+    black = tuple(
+        replace(frame, grey=np.zeros_like(frame.grey), rgb=np.zeros_like(frame.rgb)) for frame in frames
+    )
+    found = refine(black)
+    assert found.verdict is RefinementVerdict.CANNOT_TELL
+    assert "show next to nothing" in found.reason
+    assert found.camera_from_lidar is black[0].camera_from_lidar
+
+
+def test_an_extrinsic_upside_down_is_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:
+    turned = RigidTransform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ frames[0].camera_from_lidar
+    found = refine(
+        tuple(replace(frame, camera_from_lidar=turned) for frame in frames), parameters=("rotation",)
+    )
+    assert found.verdict is not RefinementVerdict.REFINED
+
+
+def test_a_camera_that_looks_away_sees_too_little(frames: tuple[CalibrationFrame, ...]) -> None:
+    up = (
+        RigidTransform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
+        @ frames[0].camera_from_lidar
+    )
+    found = refine(tuple(replace(frame, camera_from_lidar=up) for frame in frames))
+    assert found.verdict is RefinementVerdict.CANNOT_TELL
+
+
+def test_clouds_of_one_point_tell_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
+    bare = tuple(
+        replace(
+            frame,
+            points_lidar=frame.points_lidar[:1],
+            intensities=None,
+            seconds=None,
+            scan=None,
+        )
+        for frame in frames
+    )
+    found = refine(bare)
+    assert found.verdict is RefinementVerdict.CANNOT_TELL
+    assert "does it look where the calibration says" in found.reason
+
+
+def test_few_frames_are_not_enough_to_judge_by(frames: tuple[CalibrationFrame, ...]) -> None:
+    found = refine(frames[:2])
+    assert found.verdict is RefinementVerdict.CANNOT_TELL
+    assert found.reason.startswith("2 frames; expected")
+
+
+@pytest.mark.parametrize("parameters", [("shear",), (), ("rotation", "")])
+def test_unknown_parameters_are_refused(
+    frames: tuple[CalibrationFrame, ...], parameters: tuple[str, ...]
+) -> None:
+    with pytest.raises(OptionError, match="expected some of rotation, translation, time, focal"):
+        refine(frames, parameters=parameters)
+
+
+def test_pixels_move_as_their_derivatives_say(frames: tuple[CalibrationFrame, ...]) -> None:
+    cues = find_cues(frames[2])
+    chosen, free = np.arange(0, len(cues.weights), 50), np.arange(8)
+    numbers = np.array([0.01, -0.02, 0.005, 0.02, -0.01, 0.03, 0.01, 0.02])
+    _, slopes = moving_pixels(cues, chosen, numbers, free)
+    for k in free.tolist():
+        step = np.zeros(8)
+        step[k] = 1e-4 * UNITS[k]
+        ahead, _ = moving_pixels(cues, chosen, numbers + step, free)
+        behind, _ = moving_pixels(cues, chosen, numbers - step, free)
+        numeric = (ahead - behind) / 2e-4
+        known = np.isfinite(numeric).all(axis=1) & np.isfinite(slopes[:, :, k]).all(axis=1)
+        # turns are composed, so derivatives at a candidate that is turned already differ by that turn: 2 %
+        scale = np.abs(numeric[known]).max() + 1e-9
+        assert np.abs(slopes[known, :, k] - numeric[known]).max() < 0.03 * scale
+
+
+def test_sums_over_maps_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(1)
+    maps = rng.normal(size=(2, 20, 30)).astype(np.float32)
+    pixels = rng.uniform([1, 1], [27, 17], (50, 2)).astype(np.float32)
+    pixels[0] = np.nan
+    slopes = rng.normal(0, 0.1, (50, 2, 3)).astype(np.float32)
+    weights, rows = rng.normal(size=50).astype(np.float32), rng.integers(0, 2, 50).astype(np.int32)
+    groups = rng.integers(0, 4, 50).astype(np.int32)
+    step = np.array([0.3, -0.2, 0.1])
+    sums, squares, gradients = np.zeros(4), np.zeros(4), np.zeros((4, 3))
+    sum_maps(pixels, slopes, step, weights, rows, groups, maps, sums, squares, gradients)
+    moved = pixels[1:] + slopes[1:] @ step
+    values = np.array(
+        [
+            map_coordinates(maps[row], [[v], [u]], order=1)[0]
+            for (u, v), row in zip(moved, rows[1:], strict=True)
+        ]
+    )
+    for group in range(4):
+        own = groups[1:] == group
+        assert sums[group] == pytest.approx((weights[1:] * values)[own].sum(), abs=1e-4)
+        assert squares[group] == pytest.approx((values**2)[own].sum(), abs=1e-4)
+    nudged = [np.zeros(4), np.zeros(4)]
+    for k, sign in ((0, 1), (1, -1)):
+        sum_maps(
+            pixels, slopes, step + sign * np.array([1e-4, 0, 0]), weights, rows, groups, maps,
+            nudged[k], np.zeros(4), np.zeros((4, 3)),
+        )  # fmt: skip
+    np.testing.assert_allclose(gradients[:, 0], (nudged[0] - nudged[1]) / 2e-4, atol=2e-3)
+
+
+def test_frames_of_a_standing_vehicle_are_one_view(frames: tuple[CalibrationFrame, ...]) -> None:
+    still = tuple(replace(frame, twist_lidar=np.zeros(6)) for frame in frames)
+    assert views_of(still).tolist() == [0] * len(frames)
+    assert views_of(frames)[-1] >= 3

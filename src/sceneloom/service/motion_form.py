@@ -3,7 +3,7 @@
 import numpy as np
 
 from sceneloom.errors import DataError
-from sceneloom.fusion.messages.protobuf_form import timestamp_from_protobuf, timestamp_to_protobuf
+from sceneloom.fusion.messages.protobuf_fields import timestamp_from_protobuf, timestamp_to_protobuf
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.scene.poses import PosePath

@@ -1,32 +1,30 @@
 """Records as protobuf messages: field k of a message is row k of its table, arrays are bytes, little-endian."""
 
-import math
-from collections.abc import Mapping, Sequence
-from operator import attrgetter
+from collections.abc import Mapping
 from typing import Any, cast
 
-import numpy as np
-
 from sceneloom.errors import DataError, MissingExtraError
-from sceneloom.fusion.messages.array_bytes import array_of, array_within, bytes_of, bytes_view
-from sceneloom.fusion.messages.basic_types import shown
+from sceneloom.fusion.messages.array_bytes import array_within, bytes_view
 from sceneloom.fusion.messages.records import (
     RECORD_KINDS,
-    ListLayout,
     Record,
     RecordKind,
     SentRecord,
     kind_of,
 )
-from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM, TIME, Row
-from sceneloom.fusion.messages.tables import Table
-from sceneloom.fusion.messages.timestamps import Timestamp
-from sceneloom.fusion.messages.value_types import ValueForm
+from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM
 from sceneloom.fusion.messages.wire_bytes import LENGTH_TYPE, enclosed, field_head, wire_fields
 
 try:
     from google.protobuf.message import DecodeError, Message
 
+    from sceneloom.fusion.messages.protobuf_fields import (
+        read_field,
+        read_fields,
+        write_field,
+        write_fields,
+    )
+    from sceneloom.fusion.messages.protobuf_lists import read_list, write_list
     from sceneloom.fusion.messages.wire import fusion_pb2
 except ImportError as missing:
     raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[serve]'") from missing
@@ -60,9 +58,9 @@ def fill_message(message: Message, record: Record) -> None:
     """
     kind = kind_of(record)
     message.SetInParent()
-    _write(message, record, kind.table)
+    write_fields(message, record, kind.table)
     if kind.layout is not None:
-        _write_list(record, kind.layout, getattr(message, kind.layout.group))
+        write_list(record, kind.layout, getattr(message, kind.layout.group))
 
 
 def from_protobuf(message: Message) -> Any:
@@ -75,9 +73,9 @@ def from_protobuf(message: Message) -> Any:
     kind = _KIND_OF_MESSAGE.get(message.DESCRIPTOR.name)
     if kind is None or not isinstance(message, getattr(fusion_pb2, kind.message_name)):
         kind = kind_of(type(message))
-    values = _read(message, kind.table)
+    values = read_fields(message, kind.table)
     if kind.layout is not None:
-        values |= _read_list(getattr(message, kind.layout.group), kind.layout, values)
+        values |= read_list(getattr(message, kind.layout.group), kind.layout, values)
     return kind.record_type(**values)
 
 
@@ -97,7 +95,7 @@ def encoded_parts(record: Record) -> list[bytes | memoryview]:
     for row in kind.table.rows:
         value = getattr(record, row.attribute)
         if row.type not in ARRAY_DTYPES and row.type != STREAM:
-            _write_field(message, row, value)
+            write_field(message, row, value)
             continue
         view = memoryview(value) if isinstance(value, bytes) else bytes_view(value)
         if len(view):
@@ -180,7 +178,7 @@ def decode_send_request(content: bytes) -> SentRecord:
     values = {
         row.attribute: arrays[row.number]
         if row.number in arrays
-        else _from_wire(message, row, kind.table.owner)
+        else read_field(message, row, kind.table.owner)
         for row in kind.table.rows
     }
     return cast("SentRecord", kind.record_type(**values))
@@ -224,158 +222,3 @@ def _large_record(content: bytes) -> tuple[RecordKind, Any, dict[int, Any]] | No
         for number, field in found.items()
     }
     return kind, message, arrays
-
-
-def timestamp_to_protobuf(timestamp: Timestamp) -> fusion_pb2.Timestamp:
-    """Give the message of a time stamp."""
-    return fusion_pb2.Timestamp(s=timestamp.s, ns=timestamp.ns)
-
-
-def timestamp_from_protobuf(message: fusion_pb2.Timestamp, owner: str, place: str) -> Timestamp:
-    """Give the time stamp of a message.
-
-    Raises:
-        DataError: its nanoseconds make a second or more.
-    """
-    try:
-        return Timestamp(message.s, message.ns)
-    except DataError as error:
-        raise DataError(owner, f"{place}.{error.place}", error.problem) from error
-
-
-# records with one value for each field
-
-
-def _write(message: Any, record: Any, table: Table) -> None:
-    for row in table.rows:
-        _write_field(message, row, getattr(record, row.attribute))
-
-
-def _write_field(message: Any, row: Row, value: Any) -> None:
-    if value is None:
-        return
-    if row.type == TIME:
-        timestamp = getattr(message, row.name)
-        timestamp.s, timestamp.ns = value.s, value.ns
-        timestamp.SetInParent()
-    elif row.type in ARRAY_DTYPES:
-        setattr(message, row.name, bytes_of(value))
-    elif isinstance(value, tuple):
-        getattr(message, row.name).extend(value)
-    else:
-        setattr(message, row.name, value)
-
-
-def _read(message: Any, table: Table) -> dict[str, Any]:
-    return {row.attribute: _from_wire(message, row, table.owner) for row in table.rows}
-
-
-def _from_wire(message: Any, row: Row, owner: str) -> Any:
-    if row.type == TIME:
-        if not message.HasField(row.name):
-            return None
-        return timestamp_from_protobuf(getattr(message, row.name), owner, row.name)
-    value = getattr(message, row.name)
-    if row.type in ARRAY_DTYPES:
-        return array_of(value, ARRAY_DTYPES[row.type], owner, row.name)
-    if row.value_type is not None and row.value_type.form is ValueForm.ARRAY and not isinstance(value, bytes):
-        return tuple(value) if row.required or value else None
-    if row.required:
-        return value
-    return _if_said(message, row, value)
-
-
-def _if_said(message: Any, row: Row, value: Any) -> Any:
-    """An optional field's value, None where it was left out."""
-    if message.DESCRIPTOR.fields_by_name[row.name].has_presence:
-        return value if message.HasField(row.name) else None
-    return value or None
-
-
-# lists of records, field by field
-
-
-def _write_list(record: Any, layout: ListLayout, messages: Any) -> None:
-    count = len(record)
-    scalars, vectors = _field_lists(record, layout)
-    timestamp = timestamp_to_protobuf(record.timestamp)
-    seqs = [(name, getattr(record, shared)) for name, shared in layout.shared.items() if name != "timestamp"]
-    for k in range(count):
-        message = messages.add(timestamp=timestamp)
-        for name, seq in seqs:
-            setattr(message, name, seq)
-        for name, values in scalars:
-            setattr(message, name, values[k])
-        for name, rows in vectors:
-            getattr(message, name).extend(rows[k])
-    for name, attribute in layout.ids.items():
-        for message, number in zip(messages, getattr(record, attribute), strict=True):
-            if number is not None:
-                setattr(message, name, number)
-
-
-def _field_lists(
-    record: Any, layout: ListLayout
-) -> tuple[list[tuple[str, list[Any]]], list[tuple[str, list[Any]]]]:
-    """The fields of all records of a list: those with one value, and those with several."""
-    scalars: list[tuple[str, list[Any]]] = [("class", list(record.class_names))]
-    vectors: list[tuple[str, list[Any]]] = []
-    for column in layout.columns:
-        values = getattr(record, column.attribute)
-        if values is None:
-            continue
-        if len(column.names) > 1:
-            scalars += zip(column.names, values.T.tolist(), strict=True)
-        elif column.shape:
-            vectors.append((column.names[0], values.reshape(len(values), math.prod(column.shape)).tolist()))
-        else:
-            scalars.append((column.names[0], values.tolist()))
-    return scalars, vectors
-
-
-def _read_list(repeated: Any, layout: ListLayout, common: Mapping[str, Any]) -> dict[str, Any]:
-    messages = list(repeated)
-    _check_shared(messages, layout, common)
-    values: dict[str, Any] = {"class_names": tuple(map(attrgetter("class"), messages))}
-    for column in layout.columns:
-        name = column.names[0]
-        if len(column.names) > 1:
-            rows = list(map(attrgetter(*column.names), messages))
-        elif column.shape:
-            rows = [tuple(row) for row in map(attrgetter(name), messages)]
-            if column.optional and not any(rows):
-                continue
-            _check_lengths(rows, math.prod(column.shape), layout, name)
-        else:
-            rows = list(map(attrgetter(name), messages))
-        values[column.attribute] = np.array(rows, column.dtype).reshape(len(rows), *column.shape)
-    for name, attribute in layout.ids.items():
-        values[attribute] = tuple(
-            getattr(message, name) if message.HasField(name) else None for message in messages
-        )
-    return values
-
-
-def _check_shared(messages: Sequence[Any], layout: ListLayout, common: Mapping[str, Any]) -> None:
-    """Check that each record of a list says of itself what the list says of all."""
-    timestamp = common["timestamp"]
-    if timestamp is None:
-        return
-    seqs = [(name, common[shared]) for name, shared in layout.shared.items() if name != "timestamp"]
-    expected = (timestamp.s, timestamp.ns, *(seq for _, seq in seqs))
-    told = attrgetter("timestamp.s", "timestamp.ns", *(name for name, _ in seqs))
-    if not set(map(told, messages)) - {expected}:
-        return
-    k, found = next((k, found) for k, found in enumerate(map(told, messages)) if found != expected)
-    wrong = found[:2] != expected[:2]
-    name = "timestamp" if wrong else seqs[0][0]
-    value = f"{found[0]}.{found[1]:09d}" if wrong else found[2]
-    problem = f"{value}; expected {timestamp if wrong else expected[2]} as all of them"
-    raise layout.table.fault(f"{layout.group}[{k}].{name}", problem)
-
-
-def _check_lengths(rows: Sequence[tuple[Any, ...]], length: int, layout: ListLayout, name: str) -> None:
-    k = next((k for k, row in enumerate(rows) if len(row) != length), None)
-    if k is not None:
-        kind = layout.table.row(name).type
-        raise layout.table.fault(f"{layout.group}[{k}].{name}", f"{shown(rows[k])}; expected {kind}")

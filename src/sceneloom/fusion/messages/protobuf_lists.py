@@ -1,0 +1,110 @@
+"""Lists of records in protobuf messages: a message for each record, arrays over all of them on our side."""
+
+import math
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from sceneloom.fusion.messages.basic_types import shown
+from sceneloom.fusion.messages.protobuf_fields import timestamp_to_protobuf
+from sceneloom.fusion.messages.records import ListLayout
+
+
+def write_list(record: Any, layout: ListLayout, messages: Any) -> None:
+    """Write the records of a list, field by field, into an empty repeated field."""
+    count = len(record)
+    scalars, vectors = _field_lists(record, layout)
+    timestamp = timestamp_to_protobuf(record.timestamp)
+    seqs = [(name, getattr(record, shared)) for name, shared in layout.shared.items() if name != "timestamp"]
+    for k in range(count):
+        message = messages.add(timestamp=timestamp)
+        for name, seq in seqs:
+            setattr(message, name, seq)
+        for name, values in scalars:
+            setattr(message, name, values[k])
+        for name, rows in vectors:
+            getattr(message, name).extend(rows[k])
+    for name, attribute in layout.ids.items():
+        for message, number in zip(messages, getattr(record, attribute), strict=True):
+            if number is not None:
+                setattr(message, name, number)
+
+
+def _field_lists(
+    record: Any, layout: ListLayout
+) -> tuple[list[tuple[str, list[Any]]], list[tuple[str, list[Any]]]]:
+    """The fields of all records of a list: those with one value, and those with several."""
+    scalars: list[tuple[str, list[Any]]] = [("class", list(record.class_names))]
+    vectors: list[tuple[str, list[Any]]] = []
+    for column in layout.columns:
+        values = getattr(record, column.attribute)
+        if values is None:
+            continue
+        if len(column.names) > 1:
+            scalars += zip(column.names, values.T.tolist(), strict=True)
+        elif column.shape:
+            vectors.append((column.names[0], values.reshape(len(values), math.prod(column.shape)).tolist()))
+        else:
+            scalars.append((column.names[0], values.tolist()))
+    return scalars, vectors
+
+
+def read_list(repeated: Any, layout: ListLayout, common: Mapping[str, Any]) -> dict[str, Any]:
+    """Read the records of a repeated field.
+
+    Args:
+        common: what the list says of all of its records.
+
+    Returns:
+        By attribute, what a list of records is made of.
+
+    Raises:
+        DataError: a record says something else than the list, or a vector has another length.
+    """
+    messages = list(repeated)
+    _check_shared(messages, layout, common)
+    values: dict[str, Any] = {"class_names": tuple(map(attrgetter("class"), messages))}
+    for column in layout.columns:
+        name = column.names[0]
+        if len(column.names) > 1:
+            rows = list(map(attrgetter(*column.names), messages))
+        elif column.shape:
+            rows = [tuple(row) for row in map(attrgetter(name), messages)]
+            if column.optional and not any(rows):
+                continue
+            _check_lengths(rows, math.prod(column.shape), layout, name)
+        else:
+            rows = list(map(attrgetter(name), messages))
+        values[column.attribute] = np.array(rows, column.dtype).reshape(len(rows), *column.shape)
+    for name, attribute in layout.ids.items():
+        values[attribute] = tuple(
+            getattr(message, name) if message.HasField(name) else None for message in messages
+        )
+    return values
+
+
+def _check_shared(messages: Sequence[Any], layout: ListLayout, common: Mapping[str, Any]) -> None:
+    """Check that each record of a list says of itself what the list says of all."""
+    timestamp = common["timestamp"]
+    if timestamp is None:
+        return
+    seqs = [(name, common[shared]) for name, shared in layout.shared.items() if name != "timestamp"]
+    expected = (timestamp.s, timestamp.ns, *(seq for _, seq in seqs))
+    told = attrgetter("timestamp.s", "timestamp.ns", *(name for name, _ in seqs))
+    if not set(map(told, messages)) - {expected}:
+        return
+    k, found = next((k, found) for k, found in enumerate(map(told, messages)) if found != expected)
+    wrong = found[:2] != expected[:2]
+    name = "timestamp" if wrong else seqs[0][0]
+    value = f"{found[0]}.{found[1]:09d}" if wrong else found[2]
+    problem = f"{value}; expected {timestamp if wrong else expected[2]} as all of them"
+    raise layout.table.fault(f"{layout.group}[{k}].{name}", problem)
+
+
+def _check_lengths(rows: Sequence[tuple[Any, ...]], length: int, layout: ListLayout, name: str) -> None:
+    k = next((k for k, row in enumerate(rows) if len(row) != length), None)
+    if k is not None:
+        kind = layout.table.row(name).type
+        raise layout.table.fault(f"{layout.group}[{k}].{name}", f"{shown(rows[k])}; expected {kind}")

@@ -6,10 +6,14 @@ from functools import partial
 from types import MappingProxyType
 from typing import Protocol
 
+import numpy as np
+
 from sceneloom.arrays import Float64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.blending import blend_colours
 from sceneloom.colouring.colours import colour_points
 from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.normals import estimate_normals
 from sceneloom.colouring.results import FusedView
 from sceneloom.colouring.rolling_shutter import ShutterWay
 from sceneloom.colouring.views import view_points
@@ -93,6 +97,40 @@ def fuse_by_projection(
         CalibrationError: a camera's model is unknown or has other coefficients.
         OptionError: a camera's index is out of range.
     """
+    views = _views(points_world, requests, visibility, way)
+    indices = [request.camera_index for request in requests]
+    colors, camera_index = colour_points(len(points_world), views, indices, threads=visibility.threads)
+    return ColouredPoints(views, colors, camera_index)
+
+
+def fuse_by_blending(
+    points_world: Float64Array,
+    requests: Sequence[ViewRequest],
+    visibility: VisibilitySettings,
+    *,
+    way: LidarWay | None = None,
+) -> ColouredPoints:
+    """Do as `fuse_by_projection`, but with the weighted mean of the colours of all pictures that show a point.
+
+    Takes and raises what `fuse_by_projection` does. Points count as measured with the pictures.
+    """
+    views = _views(points_world, requests, visibility, way)
+    indices = [request.camera_index for request in requests]
+    normals = None
+    if views:
+        eyes = [request.world_from_camera.translation for request in requests]
+        normals = estimate_normals(points_world, np.mean(eyes, axis=0))
+    blended = blend_colours(points_world, views, indices, normals_world=normals)
+    return ColouredPoints(views, blended.colors, blended.sources.camera_index)
+
+
+def _views(
+    points_world: Float64Array,
+    requests: Sequence[ViewRequest],
+    visibility: VisibilitySettings,
+    way: LidarWay | None,
+) -> tuple[FusedView, ...]:
+    """The cloud in each picture."""
     # Threads share the pictures where these are enough, which has them wait for one another once only.
     many = len(requests) >= visibility.threads
     settings = replace(visibility, threads=1) if many else visibility
@@ -111,13 +149,12 @@ def fuse_by_projection(
         )
 
     crew = Crew(visibility.threads if many else 1)
-    views = tuple(crew.gather([partial(view, request) for request in requests]))
-    indices = [request.camera_index for request in requests]
-    colors, camera_index = colour_points(len(points_world), views, indices, threads=visibility.threads)
-    return ColouredPoints(views, colors, camera_index)
+    return tuple(crew.gather([partial(view, request) for request in requests]))
 
 
-ALGORITHMS: Mapping[str, FusionAlgorithm] = MappingProxyType({"projection": fuse_by_projection})
+ALGORITHMS: Mapping[str, FusionAlgorithm] = MappingProxyType(
+    {"projection": fuse_by_projection, "blending": fuse_by_blending}
+)
 """Name of each algorithm and the function that runs it.
 
 Source: DB34/T 4101-2022, table 2, property `fusion_algorithm`.

@@ -33,7 +33,10 @@ What it names is called as `colouring.algorithms.FusionAlgorithm` or `detections
 
 BUILT_IN: Mapping[FusionType, Mapping[str, str]] = MappingProxyType(
     {
-        FusionType.SENSOR_DATA: {"projection": "sceneloom.colouring.algorithms:fuse_by_projection"},
+        FusionType.SENSOR_DATA: {
+            "projection": "sceneloom.colouring.algorithms:fuse_by_projection",
+            "blending": "sceneloom.colouring.algorithms:fuse_by_blending",
+        },
         FusionType.DETECTIONS: {"projection": "sceneloom.detections.projection:fuse_by_projection"},
     }
 )

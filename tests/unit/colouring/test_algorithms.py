@@ -56,3 +56,21 @@ def test_without_pictures_nothing_has_a_colour():
 def test_a_camera_index_out_of_range_is_refused():
     with pytest.raises(OptionError, match="255"):
         ALGORITHMS["projection"](np.zeros((2, 3)), [request("a", 255, AHEAD, 0)], VisibilitySettings())
+
+
+def test_blending_takes_colours_of_all_pictures_that_agree():
+    points = np.array([[0.0, 0.0, 5.0]])
+    rgb = [np.full((21, 21, 3), level, np.uint8) for level in (100, 110)]
+    lens = Camera("pinhole", 21, 21, 20.0, 20.0, 10.0, 10.0)
+    requests = [
+        ViewRequest(
+            camera_id=f"camera{k}", camera_index=k, camera=lens, timestamp_ns=0,
+            world_from_camera=RigidTransform.identity(), rgb=picture,
+        )
+        for k, picture in enumerate(rgb)
+    ]  # fmt: skip
+    fused = ALGORITHMS["blending"](points, requests, VisibilitySettings())
+    assert fused.colors.tolist() == [[105, 105, 105]]
+    assert [view.camera_id for view in fused.views] == ["camera0", "camera1"]
+    nothing = ALGORITHMS["blending"](points, [], VisibilitySettings())
+    assert nothing.camera_index.tolist() == [255]

@@ -48,7 +48,7 @@ def fusion():
 
 @pytest.mark.usefixtures("example_package")
 def test_the_example_package_is_found_under_both_types():
-    assert names(FusionType.SENSOR_DATA) == ("projection", "near")
+    assert names(FusionType.SENSOR_DATA) == ("projection", "blending", "near")
     assert names(FusionType.DETECTIONS) == ("projection", "agreed")
 
 
@@ -98,7 +98,7 @@ def test_one_that_is_built_in_is_never_replaced(tmp_path, monkeypatch):
     from sceneloom.colouring.algorithms import fuse_by_projection
 
     assert algorithm(FusionType.SENSOR_DATA, "projection") is fuse_by_projection
-    assert names(FusionType.SENSOR_DATA) == ("projection",)
+    assert names(FusionType.SENSOR_DATA) == ("projection", "blending")
 
 
 @pytest.mark.parametrize("target", ["no_such_module:fuse", "math:no_such_name", "broken_algorithm:fuse"])

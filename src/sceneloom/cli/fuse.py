@@ -17,7 +17,7 @@ from sceneloom.cli.printing import print_json, progress_bar
 @click.option(
     "--algorithm",
     metavar="NAME",
-    help="`projection`: colours of nearest pixels; `blending`: of all pictures, by weight; installed packages can bring "
+    help="`projection`: colours of nearest pixels; `blending`: of all pictures, by weight; packages can bring "
     "others. [default: projection]",
 )
 @click.option("--depth", type=options.target, help="Folder for depth images.")

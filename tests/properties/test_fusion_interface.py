@@ -1,5 +1,6 @@
 """The fusion interface against a small model of clause 5, and every record accounted for."""
 
+import dataclasses
 from collections import Counter, deque
 from unittest.mock import patch
 
@@ -13,10 +14,13 @@ from sceneloom.errors import OptionError
 from sceneloom.fusion.algorithms import algorithm
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.fusion.properties import PREDEFINED
+from sceneloom.scene.poses import PosePath
 
 MS = 1_000_000
 PERIOD_NS = 100 * MS
 RESTART_NS = 2_000 * MS
+CLOCK_JUMP_NS = 10_000 * MS
 FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 CALIBRATION = CalibrationData(
     image_size=(2, 1),
@@ -90,7 +94,7 @@ class Clause5(RuleBasedStateMachine):
         self.fusion = FusionInterface(inline=True)
         self.added = {}
         self.tolerance_ms, self.timeout_ms, self.fusion_type = 0.0, 100, 0
-        self.lateness_ns = None
+        self.lateness_ns = self.told_ns = None
         self.calibrated = self.closed = False
         self.now_ns = 1_000_000 * MS
         self.streams = {kind: {} for kind in KINDS}
@@ -146,6 +150,33 @@ class Clause5(RuleBasedStateMachine):
     def calibrate(self):
         assert self.fusion.set_calibration(CALIBRATION, camera_id=1, lidar_id=0)
         self.calibrated = True
+
+    @precondition(lambda self: self.calibrated)
+    @rule(row_major=st.booleans())
+    def replace(self, row_major):
+        numbers = tuple(np.reshape(FORWARD, (4, 4)).T.ravel().tolist()) if row_major else FORWARD
+        assert self.fusion.set_calibration(
+            dataclasses.replace(CALIBRATION, extrinsic_matrix=numbers), camera_id=1, lidar_id=0
+        )
+
+    @rule(back=st.sampled_from([0, 30, 20_000]), count=st.integers(1, 3))
+    def move(self, back, count):
+        times_ns = self.now_ns - back * MS + np.arange(count, dtype=np.int64) * 10 * MS
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        outcome = self.fusion.send_motion(PosePath(times_ns, np.zeros((count, 3)), quaternions))
+        newer = self.told_ns is None or times_ns[0] > self.told_ns
+        cause = "" if newer or times_ns[0] < self.told_ns - CLOCK_JUMP_NS else "bad-motion"
+        cause = "closed" if self.closed else cause
+        assert (outcome.status, outcome.cause) == (int(not cause), cause)
+        if not cause:
+            self.told_ns = int(times_ns[-1])
+
+    @rule()
+    def list_all(self):
+        found = {entry.name: entry for entry in self.fusion.list_properties()}
+        assert list(found) == [*PREDEFINED, *self.added]
+        for name, (type, value) in self.added.items():
+            assert (str(found[name].type), found[name].value) == (type, value)
 
     @rule(
         kind=st.sampled_from(KINDS),

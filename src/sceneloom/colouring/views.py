@@ -57,7 +57,7 @@ def view_points(
         if settings.enabled
         else np.ones(len(point_ids), np.bool_)
     )
-    depth_image = np.zeros((camera.height, camera.width), np.float32)
+    depth_image = _empty_image(camera, crew)
     draw_depths(pixels, depths, visible, depth_image, crew=crew)
     if not settings.enabled:
         mark_nearest(pixels, depths, depth_image, visible)
@@ -76,6 +76,15 @@ def view_points(
         shutter is not None,
         seen.unsettled,
     )
+
+
+def _empty_image(camera: Camera, crew: Crew) -> Float32Array:
+    """Give an image of zeros, to which all threads of a crew put a hand."""
+    if crew.size == 1:
+        return np.zeros((camera.height, camera.width), np.float32)
+    image = np.empty((camera.height, camera.width), np.float32)
+    crew.share(camera.height, lambda _, top, bottom: image[top:bottom].fill(0.0))
+    return image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +161,7 @@ def _project(
     for start, size in sorted(found):
         if start > 0:
             point_ids[kept : kept + size] = point_ids[start : start + size] + start
+        if start > kept:
             pixels[kept : kept + size] = pixels[start : start + size]
             depths[kept : kept + size] = depths[start : start + size]
         kept += size

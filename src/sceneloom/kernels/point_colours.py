@@ -1,5 +1,7 @@
 """Colours of pictures onto the points seen in them."""
 
+from typing import Any
+
 import numba
 import numpy as np
 from numba import boolean, float32, float64, int64, types, uint8, void
@@ -11,6 +13,9 @@ _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 _IN_BOOL_1D = types.Array(boolean, 1, "C", readonly=True)
 _IN_U8_3D = types.Array(uint8, 3, "C", readonly=True)
+
+_MOSTLY = 0.9
+"""If so many of a block are seen, to guess that each is takes less time than to list them."""
 
 
 @numba.njit(**PART)
@@ -34,25 +39,38 @@ def _choose(
             numbers[i] = -1
 
 
+@numba.njit(**PART, inline="always")
+def _copy(flat_rgb: UInt8Array, source: Any, flat_colors: UInt8Array, target: Any) -> None:
+    flat_colors[target] = flat_rgb[source]
+    flat_colors[target + np.uint64(1)] = flat_rgb[source + np.uint32(1)]
+    flat_colors[target + np.uint64(2)] = flat_rgb[source + np.uint32(2)]
+
+
 @numba.njit(**PART)
 def _paint(
     point_ids: Int64Array, numbers: AnyArray, visible: BoolArray, flat_rgb: UInt8Array, camera: int,
     flat_colors: UInt8Array, camera_index: UInt8Array, sources: AnyArray, targets: AnyArray,
 ) -> None:  # fmt: skip
     """Copy the colours of the numbered pixels."""
+    known, count = np.uint64(camera_index.shape[0]), 0
+    seen = 0
+    for i in range(numbers.shape[0]):
+        seen += visible[i]
+    if seen > _MOSTLY * numbers.shape[0]:
+        for i in range(numbers.shape[0]):
+            k = np.uint64(point_ids[i])
+            if numbers[i] >= 0 and visible[i] and k < known:
+                _copy(flat_rgb, np.uint32(3) * np.uint32(numbers[i]), flat_colors, np.uint64(3) * k)
+                camera_index[k] = camera
+        return
     # First listed, without guessing which ones are seen, then copied: many pixels are on their way from memory at once.
-    count = 0
     for i in range(numbers.shape[0]):
         k = np.uint64(point_ids[i])
         sources[count], targets[count] = numbers[i], k
-        count += (numbers[i] >= 0) & visible[i] & (k < np.uint64(camera_index.shape[0]))
+        count += (numbers[i] >= 0) & visible[i] & (k < known)
     for n in range(count):
-        source, k = np.uint32(3) * sources[n], targets[n]
-        target = np.uint64(3) * k
-        camera_index[k] = camera
-        flat_colors[target] = flat_rgb[source]
-        flat_colors[target + np.uint64(1)] = flat_rgb[source + np.uint32(1)]
-        flat_colors[target + np.uint64(2)] = flat_rgb[source + np.uint32(2)]
+        _copy(flat_rgb, np.uint32(3) * sources[n], flat_colors, np.uint64(3) * targets[n])
+        camera_index[targets[n]] = camera
 
 
 @numba.njit(

@@ -67,15 +67,25 @@ def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lin
     neighbours = look_around(directions, inverse_ranges, samples=_SAMPLES)
     of_samples = _around(neighbours)
     lines = _sparse_lines(neighbours, of_samples, lines)
-    spacings = _spread(of_samples, neighbours.points, *_tiles(directions, lines.angle))
-    middle = float(np.median(spacings))
-    steps = np.rint(np.log(spacings / middle) / _STEP).astype(np.int64)
+    tiles, columns = _tiles(directions, lines.angle)
+    spacings = _spread(of_samples, tiles[neighbours.points], int(tiles.max()) // columns + 1, columns)
+    # Tiles are few beside points: all is decided for them, each as often as it has points.
+    counts = np.bincount(tiles, minlength=len(spacings))
+    steps = np.rint(np.log(spacings / _median(spacings, counts)) / _STEP).astype(np.int64)
     parts = []
-    for step in _filled(steps):
-        members = steps == step
-        across = float(np.median(spacings[members]))
-        parts.append(Part(ScanLines(across, lines.along, lines.angle), members))
+    for step in _filled(steps, counts):
+        inside = steps == step
+        across = _median(spacings[inside], counts[inside])
+        parts.append(Part(ScanLines(across, lines.along, lines.angle), inside[tiles]))
     return parts
+
+
+def _median(values: Float64Array, counts: Int64Array) -> float:
+    """Give the median of values each of which is there so many times."""
+    order = np.argsort(values)
+    behind = np.cumsum(counts[order])
+    middle = np.searchsorted(behind, [(behind[-1] - 1) // 2, behind[-1] // 2], side="right")
+    return float(values[order][middle].mean())
 
 
 def _sparse_lines(neighbours: Neighbours, spacings: Float64Array, lines: ScanLines) -> ScanLines:
@@ -93,10 +103,11 @@ def _sparse_lines(neighbours: Neighbours, spacings: Float64Array, lines: ScanLin
     return ScanLines(float(axes[across]), float(axes[along]), across * pi / half)
 
 
-def _filled(steps: Int64Array) -> list[int]:
-    """Give the steps that have enough members, and let those of the others join the nearest of them, in place."""
-    found, counts = np.unique(steps, return_counts=True)
-    kept = found[counts >= _LEAST_SHARE * len(steps)]
+def _filled(steps: Int64Array, counts: Int64Array) -> list[int]:
+    """Give the steps that have enough points, and let those of the others join the nearest of them, in place."""
+    found, which = np.unique(steps, return_inverse=True)
+    points = np.bincount(which, weights=counts)
+    kept = found[(points >= _LEAST_SHARE * counts.sum()) & (points > 0)]
     nearest = kept[np.argmin(np.abs(found[:, None] - kept), axis=1)]
     steps[:] = nearest[np.searchsorted(found, steps)]
     filled: list[int] = kept.tolist()
@@ -124,19 +135,18 @@ def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:
     return (across - across.min()) * columns + along - along.min(), columns
 
 
-def _spread(spacings: Float64Array, samples: Int64Array, tiles: Int64Array, columns: int) -> Float64Array:
-    """Give each point the median spacing of the samples in its tile; without, that of the nearest row of tiles."""
-    rows = int(tiles.max()) // columns + 1
+def _spread(spacings: Float64Array, tiles: Int64Array, rows: int, columns: int) -> Float64Array:
+    """Give each tile the median spacing of the samples in it; without, that of the nearest row of tiles."""
     field = np.full((rows, columns), np.nan)
-    told, medians = _medians(tiles[samples], np.where(np.isnan(spacings), SPARSEST, spacings))
+    told, medians = _medians(tiles, np.where(np.isnan(spacings), SPARSEST, spacings))
     field.ravel()[told] = medians
     known = np.flatnonzero(np.isfinite(field).any(axis=1))
     if len(known) == 0:
-        return np.full(len(tiles), SPARSEST)
+        return np.full(field.size, SPARSEST)
     of_rows = np.nanmedian(field[known], axis=1)
     nearest = np.argmin(np.abs(np.arange(rows)[:, None] - known), axis=1)
     whole = np.where(np.isnan(field), of_rows[nearest][:, None], field)
-    spread: Float64Array = whole.ravel()[tiles]
+    spread: Float64Array = whole.ravel()
     return spread
 
 

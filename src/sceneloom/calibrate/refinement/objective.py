@@ -27,6 +27,7 @@ _STRIDES = {6.0: 3, 3.0: 2, 1.5: 1}
 """So many pixels of a picture are one of the map: a wide blur leaves nothing between them."""
 
 _WIDER = 4.0
+_BEYOND = 1 << 18
 _CELL_WIDTHS = 2.0
 """Points of a channel within so many widths see the same of a picture: they count as one."""
 
@@ -181,6 +182,7 @@ class Linearised:
     def _distinct(self, inside: BoolArray) -> Float64Array:
         """How many cells of a few widths the points of each channel fall into."""
         cell = _CELL_WIDTHS * self.level.width / _STRIDES[self.level.width]
-        cells = np.floor(self.pixels[inside] / cell).astype(np.int64)
-        keys = np.unique(np.column_stack([self.level.groups[inside], cells]), axis=0)[:, 0] % len(CHANNELS)
-        return np.bincount(keys, minlength=len(CHANNELS)).astype(np.float64)
+        cells = np.clip(np.floor(self.pixels[inside] / cell), -_BEYOND, _BEYOND).astype(np.int64) + _BEYOND
+        keys = (self.level.groups[inside].astype(np.int64) << 40) + (cells[:, 0] << 20) + cells[:, 1]
+        kept = (np.unique(keys) >> 40) % len(CHANNELS)
+        return np.bincount(kept, minlength=len(CHANNELS)).astype(np.float64)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.calibrate.measures.candidate import COUNT, UNITS
@@ -20,6 +19,8 @@ _ROUNDS = 2
 _EVERY = (3, 2, 1)
 """At the wider looks so many points are one: their maps are smooth."""
 _MOST_STEPS = 10
+_FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.4, 1.0, 0.01, 2.0
+"""Of a climb, in units; pixels move straight over about so much."""
 _SEED = 7
 _CURVATURE_STEP = 0.1
 """Curvature is taken over this part of the units: over less, single pixels show."""
@@ -111,16 +112,41 @@ def _spread(free: AnyArray, step: Float64Array) -> Float64Array:
 def _climb(level: Level, free: AnyArray, numbers: Float64Array) -> Float64Array:
     """Go uphill at one level, with pixels linearised anew in each round."""
     for _ in range(_ROUNDS):
-        hill = _Hill.around(level, free, numbers)
-        reach = [(-2.0, 2.0)] * len(free)
-        options = {"maxiter": _MOST_STEPS}
-        result = minimize(  # type: ignore[call-overload]
-            hill.downwards, np.zeros(len(free)), jac=True, method="L-BFGS-B", bounds=reach, options=options
-        )
-        numbers = numbers + _spread(free, result.x)
-        if np.abs(result.x).max() < 0.05:
+        step = _descended(_Hill.around(level, free, numbers))
+        numbers = numbers + _spread(free, step)
+        if np.abs(step).max() < 0.05:
             break
     return numbers
+
+
+def _descended(hill: "_Hill") -> Float64Array:
+    """Where a quasi-Newton descent of minus the objective ends; a library's would wake threads for eight numbers.
+
+    Source: the update of Broyden, Fletcher, Goldfarb and Shanno, with halved steps (Nocedal and Wright 2006,
+    algorithm 6.1).
+    """
+    here = np.zeros(len(hill.reach))
+    value, slope = hill.downwards(here)
+    inverse = np.eye(len(here)) * (_FIRST_STEP / max(float(np.sqrt((slope**2).sum())), 1e-12))
+    for _ in range(_MOST_STEPS):
+        way = -(inverse * slope).sum(axis=1)
+        way *= min(1.0, _LONGEST_STEP / max(float(np.sqrt((way**2).sum())), 1e-12))
+        for share in (1.0, 0.5, 0.25, 0.125):
+            ahead = here + share * way
+            value_ahead, slope_ahead = hill.downwards(ahead)
+            if value_ahead < value:
+                break
+        else:
+            break
+        moved, bent = ahead - here, slope_ahead - slope
+        product = float((moved * bent).sum())
+        if product > 1e-12:
+            left = np.eye(len(here)) - np.outer(moved, bent) / product
+            inverse = left @ inverse @ left.T + np.outer(moved, moved) / product
+        here, value, slope = ahead, value_ahead, slope_ahead
+        if np.abs(moved).max() < _SMALLEST_STEP or np.abs(here).max() > _FARTHEST_CLIMB:
+            break
+    return here
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,9 @@ from sceneloom.pipeline.coloured import SweepColouring
 from sceneloom.scene import Identifier, LabeledPointsAnnotation, Scene
 from sceneloom.scene.types import Key, key_of
 
+_CANVASES = 2
+"""Pictures of a camera that are drawn at once: sweeps of several lidars may meet them by turns."""
+
 
 def numbered_labels(scene: Scene) -> dict[str, int]:
     """The number of each label of labelled points: the label itself where all are numbers, else 1, 2, … by name.
@@ -66,7 +69,7 @@ class LabelProjection:
     written: int = 0
     numbers: dict[str, int] = field(default_factory=dict)
     _entries: dict[tuple[Key, int], list[tuple[int, Sequence[int]]]] = field(default_factory=dict)
-    _open: dict[Identifier, tuple[int, LabelCanvas]] = field(default_factory=dict)
+    _open: dict[Identifier, dict[int, LabelCanvas]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.numbers = numbered_labels(self.scene)
@@ -85,13 +88,14 @@ class LabelProjection:
         """
         labels = self._labels(frame)
         for view in frame.views:
+            canvases = self._open.setdefault(view.camera_id, {})
             number = self.colouring.number(view)
-            kept = self._open.get(view.camera_id)
-            if kept is None or kept[0] != number:
-                self._write(view.camera_id)
-                canvas = LabelCanvas.blank(view.camera.width, view.camera.height, radius_px=self.radius_px)
-                kept = self._open[view.camera_id] = (number, canvas)
-            kept[1].draw(view, labels)
+            if number not in canvases:
+                if len(canvases) == _CANVASES:
+                    self._write(view.camera_id, next(iter(canvases)))
+                width, height = view.camera.width, view.camera.height
+                canvases[number] = LabelCanvas.blank(width, height, radius_px=self.radius_px)
+            canvases[number].draw(view, labels)
 
     def _labels(self, frame: FusedFrame) -> UInt16Array:
         labels = np.full(len(frame.points), NO_LABEL, np.uint16)
@@ -103,10 +107,8 @@ class LabelProjection:
             labels[np.asarray(ids)] = number
         return labels
 
-    def _write(self, camera_id: Identifier) -> None:
-        number, canvas = self._open.pop(camera_id, (None, None))
-        if canvas is None:
-            return
+    def _write(self, camera_id: Identifier, number: int) -> None:
+        canvas = self._open[camera_id].pop(number)
         folder = self.folder / self.names[camera_id]
         folder.mkdir(parents=True, exist_ok=True)
         write_label_png(canvas.labels, folder / f"{number:06d}.png", overwrite=True)
@@ -114,7 +116,8 @@ class LabelProjection:
 
     def finish(self) -> None:
         """Write the last images, and what the numbers mean."""
-        for camera_id in [*self._open]:
-            self._write(camera_id)
+        for camera_id, canvases in self._open.items():
+            for number in [*canvases]:
+                self._write(camera_id, number)
         told = {str(number): name for name, number in self.numbers.items()}
         (self.folder / NAMES_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(told), indent=2))

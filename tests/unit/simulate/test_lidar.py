@@ -217,3 +217,19 @@ def test_points_are_handed_out_read_only(drive):
 def test_devices_that_cannot_be_are_refused_by_name(wrong):
     with pytest.raises(OptionError, match="|".join(wrong)):
         LidarSpec(**wrong)
+
+
+def test_lasers_may_each_have_an_elevation_of_their_own():
+    elevations = (-20.0, -10.0, -5.0, -4.0, -3.5)
+    spec = LidarSpec(beams=5, elevations_deg=elevations, steps=60, range_sigma=0.0)
+    points = simulate_street(1, frames=1, lidar=spec).scene.lidars[0].frames[0].points
+    x, y, z = points.positions.astype(float).T
+    found = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    rings = points.rings
+    for ring, elevation in enumerate(elevations):
+        # float32 of some metres
+        np.testing.assert_allclose(found[rings == ring], elevation, atol=1e-4)
+    with pytest.raises(OptionError, match="3 angles; expected 2, or 5"):
+        LidarSpec(beams=5, elevations_deg=(-3.0, -2.0, -1.0))
+    with pytest.raises(OptionError, match=r"elevations_deg\[2\]"):
+        LidarSpec(beams=3, elevations_deg=(-3.0, -1.0, -2.0))

@@ -67,7 +67,11 @@ def check_health(
 def _print_health(health: "CalibrationHealth", *, verbose: bool) -> None:
     looked = f"{several(health.frames, 'picture')} of {several(health.views, 'view')}"
     click.echo(f"{health.source}: {health.camera_id} to {health.lidar_id}: {health.verdict} ({looked})")
-    print_table([("part", "verdict", "to be changed by", "why"), *map(_row, health.items)])
+    reasons = {item.reason for item in health.items}
+    if len(reasons) == 1 and reasons != {""}:
+        click.echo(f"nothing can be told: {reasons.pop()}")
+    else:
+        print_table([("part", "verdict", "to be changed by", "why"), *map(_row, health.items)])
     stated, best = health.stated_distinctness, health.distinctness
     click.echo(f"agreement above chance: {stated:.1f} deviations as stated, {best:.1f} at best")
     if verbose:

@@ -29,16 +29,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.projection import (
-    CAMERA_FROM_BODY,
-    CAMERA_WORLD,
-    HEIGHT,
-    LIDAR_WORLD,
-    WIDTH,
-    draw,
-    inside_picture,
-    make_street,
-)
+from benchmarks.projection import CAMERA_FROM_BODY, HEIGHT, WIDTH, draw, inside_picture
+from benchmarks.street import CAMERA_WORLD, LIDAR_WORLD, make_street
 from benchmarks.visibility_in_numpy import find_visible_in_numpy
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector, projection_kernel

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 import grpc
 import numpy as np
 
+from benchmarks.street import LIDAR_WORLD, make_street
 from sceneloom.fusion.messages.wire import fusion_pb2
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
@@ -134,16 +135,14 @@ class Pictures:
 
 
 class Clouds:
-    """Makes requests with points ahead of the lidar, x, y, z, reflectivity."""
+    """Makes requests with what a dense lidar sees of a street ahead, x, y, z, reflectivity."""
 
     sweeps, kind = True, 0
 
     def __init__(self, count):
-        random = np.random.default_rng(2)
-        points = np.column_stack(
-            [random.uniform(2, 80, count), random.uniform(-40, 40, count), random.uniform(-2, 6, count)]
-        )
-        values = np.column_stack([points, random.integers(0, 255, count)]).astype("<f4")
+        points = make_street(count) - LIDAR_WORLD
+        reflectivity = np.random.default_rng(2).integers(0, 255, count)
+        values = np.column_stack([points, reflectivity]).astype("<f4")
         self.fields = {
             "number": count,
             "fields": ("x", "y", "z", "reflectivity"),

@@ -3,8 +3,9 @@
 Run with `python -m benchmarks.service [--only frames,flat,properties,boxes,soak] [--seconds 60] [--calls 50000]
 [--soak-seconds 60]`. Both servers are asked in turns, so that a busy machine slows both alike.
 
-- frames: 10 Hz of a 1920x1080x3 raw picture and 250,000 points of a street x 4 float32, from two processes; from the second of a
-  pair sent to its result received. Limit: p99 at most 2.5 times the bare server's, plus the fusion's own time.
+- frames: 10 Hz of a 1920x1080x3 raw picture and 250,000 points of a street x 4 float32, from two processes; from
+  the second of a pair sent to its result received. Limit: p99 at most 2.5 times the bare server's, plus the
+  fusion's own time.
 - flat: the same as fast as results come. Limit: half of the bare server's pairs a second.
 - properties: calls of GetProperty and SetProperty while frames stream. Limit: p99 at most 3 times the bare server's.
 - boxes: pairs of 20 + 20 boxes. Limits: 500 pairs a second through the service, 2,000 in process.

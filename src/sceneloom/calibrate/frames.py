@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from sceneloom.scene.types import key_of
 
 MOST = 20
 """Frames that are taken from a drive unless more are asked for."""
+
+Kind = TypeVar("Kind", CameraSensor, LidarSensor)
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _HALF_STEP_NS = 25_000_000
@@ -155,17 +158,8 @@ def chosen_camera(scene: Scene, camera_id: Identifier | None) -> CameraSensor:
     Raises:
         OptionError: there is none.
     """
-    if camera_id is not None:
-        for camera in scene.cameras:
-            if key_of(camera.id) == key_of(camera_id):
-                return camera
-        raise OptionError(f"{scene.source}: no camera {camera_id!r}; {_listed(scene.cameras)}")
-    for camera in scene.cameras:
-        if len(camera.pictures):
-            return camera
-    raise OptionError(
-        f"{scene.source}: no camera with pictures; a calibration is judged by pictures and sweeps"
-    )
+    filled = (camera for camera in scene.cameras if len(camera.pictures))
+    return _chosen(scene, "camera", camera_id, scene.cameras, filled, "pictures")
 
 
 def chosen_lidar(scene: Scene, lidar_id: Identifier | None) -> LidarSensor:
@@ -174,19 +168,30 @@ def chosen_lidar(scene: Scene, lidar_id: Identifier | None) -> LidarSensor:
     Raises:
         OptionError: there is none.
     """
-    if lidar_id is not None:
-        for lidar in scene.lidars:
-            if key_of(lidar.id) == key_of(lidar_id):
-                return lidar
-        raise OptionError(f"{scene.source}: no lidar {lidar_id!r}; {_listed(scene.lidars)}")
-    for lidar in scene.lidars:
-        if len(lidar.frames):
-            return lidar
-    raise OptionError(f"{scene.source}: no lidar with sweeps; a calibration is judged by pictures and sweeps")
+    filled = (lidar for lidar in scene.lidars if len(lidar.frames))
+    return _chosen(scene, "lidar", lidar_id, scene.lidars, filled, "sweeps")
 
 
-def _listed(sensors: tuple[CameraSensor, ...] | tuple[LidarSensor, ...]) -> str:
-    return "it has " + (", ".join(repr(sensor.id) for sensor in sensors) or "none")
+def _chosen(
+    scene: Scene,
+    kind: str,
+    wanted: Identifier | None,
+    there: tuple[Kind, ...],
+    filled: Iterator[Kind],
+    holds: str,
+) -> Kind:
+    """The sensor of that id, or the first that holds anything."""
+    if wanted is not None:
+        for sensor in there:
+            if key_of(sensor.id) == key_of(wanted):
+                return sensor
+        listed = ", ".join(repr(sensor.id) for sensor in there) or "none"
+        raise OptionError(f"{scene.source}: no {kind} {wanted!r}; it has {listed}")
+    for sensor in filled:
+        return sensor
+    raise OptionError(
+        f"{scene.source}: no {kind} with {holds}; a calibration is judged by pictures and sweeps"
+    )
 
 
 def _known_way(scene: Scene) -> EgoMotion | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.identifiers import known_id
+from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import print_json, print_table, several
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ def check_health(
         part = cut_scene(scene, start=start, stop=stop)
         frames = calibration_frames(
             part,
-            None if camera_id is None else known_id(part, camera_id),
-            None if lidar_id is None else known_id(part, lidar_id),
+            known_id_or_none(part, camera_id),
+            known_id_or_none(part, lidar_id),
             most,
         )
         health = check_frames(frames, source=scene.source)

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import msgspec
 
 from sceneloom.cli import options
-from sceneloom.cli.identifiers import known_id
+from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -44,8 +43,8 @@ def check_conventions(
                 lambda scene: check_file(
                     Path(path),
                     scene,
-                    camera_id=None if camera_id is None else known_id(scene, camera_id),
-                    lidar_id=None if lidar_id is None else known_id(scene, lidar_id),
+                    camera_id=known_id_or_none(scene, camera_id),
+                    lidar_id=known_id_or_none(scene, lidar_id),
                     progress=progress,
                 ),
             )
@@ -63,13 +62,13 @@ def check_conventions(
 def _is_drive(path: Path | str) -> bool:
     """Whether a path is one of the formats of drives; a file of numbers alone is none."""
     from sceneloom.errors import SceneloomError
-    from sceneloom.formats import open_scene
+    from sceneloom.formats.table import format_and_place
 
     if Path(path).is_dir() or "://" in str(path):
         return True
     try:
-        open_scene(path).close()
-    except (SceneloomError, msgspec.MsgspecError):
+        format_and_place(path)
+    except SceneloomError:
         return False
     return True
 

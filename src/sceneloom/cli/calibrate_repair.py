@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.identifiers import known_id
+from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def repair_calibration(
     ):
         part = cut_scene(scene, start=start, stop=stop)
         report = _repaired(
-            part, asked, _id(part, camera_id), _id(part, lidar_id), most,
+            part, asked, known_id_or_none(part, camera_id), known_id_or_none(part, lidar_id), most,
             pictures=pictures, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     if as_json:
@@ -149,7 +149,7 @@ def _repaired(
         return repairing.mount_lidar(scene, asked.output, lidar=lidar, **common)
     if asked.mode == "lidar_to_lidar":
         return repairing.align_lidars(
-            scene, asked.output, lidar=lidar, onto=_id(scene, asked.onto), most=most, **common
+            scene, asked.output, lidar=lidar, onto=known_id_or_none(scene, asked.onto), most=most, **common
         )
     if asked.board is not None:
         return repairing.calibrate_by_target(
@@ -161,10 +161,6 @@ def _repaired(
     return repairing.refine_drive(
         scene, asked.output, camera=camera, lidar=lidar, most=most, pictures=pictures, **named, **common
     )
-
-
-def _id(scene: "Scene", text: str | None) -> "str | int | None":
-    return None if text is None else known_id(scene, text)
 
 
 def _print_report(report: "RepairReport") -> None:

@@ -13,6 +13,11 @@ def known_id(scene: "Scene", said: str) -> "Identifier":
     return next((found for found in ids if said not in ids and str(found) == said), said)
 
 
+def known_id_or_none(scene: "Scene", said: str | None) -> "Identifier | None":
+    """The id of a sensor as the scene has it; None where none was said."""
+    return None if said is None else known_id(scene, said)
+
+
 def known_ids(scene: "Scene", said: Iterable[str]) -> "tuple[Identifier, ...] | None":
     """The ids of sensors as the scene has them; None where none was said."""
     return tuple(known_id(scene, one) for one in said) or None

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray
 from sceneloom.colouring.world_map import WorldMap
+from sceneloom.editing.chosen_points import chosen_points
 from sceneloom.formats.clouds import NO_LABEL, CloudWriter, WrittenPoints, open_cloud_writer
 from sceneloom.pictures.drive_cloud import DriveCloud
 from sceneloom.pipeline.coloured import ColouredSweep
@@ -135,7 +136,7 @@ class SweepScene:
 
     def add(self, sweep: ColouredSweep, kept: BoolArray) -> None:
         """Write one sweep."""
-        frame = replace(sweep.frame, points=chosen_points(sweep.frame.points, kept))
+        frame = replace(sweep.frame, points=kept_points(sweep.frame.points, kept))
         self.sink.add(frame)
         number = self._frames.get(frame.lidar_id, 0)
         self._frames[frame.lidar_id] = number + 1
@@ -152,26 +153,9 @@ class SweepScene:
         self.sink.finish()
 
 
-def chosen_points(points: LidarPoints, kept: BoolArray) -> LidarPoints:
+def kept_points(points: LidarPoints, kept: BoolArray) -> LidarPoints:
     """Those points of a sweep that are kept, with all their fields."""
-    if kept.all():
-        return points
-
-    def cut(values: Any) -> Any:
-        return None if values is None else values[kept]
-
-    return LidarPoints(
-        points.positions[kept],
-        cut(points.intensities),
-        cut(points.colors),
-        cut(points.timestamps_ns),
-        cut(points.rings),
-        cut(points.camera_index),
-        {
-            name: values[kept] if len(values) == len(kept) else values
-            for name, values in points.extras.items()
-        },
-    )
+    return points if kept.all() else chosen_points(points, np.flatnonzero(kept))
 
 
 def rows_of_labels(labels: AnyArray) -> Iterator[tuple[int, AnyArray]]:
@@ -205,7 +189,7 @@ class CloudPictures:
 
     def add(self, sweep: ColouredSweep, kept: BoolArray) -> None:
         """Gather one sweep."""
-        self.cloud.add(replace(sweep.frame, points=chosen_points(sweep.frame.points, kept)))
+        self.cloud.add(replace(sweep.frame, points=kept_points(sweep.frame.points, kept)))
 
     def finish(self) -> None:
         """Draw the drive."""

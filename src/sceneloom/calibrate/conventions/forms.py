@@ -7,7 +7,8 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.euler import AngleUnit, rotation_from_cuboid_angles
+from sceneloom.geometry.rotations import matrix_from_quaternion, nearest_rotation
 
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _LAST_ROW_TOLERANCE = 1e-6
@@ -37,13 +38,10 @@ class Form:
     apart: bool = False
 
 
-def rotation_or_none(matrix: Float64Array) -> Float64Array | None:
+def _rotation(matrix: Float64Array) -> Float64Array | None:
     """Give the nearest rotation of a rounded one, None for a matrix that is none."""
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > _ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
-        return None
-    u, _, v = np.linalg.svd(matrix)
-    nearest: Float64Array = u @ v
-    return nearest
+    rotation, error = nearest_rotation(matrix)
+    return rotation if error <= _ROTATION_TOLERANCE else None
 
 
 def _from_matrix(shape: tuple[int, int], *, columns: bool) -> Callable[[Float64Array], Built | None]:
@@ -53,7 +51,7 @@ def _from_matrix(shape: tuple[int, int], *, columns: bool) -> Callable[[Float64A
         matrix = numbers.reshape(shape[::-1]).T if columns else numbers.reshape(shape)
         if shape[0] == 4 and np.abs(matrix[3] - _LAST_ROW).max() > _LAST_ROW_TOLERANCE:
             return None
-        rotation = rotation_or_none(matrix[:3, :3])
+        rotation = _rotation(matrix[:3, :3])
         translation = matrix[:3, 3] if shape[1] == 4 else np.zeros(3)
         return None if rotation is None else (rotation, translation.copy())
 
@@ -63,7 +61,7 @@ def _from_matrix(shape: tuple[int, int], *, columns: bool) -> Callable[[Float64A
 def _from_parts(*, columns: bool) -> Callable[[Float64Array], Built | None]:
     def build(numbers: Float64Array) -> Built | None:
         square = numbers[:9].reshape(3, 3)
-        rotation = rotation_or_none(square.T if columns else square)
+        rotation = _rotation(square.T if columns else square)
         return None if rotation is None else (rotation, numbers[9:].copy())
 
     return build
@@ -93,19 +91,11 @@ def _from_angles(
         translation, angles = (numbers[:3], numbers[3:]) if translation_first else (numbers[3:], numbers[:3])
         if np.abs(angles).max() > (_FULL_TURN_DEG if degrees else _FULL_TURN):
             return None
-        x, y, z = (turn(axis, angle) for axis, angle in enumerate(np.radians(angles) if degrees else angles))
-        return (z @ y @ x if yaw_last else x @ y @ z), translation.copy()
+        unit = AngleUnit.DEGREES if degrees else AngleUnit.RADIANS
+        order = "zyx" if yaw_last else "xyz"
+        return rotation_from_cuboid_angles(angles, unit=unit, order=order), translation.copy()
 
     return build
-
-
-def turn(axis: int, angle: float) -> Float64Array:
-    """Give the rotation (3, 3) by an angle [rad] about axis 0, 1 or 2."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrix = np.eye(3)
-    matrix[i, i] = matrix[j, j] = np.cos(angle)
-    matrix[j, i], matrix[i, j] = np.sin(angle), -np.sin(angle)
-    return matrix
 
 
 def _matrix_forms() -> Iterator[Form]:

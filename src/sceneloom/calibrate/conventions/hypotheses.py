@@ -7,7 +7,8 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.calibrate.conventions.forms import FORMS, turn
+from sceneloom.calibrate.conventions.forms import FORMS
+from sceneloom.geometry.euler import rotation_from_cuboid_angles
 
 TO_CAMERA, FROM_CAMERA = "camera from lidar", "lidar from camera"
 """Which way a transform takes points."""
@@ -25,9 +26,9 @@ CAMERA_AXES: Mapping[str, Float64Array] = MappingProxyType(
 LIDAR_AXES: Mapping[str, Float64Array] = MappingProxyType(
     {
         "those of the points": np.eye(3),
-        "x, y along the points' -y, x": turn(2, np.pi / 2),
-        "x, y along the points' y, -x": turn(2, -np.pi / 2),
-        "x, y along the points' -x, -y": turn(2, np.pi),
+        "x, y along the points' -y, x": rotation_from_cuboid_angles((0, 0, 90)),
+        "x, y along the points' y, -x": rotation_from_cuboid_angles((0, 0, -90)),
+        "x, y along the points' -x, -y": rotation_from_cuboid_angles((0, 0, 180)),
     }
 )
 """Axes of the lidar's frame beside those that its points have, and the rotation out of these into them."""

@@ -7,7 +7,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.edit.running import editing
-from sceneloom.cli.identifiers import known_id
+from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import (
     print_json,
     print_lines,
@@ -65,7 +65,7 @@ def deskew(
             trajectory=trajectory,
             heading=heading,
             at=at,
-            lidar=None if lidar is None else known_id(scene, lidar),
+            lidar=known_id_or_none(scene, lidar),
             start=start,
             stop=stop,
             lenient=reading["lenient"],

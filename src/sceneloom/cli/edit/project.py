@@ -8,7 +8,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.edit.running import chosen_way, common, editing, run_edit, way
-from sceneloom.cli.identifiers import known_id, known_ids
+from sceneloom.cli.identifiers import known_id_or_none, known_ids
 
 if TYPE_CHECKING:
     from sceneloom.scene import Scene
@@ -66,7 +66,7 @@ def project(
             trajectory=chosen_way(scenes[0], trajectory, heading),
             min_pixels=min_pixels,
             see_through=see_through,
-            lidar=None if lidar is None else known_id(scenes[0], lidar),
+            lidar=known_id_or_none(scenes[0], lidar),
             activations=activations,
         )
         cuboids = [each for each in projected.annotations if isinstance(each, CuboidAnnotation)]

@@ -27,6 +27,6 @@ def draw_dense_depth(view: FusedView, dense: DenseDepth, *, scale: DepthScale | 
     share, sure = 100.0 * known.mean(), 100.0 * (dense.confidence >= 0.9).mean()
     lines = [
         f"{view.camera_id} · {seconds_text(view.timestamp_ns)}",
-        f"{share:.1f} % with depth, {sure:.1f} % with a confidence of 0.9 or more",
+        f"{share:.1f} % with depth, {sure:.1f} % surer than 0.9",
     ]
     return framed(picture_canvas(sheet), lines, scale=used)

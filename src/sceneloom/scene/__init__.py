@@ -47,6 +47,7 @@ from sceneloom.scene.sample import Sample
 from sceneloom.scene.sample_boxes import Boxes
 from sceneloom.scene.samples import Samples
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.tracks import Support, Track, TrackedObjects, Tracks
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
 
 __all__ = [
@@ -106,6 +107,10 @@ __all__ = [
     "Severity",
     "ShapeAnnotation",
     "ShapeType",
+    "Support",
+    "Track",
+    "TrackedObjects",
+    "Tracks",
     "Trajectory",
     "VectorSamples",
     "VertexPath",

@@ -1,0 +1,224 @@
+"""KITTI's text of labels and results, of the tracking and of the object benchmark."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array, read_only
+from sceneloom.errors import ArrayError, DataError
+from sceneloom.formats.kitti.number_lines import Line, as_table, read_lines
+from sceneloom.formats.output import replacing
+
+NUMBERS = (
+    *("truncated", "occluded", "alpha", "x1", "y1", "x2", "y2"),
+    *("h", "w", "l", "x", "y", "z", "ry"),
+)
+"""The numbers behind the class of an object; a score may follow."""
+
+NO_TRACK = -1
+"""The track of an object of which none is told."""
+
+DONT_CARE = "DontCare"
+"""The class of regions in which nothing counts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KittiLabels:
+    """Labels or results, in KITTI's own terms: rectified camera frame, pixels counted from the centre of the first.
+
+    Attributes:
+        frames: (N,) int64.
+        track_ids: (N,) int64, `NO_TRACK` where there is none.
+        types: N classes.
+        truncations: (N,) float64: how much of the object leaves the picture; -1 where nothing is told.
+        occlusions: (N,) int64: 0 seen whole, 1 partly, 2 largely hidden, 3 unknown; -1 where nothing is told.
+        alphas: (N,) float64 [rad], observation angle; -10 where nothing is told.
+        corners_xyxy: (N, 4) float64 [px], left, top, right, bottom.
+        sizes_hwl: (N, 3) float64 [m], height, width, length; not above 0 where nothing is told.
+        bottoms: (N, 3) float64 [m], middle of the box's bottom.
+        rotations_y: (N,) float64 [rad], about the camera's y axis.
+        scores: (N,) float64, or None for labels.
+
+    Raises:
+        ArrayError: shapes or dtypes are wrong.
+    """
+
+    frames: Int64Array
+    track_ids: Int64Array
+    types: tuple[str, ...]
+    truncations: Float64Array
+    occlusions: Int64Array
+    alphas: Float64Array
+    corners_xyxy: Float64Array
+    sizes_hwl: Float64Array
+    bottoms: Float64Array
+    rotations_y: Float64Array
+    scores: Float64Array | None = None
+
+    def __post_init__(self) -> None:
+        count = check_array("labels.frames", self.frames, (None,), np.int64)
+        for name, (dtype, shape) in _COLUMNS.items():
+            check_array(
+                f"labels.{name}", getattr(self, name), (count, *shape), dtype, optional=name == "scores"
+            )
+        if len(self.types) != count:
+            raise ArrayError(f"labels.types: {len(self.types)}; expected {count}")
+        for name in ("frames", *_COLUMNS):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, read_only(value))
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def have_place(self) -> BoolArray:
+        """(N,) bool, whether a box in space is told."""
+        have: BoolArray = np.all(self.sizes_hwl > 0, axis=1)
+        return have
+
+    def select(self, rows: ArrayLike) -> "KittiLabels":
+        """Keep some: (M,) numbers of rows, or (N,) bool."""
+        picked = np.asarray(rows)
+        chosen = np.arange(len(self))[picked if picked.dtype == np.bool_ else picked.astype(np.int64)]
+        kept: dict[str, Any] = {
+            f.name: None if (value := getattr(self, f.name)) is None else value[chosen]
+            for f in fields(self)
+            if f.name != "types"
+        }
+        return KittiLabels(types=tuple(self.types[k] for k in chosen.tolist()), **kept)
+
+
+_COLUMNS: dict[str, tuple[type, tuple[int, ...]]] = {
+    "track_ids": (np.int64, ()),
+    "truncations": (np.float64, ()),
+    "occlusions": (np.int64, ()),
+    "alphas": (np.float64, ()),
+    "corners_xyxy": (np.float64, (4,)),
+    "sizes_hwl": (np.float64, (3,)),
+    "bottoms": (np.float64, (3,)),
+    "rotations_y": (np.float64, ()),
+    "scores": (np.float64, ()),
+}
+"""Dtype, and shape of a row, of the columns beside frames and types."""
+
+
+def read_labels(path: Path | str) -> KittiLabels:
+    """Read labels or results of the tracking benchmark (one file a sequence) or of the object benchmark (one a frame).
+
+    A line of tracking begins with frame and track; of an object file, the frame is the number in the file's name, else
+    0. An empty file holds none.
+
+    Raises:
+        DataError: the file cannot be read, or a line is cut off, too long, or holds something that is no number.
+
+    Source: the readme files of KITTI's development kits for objects and tracking.
+    """
+    path = Path(path)
+    lines = read_lines(path)
+    tracked = bool(lines) and len(lines[0].words) > 2 and lines[0].words[0].lstrip("-").isdigit()
+    frame = int(path.stem) if path.stem.isascii() and path.stem.isdigit() else 0
+    heads, numbers, scored = [], [], None
+    for line in lines:
+        head, first = _head(line) if tracked else ((frame, NO_TRACK, _word(line, 0)), 1)
+        values = _values(line, first)
+        if scored is not None and scored != len(values):
+            raise line.fault(f"{len(line.words)} values where others have {scored + first}; expected as many")
+        scored = len(values)
+        heads.append(head)
+        numbers.append(values)
+    return _labels(heads, as_table(numbers, scored or len(NUMBERS)))
+
+
+def _head(line: Line) -> tuple[tuple[int, int, str], int]:
+    if len(line.words) < 3:
+        raise line.fault(
+            f"{len(line.words)} values; expected 17 or 18: frame, track, class, {', '.join(NUMBERS)}"
+        )
+    return (line.whole_at(0, "frame"), line.whole_at(1, "track", low=NO_TRACK), _word(line, 2)), 3
+
+
+def _word(line: Line, column: int) -> str:
+    word = line.words[column] if line.words else ""
+    if not word or not word[0].isalpha():
+        raise line.fault(f"class {word[:40]!r}; expected a word, as Car")
+    return word
+
+
+def _values(line: Line, first: int) -> list[float]:
+    count = len(NUMBERS) + first
+    line.check_count((count, count + 1), f"class, {', '.join(NUMBERS)}, and a score of results")
+    values = line.floats(first, [*NUMBERS, "score"][: len(line.words) - first])
+    for name, value in zip(NUMBERS[7:10], values[7:10], strict=True):
+        if value <= 0 and value not in (-1.0, -1000.0):
+            raise line.fault(
+                f"{name} {value:g}; expected a size above 0, or -1 or -1000 where it is not told"
+            )
+    if values[1] != int(values[1]):
+        raise line.fault(f"occluded {values[1]:g}; expected a whole number")
+    return values
+
+
+def _labels(heads: Sequence[tuple[int, int, str]], values: Float64Array) -> KittiLabels:
+    return KittiLabels(
+        frames=np.array([head[0] for head in heads], np.int64),
+        track_ids=np.array([head[1] for head in heads], np.int64),
+        types=tuple(head[2] for head in heads),
+        truncations=values[:, 0].copy(),
+        occlusions=values[:, 1].astype(np.int64),
+        alphas=values[:, 2].copy(),
+        corners_xyxy=values[:, 3:7].copy(),
+        sizes_hwl=values[:, 7:10].copy(),
+        bottoms=values[:, 10:13].copy(),
+        rotations_y=values[:, 13].copy(),
+        scores=values[:, 14].copy() if values.shape[1] > len(NUMBERS) else None,
+    )
+
+
+def write_labels(labels: KittiLabels, path: Path | str, *, overwrite: bool = False) -> None:
+    """Write labels or results as the tracking benchmark has them, a line each in their order.
+
+    Numbers have six decimals.
+
+    Raises:
+        OutputError: the file exists, or cannot be written.
+        DataError: a number is not finite, or a class has a blank.
+    """
+    path = Path(path)
+    with replacing(path, overwrite=overwrite) as draft:
+        draft.write_text("".join(f"{line}\n" for line in format_labels(labels, path)), "utf-8", newline="\n")
+
+
+def format_labels(labels: KittiLabels, path: Path | str = "") -> Iterator[str]:
+    """The lines of labels or results, without their ends.
+
+    Args:
+        path: what is written, for messages.
+
+    Raises:
+        DataError: a number is not finite, or a class has a blank.
+    """
+    columns = [labels.alphas[:, None], labels.corners_xyxy, labels.sizes_hwl, labels.bottoms]
+    columns += [labels.rotations_y[:, None]] + ([] if labels.scores is None else [labels.scores[:, None]])
+    values = np.concatenate(columns, axis=1)
+    wrong = ~np.isfinite(values).all(axis=1)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise DataError(path, f"object {k}", f"{values[k].tolist()}; expected finite numbers")
+    heads = zip(
+        labels.frames.tolist(),
+        labels.track_ids.tolist(),
+        labels.types,
+        labels.truncations.tolist(),
+        labels.occlusions.tolist(),
+        values.tolist(),
+        strict=True,
+    )
+    for frame, track, word, truncation, occlusion, row in heads:
+        if not word or any(letter.isspace() for letter in word):
+            raise DataError(path, "", f"class {word!r}; expected a word without blanks")
+        yield f"{frame} {track} {word} {truncation:g} {occlusion} {' '.join(f'{value:.6f}' for value in row)}"

@@ -1,0 +1,284 @@
+"""A folder laid out like KITTI's tracking benchmark: calibration, OXTS and lists of detections by sequence."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError
+from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
+from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, lidar_boxes
+from sceneloom.formats.kitti.detection_lists import (
+    COLUMNS_2D,
+    COLUMNS_3D,
+    DetectionList,
+    class_word,
+    find_detector,
+    joined,
+    read_boxes_2d_list,
+    read_boxes_3d_list,
+)
+from sceneloom.formats.kitti.oxts import PERIOD_NS, read_fields, read_oxts
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.rig.times import line_stamps
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Boxes2D, Boxes3D, Notice, NoticeKind, PosePath, ScoreForm
+
+CAMERA_ID, LIDAR_ID = "camera2", "velodyne"
+"""What the sensors of a sequence are called."""
+
+CAMERA = 2
+"""The number of the camera in whose pictures detections and labels are."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KittiSequence:
+    """One sequence.
+
+    Attributes:
+        name: of the sequence, "0000".
+        frame_count: one more than the last frame of which anything is known.
+        camera: the lens of camera 2.
+        camera_from_lidar: into the frame of camera 2 (`KittiCalibration.camera_from_lidar`).
+        rectified_from_lidar: into the frame of labels and results.
+        lidar_from_imu: None where it is not known.
+        world_from_ego: the way of the OXTS unit: east, north, up of its first fix; None where it is not known.
+        timestamps_ns: (frame_count,) int64 [ns] of the sweeps, and of the pictures.
+        detections_2d, detections_3d: what the detectors found; None where there is no detector's list.
+        notices: what was assumed or is missing.
+    """
+
+    name: str
+    frame_count: int
+    camera: Camera
+    camera_from_lidar: RigidTransform
+    rectified_from_lidar: RigidTransform
+    lidar_from_imu: RigidTransform | None
+    world_from_ego: PosePath | None
+    timestamps_ns: Int64Array
+    detections_2d: DetectionList | None
+    detections_3d: DetectionList | None
+    notices: tuple[Notice, ...] = ()
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def boxes_2d(self, frame: int) -> Boxes2D:
+        """What the detector of pictures found in a frame, all classes; its pixels count from the picture's corner."""
+        time_ns = int(self.timestamps_ns[frame])
+        if self.detections_2d is None:
+            return Boxes2D.empty(time_ns, sensor_id=CAMERA_ID)
+        values, labels = self.detections_2d.of(frame)
+        corners = values[:, 1:5] + CENTRE_TO_CORNER
+        return Boxes2D(time_ns, corners, values[:, 5].copy(), labels, sensor_id=CAMERA_ID)
+
+    def boxes_3d(self, frame: int) -> Boxes3D:
+        """What the detector of sweeps found in a frame, all classes, in the lidar's frame; scores are logits."""
+        time_ns = int(self.timestamps_ns[frame])
+        if self.detections_3d is None:
+            return Boxes3D.empty(time_ns, sensor_id=LIDAR_ID)
+        values, labels = self.detections_3d.of(frame)
+        placed = lidar_boxes(values[:, 7:10], values[:, 10:13], values[:, 13], self.rectified_from_lidar)
+        scores = values[:, 6].copy()
+        return Boxes3D(time_ns, *placed, scores, labels, score_form=ScoreForm.LOGIT, sensor_id=LIDAR_ID)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KittiTracking:
+    """The sequences of a folder.
+
+    Attributes:
+        path: the folder.
+        sequences: names of those that have a calibration.
+        detector_2d, detector_3d: the folders of their lists; None where there is none.
+        lenient: whether faulty lines of lists are left out and counted.
+        notices: what is missing for all of them.
+    """
+
+    path: Path
+    sequences: tuple[str, ...]
+    detector_2d: Path | None
+    detector_3d: Path | None
+    lenient: bool = False
+    notices: tuple[Notice, ...] = ()
+
+    def sequence(self, name: str) -> KittiSequence:
+        """Read a sequence; its labels are never looked at.
+
+        Raises:
+            DataError: there is none of that name, or a file of it is faulty.
+        """
+        if name not in self.sequences:
+            raise DataError(
+                self.path, f"sequence {name}", f"is not there; expected one of {', '.join(self.sequences)}"
+            )
+        ledger = Ledger(lenient=self.lenient)
+        with ledger.telling():
+            return _read_sequence(self, name, ledger)
+
+
+def open_tracking_folder(
+    path: Path | str, *, detector_2d: str | None = None, detector_3d: str | None = None, lenient: bool = False
+) -> KittiTracking:
+    """Open a folder with `calib/`, and `oxts/`, `det2d_*/` and `det3d_*/` as far as there are, or the one above.
+
+    Args:
+        detector_2d, detector_3d: the folder of lists of boxes in pictures and in space, where there are several.
+        lenient: leave out faulty lines of lists and count them.
+
+    Raises:
+        DataError: it has no calibration.
+        OptionError: there are several detectors and none was chosen, or the chosen one is not there.
+    """
+    folder = Path(path)
+    if not (folder / "calib").is_dir() and (folder / "training" / "calib").is_dir():
+        folder = folder / "training"
+    sequences = tuple(sorted(file.stem for file in (folder / "calib").glob("*.txt")))
+    if not sequences:
+        raise DataError(
+            folder, "calib", "holds no *.txt; expected a calibration for each sequence, as 0000.txt"
+        )
+    ledger = Ledger(lenient=lenient)
+    found = {
+        prefix: find_detector(folder, prefix, chosen)
+        for prefix, chosen in (("det2d_", detector_2d), ("det3d_", detector_3d))
+    }
+    for prefix, detector in found.items():
+        if detector is None:
+            kind = {"det2d_": "boxes of pictures", "det3d_": "boxes of sweeps"}[prefix]
+            ledger.note(
+                NoticeKind.SKIPPED, "no-detector", str(folder), f"no folder {prefix}*: goes without {kind}"
+            )
+    return KittiTracking(folder, sequences, found["det2d_"], found["det3d_"], lenient, ledger.notices)
+
+
+def is_tracking_folder(path: Path) -> bool:
+    """Whether a folder looks like one of KITTI's tracking benchmark, with or without detections."""
+    return any(
+        (folder / "calib").is_dir()
+        and any(
+            child.is_dir()
+            and (child.name.startswith(("det2d_", "det3d_")) or child.name in ("oxts", "label_02"))
+            for child in folder.iterdir()
+        )
+        for folder in (path, path / "training")
+        if folder.is_dir()
+    )
+
+
+def _read_sequence(tracking: KittiTracking, name: str, ledger: Ledger) -> KittiSequence:
+    folder = tracking.path
+    calibration = read_calibration(folder / "calib" / f"{name}.txt")
+    if CAMERA not in calibration.projections:
+        raise DataError(
+            folder / "calib" / f"{name}.txt", "", f"no P{CAMERA}; expected that of the left colour camera"
+        )
+    boxes_2d = _detections(tracking.detector_2d, name, COLUMNS_2D, read_boxes_2d_list, ledger)
+    boxes_3d = _detections(tracking.detector_3d, name, COLUMNS_3D, read_boxes_3d_list, ledger)
+    frame_count, poses = _frame_count(folder, name, (boxes_2d, boxes_3d), ledger)
+    times = _times(folder, name, frame_count)
+    oxts = folder / "oxts" / f"{name}.txt"
+    way = None
+    if poses and calibration.lidar_from_imu is not None:
+        way = read_oxts(oxts, times)
+    elif poses:
+        place = str(folder / "calib" / f"{name}.txt")
+        message = "no Tr_imu_velo: the way of the OXTS unit cannot be used"
+        ledger.note(NoticeKind.SKIPPED, "no-imu-mounting", place, message)
+    return KittiSequence(
+        name=name,
+        frame_count=frame_count,
+        camera=calibration.camera(CAMERA, _picture_size(folder, name, calibration, ledger)),
+        camera_from_lidar=calibration.camera_from_lidar(CAMERA),
+        rectified_from_lidar=calibration.rectified_from_lidar,
+        lidar_from_imu=calibration.lidar_from_imu,
+        world_from_ego=way,
+        timestamps_ns=times,
+        detections_2d=boxes_2d,
+        detections_3d=boxes_3d,
+        notices=ledger.notices,
+    )
+
+
+def _detections(
+    detector: Path | None,
+    name: str,
+    columns: Sequence[str],
+    read: Callable[[Path, str | None, Ledger], DetectionList],
+    ledger: Ledger,
+) -> DetectionList | None:
+    """The lists of all classes of a detector; None where it has none for the sequence."""
+    if detector is None:
+        return None
+    files: list[tuple[Path, str | None]] = [
+        (child / f"{name}.txt", class_word(child.name))
+        for child in sorted(detector.iterdir())
+        if child.is_dir()
+    ]
+    if columns is COLUMNS_3D and (detector / f"{name}.txt").is_file():
+        files.append((detector / f"{name}.txt", None))
+    for file, _ in files:
+        if not file.is_file():
+            ledger.note(
+                NoticeKind.SKIPPED, "no-detections", str(file), "no such list: goes without its boxes"
+            )
+    lists = [read(file, label, ledger) for file, label in files if file.is_file()]
+    if not files:
+        ledger.note(NoticeKind.SKIPPED, "no-detections", str(detector), "no list of this sequence in it")
+    return joined(lists, columns) if lists else None
+
+
+def _frame_count(
+    folder: Path, name: str, lists: Sequence[DetectionList | None], ledger: Ledger
+) -> tuple[int, int]:
+    """How many frames a sequence has, and of how many the OXTS unit tells."""
+    oxts = folder / "oxts" / f"{name}.txt"
+    poses = len(read_fields(oxts)) if oxts.is_file() and oxts.read_bytes().strip() else 0
+    pictures = sum(1 for _ in (folder / PICTURES / name).glob("*.png"))
+    found = max((one.frame_count for one in lists if one is not None), default=0)
+    if poses == 0:
+        message = "no poses: the ego's way is not known"
+        ledger.note(NoticeKind.SKIPPED, "no-oxts", str(oxts), message)
+    elif poses < max(pictures, found):
+        message = f"{poses} lines for {max(pictures, found)} frames; the way ends before the frames do"
+        ledger.note(NoticeKind.ASSUMED, "oxts-short", str(oxts), message)
+    return max(poses, pictures, found), poses
+
+
+PICTURES = "image_02"
+"""The folder of the left colour camera's pictures, where it is there."""
+
+
+def _times(folder: Path, name: str, frame_count: int) -> Int64Array:
+    """Of a file of seconds, where there is one; else ten frames a second."""
+    file = folder / "times" / f"{name}.txt"
+    if not file.is_file():
+        return np.arange(frame_count, dtype=np.int64) * PERIOD_NS
+    times = line_stamps(file, "seconds")
+    if len(times) < frame_count:
+        raise DataError(file, "", f"{len(times)} times for {frame_count} frames; expected as many")
+    back = np.flatnonzero(np.diff(times) <= 0)
+    if len(back):
+        raise DataError(
+            file, f"line {int(back[0]) + 2}", "is not later than the line before; expected rising times"
+        )
+    return times[:frame_count].copy()
+
+
+def _picture_size(folder: Path, name: str, calibration: KittiCalibration, ledger: Ledger) -> tuple[int, int]:
+    """Width and height of the pictures: of the first one there is, else by the focal length, else by the lens."""
+    for picture in sorted((folder / PICTURES / name).glob("*.png"))[:1]:
+        head = picture.read_bytes()[:24] if picture.stat().st_size >= 24 else b""
+        if head[:8] == b"\x89PNG\r\n\x1a\n":
+            return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    known = calibration.usual_size(CAMERA)
+    if known is not None:
+        return known
+    p = calibration.projections[CAMERA]
+    size = max(round(2 * float(p[0, 2]) + 1), 1), max(round(2 * float(p[1, 2]) + 1), 1)
+    message = f"no picture tells its size: taken as {size[0]}x{size[1]}, twice the way to the principal point"
+    ledger.note(NoticeKind.ASSUMED, "picture-size", str(folder / "calib" / f"{name}.txt"), message)
+    return size

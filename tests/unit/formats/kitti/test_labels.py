@@ -1,0 +1,73 @@
+"""KITTI's text of labels and results."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError, OutputError
+from sceneloom.formats.kitti import read_labels, write_labels
+
+CAR = "Car 0 1 -1.50 10.0 20.0 30.0 40.0 1.5 1.6 4.0 2.0 1.5 10.0 0.25"
+NOWHERE = "DontCare -1 -1 -10 5 6 7 8 -1 -1 -1 -1000 -1000 -1000 -10"
+TRACKING = f"0 3 {CAR}\n0 -1 {NOWHERE}\n4 3 {CAR}\n"
+
+
+def written(tmp_path, text, name="0001.txt"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_labels_of_tracking_have_frames_and_tracks(tmp_path):
+    labels = read_labels(written(tmp_path, TRACKING))
+    assert labels.frames.tolist() == [0, 0, 4]
+    assert labels.track_ids.tolist() == [3, -1, 3]
+    assert labels.types == ("Car", "DontCare", "Car")
+    assert labels.corners_xyxy[0].tolist() == [10, 20, 30, 40]  # as in the file, not shifted
+    assert (labels.sizes_hwl[0].tolist(), labels.bottoms[0].tolist()) == ([1.5, 1.6, 4.0], [2.0, 1.5, 10.0])
+    assert (labels.alphas[0], labels.rotations_y[0], labels.occlusions[0]) == (-1.5, 0.25, 1)
+    assert labels.have_place.tolist() == [True, False, True]
+    assert labels.scores is None
+
+
+def test_labels_of_objects_take_the_frame_from_the_files_name(tmp_path):
+    labels = read_labels(written(tmp_path, f"{CAR} 0.5\n{CAR} -2.5\n", "000114.txt"))
+    assert labels.frames.tolist() == [114, 114]
+    assert labels.track_ids.tolist() == [-1, -1]
+    assert labels.scores.tolist() == [0.5, -2.5]
+
+
+def test_an_empty_file_holds_no_labels(tmp_path):
+    assert len(read_labels(written(tmp_path, "\n"))) == 0
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    labels = read_labels(written(tmp_path, TRACKING.replace("\n", " 0.125\n")))
+    write_labels(labels.select(labels.have_place), tmp_path / "out.txt")
+    back = read_labels(tmp_path / "out.txt")
+    np.testing.assert_array_equal(back.bottoms, labels.bottoms[[0, 2]])
+    assert back.scores.tolist() == [0.125, 0.125]
+    assert len((tmp_path / "out.txt").read_text().splitlines()[0].split()) == 18
+
+
+def test_an_output_is_not_overwritten_unasked(tmp_path):
+    labels = read_labels(written(tmp_path, TRACKING))
+    with pytest.raises(OutputError, match="exists already"):
+        write_labels(labels, tmp_path / "0001.txt")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (f"0 3 {CAR} 0.5 9\n", "line 1: 19 values; expected 17 or 18"),
+        (f"0 3 {CAR}\n1 3 {CAR[:-5]}\n", "line 2: 16 values; expected 17 or 18"),
+        (f"0 3 {CAR}\n1 3 {CAR} 0.5\n", "line 2: 18 values where others have 17"),
+        (f"0 3 {CAR}\n\n1 3 {CAR}\n", "line 2: 0 values"),
+        (f"0 3 {CAR}\n1 x {CAR}\n", "line 2: track 'x'"),
+        (f"0 3 {CAR.replace('4.0 2.0', '-4.0 2.0')}\n", "line 1: l -4; expected a size above 0"),
+        (f"0 3 {CAR.replace('10.0 20.0', 'nan 20.0')}\n", "line 1: x1 'nan'"),
+        (f"{CAR.replace('Car', '7')}\n", "line 1: class '1'; expected a word"),
+    ],
+)
+def test_a_faulty_line_is_told_with_its_place(tmp_path, text, told):
+    with pytest.raises(DataError, match=told):
+        read_labels(written(tmp_path, text))

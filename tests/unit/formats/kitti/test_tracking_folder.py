@@ -1,0 +1,227 @@
+"""Folders of KITTI's tracking benchmark."""
+
+import re
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.kitti import open_tracking_folder
+from sceneloom.scene import ScoreForm
+
+
+def sequence(folder, **options):
+    return open_tracking_folder(folder, **options).sequence("0007")
+
+
+def test_frames_are_ten_a_second_and_as_many_as_lines_of_oxts(tracking_folder):
+    found = sequence(tracking_folder())
+    assert found.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]
+    assert found.notices == ()
+
+
+def test_boxes_of_pictures_are_counted_from_the_pictures_corner(tracking_folder):
+    boxes = sequence(tracking_folder()).boxes_2d(0)
+    assert boxes.corners_xyxy.tolist() == [[10.5, 20.5, 110.5, 220.5]]
+    assert (boxes.scores.tolist(), boxes.labels, boxes.score_form) == (
+        [0.75],
+        ("Car",),
+        ScoreForm.PROBABILITY,
+    )
+
+
+def test_boxes_of_sweeps_stand_in_the_lidars_frame_with_their_middles(tracking_folder):
+    boxes = sequence(tracking_folder()).boxes_3d(2)
+    # by hand: camera (x, y, z) = (-Y, -Z - 0.1, X - 0.3); KITTI's y is that of the bottom, y points down
+    np.testing.assert_allclose(boxes.centers, [[10.3, -2.0, -0.85], [8.3, 1.0, -0.7]], atol=1e-12)
+    assert boxes.sizes_lwh.tolist() == [[4.0, 1.6, 1.5], [0.8, 0.6, 1.8]]
+    # ry 0 heads along the camera's x, which is the lidar's -y; ry -90° along its z, which is the lidar's x
+    np.testing.assert_allclose(boxes.yaws, [-np.pi / 2, 0.0], atol=1e-7)
+    assert boxes.labels == ("Car", "Pedestrian")
+    assert boxes.score_form is ScoreForm.LOGIT
+    assert boxes.scores.tolist() == [-1.5, 3.5]
+
+
+def test_a_frame_in_which_nothing_was_found_has_no_boxes(tracking_folder):
+    found = sequence(tracking_folder())
+    assert (len(found.boxes_2d(1)), len(found.boxes_3d(1)), found.boxes_3d(3).timestamp_ns) == (
+        0,
+        0,
+        300_000_000,
+    )
+
+
+def test_the_fourth_column_of_the_projection_is_a_shift_of_the_camera(tracking_folder):
+    found = sequence(tracking_folder())
+    point = np.array([20.0, 3.0, -1.0])
+    x, y, z = found.camera_from_lidar.apply(point)
+    lens = found.camera
+    # the oracle is the projection as KITTI writes it: P2 R_rect Tr_velo_cam of the homogeneous point
+    rectified = np.array([-point[1], -point[2] - 0.1, point[0] - 0.3, 1.0])
+    u, v, w = np.array([[707.0493, 0, 600, 35], [0, 707.0493, 180, 0.7], [0, 0, 1, 0]]) @ rectified
+    assert (lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy) == pytest.approx((u / w, v / w), abs=1e-9)
+
+
+def test_both_spellings_of_a_calibration_mean_the_same(tracking_folder, spellings):
+    one = sequence(tracking_folder())
+    other = sequence(tracking_folder(calib__0007=spellings["object"]))
+    np.testing.assert_array_equal(one.camera_from_lidar.matrix, other.camera_from_lidar.matrix)
+    np.testing.assert_array_equal(one.lidar_from_imu.matrix, other.lidar_from_imu.matrix)
+
+
+def test_the_way_turns_counter_clockwise_from_east(tracking_folder):
+    way = sequence(tracking_folder()).world_from_ego
+    np.testing.assert_allclose(way.quaternions_xyzw[3], [0, 0, np.sin(0.15), np.cos(0.15)], atol=1e-12)
+    assert np.abs(way.positions).max() < 1e-6  # the unit stands still
+
+
+@pytest.mark.parametrize(
+    ("changed", "code"),
+    [
+        ({"oxts__0007": None}, "no-oxts"),
+        ({"oxts__0007": ""}, "no-oxts"),
+        (
+            {"det2d_a__Pedestrian__0007": None, "det2d_a__Car__0007": None, "det2d_a__Car__0009": ""},
+            "no-detections",
+        ),
+        ({"det3d_b__Pedestrian__0007": None, "det3d_b__Pedestrian__0009": ""}, "no-detections"),
+    ],
+)
+def test_what_is_missing_is_told_and_the_rest_is_read(tracking_folder, changed, code):
+    found = sequence(tracking_folder(**changed))
+    assert {notice.code for notice in found.notices} == {code}
+    assert found.frame_count >= 3
+    assert found.boxes_2d(2).labels + found.boxes_3d(2).labels != ()
+    assert (found.world_from_ego is None) == (code == "no-oxts")
+
+
+def test_without_any_detector_of_pictures_there_are_none(tracking_folder):
+    tracking = open_tracking_folder(tracking_folder(det2d_a__Car__0007=None, det2d_a__Pedestrian__0007=None))
+    assert [notice.code for notice in tracking.notices] == ["no-detector"]
+    assert len(tracking.sequence("0007").boxes_2d(0)) == 0
+
+
+def test_frames_beyond_the_way_are_told(tracking_folder):
+    found = sequence(tracking_folder(det2d_a__Car__0007="9,10,20,110,220,0.75\n"))
+    assert found.frame_count == 10
+    assert [notice.code for notice in found.notices] == ["oxts-short"]
+    assert len(found.world_from_ego.timestamps_ns) == 4
+
+
+def test_several_detectors_are_a_question_to_the_user(tracking_folder):
+    folder = tracking_folder(det2d_other__Car__0007="0,1,1,2,2,0.5\n")
+    with pytest.raises(
+        OptionError, match=r"several detectors: det2d_a, det2d_other; choose one with `--det2d NAME`"
+    ):
+        open_tracking_folder(folder)
+    chosen = open_tracking_folder(folder, detector_2d="other").sequence("0007")
+    assert chosen.boxes_2d(0).corners_xyxy.tolist() == [[1.5, 1.5, 2.5, 2.5]]
+    with pytest.raises(OptionError, match="detector 'x'"):
+        open_tracking_folder(folder, detector_2d="x")
+
+
+def test_boxes_without_an_area_are_left_out_and_counted(tracking_folder):
+    found = sequence(tracking_folder(det2d_a__Car__0007="0,5,5,5,9,0.5\n0,5,9,9,5,0.5\n0,1,1,2,2,0.5\n"))
+    assert len(found.boxes_2d(0)) == 1
+    assert [(notice.code, notice.count) for notice in found.notices] == [("boxes-without-area", 2)]
+
+
+GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "told"),
+    [
+        ("det2d_a__Car__0007", "0,10,20,110,220\n", "line 1: 5 values; expected 6: frame,x1,y1,x2,y2,score"),
+        ("det2d_a__Car__0007", "0,1,1,2,2,0.5\n0,10,2", "line 2: 3 values"),
+        ("det2d_a__Car__0007", "0,1,1,2,2,0.5\n0,car,2,3,4,0.5\n", "line 2: x1 'car'; expected a number"),
+        ("det2d_a__Car__0007", "0,1,1,2,nan,0.5\n", "line 1: y2 'nan'"),
+        ("det2d_a__Car__0007", "0,1,1,2,1e999,0.5\n", "line 1: y2 '1e999'"),
+        (
+            "det2d_a__Car__0007",
+            "-1,1,1,2,2,0.5\n",
+            "line 1: frame '-1'; expected a whole number of 0 or more",
+        ),
+        ("det2d_a__Car__0007", "0.5,1,1,2,2,0.5\n", "line 1: frame '0.5'"),
+        ("det2d_a__Car__0007", "0,1,1,2,2,7.5\n", "line 1: score 7.5; expected a probability"),
+        (
+            "det3d_b__Car__0007",
+            GOOD_3D.replace("1.5,1.6", "1.5,-1.6"),
+            "line 1: w -1.6; expected a size above 0",
+        ),
+        ("det3d_b__Car__0007", GOOD_3D.replace("2,2,0", "2,1,0"), "line 1: type 1 in the folder Car"),
+        ("det3d_b__Car__0007", f"{GOOD_3D},1", "line 1: 16 values; expected 15"),
+        ("oxts__0007", "49 8 110\n", "line 1: 3 values; expected 30"),
+        ("oxts__0007", "91 8" + " 0" * 28, "line 1: latitude 91.0"),
+        ("oxts__0007", "49 8" + " 0" * 28 + "\n\n49 8" + " 0" * 28, "line 2: 0 values"),
+        ("calib__0007", "P2: 1 2 3\n", "line 1: 3 values|line 1: 4 values; expected 13"),
+        ("calib__0007", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n", "no Tr_velo_cam or Tr_velo_to_cam; it has P0"),
+    ],
+)
+def test_a_faulty_line_is_told_with_its_place_and_what_was_expected(tracking_folder, file, text, told):
+    folder = tracking_folder(**{file: text})
+    with pytest.raises(DataError, match=told) as caught:
+        sequence(folder)
+    assert caught.value.file == str(folder / f"{file.replace('__', '/')}.txt")
+
+
+def test_a_lenient_reading_leaves_faulty_lines_out(tracking_folder):
+    found = sequence(tracking_folder(det3d_b__Car__0007=f"{GOOD_3D}\n2,2,0\n{GOOD_3D}\n"), lenient=True)
+    assert len(found.boxes_3d(2)) == 3
+    assert [(notice.code, notice.count) for notice in found.notices] == [("faulty-detections", 1)]
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("R_rect 2 0 0 0 1 0 0 0 1", "off by 3"),
+        ("R_rect 1 0 0 0 1 0 0 0 -1", "off by inf"),
+        ("Tr_velo_cam 1 0 0 0 0 1 0 0 0 0 1 0", "stands in line 3 already"),
+        ("Tr_velo_to_cam: 1 0 0 0 0 1 0 0 0 0 1 0", "expected one of both"),
+        ("P2: 0 0 6 0 0 7 1 0 0 0 1 0", "focal lengths above 0"),
+    ],
+)
+def test_a_calibration_that_is_none_is_refused(tracking_folder, spellings, line, told):
+    kept = [
+        row
+        for row in spellings["tracking"].splitlines()
+        if row and not (row.split()[0] == line.split()[0] and told[0] != "s")
+    ]
+    with pytest.raises(DataError, match=re.escape(told)):
+        sequence(tracking_folder(calib__0007="\n".join([*kept, line])))
+
+
+def test_a_sequence_that_is_not_there_is_told_with_those_that_are(tracking_folder):
+    with pytest.raises(DataError, match="sequence 0001: is not there; expected one of 0007"):
+        open_tracking_folder(tracking_folder()).sequence("0001")
+
+
+def test_pictures_tell_their_size_else_the_focal_length_else_the_lens(tracking_folder, spellings):
+    def size(folder):
+        lens = sequence(folder).camera
+        return lens.width, lens.height
+
+    assert size(tracking_folder()) == (1224, 370)
+    other = tracking_folder(calib__0007=spellings["tracking"].replace("7.070493e+02", "7.0e+02"))
+    assert size(other) == (1201, 361)
+    assert [notice.code for notice in sequence(other).notices] == ["picture-size"]
+    (other / "image_02" / "0007").mkdir(parents=True)
+    head = b"\x89PNG\r\n\x1a\n" + (13).to_bytes(4, "big") + b"IHDR"
+    (other / "image_02/0007/000000.png").write_bytes(
+        head + (640).to_bytes(4, "big") + (480).to_bytes(4, "big")
+    )
+    assert size(other) == (640, 480)
+
+
+def test_times_of_frames_are_taken_where_there_are(tracking_folder):
+    folder = tracking_folder(times__0007="5.0\n5.1\n5.25\n5.3\n")
+    assert sequence(folder).timestamps_ns.tolist() == [
+        5_000_000_000,
+        5_100_000_000,
+        5_250_000_000,
+        5_300_000_000,
+    ]
+    with pytest.raises(DataError, match="3 times for 4 frames"):
+        sequence(tracking_folder(times__0007="5.0\n5.1\n5.25\n"))
+    with pytest.raises(DataError, match="line 2: is not later"):
+        sequence(tracking_folder(times__0007="5.0\n5.0\n5.25\n5.3\n"))

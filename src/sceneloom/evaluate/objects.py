@@ -1,0 +1,180 @@
+"""The objects of a sequence as columns: what is held against the truth, and the truth itself."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, read_only
+from sceneloom.errors import ArrayError
+
+_FLOATS: dict[str, tuple[int, ...]] = {
+    "corners_xyxy": (4,),
+    "boxes": (7,),
+    "truncations": (),
+    "occlusions": (),
+    "scores": (),
+    "covariances": (7, 7),
+}
+"""The columns that may be absent, and the shape of a row."""
+
+
+class LabelColumns(Protocol):
+    """Labels or results of KITTI as columns, as `formats.kitti.read_labels` gives them."""
+
+    @property
+    def frames(self) -> Int64Array:
+        """(N,)."""
+
+    @property
+    def track_ids(self) -> Int64Array:
+        """(N,), -1 for none."""
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """N classes."""
+
+    @property
+    def truncations(self) -> AnyArray:
+        """(N,)."""
+
+    @property
+    def occlusions(self) -> AnyArray:
+        """(N,)."""
+
+    @property
+    def corners_xyxy(self) -> Float64Array:
+        """(N, 4) [px]."""
+
+    @property
+    def sizes_hwl(self) -> Float64Array:
+        """(N, 3) [m]."""
+
+    @property
+    def bottoms(self) -> Float64Array:
+        """(N, 3) [m], middles of the lower faces in the camera's frame."""
+
+    @property
+    def rotations_y(self) -> Float64Array:
+        """(N,) [rad], about the camera's y axis."""
+
+    @property
+    def scores(self) -> Float64Array | None:
+        """(N,), or None."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectTable:
+    """The objects of one sequence, a row for each object in each frame, in any order.
+
+    Attributes:
+        frames: (N,) int64, 0 or more.
+        ids: (N,) int64, of the objects, the same through the sequence; -1 for regions and detections, which have none.
+        labels: N classes, compared without regard to capitals.
+        corners_xyxy: (N, 4) float64 [px], left, top, right and bottom edge, or None.
+        boxes: (N, 7) float64, middle [m], length, width, height [m] and heading about z [rad] in an upright frame that
+            results and truth share, or None.
+        truncations: (N,) float64, how much of each lies outside the picture, or None.
+        occlusions: (N,) float64, KITTI's 0 to 3, or None.
+        scores: (N,) float64, higher for surer, or None.
+        covariances: (N, 7, 7) float64 of the columns of `boxes`, or None.
+
+    Raises:
+        ArrayError: shapes or dtypes are wrong, a frame is negative, or a number is not finite.
+    """
+
+    frames: Int64Array
+    ids: Int64Array
+    labels: tuple[str, ...]
+    corners_xyxy: Float64Array | None = None
+    boxes: Float64Array | None = None
+    truncations: Float64Array | None = None
+    occlusions: Float64Array | None = None
+    scores: Float64Array | None = None
+    covariances: Float64Array | None = None
+
+    def __post_init__(self) -> None:
+        count = check_array("objects.frames", self.frames, (None,), np.int64)
+        check_array("objects.ids", self.ids, (count,), np.int64)
+        if len(self.labels) != count:
+            raise ArrayError(f"objects.labels: {len(self.labels)}; expected {count}")
+        for name, shape in _FLOATS.items():
+            column: Float64Array | None = getattr(self, name)
+            check_array(f"objects.{name}", column, (count, *shape), np.float64, optional=True)
+            if column is not None:
+                self._check_finite(name, column)
+                object.__setattr__(self, name, read_only(column))
+        if (self.frames < 0).any():
+            raise ArrayError(f"objects.frames: {self.frames.min()}; expected 0 or more")
+        object.__setattr__(self, "frames", read_only(self.frames))
+        object.__setattr__(self, "ids", read_only(self.ids))
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def _check_finite(self, name: str, column: Float64Array) -> None:
+        sound = np.isfinite(column).all(axis=tuple(range(1, column.ndim)))
+        if not sound.all():
+            row = int(np.flatnonzero(~sound)[0])
+            raise ArrayError(
+                f"objects.{name}[{row}] (frame {self.frames[row]}): {column[row].tolist()}; expected finite numbers"
+            )
+
+    @classmethod
+    def empty(cls) -> "ObjectTable":
+        """A sequence without objects, which may be compared in any way."""
+        none = np.zeros(0, np.int64)
+        return cls(none, none, (), np.zeros((0, 4)), np.zeros((0, 7)), scores=np.zeros(0))
+
+    @classmethod
+    def of_kitti(cls, labels: LabelColumns) -> "ObjectTable":
+        """Take the columns of KITTI's text; boxes get the frame x = camera's z, y = -x, z = -y.
+
+        Source: the development kit of KITTI's tracking benchmark.
+        """
+        heights, widths, lengths = labels.sizes_hwl.T
+        right, down, forward = labels.bottoms.T
+        boxes = (
+            forward,
+            -right,
+            heights / 2 - down,
+            lengths,
+            widths,
+            heights,
+            -labels.rotations_y - np.pi / 2,
+        )
+        return cls(
+            frames=labels.frames,
+            ids=labels.track_ids,
+            labels=tuple(labels.types),
+            corners_xyxy=labels.corners_xyxy,
+            boxes=np.column_stack(boxes).astype(np.float64),
+            truncations=np.asarray(labels.truncations, np.float64),
+            occlusions=np.asarray(labels.occlusions, np.float64),
+            scores=labels.scores,
+        )
+
+    def are(self, *labels: str) -> BoolArray:
+        """Say which rows are of one of these classes, (N,) bool."""
+        asked = {label.lower() for label in labels}
+        return np.fromiter((label.lower() in asked for label in self.labels), np.bool_, len(self.labels))
+
+    def select(self, rows: ArrayLike) -> "ObjectTable":
+        """Keep some rows: (M,) numbers of rows, or (N,) bool."""
+        picked = np.arange(len(self))[np.asarray(rows)]
+        columns = {name: getattr(self, name) for name in _FLOATS}
+        kept = {name: None if column is None else column[picked] for name, column in columns.items()}
+        return ObjectTable(
+            self.frames[picked], self.ids[picked], tuple(self.labels[k] for k in picked.tolist()), **kept
+        )
+
+    def in_order(self) -> "ObjectTable":
+        """The same rows sorted by frame, those of a frame in the order in which they stood."""
+        if (np.diff(self.frames) >= 0).all():
+            return self
+        return self.select(np.argsort(self.frames, kind="stable"))
+
+    def frame_starts(self, frame_count: int) -> Int64Array:
+        """Where the rows of each frame begin, (`frame_count` + 1,) int64; rows are in order."""
+        return np.searchsorted(self.frames, np.arange(frame_count + 1)).astype(np.int64)

@@ -1,0 +1,28 @@
+"""How good a tracker is: HOTA, CLEAR and identities, by KITTI's rules or for boxes in space."""
+
+from sceneloom.evaluate.tracking.evaluation import (
+    CLASSES,
+    ClassTracking,
+    TrackingScores,
+    combine_scores,
+    evaluate_tracking,
+    score_sequence,
+)
+from sceneloom.evaluate.tracking.protocol import KITTI_RULES, NEIGHBOURS, TrackingRules
+from sceneloom.evaluate.tracking.scores import ALPHAS, ClearScores, HotaScores, IdentityScores
+
+__all__ = [
+    "ALPHAS",
+    "CLASSES",
+    "KITTI_RULES",
+    "NEIGHBOURS",
+    "ClassTracking",
+    "ClearScores",
+    "HotaScores",
+    "IdentityScores",
+    "TrackingRules",
+    "TrackingScores",
+    "combine_scores",
+    "evaluate_tracking",
+    "score_sequence",
+]

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.evaluate.objects import ObjectTable
-from sceneloom.kernels import frame_overlaps
+from sceneloom.kernels import frame_overlaps, upright_overlaps
 
 
 class Similarity(StrEnum):
@@ -101,11 +101,21 @@ def _in_picture(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> 
     return frame_overlaps.picture_overlaps(truth, found, *pairs.places)
 
 
+def _from_above(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
+    return upright_overlaps.overlaps_from_above(truth, found, *pairs.places)
+
+
+def _in_space(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
+    return upright_overlaps.overlaps_in_space(truth, found, *pairs.places)
+
+
 def _near(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
     return frame_overlaps.nearnesses(_plain(truth[:, :2]), _plain(found[:, :2]), *pairs.places, ZERO_DISTANCE)
 
 
 _COMPARED: dict[Similarity, tuple[str, Callable[[Float64Array, Float64Array, FramePairs], Float64Array]]] = {
     Similarity.PICTURE: ("corners_xyxy", _in_picture),
+    Similarity.ABOVE: ("boxes", _from_above),
+    Similarity.SPACE: ("boxes", _in_space),
     Similarity.DISTANCE: ("boxes", _near),
 }

@@ -1,0 +1,85 @@
+"""Overlaps of turned boxes against outlines that Shapely intersects."""
+
+import numpy as np
+import pytest
+
+from sceneloom.kernels.upright_overlaps import overlaps_from_above, overlaps_in_space
+
+shapely = pytest.importorskip("shapely", reason="no shapely: pip install shapely")
+
+
+def outline(box: np.ndarray) -> "shapely.Polygon":
+    x, y, _, length, width, _, yaw = box
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    return shapely.Polygon(corners @ turn.T + [x, y])
+
+
+def expected(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    """Overlap from above and in space."""
+    one, other = outline(first), outline(second)
+    ground = one.intersection(other).area
+    top = min(first[2] + first[5] / 2, second[2] + second[5] / 2)
+    bottom = max(first[2] - first[5] / 2, second[2] - second[5] / 2)
+    room = ground * max(0.0, top - bottom)
+    volumes = one.area * first[5] + other.area * second[5]
+    return ground / (one.area + other.area - ground), room / (volumes - room)
+
+
+def in_one_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, ...]:
+    starts = (np.array([0, len(first)]), np.array([0, len(second)]), np.array([0, len(first) * len(second)]))
+    shape = len(first), len(second)
+    arguments = (np.ascontiguousarray(first, float), np.ascontiguousarray(second, float), *starts)
+    return overlaps_from_above(*arguments).reshape(shape), overlaps_in_space(*arguments).reshape(shape)
+
+
+def some_boxes(rng: np.random.Generator, count: int) -> np.ndarray:
+    places, sizes = rng.normal(0, 1.5, (count, 3)), rng.uniform(0.3, 5, (count, 3))
+    return np.column_stack([places, sizes, rng.uniform(-7, 7, count)])
+
+
+def test_boxes_at_any_place_overlap_as_their_outlines_do():
+    rng = np.random.default_rng(3)
+    first, second = some_boxes(rng, 30), some_boxes(rng, 30)
+    found = np.array(in_one_frame(first, second))
+    told = np.array([[expected(a, b) for b in second] for a in first]).transpose(2, 0, 1)
+    assert 0.3 < (told > 0).mean() < 0.9
+    np.testing.assert_allclose(found, told, rtol=0, atol=1e-9)  # sums of products of doubles
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -np.pi / 2, 2 * np.pi, 1e-9, 0.3])
+def test_a_box_and_its_copy_are_one_however_they_are_turned(turn):
+    box = np.array([[100.0, -50, 1, 4, 2, 1.5, turn]])
+    above, space = in_one_frame(box, box)
+    assert above[0, 0] == pytest.approx(1, abs=1e-12)
+    assert space[0, 0] == pytest.approx(1, abs=1e-12)
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, np.pi / 4])
+def test_edges_that_touch_or_coincide_are_no_trouble(turn):
+    first = np.array([[0.0, 0, 0, 4, 2, 1, 0.0]])
+    second = np.array([[x, y, 0, 4, 2, 1, turn] for x in (0, 1, 2, 3, 4) for y in (0, 1, 2)], float)
+    above, _ = in_one_frame(first, second)
+    told = [expected(first[0], box)[0] for box in second]
+    np.testing.assert_allclose(above[0], told, rtol=0, atol=1e-9)  # as above
+
+
+def test_boxes_one_over_the_other_overlap_from_above_only():
+    first, second = np.array([[0.0, 0, 0, 4, 2, 1, 0.5]]), np.array([[0.0, 0, 5, 4, 2, 1, 0.5]])
+    above, space = in_one_frame(first, second)
+    assert above[0, 0] == pytest.approx(1)
+    assert space[0, 0] == 0.0
+
+
+def test_boxes_without_a_size_overlap_nothing():
+    first = np.array([[0.0, 0, 0, 4, 2, 1, 0]])
+    second = np.array([[0.0, 0, 0, -1, -1, -1, 0], [0, 0, 0, 0, 2, 1, 0], [0, 0, 0, 4, 2, 0, 0]])
+    above, space = in_one_frame(first, second)
+    assert above[0, :2].tolist() == [0, 0]
+    assert not space.any()
+
+
+def test_only_boxes_of_one_frame_are_held_against_each_other():
+    box = np.array([[0.0, 0, 0, 4, 2, 1, 0.2]] * 3)
+    starts = (np.array([0, 1, 1, 3]), np.array([0, 2, 3, 3]), np.array([0, 2, 2, 2]))
+    assert overlaps_from_above(box, box, *starts) == pytest.approx([1, 1])

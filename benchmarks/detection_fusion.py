@@ -15,13 +15,15 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
 from sceneloom.detections.assignment import assign, pair_gains
-from sceneloom.detections.classes import codes
+from sceneloom.detections.classes import numbers_of
 from sceneloom.detections.outlines import project_outlines
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.sound_boxes import boxes_with_place
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 CAMERA = Camera("brown_conrady", 1920, 1080, 1100.0, 1100.0, 959.5, 539.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))
@@ -29,6 +31,11 @@ CAMERA_FROM_LIDAR = RigidTransform(
     np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.0, -0.1, -0.3])
 )
 LABELS = ("car", "pedestrian", "cyclist", "truck")
+
+
+def as_numbers(boxes: Boxes3D) -> Float64Array:
+    """(N, 7): middles, sizes and headings."""
+    return boxes_with_place(boxes.centers, boxes.sizes_lwh, boxes.yaws)[0]
 
 
 def make_pair(count: int, seed: int) -> DetectionPair:
@@ -41,7 +48,7 @@ def make_pair(count: int, seed: int) -> DetectionPair:
     sizes = random.uniform([0.6, 0.5, 1.4], [5.0, 2.0, 2.5], (count, 3))
     labels = tuple(LABELS[k % len(LABELS)] for k in range(count))
     boxes_3d = Boxes3D(0, centers, sizes, random.uniform(-np.pi, np.pi, count), random.random(count), labels)
-    corners = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_3d).corners_xyxy
+    corners = project_outlines(CAMERA, CAMERA_FROM_LIDAR, as_numbers(boxes_3d)).corners_xyxy
     corners = corners + random.normal(scale=2.0, size=(count, 4))
     alone = random.random(count) < 0.25
     corners[alone] = random.uniform([0, 0, 1000, 600], [900, 500, 1900, 1000], (int(alone.sum()), 4))
@@ -66,13 +73,13 @@ def milliseconds(
 
 def outline(pair: DetectionPair) -> object:
     """Where the boxes of the sweep are in the picture."""
-    return project_outlines(pair.camera, pair.camera_from_lidar, pair.boxes_3d)
+    return project_outlines(pair.camera, pair.camera_from_lidar, as_numbers(pair.boxes_3d))
 
 
 def pair_up(pair: DetectionPair) -> object:
     """The best assignment, as if the boxes of the picture were the outlines."""
-    corners, scores = pair.boxes_2d.corners_xyxy, pair.boxes_2d.scores.copy()
-    classes = codes(pair.boxes_2d.labels, pair.boxes_2d.labels)
+    corners, scores = pair.boxes_2d.corners_xyxy.copy(), pair.boxes_2d.scores.copy()
+    classes = numbers_of(pair.boxes_2d.labels, pair.boxes_2d.labels)
     return assign(pair_gains(corners, corners, *classes, scores, scores, least_iou=0.3))
 
 

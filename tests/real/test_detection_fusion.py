@@ -153,7 +153,8 @@ def recall_and_precision(drives, wanted):
     for drive in drives:
         for pair, truth in zip(drive.pairs, drive.truth, strict=True):
             two, three = pair.boxes_2d, pair.boxes_3d
-            outlines = project_outlines(pair.camera, pair.camera_from_lidar, three).corners_xyxy
+            boxes = np.column_stack([three.centers, three.sizes_lwh, three.yaws])
+            outlines = project_outlines(pair.camera, pair.camera_from_lidar, boxes).corners_xyxy
             fused = fuse_by_projection(pair)
             sums[0] += count(two.corners_xyxy, two.scores, two.labels, truth, wanted)
             sums[1] += count(outlines, 1 / (1 + np.exp(-three.scores)), three.labels, truth, wanted)

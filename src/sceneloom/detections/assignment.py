@@ -1,9 +1,10 @@
 """Which box of a sweep and which of a picture are one object."""
 
-import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.detections.classes import FAMILIES
+from sceneloom.detections.results import NO_BOX
 from sceneloom.kernels import box_overlaps
 
 SAME_FAMILY = 0.8
@@ -31,7 +32,7 @@ def pair_gains(
     Args:
         outlines_xyxy: (N, 4) float64 [px], of the boxes of the sweep in the picture.
         corners_xyxy: (M, 4) float64 [px], boxes of the picture.
-        classes_3d, classes_2d: (N, 2) and (M, 2) of `classes.codes`.
+        classes_3d, classes_2d: (N,) and (M,) of `classes.numbers_of`.
         probabilities_3d, probabilities_2d: (N,) and (M,).
         least_iou: boxes that overlap less are worth nothing.
 
@@ -41,10 +42,11 @@ def pair_gains(
     Source: Rezatofighi et al. 2019, "Generalized Intersection over Union".
     """
     gains: Float64Array = box_overlaps.pair_gains(
-        _plain(outlines_xyxy),
-        _plain(corners_xyxy),
+        outlines_xyxy,
+        corners_xyxy,
         classes_3d,
         classes_2d,
+        FAMILIES,
         probabilities_3d,
         probabilities_2d,
         least_iou,
@@ -55,11 +57,6 @@ def pair_gains(
     return gains
 
 
-def _plain(corners_xyxy: Float64Array) -> Float64Array:
-    """The same numbers as the compiled loop takes them: in one piece, and free to be written to."""
-    return np.require(corners_xyxy, requirements=["C", "W"])
-
-
 def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
     """Pair rows with columns so that the sum of their gains is the largest; pairs without gain are none.
 
@@ -67,10 +64,10 @@ def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
         gains: (N, M), 0 or more, finite.
 
     Returns:
-        (K,) int64 rows, rising, and the column of each.
+        (N,) int64, the column of each row, and (M,) int64, the row of each column; NO_BOX for none.
 
     Source: Crouse 2016, "On implementing 2D rectangular assignment algorithms", as SciPy has it.
     """
     rows, columns = linear_sum_assignment(gains, maximize=True)
-    kept = gains[rows, columns] > 0.0
-    return rows[kept].astype(np.int64), columns[kept].astype(np.int64)
+    found: tuple[Int64Array, Int64Array] = box_overlaps.both_ways(gains, rows, columns, NO_BOX)
+    return found

@@ -71,14 +71,28 @@ Source: sizes are the means of KITTI's labels, rounded, and common dimensions of
 SAYS_NOTHING = frozenset({"", "unknown", "object", "misc", "other", "generic", "dontcare", "unclassified"})
 """Words by which a detector says that something is there, and not what."""
 
-_UNLISTED = Kind("", (), (2.0, 1.2, 1.6), (1.5, 0.6, 0.5))
-_ANY = -1
+UNLISTED = len(KINDS)
+"""The number of the first class that is in no table, and the row of such classes in tables."""
+
+_OTHERWISE = Kind("", (), (2.0, 1.2, 1.6), (1.5, 0.6, 0.5))
+_NONE = -1
 
 _KIND_OF = {name: name for name in KINDS} | {
     word: name for name, kind in KINDS.items() for word in kind.words
 }
-_FAMILIES = {family: k for k, family in enumerate(dict.fromkeys(kind.family for kind in KINDS.values()))}
+_PLACES = {name: k for k, name in enumerate(KINDS)}
+_FAMILIES = tuple(dict.fromkeys(kind.family for kind in KINDS.values()))
 _DROPPED = str.maketrans("", "", " -_.")
+
+FAMILIES: Int64Array = read_only(
+    [*(_FAMILIES.index(kind.family) for kind in KINDS.values()), _NONE], np.int64
+)
+"""(K + 1,), the family of each class of `KINDS`, and -1 for whatever else there is."""
+SIZES: Float64Array = read_only(
+    [(*kind.size_lwh, *kind.size_sigmas) for kind in (*KINDS.values(), _OTHERWISE)]
+)
+"""(K + 1, 6) float64 [m]: usual length, width and height of each class, and how much they differ; of words in no table
+wide enough to hold a person and a car."""
 
 
 @lru_cache(maxsize=4096)
@@ -88,41 +102,37 @@ def kind_name(label: str) -> str:
     return _KIND_OF.get(plain, plain)
 
 
+@lru_cache(maxsize=4096)
 def says_nothing(label: str) -> bool:
     """Whether a word leaves open what it is."""
     return kind_name(label) in SAYS_NOTHING
 
 
-def codes(labels_3d: Sequence[str], labels_2d: Sequence[str]) -> tuple[Int64Array, Int64Array]:
+def numbers_of(labels_3d: Sequence[str], labels_2d: Sequence[str]) -> tuple[Int64Array, Int64Array]:
     """Give the classes of two detectors as numbers that can be compared.
 
     Returns:
-        Of each (N, 2) int64: a number for the class, equal for equal classes, and one for its family, -1 where the word
-        is in no table or says nothing.
+        (N,) and (M,) int64, equal for equal classes: their place in `KINDS`, or UNLISTED and more.
     """
-    numbers: dict[str, int] = {}
-    return _numbered(labels_3d, numbers), _numbered(labels_2d, numbers)
+    others: dict[str, int] = {}
+    return _numbered(labels_3d, others), _numbered(labels_2d, others)
 
 
-def _numbered(labels: Sequence[str], numbers: dict[str, int]) -> Int64Array:
-    rows: dict[str, tuple[int, int]] = {}
-    for label in dict.fromkeys(labels):
-        name = kind_name(label)
-        rows[label] = numbers.setdefault(name, len(numbers)), _family(name)
-    return np.array([rows[label] for label in labels], np.int64).reshape(-1, 2)
+def _numbered(labels: Sequence[str], others: dict[str, int]) -> Int64Array:
+    numbers = [_place(label) for label in labels]
+    if None in numbers:
+        for k, number in enumerate(numbers):
+            if number is None:
+                numbers[k] = UNLISTED + others.setdefault(kind_name(labels[k]), len(others))
+    return np.array(numbers, np.int64)
 
 
 @lru_cache(maxsize=4096)
-def _family(name: str) -> int:
-    return _FAMILIES[KINDS[name].family] if name in KINDS else _ANY
+def _place(label: str) -> int | None:
+    return _PLACES.get(kind_name(label))
 
 
-def typical_sizes(labels: Sequence[str]) -> tuple[Float64Array, Float64Array]:
-    """Give typical lengths, widths and heights of classes and their spread, both (N, 3) float64 [m].
-
-    Of words in no table these are wide enough to hold a person and a car.
-    """
-    kinds = [KINDS.get(kind_name(label), _UNLISTED) for label in labels]
-    sizes = np.array([kind.size_lwh for kind in kinds]).reshape(-1, 3)
-    sigmas = np.array([kind.size_sigmas for kind in kinds]).reshape(-1, 3)
-    return read_only(sizes), read_only(sigmas)
+def table_rows(numbers: Int64Array) -> Int64Array:
+    """Give the rows of tables with one row for each of `KINDS` and a last one for whatever else there is."""
+    rows: Int64Array = np.minimum(numbers, UNLISTED)
+    return rows

@@ -14,50 +14,33 @@ object and reports nothing tells too, with its chance D to find what is there:
 
     odds(e | box, none) = odds(s) (1 - D),
 
-since where nothing is, it was all but certain to report nothing. D falls with what the sensor can see of it.
+since where nothing is, it was all but certain to report nothing. D falls with what the sensor can see of it. A score
+that is no number tells nothing, and leaves the prior. The formulas are compiled: `kernels.existence_odds`.
 
 Source: Bayes' theorem under conditional independence: Chen et al. 2022, "Multimodal Object Detection via Probabilistic
 Ensembling", eq. 4 for the agreement; Thrun, Burgard and Fox 2005, "Probabilistic Robotics", ch. 4.2 for log odds.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
-from sceneloom.arrays import Float64Array
-from sceneloom.scene.detections import ScoreForm
-
-_SUREST = 1e-6
-"""No detector is surer than this of what is there or not: two of them could not contradict each other."""
-_LIMIT = float(np.log((1.0 - _SUREST) / _SUREST))
+from sceneloom.arrays import Float64Array, read_only
+from sceneloom.detections.classes import UNLISTED
+from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.kernels import existence_odds as columns
 
 
-def log_odds(scores: Float64Array, form: ScoreForm, *, prior: float) -> Float64Array:
-    """Give scores as logarithms of odds; one that is no number tells nothing, and leaves the prior.
+@lru_cache(maxsize=256)
+def existence_table(settings: ProjectionSettings) -> Float64Array:
+    """Give what detectors are like as the compiled formulas take it.
 
-    Args:
-        scores: (N,) float64.
-        form: what they are.
-        prior: of what a score that is no number says.
+    Returns:
+        (K + 1, COLUMNS) float64, a row for each class of `classes.KINDS` and a last one for whatever else there is; the
+        columns are those of `kernels.existence_odds`.
     """
-    if form is ScoreForm.LOGIT:
-        odds = np.minimum(np.maximum(scores, -_LIMIT), _LIMIT)
-    else:
-        shares = np.minimum(np.maximum(scores, _SUREST), 1.0 - _SUREST)
-        odds = np.log(shares / (1.0 - shares))
-    known: Float64Array = np.where(np.isnan(scores), np.log(prior / (1.0 - prior)), odds)
-    return known
-
-
-def probabilities(odds: Float64Array) -> Float64Array:
-    """Give logarithms of odds as probabilities."""
-    shares: Float64Array = 1.0 / (1.0 + np.exp(-odds))
-    return shares
-
-
-def agreed(odds_3d: Float64Array, odds_2d: Float64Array, *, prior: float) -> Float64Array:
-    """Logarithms of odds of objects that both detectors report."""
-    return odds_3d + odds_2d - float(np.log(prior / (1.0 - prior)))
-
-
-def missed(odds: Float64Array, chances: Float64Array) -> Float64Array:
-    """Logarithms of odds of objects that one detector reports, and the other one had these chances to find."""
-    return odds + np.log1p(-chances)
+    row = np.empty(columns.COLUMNS)
+    row[columns.PRIOR] = np.log(settings.prior / (1.0 - settings.prior))
+    row[columns.RECALL_2D], row[columns.RECALL_3D] = settings.recall_2d, settings.recall_3d
+    row[columns.LEAST_HEIGHT_PX], row[columns.FARTHEST_3D] = settings.least_height_px, settings.farthest_3d
+    return read_only(np.tile(row, (UNLISTED + 1, 1)))

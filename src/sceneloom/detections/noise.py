@@ -1,10 +1,15 @@
-"""How far off boxes are, where their detector does not say so."""
+"""How far off boxes are, where their detector does not say so.
+
+Deviations grow with size and range, σ = (share · size + least) (1 + range / scale), along the axes of the box. What a
+detector tells counts instead where it is a covariance: finite, with variances above 0. The formulas are compiled:
+`kernels.box_noise`.
+"""
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array
-from sceneloom.kernels.upright_boxes import assumed_covariances
-from sceneloom.scene.detections import Boxes3D
+from sceneloom.arrays import Float64Array, read_only
+from sceneloom.detections.classes import UNLISTED
+from sceneloom.kernels import box_noise as columns
 
 CENTER_SIGMAS = (0.05, 0.03)
 """Deviation of a middle along an axis of its box: this share of its size along that axis, plus so much [m].
@@ -18,18 +23,14 @@ RANGE_SCALE = 60.0
 """Range at which deviations have doubled [m]."""
 
 
-def center_and_size_covariances(boxes: Boxes3D) -> Float64Array:
-    """Give the covariances of middles and sizes, (N, 6, 6) float64 [m²]: x, y, z, length, width, height.
+def _noise_table() -> Float64Array:
+    row = np.empty(columns.COLUMNS)
+    row[columns.CENTER_SHARE], row[columns.CENTER_LEAST] = CENTER_SIGMAS
+    row[columns.SIZE_SHARE], row[columns.SIZE_LEAST] = SIZE_SIGMAS
+    row[columns.RANGE_SCALE] = RANGE_SCALE
+    return read_only(np.tile(row, (UNLISTED + 1, 1)))
 
-    What the detector tells counts where it is a covariance: finite, with variances above 0. Otherwise deviations are
-    taken to grow with size and range, σ = (share · size + least) (1 + range / 60 m), along the axes of the box.
-    """
-    numbers = np.column_stack([boxes.centers, boxes.sizes_lwh, boxes.yaws])
-    covariances: Float64Array = assumed_covariances(numbers, *CENTER_SIGMAS, *SIZE_SIGMAS, RANGE_SCALE)
-    if boxes.covariances is not None:
-        said = boxes.covariances[:, :6, :6]
-        said = (said + said.transpose(0, 2, 1)) / 2.0
-        sound: BoolArray = np.all(np.isfinite(said), axis=(1, 2))
-        sound[sound] = np.linalg.eigvalsh(said[sound])[:, 0] > 0.0
-        covariances[sound] = said[sound]
-    return covariances
+
+NOISE = _noise_table()
+"""(K + 1, COLUMNS) float64, a row for each class of `classes.KINDS` and a last one for whatever else there is; the
+columns are those of `kernels.box_noise`."""

@@ -8,9 +8,8 @@ from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.box_overlaps import covered_shares
+from sceneloom.kernels.box_overlaps import hide_covered
 from sceneloom.kernels.upright_boxes import place_upright_boxes
-from sceneloom.scene.detections import Boxes3D
 from sceneloom.visibility.outlines import COARSE, box_extents
 
 _NEAR = 0.05
@@ -39,29 +38,26 @@ class Outlines:
 def project_outlines(
     camera: Camera,
     camera_from_lidar: RigidTransform,
-    boxes: Boxes3D,
+    boxes: Float64Array,
     *,
     likely: Float64Array | None = None,
 ) -> Outlines:
-    """Find where a picture shows the boxes of a sweep; their numbers are finite.
+    """Find where a picture shows the boxes of a sweep.
 
     Args:
         camera: the lens.
         camera_from_lidar: how it lies.
-        boxes: in the lidar's frame.
+        boxes: (N, 7) float64, middle, size [m] and heading [rad] in the lidar's frame; finite.
         likely: (N,) float64, how likely it is that each exists, and so hides what is behind it; None for certain.
 
     Raises:
         CalibrationError: the lens is unknown.
     """
-    numbers = np.column_stack([boxes.centers, boxes.sizes_lwh, boxes.yaws])
     axes, corners, distances, gaps = place_upright_boxes(
-        numbers, CORNER_SIGNS, camera_from_lidar.rotation, camera_from_lidar.translation
+        boxes, CORNER_SIGNS, camera_from_lidar.rotation, camera_from_lidar.translation
     )
     extents, shares = box_extents(camera, corners, steps=COARSE)
-    # one beyond the picture has infinities the wrong way round; of one around the camera nothing is known
-    hidden = (gaps <= _NEAR) | (extents[:, 2] <= extents[:, 0]) | (extents[:, 3] <= extents[:, 1])
-    extents[hidden], shares[hidden] = 0.0, 0.0
-    solid = np.ones(len(boxes)) if likely is None else likely
-    shares *= 1.0 - covered_shares(extents, distances, solid, _APART)
+    hide_covered(
+        extents, shares, distances, gaps, np.ones(len(boxes)) if likely is None else likely, _NEAR, _APART
+    )
     return Outlines(extents, shares, axes, corners)

@@ -13,29 +13,28 @@ What becomes of the boxes:
 Boxes whose place or size is no number are left out.
 """
 
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.detections import existence
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.detections.assignment import assign, pair_gains
-from sceneloom.detections.camera_only import place_by_height
-from sceneloom.detections.classes import codes, says_nothing
-from sceneloom.detections.noise import center_and_size_covariances
+from sceneloom.detections.camera_only import Placed, place_by_height
+from sceneloom.detections.classes import numbers_of, says_nothing, table_rows
+from sceneloom.detections.existence import existence_table
+from sceneloom.detections.noise import NOISE
 from sceneloom.detections.outlines import Outlines, project_outlines
 from sceneloom.detections.refinement import refine
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import OptionError
-from sceneloom.kernels.sound_boxes import have_area, have_place
-from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.kernels import existence_odds, fused_columns, sound_boxes
+from sceneloom.kernels.box_noise import center_and_size_covariances
+from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.types import PointsFrame
 
 DEFAULTS = ProjectionSettings()
-
-Boxes = TypeVar("Boxes", Boxes3D, Boxes2D)
 
 
 def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DEFAULTS) -> FusedBoxes:
@@ -56,137 +55,148 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
     """
     if pair.boxes_3d.frame is not PointsFrame.SENSOR:
         raise OptionError(f"boxes in the {pair.boxes_3d.frame} frame; expected the lidar's")
-    seen = _Seen.of(pair, settings)
-    likely = existence.probabilities(seen.odds_3d)
-    outlines = project_outlines(pair.camera, pair.camera_from_lidar, seen.boxes_3d, likely=likely)
+    table = existence_table(settings)
+    sweep, picture = _seen(pair, table)
+    outlines = project_outlines(pair.camera, pair.camera_from_lidar, sweep.numbers, likely=sweep.likely)
     gains = pair_gains(
         outlines.corners_xyxy,
-        seen.boxes_2d.corners_xyxy,
-        *codes(seen.boxes_3d.labels, seen.boxes_2d.labels),
-        likely,
-        existence.probabilities(seen.odds_2d),
+        picture.numbers,
+        sweep.classes,
+        picture.classes,
+        sweep.likely,
+        picture.likely,
         least_iou=settings.least_iou,
     )
-    matched = assign(gains)
-    columns = _objects_of_sweep(pair, seen, outlines, matched, settings)
-    labels = _labels(seen, matched)
-    if settings.keep_camera_only and len(matched[1]) < len(seen.boxes_2d):
-        others, other_labels = _objects_of_picture(pair, seen, matched[1], settings)
-        columns = {name: np.concatenate([values, others[name]]) for name, values in columns.items()}
-        labels += other_labels
-    velocities = seen.boxes_3d.velocities
+    partners, taken = assign(gains)
+    scores = existence_odds.scores_of_sweep(
+        outlines.corners_xyxy,
+        outlines.seen_shares,
+        partners,
+        sweep.odds,
+        picture.odds,
+        sweep.kinds,
+        table,
+    )
+    covariances = _covariances(pair.boxes_3d, sweep)
+    refine(
+        pair.camera, pair.camera_from_lidar, outlines, sweep.numbers, covariances, partners, picture.numbers
+    )
+    alone = np.flatnonzero(taken == NO_BOX) if settings.keep_camera_only else _NO_ROWS
+    placed = place_by_height(pair.camera, pair.camera_from_lidar, picture.numbers, alone, picture.kinds)
+    others = existence_odds.scores_of_picture(placed.rows, placed.ranges, picture.odds, picture.kinds, table)
+    scores = np.concatenate([scores, others])
+    labels = (*_labels(sweep, picture, partners), *(picture.labels[k] for k in placed.rows.tolist()))
+    return _joined(pair, sweep, picture, outlines, partners, covariances, placed, scores, labels)
+
+
+_NO_ROWS = np.zeros(0, np.int64)
+_NOT_TOLD = np.zeros((0, 7, 7))
+
+
+class _Seen(NamedTuple):
+    """The boxes of one detector that have a place.
+
+    Attributes:
+        numbers: (N, 7) float64 of `sound_boxes.boxes_with_place`, or (N, 4) of `sound_boxes.boxes_with_area`.
+        rows: (N,) int64, which of the detector's boxes these are.
+        labels: N classes.
+        classes: (N,) int64 of `classes.numbers_of`.
+        kinds: (N,) int64, rows of tables.
+        odds: (N,) float64, logarithms of the odds that each exists, by the detector.
+        likely: (N,) float64, the probabilities.
+    """
+
+    numbers: Float64Array
+    rows: Int64Array
+    labels: Sequence[str]
+    classes: Int64Array
+    kinds: Int64Array
+    odds: Float64Array
+    likely: Float64Array
+
+
+def _seen(pair: DetectionPair, table: Float64Array) -> tuple[_Seen, _Seen]:
+    three, two = pair.boxes_3d, pair.boxes_2d
+    boxes, rows_3d = sound_boxes.boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
+    corners, rows_2d = sound_boxes.boxes_with_area(two.corners_xyxy)
+    labels_3d, labels_2d = _some(three.labels, rows_3d), _some(two.labels, rows_2d)
+    classes_3d, classes_2d = numbers_of(labels_3d, labels_2d)
+    return (
+        _weighed(three, boxes, rows_3d, labels_3d, classes_3d, table),
+        _weighed(two, corners, rows_2d, labels_2d, classes_2d, table),
+    )
+
+
+def _some(labels: tuple[str, ...], rows: Int64Array) -> Sequence[str]:
+    return labels if len(rows) == len(labels) else [labels[k] for k in rows.tolist()]
+
+
+def _weighed(
+    boxes: Boxes3D | Boxes2D,
+    numbers: Float64Array,
+    rows: Int64Array,
+    labels: Sequence[str],
+    classes: Int64Array,
+    table: Float64Array,
+) -> _Seen:
+    kinds = table_rows(classes)
+    odds = existence_odds.told_odds(boxes.scores, rows, boxes.score_form is ScoreForm.LOGIT, kinds, table)
+    return _Seen(numbers, rows, labels, classes, kinds, *odds)
+
+
+def _covariances(boxes: Boxes3D, sweep: _Seen) -> Float64Array:
+    """(N, 6, 6) [m²], of middles and sizes: as the detector tells, else as far off as such boxes usually are."""
+    told = _NOT_TOLD if boxes.covariances is None else boxes.covariances
+    covariances: Float64Array = center_and_size_covariances(
+        sweep.numbers, told, sweep.rows, sweep.kinds, NOISE
+    )
+    return covariances
+
+
+def _labels(sweep: _Seen, picture: _Seen, partners: Int64Array) -> list[str]:
+    """The classes of the objects of a sweep: of two detectors what the surer one says, if it says anything."""
+    labels = list(sweep.labels)
+    for row, partner in enumerate(partners.tolist()):
+        if partner == NO_BOX or picture.labels[partner] == labels[row]:
+            continue
+        other, surer = picture.labels[partner], picture.odds[partner] > sweep.odds[row]
+        if says_nothing(labels[row]) or (surer and not says_nothing(other)):
+            labels[row] = other
+    return labels
+
+
+def _joined(
+    pair: DetectionPair,
+    sweep: _Seen,
+    picture: _Seen,
+    outlines: Outlines,
+    partners: Int64Array,
+    covariances: Float64Array,
+    placed: Placed,
+    scores: Float64Array,
+    labels: tuple[str, ...],
+) -> FusedBoxes:
+    """The objects of the sweep, then those of the picture alone."""
+    places = fused_columns.join_places(sweep.numbers, covariances, *placed[1:5])
+    centers, center_covariances, sizes, size_covariances, yaws = places
+    corners, rows_3d, rows_2d = fused_columns.join_sources(
+        outlines.corners_xyxy, sweep.rows, partners, picture.numbers, picture.rows, placed.rows, NO_BOX
+    )
+    velocities = pair.boxes_3d.velocities
     if velocities is not None:
-        velocities = np.concatenate([velocities, np.zeros((len(labels) - len(velocities), 3))])
+        velocities = np.concatenate([velocities[sweep.rows], np.zeros((len(placed.rows), 3))])
     return FusedBoxes(
         timestamp_ns=pair.boxes_3d.timestamp_ns,
-        labels=labels,
-        ids=np.arange(len(labels)),
+        centers=centers,
+        center_covariances=center_covariances,
+        sizes_lwh=sizes,
+        size_covariances=size_covariances,
+        yaws=yaws,
         velocities=velocities,
-        **columns,
+        scores=scores,
+        labels=labels,
+        corners_xyxy=corners,
+        ids=np.arange(len(labels)),
+        rows_3d=rows_3d,
+        rows_2d=rows_2d,
     )
-
-
-Matched = tuple[Int64Array, Int64Array]
-"""Rows of boxes of the sweep, and of their partners in the picture."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """The boxes of a pair that have a place, which rows of it they are, and logarithms of their odds."""
-
-    boxes_3d: Boxes3D
-    boxes_2d: Boxes2D
-    rows_3d: Int64Array
-    rows_2d: Int64Array
-    odds_3d: Float64Array
-    odds_2d: Float64Array
-
-    @classmethod
-    def of(cls, pair: DetectionPair, settings: ProjectionSettings) -> "_Seen":
-        found = pair.boxes_3d
-        boxes_3d, rows_3d = _some(found, have_place(found.centers, found.sizes_lwh, found.yaws))
-        boxes_2d, rows_2d = _some(pair.boxes_2d, have_area(pair.boxes_2d.corners_xyxy))
-        odds_3d, odds_2d = (
-            existence.log_odds(boxes.scores, boxes.score_form, prior=settings.prior)
-            for boxes in (boxes_3d, boxes_2d)
-        )
-        return cls(boxes_3d, boxes_2d, rows_3d, rows_2d, odds_3d, odds_2d)
-
-
-def _some(boxes: Boxes, sound: BoolArray) -> tuple[Boxes, Int64Array]:
-    rows = np.flatnonzero(sound)
-    return (boxes if len(rows) == len(boxes) else boxes.select(rows)), rows
-
-
-def _objects_of_sweep(
-    pair: DetectionPair, seen: _Seen, outlines: Outlines, matched: Matched, settings: ProjectionSettings
-) -> dict[str, Any]:
-    """Columns of `FusedBoxes` of the boxes of the sweep."""
-    boxes, (rows, partners) = seen.boxes_3d, matched
-    heights = outlines.corners_xyxy[:, 3] - outlines.corners_xyxy[:, 1]
-    expected = settings.recall_2d * outlines.seen_shares * (heights >= settings.least_height_px)
-    odds = existence.missed(seen.odds_3d, expected)
-    odds[rows] = existence.agreed(seen.odds_3d[rows], seen.odds_2d[partners], prior=settings.prior)
-    corners, rows_2d = outlines.corners_xyxy, np.full(len(boxes), NO_BOX)
-    corners[rows], rows_2d[rows] = seen.boxes_2d.corners_xyxy[partners], seen.rows_2d[partners]
-    states = np.concatenate([boxes.centers, boxes.sizes_lwh], axis=1)
-    covariances = center_and_size_covariances(boxes)
-    states[rows], covariances[rows] = refine(
-        pair.camera,
-        pair.camera_from_lidar,
-        outlines.axes_camera[rows],
-        outlines.corners_camera[rows],
-        states[rows],
-        covariances[rows],
-        corners[rows],
-    )
-    return {
-        "centers": states[:, :3],
-        "center_covariances": covariances[:, :3, :3],
-        "sizes_lwh": states[:, 3:],
-        "size_covariances": covariances[:, 3:, 3:],
-        "yaws": boxes.yaws,
-        "scores": existence.probabilities(odds),
-        "corners_xyxy": corners,
-        "rows_3d": seen.rows_3d,
-        "rows_2d": rows_2d,
-    }
-
-
-def _objects_of_picture(
-    pair: DetectionPair, seen: _Seen, partners: Int64Array, settings: ProjectionSettings
-) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Columns of `FusedBoxes` of the boxes of the picture without a partner, and their classes."""
-    alone = np.ones(len(seen.boxes_2d), np.bool_)
-    alone[partners] = False
-    rows = np.flatnonzero(alone)
-    corners, labels = seen.boxes_2d.corners_xyxy[rows], tuple(seen.boxes_2d.labels[k] for k in rows.tolist())
-    placed = place_by_height(pair.camera, pair.camera_from_lidar, corners, labels)
-    if not placed.known.all():
-        kept = np.flatnonzero(placed.known)
-        rows, corners, labels = rows[kept], corners[kept], tuple(labels[k] for k in kept.tolist())
-        placed = placed.some(placed.known)
-    expected = np.where(placed.ranges <= settings.farthest_3d, settings.recall_3d, 0.0)
-    columns = {
-        "centers": placed.centers,
-        "center_covariances": placed.center_covariances,
-        "sizes_lwh": placed.sizes_lwh,
-        "size_covariances": placed.size_covariances,
-        "yaws": np.zeros(len(rows)),
-        "scores": existence.probabilities(existence.missed(seen.odds_2d[rows], expected)),
-        "corners_xyxy": corners,
-        "rows_3d": np.full(len(rows), NO_BOX),
-        "rows_2d": seen.rows_2d[rows],
-    }
-    return columns, labels
-
-
-def _labels(seen: _Seen, matched: Matched) -> tuple[str, ...]:
-    """The classes of the objects of a sweep: of two detectors what the surer one says, if it says anything."""
-    labels, others = list(seen.boxes_3d.labels), seen.boxes_2d.labels
-    rows, partners = matched
-    surer_2d = seen.odds_2d[partners] > seen.odds_3d[rows]
-    for row, partner, surer in zip(rows.tolist(), partners.tolist(), surer_2d.tolist(), strict=True):
-        if says_nothing(labels[row]) or (surer and not says_nothing(others[partner])):
-            labels[row] = others[partner]
-    return tuple(labels)

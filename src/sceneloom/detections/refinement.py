@@ -13,14 +13,13 @@ Source: Kalman 1960, "A New Approach to Linear Filtering and Prediction Problems
 "Probabilistic Robotics", ch. 3.5 for the form with inverses.
 """
 
-import numpy as np
-
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded
+from sceneloom.detections.outlines import Outlines
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.box_sides import bounding_corners, shifted_corners, update_by_sides
+from sceneloom.kernels.box_sides import shifted_sides, update_by_sides
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
 MIDDLE_SIGMAS = (2.0, 0.03)
@@ -30,8 +29,6 @@ Source: detections of KITTI's sequences against the outlines of those of the swe
 """
 HEIGHT_SIGMAS = (2.0, 0.06)
 """Deviation of the height of a box in the picture: so many pixels, plus this share of it; source as above."""
-_LEAST_PX = np.array([MIDDLE_SIGMAS[0], MIDDLE_SIGMAS[0], HEIGHT_SIGMAS[0]])
-_SHARES = np.array([MIDDLE_SIGMAS[1], MIDDLE_SIGMAS[1], HEIGHT_SIGMAS[1]])
 FARTHEST = 3.0
 """A number of the picture that is more deviations than this from where it is expected has another reason."""
 BORDER_PX = 2.0
@@ -45,51 +42,43 @@ _LEAST_SHARE = 0.1
 def refine(
     camera: Camera,
     camera_from_lidar: RigidTransform,
-    axes_camera: Float64Array,
-    corners_camera: Float64Array,
-    states: Float64Array,
+    outlines: Outlines,
+    boxes: Float64Array,
     covariances: Float64Array,
-    partners_xyxy: Float64Array,
-) -> tuple[Float64Array, Float64Array]:
+    partners: Int64Array,
+    corners_xyxy: Float64Array,
+) -> None:
     """Update boxes by their partners.
 
     Args:
         camera: the lens.
         camera_from_lidar: takes middles into the camera's frame.
-        axes_camera: (M, 3, 3), whose columns are the boxes' axes in the camera's frame.
-        corners_camera: (M, 8, 3) [m].
-        states: (M, 6) [m], middle in the lidar's frame, and length, width, height.
-        covariances: (M, 6, 6) [m²].
-        partners_xyxy: (M, 4) [px], corner convention.
-
-    Returns:
-        States and covariances afterwards.
+        outlines: of the boxes in the picture.
+        boxes: (N, 7), middle in the lidar's frame, length, width, height [m] and heading [rad]; changed.
+        covariances: (N, 6, 6) [m²], of middles and sizes; changed.
+        partners: (N,) int64, which box of the picture is the same object, NO_BOX for none.
+        corners_xyxy: (M, 4) [px], boxes of the picture, corner convention.
     """
-    count = len(states)
-    states_after, covariances = states.copy(), covariances.copy()
-    if count == 0:
-        return states_after, covariances
-    pixels = project_unbounded(camera, corners_camera.reshape(-1, 3)).reshape(count, 8, 2)
+    corners, count = outlines.corners_camera, len(boxes)
+    pixels = project_unbounded(camera, corners.reshape(-1, 3)).reshape(count, 8, 2)
     pixels += CENTRE_TO_CORNER
-    partners = np.ascontiguousarray(partners_xyxy)
-    sides = bounding_corners(pixels, partners, float(camera.width), float(camera.height), BORDER_PX)
-    shifted = project_unbounded(camera, shifted_corners(corners_camera, sides, _STEP)).reshape(count, 4, 6, 2)
-    turns = np.empty((count, 2, 3, 3))
-    turns[:, 0], turns[:, 1] = camera_from_lidar.rotation, axes_camera
-    scales = partners.take((2, 3, 3), axis=1) - partners.take((0, 1, 1), axis=1)
-    sigmas = _LEAST_PX + _SHARES * scales
+    rows, sides, shifted = shifted_sides(
+        corners, pixels, partners, corners_xyxy, float(camera.width), float(camera.height), BORDER_PX, _STEP
+    )
     update_by_sides(
-        states_after,
+        boxes,
         covariances,
-        turns,
+        camera_from_lidar.rotation,
+        outlines.axes_camera,
         CORNER_SIGNS,
         pixels,
+        rows,
         sides,
-        shifted,
+        project_unbounded(camera, shifted).reshape(len(rows), 4, 6, 2),
         _STEP,
         partners,
-        sigmas,
+        corners_xyxy,
+        (*MIDDLE_SIGMAS, *HEIGHT_SIGMAS),
         FARTHEST,
+        _LEAST_SHARE,
     )
-    states_after[:, 3:] = np.maximum(states_after[:, 3:], _LEAST_SHARE * states[:, 3:])
-    return states_after, covariances

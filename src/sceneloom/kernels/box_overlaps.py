@@ -20,8 +20,8 @@ def _area(a, i):  # type: ignore[no-untyped-def]
 
 
 @njit(
-    "float64[:,::1](float64[:,::1], float64[:,::1], int64[:,::1], int64[:,::1], float64[::1], float64[::1], float64, "
-    "float64, float64, float64)",
+    "float64[:,::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], Array(int64, 1, 'C', readonly=True), "
+    "float64[::1], float64[::1], float64, float64, float64, float64)",
     nogil=True,
     cache=True,
     error_model="numpy",
@@ -31,6 +31,7 @@ def pair_gains(
     second: Float64Array,
     first_classes: Int64Array,
     second_classes: Int64Array,
+    families: Int64Array,
     first_shares: Float64Array,
     second_shares: Float64Array,
     least_iou: float,
@@ -42,7 +43,8 @@ def pair_gains(
 
     Args:
         first, second: (N, 4) and (M, 4) [px], left, top, right, bottom; finite.
-        first_classes, second_classes: (N, 2) and (M, 2), class and family, -1 for none.
+        first_classes, second_classes: (N,) and (M,), numbers of classes; those beyond the families have the last.
+        families: (K,), of classes; -1 for none.
         first_shares, second_shares: (N,) and (M,), 0 to 1, how sure each box is.
         least_iou: boxes that overlap less are worth nothing, nor are those without an area in common.
         same_family: factor for boxes of different classes of one family.
@@ -52,8 +54,9 @@ def pair_gains(
     Returns:
         (N, M) float64: (1 + GIoU) / 2 times those factors, 0 for boxes of classes that are never the same.
     """
-    gains = np.zeros((len(first), len(second)))
+    gains, last = np.zeros((len(first), len(second))), len(families) - 1
     for i in range(len(first)):
+        family = families[min(first_classes[i], last)]
         for j in range(len(second)):
             common = _common(first, i, second, j)
             if common <= 0.0:
@@ -61,11 +64,12 @@ def pair_gains(
             both = _area(first, i) + _area(second, j) - common
             if common < least_iou * both:
                 continue
-            if first_classes[i, 0] == second_classes[j, 0]:
+            other = families[min(second_classes[j], last)]
+            if first_classes[i] == second_classes[j]:
                 weight = 1.0
-            elif first_classes[i, 1] < 0 or second_classes[j, 1] < 0:
+            elif family < 0 or other < 0:
                 weight = one_unknown
-            elif first_classes[i, 1] == second_classes[j, 1]:
+            elif family == other:
                 weight = same_family
             else:
                 continue
@@ -78,31 +82,65 @@ def pair_gains(
 
 
 @njit(
-    "float64[::1](float64[:,::1], float64[::1], float64[::1], float64)",
+    "void(float64[:,::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, float64)",
     nogil=True,
     cache=True,
     error_model="numpy",
 )
-def covered_shares(
-    boxes: Float64Array, distances: Float64Array, likely: Float64Array, margin: float
-) -> Float64Array:
-    """Say which share of each box another one is likely to cover, of those nearer the one that covers most.
+def hide_covered(
+    boxes: Float64Array,
+    shares: Float64Array,
+    distances: Float64Array,
+    gaps: Float64Array,
+    likely: Float64Array,
+    near: float,
+    margin: float,
+) -> None:
+    """Take from the share of each box that is seen what another one is likely to cover: of the nearer ones the most.
 
     Args:
-        boxes: (N, 4) [px], left, top, right, bottom.
+        boxes: (N, 4) [px], left, top, right, bottom; those the wrong way round, or around the eye, become 0.
+        shares: (N,), changed; 0 for boxes without area.
         distances: (N,) [m], how far each is.
+        gaps: (N,) [m], how far from the eye each begins.
         likely: (N,), how likely it is that each exists.
+        near: what begins nearer than this is around the eye [m].
         margin: boxes that are less nearer than this are in one place, and cover nothing [m].
-
-    Returns:
-        (N,) float64, 0 for boxes without area.
     """
-    shares = np.zeros(len(boxes))
     for i in range(len(boxes)):
-        area = _area(boxes, i)
+        if gaps[i] <= near or boxes[i, 2] <= boxes[i, 0] or boxes[i, 3] <= boxes[i, 1]:
+            boxes[i], shares[i] = 0.0, 0.0
+    for i in range(len(boxes)):
+        area, most = _area(boxes, i), 0.0
         if area <= 0.0:
             continue
         for j in range(len(boxes)):
             if distances[j] < distances[i] - margin:
-                shares[i] = max(shares[i], likely[j] * _common(boxes, i, boxes, j) / area)
-    return shares
+                most = max(most, likely[j] * _common(boxes, i, boxes, j) / area)
+        shares[i] *= 1.0 - most
+
+
+@njit(
+    "Tuple((int64[::1], int64[::1]))(float64[:,::1], int64[::1], int64[::1], int64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def both_ways(
+    gains: Float64Array, rows: Int64Array, columns: Int64Array, none: int
+) -> tuple[Int64Array, Int64Array]:
+    """Give an assignment as the partner of each row and of each column.
+
+    Args:
+        gains: (N, M), what pairs are worth; those without worth are none.
+        rows, columns: (K,), the pairs.
+        none: stands for no partner.
+
+    Returns:
+        (N,) and (M,) int64.
+    """
+    of_rows, of_columns = np.full(gains.shape[0], none), np.full(gains.shape[1], none)
+    for k in range(len(rows)):
+        if gains[rows[k], columns[k]] > 0.0:
+            of_rows[rows[k]], of_columns[columns[k]] = columns[k], rows[k]
+    return of_rows, of_columns

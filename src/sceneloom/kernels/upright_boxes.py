@@ -1,4 +1,4 @@
-"""Upright boxes: where their corners are in another frame, and how far off they may be taken to be."""
+"""Upright boxes: where their corners are in another frame."""
 
 import numpy as np
 from numba import njit
@@ -54,43 +54,3 @@ def place_upright_boxes(
             inside[i] = max(abs(along) - boxes[n, 3 + i] / 2.0, 0.0)
         gaps[n] = np.sqrt(inside[0] ** 2 + inside[1] ** 2 + inside[2] ** 2)
     return axes, corners, distances, gaps
-
-
-@njit(
-    "float64[:,:,::1](float64[:,::1], float64, float64, float64, float64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
-def assumed_covariances(
-    boxes: Float64Array,
-    center_share: float,
-    center_least: float,
-    size_share: float,
-    size_least: float,
-    scale: float,
-) -> Float64Array:
-    """Give covariances of middles and sizes whose deviations grow with size and range.
-
-    Args:
-        boxes: (N, 7), as above.
-        center_share, center_least: deviation of a middle along an axis, per metre of size along it, and beside [m].
-        size_share, size_least: deviation of a size, per metre of it, and beside [m].
-        scale: range at which deviations have doubled [m].
-
-    Returns:
-        (N, 6, 6) float64 [m²]: middle in the frame of the boxes, then length, width, height.
-    """
-    covariances = np.zeros((len(boxes), 6, 6))
-    for n in range(len(boxes)):
-        growth = 1.0 + np.sqrt(boxes[n, 0] ** 2 + boxes[n, 1] ** 2 + boxes[n, 2] ** 2) / scale
-        along = ((center_share * boxes[n, 3] + center_least) * growth) ** 2
-        across = ((center_share * boxes[n, 4] + center_least) * growth) ** 2
-        cosine, sine = np.cos(boxes[n, 6]), np.sin(boxes[n, 6])
-        covariances[n, 0, 0] = along * cosine * cosine + across * sine * sine
-        covariances[n, 1, 1] = along * sine * sine + across * cosine * cosine
-        covariances[n, 0, 1] = covariances[n, 1, 0] = (along - across) * cosine * sine
-        covariances[n, 2, 2] = ((center_share * boxes[n, 5] + center_least) * growth) ** 2
-        for k in range(3, 6):
-            covariances[n, k, k] = ((size_share * boxes[n, k] + size_least) * growth) ** 2
-    return covariances

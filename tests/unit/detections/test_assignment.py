@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sceneloom.detections.assignment import ONE_UNKNOWN, SAME_FAMILY, SURER, assign, pair_gains
-from sceneloom.detections.classes import codes
+from sceneloom.detections.classes import numbers_of
+from sceneloom.detections.results import NO_BOX
 
 
 def random_boxes(generator, count):
@@ -41,7 +42,7 @@ def test_gains_are_those_of_the_definition():
         ("van", "pedestrian"): 0.0,
     }
     p, q = generator.random(30), generator.random(25)
-    found = pair_gains(a, b, *codes(words_a, words_b), p, q, least_iou=0.1)
+    found = pair_gains(a, b, *numbers_of(words_a, words_b), p, q, least_iou=0.1)
     expected = [
         [
             slow_gain(a[i], b[j], weights.get((words_a[i], words_b[j]), ONE_UNKNOWN), (p[i] + q[j]) / 2, 0.1)
@@ -58,7 +59,10 @@ def test_no_other_assignment_gains_more(seed):
     generator = np.random.default_rng(seed)
     rows, columns = generator.integers(1, 7, 2)
     gains = np.where(generator.random((rows, columns)) < 0.6, generator.random((rows, columns)), 0.0)
-    chosen = assign(gains)
+    partners, takers = assign(gains)
+    chosen = np.flatnonzero(partners >= 0), partners[partners >= 0]
+    assert takers[chosen[1]].tolist() == chosen[0].tolist()
+    assert (takers >= 0).sum() == len(chosen[0])
     wide = gains if rows <= columns else gains.T
     best = max(
         sum(wide[i, j] for i, j in enumerate(order))
@@ -70,6 +74,6 @@ def test_no_other_assignment_gains_more(seed):
 
 
 def test_a_box_that_is_worth_nothing_to_any_other_stays_alone():
-    rows, columns = assign(np.array([[0.0, 0.0], [0.9, 0.8]]))
-    assert rows.tolist() == [1]
-    assert columns.tolist() == [0]
+    partners, takers = assign(np.array([[0.0, 0.0], [0.9, 0.8]]))
+    assert partners.tolist() == [NO_BOX, 0]
+    assert takers.tolist() == [1, NO_BOX]

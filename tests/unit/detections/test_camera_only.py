@@ -5,6 +5,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.camera_only import place_by_height
+from sceneloom.detections.classes import numbers_of, table_rows
 from sceneloom.geometry.rigid import RigidTransform
 
 CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
@@ -14,8 +15,12 @@ CAMERA_FROM_LIDAR = RigidTransform(
 
 
 def placed(*corners, label="pedestrian"):
-    numbers = np.array(corners, np.float64)
-    return place_by_height(CAMERA, CAMERA_FROM_LIDAR, numbers, (label,) * len(numbers))
+    return place_all(CAMERA, np.array(corners, np.float64), label)
+
+
+def place_all(camera, corners, label):
+    kinds = table_rows(numbers_of([label] * len(corners), [])[0])
+    return place_by_height(camera, CAMERA_FROM_LIDAR, corners, np.arange(len(corners)), kinds)
 
 
 def test_a_person_is_where_their_height_says():
@@ -42,7 +47,7 @@ def test_what_the_border_cuts_is_less_certain():
 
 
 def test_without_boxes_there_is_nothing():
-    assert len(place_by_height(CAMERA, CAMERA_FROM_LIDAR, np.zeros((0, 4)), ()).centers) == 0
+    assert len(place_all(CAMERA, np.zeros((0, 4)), "car").centers) == 0
 
 
 @pytest.mark.parametrize("label", ["car", "dragon", ""])
@@ -55,6 +60,15 @@ def test_every_class_has_a_size(label):
 def test_what_the_lens_has_no_rays_for_is_not_known():
     bent = Camera("brown_conrady", 1000, 600, 500.0, 500.0, 499.5, 299.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
     corners = np.array([[400.0, 100.0, 500.0, 200.0], [-3e4, -2e4, -2.9e4, -1.9e4]])
-    found = place_by_height(bent, CAMERA_FROM_LIDAR, corners, ("car", "car"))
-    assert found.known.tolist() == [True, False]
+    found = place_all(bent, corners[::-1].copy(), "car")
+    assert found.rows.tolist() == [1]
     assert np.isfinite(found.centers).all()
+
+
+def test_only_the_boxes_asked_for_are_placed():
+    corners = np.array([[400.0, 100.0, 500.0, 200.0], [10.0, 20.0, 30.0, 90.0], [700.0, 100.0, 720.0, 300.0]])
+    kinds = table_rows(numbers_of(["car", "bus", "pedestrian"], [])[0])
+    found = place_by_height(CAMERA, CAMERA_FROM_LIDAR, corners, np.array([2, 0]), kinds)
+    assert found.rows.tolist() == [2, 0]
+    np.testing.assert_array_equal(found.centers[0], placed(corners[2]).centers[0])
+    np.testing.assert_array_equal(found.centers[1], placed(corners[0], label="car").centers[0])

@@ -1,8 +1,18 @@
 """Words of detectors that mean the same."""
 
+import numpy as np
 import pytest
 
-from sceneloom.detections.classes import KINDS, codes, kind_name, says_nothing, typical_sizes
+from sceneloom.detections.classes import (
+    FAMILIES,
+    KINDS,
+    SIZES,
+    UNLISTED,
+    kind_name,
+    numbers_of,
+    says_nothing,
+    table_rows,
+)
 
 
 @pytest.mark.parametrize(
@@ -19,11 +29,14 @@ def test_no_word_stands_for_two_classes():
 
 
 def test_words_in_no_table_are_equal_to_themselves_and_of_no_family():
-    three, two = codes(["dragon", "Dragon", "car"], ["DRAGON", "griffin", "van"])
-    assert three[0].tolist() == three[1].tolist() == two[0].tolist()
-    assert three[0, 0] != two[1, 0]
-    assert three[0, 1] == two[1, 1] == -1
-    assert three[2, 1] == two[2, 1] >= 0
+    three, two = numbers_of(["dragon", "Dragon", "car"], ["DRAGON", "griffin", "van", "Sedan"])
+    assert three[0] == three[1] == two[0]
+    assert three[0] != two[1]
+    assert three[2] == two[3] != two[2]
+    rows = table_rows(np.concatenate([three, two]))
+    assert rows.tolist() == [UNLISTED, UNLISTED, 0, UNLISTED, UNLISTED, list(KINDS).index("van"), 0]
+    assert FAMILIES[UNLISTED] == -1
+    assert FAMILIES[0] == FAMILIES[list(KINDS).index("van")] >= 0
 
 
 def test_a_word_that_names_no_class_says_nothing():
@@ -33,6 +46,6 @@ def test_a_word_that_names_no_class_says_nothing():
 
 
 def test_typical_sizes_are_those_of_the_class():
-    sizes, sigmas = typical_sizes(["Pedestrian", "dragon"])
-    assert sizes[0, 2] == pytest.approx(1.7, abs=0.1)
-    assert (sigmas[1] > sigmas[0]).all()
+    people, dragons = SIZES[table_rows(numbers_of(["Pedestrian", "dragon"], [])[0])]
+    assert people[2] == pytest.approx(1.7, abs=0.1)
+    assert (dragons[3:] > people[3:]).all()

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from sceneloom.detections import existence
+from sceneloom.detections.existence import existence_table
+from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.kernels import existence_odds
 from sceneloom.scene.detections import ScoreForm
 
 PRIOR = 0.15
@@ -21,35 +23,54 @@ def share_true(*said):
     return there / (there + not_there)
 
 
-def odds_of(score, form=ScoreForm.PROBABILITY):
-    return existence.log_odds(np.array([score]), form, prior=PRIOR)
+SETTINGS = ProjectionSettings(prior=PRIOR, recall_2d=1 - SAYS_IF_THERE[0], recall_3d=1 - SAYS_IF_THERE[0])
+TABLE = existence_table(SETTINGS)
+CAR = np.zeros(1, np.int64)
+OUTLINE = np.array([[10.0, 20, 110, 120]])
+
+
+def told(score, form=ScoreForm.PROBABILITY):
+    return existence_odds.told_odds(np.array([score]), CAR, form is ScoreForm.LOGIT, CAR, TABLE)
+
+
+def exists(odds_3d, odds_2d=None, *, seen_share=1.0):
+    """How likely the object of a box of a sweep is, with a partner in the picture or without."""
+    partners, others = (CAR - 1, CAR * 0.0) if odds_2d is None else (CAR, odds_2d)
+    shares = np.array([seen_share])
+    return existence_odds.scores_of_sweep(OUTLINE, shares, partners, odds_3d, others, CAR, TABLE)[0]
 
 
 @pytest.mark.parametrize("first", [1, 2])
 @pytest.mark.parametrize("second", [1, 2])
 def test_two_reports_are_worth_what_counting_says(first, second):
-    both = existence.agreed(odds_of(share_true(first)), odds_of(share_true(second)), prior=PRIOR)
-    assert existence.probabilities(both)[0] == pytest.approx(share_true(first, second), rel=1e-12)
+    both = exists(told(share_true(first))[0], told(share_true(second))[0])
+    assert both == pytest.approx(share_true(first, second), rel=1e-12)
 
 
 def test_a_report_that_the_other_detector_does_not_share_is_worth_what_counting_says():
-    odds = existence.missed(odds_of(share_true(2)), np.array([1 - SAYS_IF_THERE[0]]))
     # where nothing is, silence is taken for certain; here it is so in 0.9 of the cases
-    expected = share_true(2, 0) / (1 - share_true(2, 0)) * SAYS_IF_NOT[0]
-    assert np.exp(odds[0]) == pytest.approx(expected, rel=1e-12)
+    odds = share_true(2, 0) / (1 - share_true(2, 0)) * SAYS_IF_NOT[0]
+    assert exists(told(share_true(2))[0]) == pytest.approx(odds / (1 + odds), rel=1e-12)
+    of_picture = existence_odds.scores_of_picture(CAR, np.array([20.0]), told(share_true(2))[0], CAR, TABLE)
+    assert of_picture[0] == pytest.approx(odds / (1 + odds), rel=1e-12)
+
+
+def test_what_cannot_be_seen_is_not_missed():
+    assert exists(told(0.7)[0], seen_share=0.0) == pytest.approx(0.7, rel=1e-12)
+    far = existence_odds.scores_of_picture(CAR, np.array([71.0]), told(0.7)[0], CAR, TABLE)
+    assert far[0] == pytest.approx(0.7, rel=1e-12)
 
 
 def test_logits_are_logarithms_of_odds():
-    assert odds_of(np.log(3.0), ScoreForm.LOGIT)[0] == pytest.approx(odds_of(0.75)[0], rel=1e-12)
+    np.testing.assert_allclose(told(np.log(3.0), ScoreForm.LOGIT), told(0.75), rtol=1e-12)
+    np.testing.assert_allclose(told(0.75), [[np.log(3.0)], [0.75]], rtol=1e-12)
 
 
 @pytest.mark.parametrize("form", list(ScoreForm))
 def test_a_score_that_is_no_number_leaves_what_the_other_detector_says(form):
-    both = existence.agreed(odds_of(np.nan, form), odds_of(0.7), prior=PRIOR)
-    assert existence.probabilities(both)[0] == pytest.approx(0.7, rel=1e-12)
+    assert exists(told(np.nan, form)[0], told(0.7)[0]) == pytest.approx(0.7, rel=1e-12)
 
 
 @pytest.mark.parametrize(("one", "other"), [(0.0, 1.0), (1.0, 1.0), (np.inf, 0.0), (-5.0, 7.0)])
 def test_the_surest_scores_give_a_probability(one, other):
-    shares = existence.probabilities(existence.agreed(odds_of(one), odds_of(other), prior=PRIOR))
-    assert 0.0 <= shares[0] <= 1.0
+    assert 0.0 <= exists(told(one)[0], told(other)[0]) <= 1.0

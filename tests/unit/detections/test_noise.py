@@ -2,20 +2,22 @@
 
 import numpy as np
 
-from sceneloom.detections.noise import CENTER_SIGMAS, SIZE_SIGMAS, center_and_size_covariances
-from sceneloom.scene.detections import Boxes3D
+from sceneloom.detections.noise import CENTER_SIGMAS, NOISE, SIZE_SIGMAS
+from sceneloom.kernels.box_noise import center_and_size_covariances
 
 YAWS = np.array([0.4, -2.0, 1.0, 0.2])
 
 
-def boxes(covariances=None):
+def covariances_of(told=None):
     centers = np.array([[30.0, 40.0, 0.0], [0.0, 60.0, 0.0], [5.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
     sizes = np.array([[4.0, 2.0, 1.5], [1.0, 0.5, 1.7], [4.0, 2.0, 1.5], [4.0, 2.0, 1.5]])
-    return Boxes3D(0, centers, sizes, YAWS, np.full(4, 0.5), ("car",) * 4, covariances=covariances)
+    told = np.zeros((0, 7, 7)) if told is None else told
+    boxes, cars = np.column_stack([centers, sizes, YAWS]), np.zeros(4, np.int64)
+    return center_and_size_covariances(boxes, told, np.arange(4), cars, NOISE)
 
 
 def test_deviations_lie_along_the_axes_of_the_box_and_grow_with_size_and_range():
-    found = center_and_size_covariances(boxes())[0]
+    found = covariances_of()[0]
     growth = 1 + 50 / 60
     turn = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
     size = np.array([4.0, 2.0, 1.5])
@@ -34,6 +36,6 @@ def test_what_a_detector_tells_counts_where_it_is_a_covariance():
     told[1, 0, 0] = np.nan
     told[2, 4, 4] = -1.0
     told[3] = 0.0
-    found, assumed = center_and_size_covariances(boxes(told)), center_and_size_covariances(boxes())
+    found, assumed = covariances_of(told), covariances_of()
     np.testing.assert_allclose(found[0], told[0, :6, :6], rtol=1e-12)
     np.testing.assert_array_equal(found[1:], assumed[1:])

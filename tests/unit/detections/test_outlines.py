@@ -7,7 +7,6 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.outlines import project_outlines
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.detections import Boxes3D
 
 LENS = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
 CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, LENS)
@@ -17,9 +16,7 @@ CAMERA_FROM_LIDAR = RigidTransform(
 
 
 def boxes_of(centers, sizes, yaws):
-    count = len(centers)
-    numbers = (np.asarray(v, np.float64) for v in (centers, sizes, yaws))
-    return Boxes3D(0, *numbers, np.full(count, 0.5), ("car",) * count)
+    return np.column_stack([np.asarray(v, np.float64) for v in (centers, sizes, yaws)])
 
 
 def surface(center, size, yaw):

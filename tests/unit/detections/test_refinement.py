@@ -7,9 +7,9 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.outlines import project_outlines
 from sceneloom.detections.refinement import HEIGHT_SIGMAS, MIDDLE_SIGMAS, refine
+from sceneloom.detections.results import NO_BOX
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.detections import Boxes3D
 
 LENS = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
 CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, LENS)
@@ -35,18 +35,16 @@ def told(box_xyxy):
 
 
 def sharpened(center, partner, covariance=COVARIANCE):
-    boxes = Boxes3D(0, center[None], SIZE[None], np.array([YAW]), np.array([0.5]), ("car",))
+    """A box after its update, the second of two boxes whose first has no partner."""
+    boxes = np.tile(np.hstack([center, SIZE, YAW]), (2, 1))
+    covariances = np.array([COVARIANCE, covariance])
     outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes)
-    states, covariances = refine(
-        CAMERA,
-        CAMERA_FROM_LIDAR,
-        outlines.axes_camera,
-        outlines.corners_camera,
-        np.hstack([center, SIZE])[None],
-        covariance[None],
-        partner[None],
-    )
-    return states[0], covariances[0]
+    partners = np.array([NO_BOX, 0])
+    refine(CAMERA, CAMERA_FROM_LIDAR, outlines, boxes, covariances, partners, partner[None].copy())
+    np.testing.assert_array_equal(boxes[0], np.hstack([center, SIZE, YAW]))
+    np.testing.assert_array_equal(covariances[0], COVARIANCE)
+    assert boxes[1, 6] == YAW
+    return boxes[1, :6], covariances[1]
 
 
 def test_the_update_is_that_of_the_information_form():

@@ -1,6 +1,6 @@
 import numpy as np
 
-from sceneloom.kernels.sound_boxes import have_area, have_place
+from sceneloom.kernels.sound_boxes import boxes_with_area, boxes_with_place
 
 ODD = (0.0, -1.0, np.nan, np.inf, -np.inf)
 
@@ -11,7 +11,9 @@ def test_boxes_have_a_place_where_all_numbers_are_finite_and_sizes_above_0():
         numbers[k + 1, column] = value
     expected = np.isfinite(numbers).all(axis=1) & (numbers[:, 3:6] > 0).all(axis=1)
     parts = (np.ascontiguousarray(numbers[:, part]) for part in (slice(0, 3), slice(3, 6), 6))
-    np.testing.assert_array_equal(have_place(*parts), expected)
+    boxes, rows = boxes_with_place(*parts)
+    np.testing.assert_array_equal(rows, np.flatnonzero(expected))
+    np.testing.assert_array_equal(boxes, numbers[expected])
     assert 0 < expected.sum() < len(expected)
 
 
@@ -20,5 +22,7 @@ def test_boxes_have_an_area_where_all_edges_are_finite_and_in_order():
     for k, (column, value) in enumerate((column, value) for column in range(4) for value in (*ODD, 30.0)):
         corners[k + 1, column] = value
     expected = np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1)
-    np.testing.assert_array_equal(have_area(corners), expected)
+    boxes, rows = boxes_with_area(corners)
+    np.testing.assert_array_equal(rows, np.flatnonzero(expected))
+    np.testing.assert_array_equal(boxes, corners[expected])
     assert 0 < expected.sum() < len(expected)

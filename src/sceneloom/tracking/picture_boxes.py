@@ -1,0 +1,111 @@
+"""Boxes of objects in pictures: the outline of the box in space, and how the detector's boxes differ from it.
+
+A detector's box is not the outline of the box in space: arms and shadows, sizes and places that are a little off. How
+it differs changes slowly: its middle by shares of the outline's sides, its sides by factors. These four numbers are
+filtered, so that the box in the next picture is foreseen well, and so that one picture's noise does not count in full.
+"""
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.detections.outlines import Outlines, project_outlines
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.tracking.observation import View
+
+EDGE_PX, EDGE_SHARE = 1.0, 0.02
+"""Deviation of an edge of a detector's box: so many pixels, plus so much of its side."""
+DRIFTS = (0.05, 0.3)
+"""How much a box comes to differ from the outline, as shares of its sides: of vehicles and people [after a second]."""
+UNKNOWN = 0.15**2
+"""Variance of how they differ before anything is known of it."""
+
+
+def outlines(
+    numbers: Float64Array, likely: Float64Array, world_from_lidar: RigidTransform, view: View
+) -> Outlines:
+    """Where a picture shows boxes of the world.
+
+    Args:
+        numbers: (N, 7), middle, length, width, height [m] and heading [rad].
+        likely: (N,), how likely each is there, and hides what is behind it.
+        world_from_lidar: where the lidar is.
+        view: the camera.
+    """
+    lidar_from_world = world_from_lidar.inverse()
+    turn = lidar_from_world.rotation
+    cosines, sines = np.cos(numbers[:, 6]), np.sin(numbers[:, 6])
+    boxes = numbers.copy()
+    boxes[:, :3] = lidar_from_world.apply(numbers[:, :3])
+    boxes[:, 6] = np.arctan2(
+        turn[1, 0] * cosines + turn[1, 1] * sines, turn[0, 0] * cosines + turn[0, 1] * sines
+    )
+    return project_outlines(view.camera, view.camera_from_lidar, boxes, likely=likely)
+
+
+def filtered(
+    differing: Float64Array, variances: Float64Array, corners: Float64Array, outlined: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Read how boxes of a picture differ from outlines.
+
+    Args:
+        differing, variances: (N, 4), what is known of it, NaN where nothing is.
+        corners: (N, 4) [px], boxes of the detector, NaN where there are none.
+        outlined: (N, 4) [px], zeros where there are none.
+    """
+    fresh = np.isnan(differing)
+    means, variances = np.where(fresh, 0.0, differing), np.where(fresh, UNKNOWN, variances)
+    seen = np.flatnonzero(has_area(corners) & has_area(outlined))
+    apart = _differences(corners[seen], outlined[seen])
+    gains = variances[seen] / (variances[seen] + _noises(corners[seen]))
+    means[seen] += gains * (apart - means[seen])
+    variances[seen] *= 1.0 - gains
+    return means, variances
+
+
+def _differences(corners: Float64Array, outlined: Float64Array) -> Float64Array:
+    """Shifts of the middles of boxes (N, 4) from those of outlines, and logarithms of the factors of their sides."""
+    sides, usual = corners[:, 2:] - corners[:, :2], outlined[:, 2:] - outlined[:, :2]
+    shifts = ((corners[:, :2] + corners[:, 2:]) - (outlined[:, :2] + outlined[:, 2:])) / (2.0 * usual)
+    return np.concatenate([shifts, np.log(sides / usual)], axis=1)
+
+
+def _noises(corners: Float64Array) -> Float64Array:
+    """Variances (N, 4) of the differences of a detector's boxes: of a middle half, of a side twice those of an edge."""
+    edges = (EDGE_PX / (corners[:, 2:] - corners[:, :2]) + EDGE_SHARE) ** 2
+    return np.concatenate([edges / 2.0, edges * 2.0], axis=1)
+
+
+def applied(differing: Float64Array, outlined: Float64Array, width: int, height: int) -> Float64Array:
+    """The boxes that differ so from outlines, cut at the picture; NaN where there is no outline.
+
+    Args:
+        differing: (N, 4), NaN where nothing is known of it.
+        outlined: (N, 4) [px].
+        width, height: of the picture [px].
+    """
+    known = np.where(np.isnan(differing), 0.0, differing)
+    sides = outlined[:, 2:] - outlined[:, :2]
+    middles = (outlined[:, :2] + outlined[:, 2:]) / 2.0 + known[:, :2] * sides
+    halves = sides * np.exp(known[:, 2:]) / 2.0
+    corners = np.concatenate([middles - halves, middles + halves], axis=1)
+    corners = np.clip(corners, 0.0, (width, height, width, height))
+    corners[~(has_area(outlined) & has_area(corners))] = np.nan
+    boxes: Float64Array = corners
+    return boxes
+
+
+def has_area(corners: Float64Array) -> BoolArray:
+    """Which boxes (N, 4) have an area; those with NaN have none."""
+    area: BoolArray = (corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1])
+    return area
+
+
+def overlaps(first: Float64Array, second: Float64Array) -> Float64Array:
+    """Intersection over union of boxes (N, 4) and (M, 4): (N, M), NaN where one has no area."""
+    low = np.maximum(first[:, None, :2], second[None, :, :2])
+    high = np.minimum(first[:, None, 2:], second[None, :, 2:])
+    common = np.maximum(high - low, 0.0).prod(axis=2)
+    areas = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (first, second)]
+    areas = [np.where(has_area(b), a, np.nan) for b, a in zip((first, second), areas, strict=True)]
+    shares: Float64Array = common / (areas[0][:, None] + areas[1][None] - common)
+    return shares

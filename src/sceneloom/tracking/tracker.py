@@ -1,0 +1,271 @@
+"""The tracker: objects from moment to moment, as the boxes come in."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
+from sceneloom.scene.tracks import Support, TrackedObjects
+from sceneloom.tracking import births, existence, motion, picture_boxes
+from sceneloom.tracking.association import distances, pair
+from sceneloom.tracking.observation import Observation
+from sceneloom.tracking.picture_boxes import has_area
+from sceneloom.tracking.population import ByCamera, Population, no_boxes
+from sceneloom.tracking.settings import PictureBox, TrackerSettings
+from sceneloom.tracking.sightings import SUREST, Sightings, sight
+
+DEFAULTS = TrackerSettings()
+MOST_VOTES = 5.0
+"""So many looks at a heading are remembered."""
+MOVING = 1.5
+"""What is faster than this shows by its motion where it heads [m/s]."""
+SURE_HEADING = 1.0
+"""A heading with a larger variance than this says nothing [rad²]."""
+
+
+class Moment(NamedTuple):
+    """What a tracker knows at one moment, of objects that it tells and of others.
+
+    Attributes:
+        observation: what was seen.
+        objects: all that may be there.
+        predicted: those of the moment before, before the boxes of this one were read.
+        slopes: (N, 11, 11), of their states with respect to those of the moment before.
+        outlined: by camera, (N, 4) float64 [px], outlines of the boxes of `objects` in its picture, zeros where none.
+        words: the labels that the columns of `objects.votes` stand for.
+    """
+
+    observation: Observation
+    objects: Population
+    predicted: Population
+    slopes: Float64Array
+    outlined: ByCamera
+    words: Sequence[str]
+
+
+class Tracker:
+    """Follows objects online.
+
+    Each step takes the next moment. If time goes back, or leaps by more than the longest gap, all objects are
+    forgotten; none gets a number that was given before.
+    """
+
+    def __init__(self, settings: TrackerSettings = DEFAULTS) -> None:
+        self.settings = settings
+        self._objects = Population.empty()
+        self._time_ns: int | None = None
+        self._next_id = 1
+        self._words: list[str] = []
+
+    def step(self, observation: Observation) -> TrackedObjects:
+        """Take the boxes of the next moment, and tell the objects that are there."""
+        return told(self.advance(observation), self.settings)
+
+    def advance(self, observation: Observation) -> Moment:
+        """Take the boxes of the next moment, and give all that is known then."""
+        seconds = self._elapsed(observation.timestamp_ns)
+        seen = sight(observation)
+        self._learn_words(seen)
+        predicted, slopes = _predicted(self._objects, seconds, self.settings)
+        foreseen, missed = _foreseen(predicted, observation, self.settings)
+        far = distances(predicted.means, predicted.covariances, predicted.codes, foreseen, seen)
+        rows, columns = pair(far, self.settings.gate)
+        objects = predicted.select(np.arange(len(predicted)))
+        objects.log_odds += self.settings.trust * missed
+        self._read(objects, rows, seen, columns, predicted)
+        objects.seen_ns[rows] = observation.timestamp_ns
+        objects = self._with_newborn(objects, rows, seen, columns, observation.timestamp_ns)
+        objects = self._still_there(objects, observation.timestamp_ns)
+        outlined = _compare_with_outlines(objects, observation)
+        self._objects = objects
+        return Moment(observation, objects, predicted, slopes, outlined, self._words)
+
+    def _elapsed(self, timestamp_ns: int) -> float:
+        before, self._time_ns = self._time_ns, timestamp_ns
+        seconds = 0.0 if before is None else (timestamp_ns - before) / 1e9
+        if 0.0 <= seconds <= self.settings.longest_gap:
+            return seconds
+        self._objects = Population.empty()
+        return 0.0
+
+    def _learn_words(self, seen: Sightings) -> None:
+        self._words += [word for word in dict.fromkeys(seen.labels) if word not in self._words]
+        missing = len(self._words) - self._objects.votes.shape[1]
+        if missing:
+            self._objects.votes = np.pad(self._objects.votes, ((0, 0), (0, missing)))
+
+    def _read(
+        self,
+        objects: Population,
+        rows: Int64Array,
+        seen: Sightings,
+        columns: Int64Array,
+        predicted: Population,
+    ) -> None:
+        """Read of some objects the boxes that are theirs."""
+        settings = self.settings
+        objects.means[rows], objects.covariances[rows] = motion.updated(
+            objects.means[rows], objects.covariances[rows], seen.measures[columns], seen.covariances[columns]
+        )
+        vehicles = np.flatnonzero(objects.vehicles)
+        objects.means[vehicles], objects.covariances[vehicles] = motion.along_heading(
+            objects.means[vehicles], objects.covariances[vehicles], settings.side_slip
+        )
+        gained = seen.log_odds[columns] - existence.log_odds(settings.prior)
+        objects.log_odds[rows] = predicted.log_odds[rows] + settings.trust * gained
+        objects.votes[rows] += self._votes(seen, columns)
+        objects.supports[:] = Support.PREDICTED
+        objects.supports[rows] = _supports(seen, columns)
+        for camera_id, corners in seen.corners_xyxy.items():
+            objects.corners_xyxy[camera_id] = no_boxes(len(objects))
+            objects.corners_xyxy[camera_id][rows] = corners[columns]
+        _turn_round(objects, rows, seen, columns)
+
+    def _votes(self, seen: Sightings, rows: Int64Array) -> Float64Array:
+        """How much boxes speak for each of the words, (K, words)."""
+        votes = np.zeros((len(rows), len(self._words)))
+        numbers = [self._words.index(seen.labels[k]) for k in rows.tolist()]
+        votes[np.arange(len(rows)), numbers] = existence.probabilities(seen.log_odds[rows])
+        return votes
+
+    def _with_newborn(
+        self, objects: Population, rows: Int64Array, seen: Sightings, columns: Int64Array, timestamp_ns: int
+    ) -> Population:
+        free = seen.log_odds > existence.log_odds(self.settings.drop)
+        free[columns] = False
+        new = births.unclaimed(seen, free, objects.select(rows))
+        if not len(new):
+            return objects
+        means, covariances = births.states(seen, new)
+        newborn = Population(
+            ids=np.arange(self._next_id, self._next_id + len(new)),
+            means=means,
+            covariances=covariances,
+            log_odds=seen.log_odds[new],
+            codes=seen.codes[new],
+            vehicles=seen.vehicles[new],
+            seen_ns=np.full(len(new), timestamp_ns),
+            heading_votes=np.where(seen.measured[new], 1.0, 0.0),
+            votes=self._votes(seen, new),
+            supports=_supports(seen, new),
+            corners_xyxy={camera_id: boxes[new] for camera_id, boxes in seen.corners_xyxy.items()},
+        )
+        self._next_id += len(new)
+        return objects.joined(newborn)
+
+    def _still_there(self, objects: Population, timestamp_ns: int) -> Population:
+        settings = self.settings
+        there = objects.log_odds > existence.log_odds(settings.drop)
+        there &= timestamp_ns - objects.seen_ns <= settings.longest_gap * 1e9
+        return objects.select(there)
+
+
+def _predicted(
+    objects: Population, seconds: float, settings: TrackerSettings
+) -> tuple[Population, Float64Array]:
+    """The objects so much later, and the slopes of their states."""
+    moved = objects.select(np.arange(len(objects)))
+    moved.means, slopes = motion.transition(objects.means, objects.vehicles, seconds)
+    noise = motion.process_noise(objects.means, objects.vehicles, seconds, settings)
+    moved.covariances = slopes @ objects.covariances @ slopes.transpose(0, 2, 1) + noise
+    moved.log_odds = existence.aged(objects.log_odds, seconds, settings.lifetime)
+    drifts = np.where(objects.vehicles, *picture_boxes.DRIFTS)[:, None] ** 2 * seconds
+    moved.differing_variances = {
+        camera_id: variances + drifts for camera_id, variances in moved.differing_variances.items()
+    }
+    moved.corners_xyxy = {}
+    return moved, slopes
+
+
+def _foreseen(
+    objects: Population, observation: Observation, settings: TrackerSettings
+) -> tuple[ByCamera, Float64Array]:
+    """The boxes that are expected in pictures, and how little it says if an object is not found, (N,) logarithms."""
+    likely = existence.probabilities(objects.log_odds)
+    apart = np.linalg.norm(objects.means[:, :3] - observation.world_from_lidar.translation, axis=1)
+    foreseen: ByCamera = {}
+    missed = np.zeros((len(objects), 2))
+    for camera_id, view in observation.views.items():
+        lines = picture_boxes.outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
+        differing = objects.differing.get(camera_id, no_boxes(len(objects)))
+        foreseen[camera_id] = picture_boxes.applied(
+            differing, lines.corners_xyxy, view.camera.width, view.camera.height
+        )
+        # every camera looks for itself, the lidar once
+        of_camera = existence.missed(lines, apart, settings)
+        missed[:, 0] += of_camera[:, 0]
+        missed[:, 1] = np.minimum(missed[:, 1], of_camera[:, 1])
+    return foreseen, missed.sum(axis=1)
+
+
+def _supports(seen: Sightings, rows: Int64Array) -> UInt8Array:
+    """What boxes are, as `Support`."""
+    shown = np.zeros(len(rows), np.bool_)
+    for corners in seen.corners_xyxy.values():
+        shown |= has_area(corners[rows])
+    supports = np.where(shown, Support.BOTH, Support.SWEEP)
+    return np.where(seen.measured[rows], supports, Support.PICTURE).astype(np.uint8)
+
+
+def _turn_round(objects: Population, rows: Int64Array, seen: Sightings, columns: Int64Array) -> None:
+    """Let boxes and motion vote on headings, and turn those round that are outvoted."""
+    sure = seen.covariances[columns, 6, 6] < SURE_HEADING
+    rows, columns = rows[sure], columns[sure]
+    objects.heading_votes[rows] += np.cos(seen.measures[columns, 6] - objects.means[rows, 6])
+    headings = objects.means[:, motion.YAW]
+    forward = np.cos(headings) * objects.means[:, 7] + np.sin(headings) * objects.means[:, 8]
+    objects.heading_votes += np.sign(forward) * (np.abs(forward) > MOVING)
+    objects.heading_votes = np.clip(objects.heading_votes, -MOST_VOTES, MOST_VOTES)
+    wrong = objects.heading_votes < -1.0
+    objects.means[wrong, motion.YAW] = motion.wrapped(objects.means[wrong, motion.YAW] + np.pi)
+    objects.heading_votes[wrong] *= -1.0
+
+
+def _compare_with_outlines(objects: Population, observation: Observation) -> ByCamera:
+    """Learn how boxes in pictures differ from the outlines of the objects, and give these."""
+    likely = existence.probabilities(objects.log_odds)
+    outlined: ByCamera = {}
+    for camera_id, view in observation.views.items():
+        lines = picture_boxes.outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
+        outlined[camera_id] = lines.corners_xyxy
+        unknown = no_boxes(len(objects))
+        objects.differing[camera_id], objects.differing_variances[camera_id] = picture_boxes.filtered(
+            objects.differing.get(camera_id, unknown),
+            objects.differing_variances.get(camera_id, unknown),
+            objects.corners_xyxy.get(camera_id, unknown),
+            lines.corners_xyxy,
+        )
+    return outlined
+
+
+def told(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
+    """The objects that are likely enough to be told."""
+    likely = existence.probabilities(moment.objects.log_odds)
+    rows = np.flatnonzero(likely >= np.minimum(settings.report, 1.0 - SUREST))
+    objects = moment.objects.select(rows)
+    corners = {}
+    for camera_id, view in moment.observation.views.items():
+        outlined = moment.outlined[camera_id][rows]
+        differing = objects.differing[camera_id]
+        if settings.picture_box is PictureBox.PROJECTED:
+            differing = np.zeros_like(differing)
+        corners[camera_id] = picture_boxes.applied(differing, outlined, view.camera.width, view.camera.height)
+    return TrackedObjects(
+        timestamp_ns=moment.observation.timestamp_ns,
+        ids=objects.ids,
+        labels=tuple(moment.words[k] for k in _most_votes(objects).tolist()),
+        centers=objects.means[:, :3],
+        sizes_lwh=objects.means[:, 3:6],
+        yaws=objects.means[:, motion.YAW],
+        velocities=objects.means[:, 7:10],
+        yaw_rates=objects.means[:, motion.TURN],
+        covariances=objects.covariances[:, :10, :10],
+        scores=likely[rows],
+        supports=objects.supports,
+        corners_xyxy=corners,
+    )
+
+
+def _most_votes(objects: Population) -> Int64Array:
+    return objects.votes.argmax(axis=1) if len(objects) else np.zeros(0, np.int64)

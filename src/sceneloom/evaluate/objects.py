@@ -1,6 +1,8 @@
 """The objects of a sequence as columns: what is held against the truth, and the truth itself."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -167,6 +169,25 @@ class ObjectTable:
         kept = {name: None if column is None else column[picked] for name, column in columns.items()}
         return ObjectTable(
             self.frames[picked], self.ids[picked], tuple(self.labels[k] for k in picked.tolist()), **kept
+        )
+
+    def moved(self, frames: int) -> "ObjectTable":
+        """The same rows so many frames later."""
+        return replace(self, frames=self.frames + frames)
+
+    @classmethod
+    def joined(cls, tables: Sequence["ObjectTable"]) -> "ObjectTable":
+        """The rows of several tables behind one another; columns that are absent from one with rows are absent."""
+        filled = [table for table in tables if len(table)] or [cls.empty()]
+        columns = {name: [getattr(table, name) for table in filled] for name in _FLOATS}
+        return cls(
+            np.concatenate([table.frames for table in filled]),
+            np.concatenate([table.ids for table in filled]),
+            tuple(chain.from_iterable(table.labels for table in filled)),
+            **{
+                name: None if any(part is None for part in parts) else np.concatenate(parts)
+                for name, parts in columns.items()
+            },
         )
 
     def in_order(self) -> "ObjectTable":

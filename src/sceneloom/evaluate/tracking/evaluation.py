@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from sceneloom.errors import ArrayError, OptionError
+from sceneloom.errors import ArrayError
 from sceneloom.evaluate.objects import ObjectTable
+from sceneloom.evaluate.sequences import check_sequences
 from sceneloom.evaluate.tracking.protocol import KITTI_RULES, TrackingRules, apply_rules
 from sceneloom.evaluate.tracking.scores import (
     ClearScores,
@@ -82,19 +83,6 @@ def evaluate_tracking(
         label: _evaluate_class(results, truth, label, rules, {name: counts.get(name) for name in truth})
         for label in classes
     }
-
-
-def check_sequences(results: Mapping[str, ObjectTable], truth: Mapping[str, ObjectTable]) -> None:
-    """Refuse results and truth of different sequences.
-
-    Raises:
-        OptionError: they are not the same on both sides, or there is none.
-    """
-    if not truth:
-        raise OptionError("the truth has no sequence")
-    for side, names in (("results", set(truth) - set(results)), ("truth", set(results) - set(truth))):
-        if names:
-            raise OptionError(f"the {side} lack the sequences {', '.join(sorted(names))}")
 
 
 def score_sequence(

@@ -29,6 +29,9 @@ _TURN_DECAY = 1.0
 """Time after which a turn has died down [s]."""
 
 
+FREEDOM = 4.0
+
+
 def wrapped(angles: Float64Array) -> Float64Array:
     """Angles as those from -π to π."""
     result: Float64Array = (angles + np.pi) % (2.0 * np.pi) - np.pi
@@ -108,7 +111,11 @@ def updated(
     turns = wrapped(apart[:, YAW])
     apart[:, YAW] = turns - np.pi * np.round(turns / np.pi)
     crossed = covariances[:, :, :MEASURED]
-    gains = np.linalg.solve(crossed[:, :MEASURED] + noises, crossed.transpose(0, 2, 1)).transpose(0, 2, 1)
+    spread = crossed[:, :MEASURED] + noises
+    squares = (apart[:, None] @ np.linalg.solve(spread, apart[:, :, None]))[:, 0, 0]
+    wider = np.maximum((FREEDOM + squares) / (FREEDOM + MEASURED), 1.0)
+    spread = crossed[:, :MEASURED] + noises * wider[:, None, None]
+    gains = np.linalg.solve(spread, crossed.transpose(0, 2, 1)).transpose(0, 2, 1)
     means = means + (gains @ apart[:, :, None])[:, :, 0]
     means[:, YAW] = wrapped(means[:, YAW])
     covariances = covariances - gains @ crossed.transpose(0, 2, 1)

@@ -20,6 +20,7 @@ class Population:
         ids: (N,) int64.
         means, covariances: (N, 11) and (N, 11, 11) of `motion`.
         log_odds: (N,) float64, of existence.
+        hidden: (N,) float64, probability that something unknown hides them.
         codes: (N, 2) int64, class and family.
         vehicles: (N,) bool.
         seen_ns: (N,) int64 [ns], when a box was last theirs.
@@ -34,6 +35,7 @@ class Population:
     means: Float64Array
     covariances: Float64Array
     log_odds: Float64Array
+    hidden: Float64Array
     codes: Int64Array
     vehicles: BoolArray
     seen_ns: Int64Array
@@ -55,6 +57,7 @@ class Population:
             means=np.zeros((0, motion.SIZE)),
             covariances=np.zeros((0, motion.SIZE, motion.SIZE)),
             log_odds=np.zeros(0),
+            hidden=np.zeros(0),
             codes=np.zeros((0, 2), np.int64),
             vehicles=np.zeros(0, np.bool_),
             seen_ns=np.zeros(0, np.int64),

@@ -34,7 +34,8 @@ class TrackerSettings:
         report: objects are told from this probability of existence on, 0 to 1.
         drop: they are forgotten below this one.
         longest_gap: an object without any box for so long is forgotten [s].
-        gate: how far a box may be from where an object is expected, in squares of deviations.
+        density: how many boxes of other things are to be expected [1/m²].
+        hidden_time, open_time: how long objects are hidden by something unknown, and how long they are not [s].
         picture_box: which box of an object in a picture is told.
 
     Raises:
@@ -53,9 +54,11 @@ class TrackerSettings:
     trust: float = 0.5
     lifetime: float = 10.0
     report: float = 0.5
-    drop: float = 0.02
-    longest_gap: float = 2.0
-    gate: float = 20.0
+    drop: float = 0.005
+    longest_gap: float = 3.0
+    density: float = 0.001
+    hidden_time: float = 1.0
+    open_time: float = 5.0
     picture_box: PictureBox = PictureBox.IMAGE
 
     def __post_init__(self) -> None:

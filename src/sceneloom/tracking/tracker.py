@@ -8,7 +8,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.scene.tracks import Support, TrackedObjects
 from sceneloom.tracking import births, existence, motion, picture_boxes
-from sceneloom.tracking.association import distances, pair
+from sceneloom.tracking.association import gains, pair
 from sceneloom.tracking.observation import Observation
 from sceneloom.tracking.picture_boxes import has_area
 from sceneloom.tracking.population import ByCamera, Population, no_boxes
@@ -69,10 +69,15 @@ class Tracker:
         self._learn_words(seen)
         predicted, slopes = _predicted(self._objects, seconds, self.settings)
         foreseen, missed = _foreseen(predicted, observation, self.settings)
-        far = distances(predicted.means, predicted.covariances, predicted.codes, foreseen, seen)
-        rows, columns = pair(far, self.settings.gate)
+        gained = gains(
+            predicted.means, predicted.covariances, predicted.codes, foreseen, seen, self.settings.density
+        )
+        rows, columns = pair(gained)
         objects = predicted.select(np.arange(len(predicted)))
-        objects.log_odds += self.settings.trust * missed
+        unseen = predicted.hidden + (1.0 - predicted.hidden) * np.exp(missed)
+        objects.log_odds += self.settings.trust * np.log(unseen)
+        objects.hidden = predicted.hidden / unseen
+        objects.hidden[rows] = 0.0
         self._read(objects, rows, seen, columns, predicted)
         objects.seen_ns[rows] = observation.timestamp_ns
         objects = self._with_newborn(objects, rows, seen, columns, observation.timestamp_ns)
@@ -143,6 +148,7 @@ class Tracker:
             means=means,
             covariances=covariances,
             log_odds=seen.log_odds[new],
+            hidden=np.zeros(len(new)),
             codes=seen.codes[new],
             vehicles=seen.vehicles[new],
             seen_ns=np.full(len(new), timestamp_ns),
@@ -170,6 +176,8 @@ def _predicted(
     noise = motion.process_noise(objects.means, objects.vehicles, seconds, settings)
     moved.covariances = slopes @ objects.covariances @ slopes.transpose(0, 2, 1) + noise
     moved.log_odds = existence.aged(objects.log_odds, seconds, settings.lifetime)
+    leaving, coming = np.exp(-seconds / settings.hidden_time), np.exp(-seconds / settings.open_time)
+    moved.hidden = objects.hidden * leaving + (1.0 - objects.hidden) * (1.0 - coming)
     drifts = np.where(objects.vehicles, *picture_boxes.DRIFTS)[:, None] ** 2 * seconds
     moved.differing_variances = {
         camera_id: variances + drifts for camera_id, variances in moved.differing_variances.items()
@@ -241,7 +249,7 @@ def _compare_with_outlines(objects: Population, observation: Observation) -> ByC
 
 def told(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     """The objects that are likely enough to be told."""
-    likely = existence.probabilities(moment.objects.log_odds)
+    likely = existence.probabilities(moment.objects.log_odds) * (1.0 - moment.objects.hidden)
     rows = np.flatnonzero(likely >= np.minimum(settings.report, 1.0 - SUREST))
     objects = moment.objects.select(rows)
     corners = {}

@@ -20,6 +20,7 @@ VERBS = MappingProxyType(
         "demo": "Make a small drive, fuse it, show what came out.",
         "info": "Say what is in a recording or a scene.",
         "fuse": "Fuse lidar and cameras of a drive into one scene.",
+        "track": "Follow objects through a drive by what detectors found in it.",
         "colour": "Colour the points of a drive from all its cameras: one map, or sweep by sweep.",
         "depth": "Write depth images, sparse or dense, with a confidence.",
         "convert": "Write a recording or a scene in another format.",

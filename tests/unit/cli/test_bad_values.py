@@ -13,6 +13,7 @@ NEEDED = {
     "info": ("DRIVE",),
     "fuse": ("DRIVE", "-o", "OUT.sfs"),
     "depth": ("DRIVE", "-o", "OUT"),
+    "track": ("DRIVE", "-o", "OUT"),
     "convert": ("DRIVE", "OUT.sfs"),
     "validate": ("DRIVE", "--quick"),
     "salvage": ("DRIVE", "-o", "OUT.sfs"),

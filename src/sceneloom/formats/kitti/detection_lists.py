@@ -42,11 +42,13 @@ class DetectionList:
         frames: (N,) int64, not falling.
         values: (N, K) float64, the numbers of the lines, as `COLUMNS_2D` or `COLUMNS_3D` call them.
         labels: N classes.
+        classes: that have a list, be it empty: those that the detector looks for.
     """
 
     frames: Int64Array
     values: Float64Array
     labels: tuple[str, ...]
+    classes: frozenset[str] = frozenset()
 
     def of(self, frame: int) -> tuple[Float64Array, tuple[str, ...]]:
         """The numbers and classes of one frame, in the order of the file."""
@@ -91,7 +93,8 @@ def read_boxes_2d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
             continue
         row[5] = min(max(row[5], 0.0), 1.0)
         rows.append(row)
-    return _by_frame(as_table(rows, len(COLUMNS_2D)), [label or path.parent.name] * len(rows))
+    own = label or class_word(path.parent.name)
+    return _by_frame(as_table(rows, len(COLUMNS_2D)), [own] * len(rows), frozenset({own}))
 
 
 def read_boxes_3d_list(path: Path, label: str | None, ledger: Ledger) -> DetectionList:
@@ -114,7 +117,8 @@ def read_boxes_3d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
             ledger.fault("faulty-detections", error)
             continue
         rows.append(row)
-    return _by_frame(as_table(rows, len(COLUMNS_3D)), labels)
+    classes = frozenset({label}) if label else frozenset(labels)
+    return _by_frame(as_table(rows, len(COLUMNS_3D)), labels, classes)
 
 
 def _checked_label(line: Line, row: Sequence[float], label: str | None) -> str:
@@ -132,10 +136,10 @@ def _checked_label(line: Line, row: Sequence[float], label: str | None) -> str:
     return label
 
 
-def _by_frame(values: Float64Array, labels: Sequence[str]) -> DetectionList:
+def _by_frame(values: Float64Array, labels: Sequence[str], classes: frozenset[str]) -> DetectionList:
     frames = values[:, 0].astype(np.int64)
     order = np.argsort(frames, kind="stable")
-    return DetectionList(frames[order], values[order], tuple(labels[k] for k in order.tolist()))
+    return DetectionList(frames[order], values[order], tuple(labels[k] for k in order.tolist()), classes)
 
 
 def joined(lists: Sequence[DetectionList], columns: Sequence[str]) -> DetectionList:
@@ -143,7 +147,8 @@ def joined(lists: Sequence[DetectionList], columns: Sequence[str]) -> DetectionL
     if not lists:
         return empty_list(columns)
     values = np.concatenate([one.values for one in lists])
-    return _by_frame(values, [label for one in lists for label in one.labels])
+    classes = frozenset[str]().union(*(one.classes for one in lists))
+    return _by_frame(values, [label for one in lists for label in one.labels], classes)
 
 
 def class_word(name: str) -> str:

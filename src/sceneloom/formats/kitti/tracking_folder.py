@@ -66,6 +66,16 @@ class KittiSequence:
     def __len__(self) -> int:
         return self.frame_count
 
+    @property
+    def classes_2d(self) -> frozenset[str]:
+        """Classes of which there are lists of boxes in pictures, be they empty."""
+        return frozenset() if self.detections_2d is None else self.detections_2d.classes
+
+    @property
+    def classes_3d(self) -> frozenset[str]:
+        """Classes of which there are lists of boxes in space."""
+        return frozenset() if self.detections_3d is None else self.detections_3d.classes
+
     def boxes_2d(self, frame: int) -> Boxes2D:
         """What the detector of pictures found in a frame, all classes; its pixels count from the picture's corner."""
         time_ns = int(self.timestamps_ns[frame])

@@ -1,0 +1,59 @@
+"""What tracking did, in numbers."""
+
+from collections.abc import Mapping
+
+import msgspec
+
+from sceneloom.formats.loss import LossReport
+from sceneloom.scene import Notice
+
+
+class TrackedReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One drive or sequence.
+
+    Attributes:
+        name: of it.
+        file: where its objects are.
+        frames: sweeps.
+        tracks: objects, by class.
+        states: how often one was told.
+        seconds: of the processor, for fusing and tracking.
+        notices: what was assumed or is missing.
+    """
+
+    name: str
+    file: str
+    frames: int
+    tracks: Mapping[str, int]
+    states: int
+    seconds: float
+    notices: tuple[Notice, ...] = ()
+
+    @property
+    def ms_per_frame(self) -> float:
+        """What a sweep takes [ms]."""
+        return self.seconds * 1e3 / self.frames if self.frames else 0.0
+
+
+class TrackReport(msgspec.Struct, frozen=True, kw_only=True):
+    """All drives or sequences of one call.
+
+    Attributes:
+        source: what was read.
+        output: the file, or the folder of files.
+        form: "kitti", "sfs" or "jsonl".
+        drives: one by one.
+        ms_per_frame: what a sweep takes, over all of them [ms].
+        seconds: the whole call.
+        notices: of all of them.
+        losses: what the form has no place for.
+    """
+
+    source: str
+    output: str
+    form: str
+    drives: tuple[TrackedReport, ...]
+    ms_per_frame: float
+    seconds: float
+    notices: tuple[Notice, ...] = ()
+    losses: LossReport = LossReport()

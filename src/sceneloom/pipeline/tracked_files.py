@@ -1,0 +1,247 @@
+"""Tracking whole drives into files: KITTI's results, lines of JSON, or scenes with labels."""
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.errors import OptionError
+from sceneloom.formats import write_scene
+from sceneloom.formats.kitti import KittiSequence, KittiTracking, write_labels
+from sceneloom.formats.loss import LossReport
+from sceneloom.formats.output import check_output, filling, replacing
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pipeline.detected import DetectedDrive, kitti_drive
+from sceneloom.pipeline.track_kitti import kitti_results
+from sceneloom.pipeline.track_lines import track_lines
+from sceneloom.pipeline.track_report import TrackedReport, TrackReport
+from sceneloom.pipeline.tracked import TrackedDrive
+from sceneloom.pipeline.tracking import TrackingSettings, track
+from sceneloom.scene import Notice, OdometrySensor, PosePath, Scene
+from sceneloom.scene.types import Progress
+from sceneloom.tracking import PictureBox
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackableDrive:
+    """A drive with all that its files of results need.
+
+    Attributes:
+        drive: what detectors found.
+        scene: what labels are put into.
+        rectified_from_lidar: into the frame of KITTI's boxes; None for that of the camera.
+    """
+
+    drive: DetectedDrive
+    scene: Scene
+    rectified_from_lidar: RigidTransform | None = None
+
+    @classmethod
+    def of_sequence(cls, sequence: KittiSequence, source: str) -> "TrackableDrive":
+        """A sequence of KITTI's tracking benchmark; its scene has the ego's way alone."""
+        path = PosePath.identity() if sequence.world_from_ego is None else sequence.world_from_ego
+        scene = Scene((OdometrySensor("ego", path),), source=f"{source}/{sequence.name}", format="kitti")
+        return cls(kitti_drive(sequence), scene, sequence.rectified_from_lidar)
+
+
+Write = Callable[[TrackedDrive, TrackableDrive, Path, PictureBox], LossReport]
+
+
+def _write_kitti(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2d: PictureBox) -> LossReport:
+    cameras = list(source.drive.cameras)
+    if len(cameras) != 1:
+        raise OptionError(
+            f"{source.drive.name}: {len(cameras)} cameras ({', '.join(map(str, cameras))}); KITTI's results are of "
+            "one: choose it with `--camera`"
+        )
+    rectified_from_lidar = source.rectified_from_lidar
+    if rectified_from_lidar is None:
+        rectified_from_lidar = (
+            source.drive.cameras[cameras[0]].source.mount.inverse() @ source.drive.source.mount
+        )
+    write_labels(kitti_results(tracked, cameras[0], rectified_from_lidar, box2d=box2d), path)
+    return LossReport()
+
+
+def _write_lines(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2d: PictureBox) -> LossReport:
+    del source, box2d
+    with path.open("wb") as file:
+        file.writelines(line + b"\n" for line in track_lines(tracked.moments))
+    return LossReport()
+
+
+def _write_scene(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2d: PictureBox) -> LossReport:
+    from sceneloom.tracking.labels import label_tracks
+
+    del box2d
+    return write_scene(label_tracks(source.scene, tracked.tracks).scene, path, format="sfs")
+
+
+FORMS: Mapping[str, tuple[str, Write]] = MappingProxyType(
+    {"kitti": (".txt", _write_kitti), "jsonl": (".jsonl", _write_lines), "sfs": (".sfs", _write_scene)}
+)
+"""The suffix of each form's files, and what writes one."""
+
+
+def form_of(output: Path, form: str | None) -> str:
+    """The form that was asked for, else the one of the output's suffix, else KITTI's.
+
+    Raises:
+        OptionError: there is no such form, or a suffix belongs to none.
+    """
+    if form is not None:
+        if form not in FORMS:
+            raise OptionError(f"format {form!r}; expected one of {', '.join(FORMS)}")
+        return form
+    if not output.suffix:
+        return "kitti"
+    found = next((name for name, (suffix, _) in FORMS.items() if suffix == output.suffix.lower()), None)
+    if found is None:
+        known = ", ".join(f"{suffix} ({name})" for name, (suffix, _) in FORMS.items())
+        raise OptionError(
+            f"{output}: suffix {output.suffix!r} belongs to no form of tracks; expected one of: {known}"
+        )
+    return found
+
+
+def track_folder(
+    tracking: KittiTracking,
+    output: str | Path,
+    *,
+    sequences: Sequence[str] = (),
+    form: str | None = None,
+    box2d: PictureBox = PictureBox.IMAGE,
+    settings: TrackingSettings | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> TrackReport:
+    """Track the sequences of a folder laid out like KITTI's tracking benchmark; a file each, named after it.
+
+    Labels are never read.
+
+    Args:
+        tracking: the folder.
+        output: the folder to write.
+        sequences: which ones; none for all.
+        form: "kitti", "jsonl" or "sfs"; None for KITTI's results.
+        box2d: which boxes in the picture are told.
+        settings: how.
+        overwrite: whether files that exist may be replaced.
+        progress: told after each sweep.
+
+    Raises:
+        DataError: a file is faulty, or a sequence is not there.
+        OutputError: the folder has something in it, or cannot be written.
+        OptionError: a value is not one that can be followed.
+    """
+    begun = time.perf_counter()
+    output, wanted = Path(output), form or "kitti"
+    form_of(output, wanted)
+    names = tuple(sequences) or tracking.sequences
+    reports, losses = [], LossReport()
+    with filling(output, overwrite=overwrite) as folder:
+        for k, name in enumerate(names):
+            source = TrackableDrive.of_sequence(tracking.sequence(name), str(tracking.path))
+            steps = None if progress is None else _of_many(progress, k, len(names))
+            report, loss = _track_into(folder, output, source, wanted, box2d, settings, steps)
+            reports.append(report)
+            losses = LossReport.of([*losses, *loss])
+    return _report(str(tracking.path), output, wanted, reports, tracking.notices, begun, losses)
+
+
+def track_into(
+    source: TrackableDrive,
+    output: str | Path,
+    *,
+    form: str | None = None,
+    box2d: PictureBox = PictureBox.IMAGE,
+    settings: TrackingSettings | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> TrackReport:
+    """Track one drive into a file.
+
+    Args:
+        source: the drive.
+        output: the file; its suffix tells the form where `form` does not.
+        form, box2d, settings, overwrite, progress: as of `track_folder`.
+
+    Raises:
+        OutputError: the file exists, or cannot be written.
+        OptionError: a value is not one that can be followed.
+    """
+    begun = time.perf_counter()
+    output = Path(output)
+    wanted = form_of(output, form)
+    check_output(output, overwrite=overwrite)
+    with ExitStack() as stack:
+        draft = stack.enter_context(replacing(output, overwrite=overwrite))
+        report, loss = _track_into(
+            draft.parent, output, source, wanted, box2d, settings, progress, name=draft.name
+        )
+    return _report(source.scene.source, output, wanted, [report], (), begun, loss)
+
+
+def _track_into(
+    folder: Path,
+    output: Path,
+    source: TrackableDrive,
+    form: str,
+    box2d: PictureBox,
+    settings: TrackingSettings | None,
+    progress: Progress | None,
+    *,
+    name: str | None = None,
+) -> tuple[TrackedReport, LossReport]:
+    chosen = settings or TrackingSettings()
+    chosen = replace(chosen, tracker=replace(chosen.tracker, picture_box=box2d))
+    tracked = track(source.drive, settings=chosen, progress=progress)
+    suffix, write = FORMS[form]
+    place = folder / (name or f"{source.drive.name}{suffix}")
+    losses = write(tracked, source, place, box2d)
+    labels = {
+        number: label for m in tracked.moments for number, label in zip(m.ids.tolist(), m.labels, strict=True)
+    }
+    counts = dict(zip(*np.unique(list(labels.values()), return_counts=True), strict=True)) if labels else {}
+    report = TrackedReport(
+        name=source.drive.name,
+        file=str(output if name else output / place.name),
+        frames=len(tracked.moments),
+        tracks={str(label): int(count) for label, count in counts.items()},
+        states=sum(map(len, tracked.moments)),
+        seconds=tracked.seconds,
+        notices=source.drive.notices,
+    )
+    return report, losses
+
+
+def _of_many(progress: Progress, k: int, count: int) -> Progress:
+    """Tells of one drive of many; all count the same."""
+    return lambda done, total: progress(k * 1000 + done * 1000 // max(total, 1), count * 1000)
+
+
+def _report(
+    source: str,
+    output: Path,
+    form: str,
+    reports: Iterable[TrackedReport],
+    notices: Iterable[Notice],
+    begun: float,
+    losses: LossReport,
+) -> TrackReport:
+    drives = tuple(reports)
+    frames = sum(one.frames for one in drives)
+    return TrackReport(
+        source=source,
+        output=str(output),
+        form=form,
+        drives=drives,
+        ms_per_frame=sum(one.seconds for one in drives) * 1e3 / frames if frames else 0.0,
+        seconds=time.perf_counter() - begun,
+        notices=(*notices, *(notice for one in drives for notice in one.notices)),
+        losses=losses,
+    )

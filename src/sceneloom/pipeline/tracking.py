@@ -1,0 +1,149 @@
+"""Tracking: what detectors found in a drive becomes objects followed through time."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.detections import DetectionPair
+from sceneloom.detections.projection import fuse_by_projection
+from sceneloom.detections.results import DetectionAlgorithm
+from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.fusion.algorithms import FusionType, algorithm
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pipeline.detected import DetectedDrive, Moment, moments
+from sceneloom.pipeline.tracked import TrackedDrive, joined_moments, moments_of
+from sceneloom.scene import Boxes2D, TrackedObjects
+from sceneloom.scene.types import Progress
+from sceneloom.tracking import Observation, Tracker, TrackerSettings, track_drive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackingSettings:
+    """How a drive is tracked.
+
+    Attributes:
+        offline: whether states may look ahead: smoothed over the drive, gaps filled.
+        algorithm: name of the algorithm of detection fusion.
+        fusion: what fusion by projection takes for granted.
+        tracker: what the tracker takes for granted.
+    """
+
+    offline: bool = False
+    algorithm: str = "projection"
+    fusion: ProjectionSettings = field(default_factory=ProjectionSettings)
+    tracker: TrackerSettings = field(default_factory=TrackerSettings)
+
+
+def track(
+    drive: DetectedDrive, *, settings: TrackingSettings | None = None, progress: Progress | None = None
+) -> TrackedDrive:
+    """Follow the objects of a drive.
+
+    Classes that only one of both detectors looks for are followed on their own, so that the other one's silence does
+    not count against them.
+
+    Args:
+        settings: how.
+        progress: told after each sweep.
+
+    Raises:
+        OptionError: no algorithm of detection fusion has that name.
+        CalibrationError: a lens is unknown.
+    """
+    wanted = settings or TrackingSettings()
+    parts, seconds = [], 0.0
+    groups = tuple(_groups(drive))
+    for k, (part, recalls) in enumerate(groups):
+        own = replace(
+            wanted, fusion=replace(wanted.fusion, **recalls), tracker=replace(wanted.tracker, **recalls)
+        )
+        steps = _Steps(progress, k, len(groups), len(part.boxes))
+        found, spent = _track_part(part, own, steps)
+        parts.append(found)
+        seconds += spent
+    return TrackedDrive(drive, joined_moments(parts), seconds)
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """Tells of the work of several groups of classes as of one."""
+
+    told: Progress | None
+    group: int
+    groups: int
+    total: int
+
+    def done(self, count: int) -> None:
+        if self.told is not None:
+            self.told(self.group * self.total + count, self.groups * self.total)
+
+
+def _groups(drive: DetectedDrive) -> Iterator[tuple[DetectedDrive, dict[str, Any]]]:
+    """The drive by classes that the same detectors look for, and which of them find nothing of it at all."""
+    in_sweeps, in_pictures = drive.classes, drive.classes_2d
+    found = frozenset(drive.labels) | (in_sweeps or frozenset()) | (in_pictures or frozenset())
+    only_sweeps = frozenset() if in_pictures is None else found - in_pictures
+    only_pictures = frozenset() if in_sweeps is None else found - in_sweeps - only_sweeps
+    parts: tuple[tuple[frozenset[str], dict[str, Any]], ...] = (
+        (found - only_sweeps - only_pictures, {}),
+        (only_sweeps, {"recall_2d": 0.0}),
+        (only_pictures, {"recall_3d": 0.0}),
+    )
+    for classes, recalls in parts:
+        if classes == found:  # also where nothing was found at all, once
+            yield drive, recalls
+            return
+        if classes:
+            yield drive.of_classes(classes), recalls
+
+
+def _track_part(
+    drive: DetectedDrive, settings: TrackingSettings, steps: _Steps
+) -> tuple[tuple[TrackedObjects, ...], float]:
+    """Fuse and track; and the time of the processor that both take, without reading and progress [s]."""
+    fuse = _fusion(settings)
+    lonely = partial(fuse_by_projection, settings=replace(settings.fusion, recall_2d=0.0))
+    tracker, seconds = Tracker(settings.tracker), 0.0
+    online, seen = list[TrackedObjects](), list[Observation]()
+    for count, moment in enumerate(moments(drive), start=1):
+        begun = time.thread_time()
+        observation = _observation(drive, moment, fuse, lonely)
+        if settings.offline:
+            seen.append(observation)
+        else:
+            online.append(tracker.step(observation))
+        seconds += time.thread_time() - begun
+        steps.done(count)
+    if not settings.offline:
+        return tuple(online), seconds
+    begun = time.thread_time()
+    tracks = track_drive(seen, settings=settings.tracker, offline=True)
+    seconds += time.thread_time() - begun
+    return moments_of(tracks, drive.timestamps_ns), seconds
+
+
+def _fusion(settings: TrackingSettings) -> DetectionAlgorithm:
+    if settings.algorithm == "projection":
+        return partial(fuse_by_projection, settings=settings.fusion)
+    found: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, settings.algorithm)
+    return found
+
+
+def _observation(
+    drive: DetectedDrive, moment: Moment, fuse: DetectionAlgorithm, lonely: DetectionAlgorithm
+) -> Observation:
+    """What is seen at a moment; a sweep to which no picture belongs counts as it is."""
+    if moment.pairs:
+        return Observation.of_pairs(moment.pairs, moment.world_from_lidar, fuse=fuse)
+    camera_id, camera = next(iter(drive.cameras.items()), (None, None))
+    lens = _NO_LENS if camera is None else camera.lens
+    none = Boxes2D.empty(moment.timestamp_ns)
+    fused = lonely(DetectionPair(moment.boxes_3d, none, lens, RigidTransform.identity()))
+    return Observation(moment.timestamp_ns, moment.world_from_lidar, {camera_id or "": fused})
+
+
+_NO_LENS = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0)
+"""Stands for a camera where there is none: nothing is found in its pictures, and nothing is expected."""

@@ -1,0 +1,197 @@
+"""`sceneloom track` on a small made-up folder of KITTI's tracking benchmark."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.formats.kitti import read_labels
+
+FRAMES = 8
+FOCAL, CX, CY = 707.0493, 604.0814, 180.5066
+CALIB = (
+    f"P2: {FOCAL} 0 {CX} 0 0 {FOCAL} {CY} 0 0 0 1 0\n"
+    "R_rect 1 0 0 0 1 0 0 0 1\nTr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n"
+)
+SPEED = 0.5
+"""The ego drives so far from frame to frame, to the east [m]; a degree of longitude on the equator is 111319.49 m."""
+SIZE_HWL = (1.5, 1.6, 4.0)
+PEOPLE_HWL = (1.8, 0.6, 0.8)
+
+
+def places(frame: int) -> dict[str, tuple[float, float, float]]:
+    """Where the middle of the bottom of a car and a person is in the camera's frame: both stand in the world."""
+    return {"Car": (3.0, 1.6, 25.0 - SPEED * frame), "Pedestrian": (-4.0, 1.6, 15.0 - SPEED * frame)}
+
+
+def outline(place, size_hwl) -> tuple[float, float, float, float]:
+    """The box in the picture of a box whose length lies along x of the camera, by its eight corners."""
+    h, w, length = size_hwl
+    corners = (
+        np.array([[x, y, z] for x in (-length / 2, length / 2) for y in (-h, 0) for z in (-w / 2, w / 2)])
+        + place
+    )
+    u, v = FOCAL * corners[:, 0] / corners[:, 2] + CX, FOCAL * corners[:, 1] / corners[:, 2] + CY
+    return u.min(), v.min(), u.max(), v.max()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Eight frames with a car and a person, both found by both detectors; labels that must never be read."""
+    root = tmp_path / "kitti"
+    texts = {"calib/0003.txt": CALIB, "label_02/0003.txt": "not to be read"}
+    texts["oxts/0003.txt"] = "".join(
+        f"0 {SPEED * k / 111319.4908:.12f}" + " 0" * 28 + "\n" for k in range(FRAMES)
+    )
+    for label, number, size in (("Car", 2, SIZE_HWL), ("Pedestrian", 1, PEOPLE_HWL)):
+        two, three = "", ""
+        for k in range(FRAMES):
+            place = places(k)[label]
+            box = ",".join(f"{value:.4f}" for value in outline(place, size))
+            two += f"{k},{box},0.98\n"
+            numbers = ",".join(map(str, (*size, *place)))
+            three += f"{k},{number},{box},6.0,{numbers},0.0,0.0\n"
+        texts[f"det2d_x/{label}/0003.txt"], texts[f"det3d_y/{label}/0003.txt"] = two, three
+    for name, text in texts.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    return root
+
+
+def results(output: Path):
+    """Frame by frame, the rows of a class."""
+    found = read_labels(output / "0003.txt")
+    assert found.scores is not None
+    return found, {
+        label: np.flatnonzero([word == label for word in found.types]) for label in set(found.types)
+    }
+
+
+def test_what_stands_has_one_track_whose_boxes_are_where_it_is(call, folder, tmp_path):
+    outcome = call("track", folder, "-o", tmp_path / "out")
+    assert outcome.code == 0, outcome.err
+    found, rows = results(tmp_path / "out")
+    assert sorted(rows) == ["Car", "Pedestrian"]
+    for label, size in (("Car", SIZE_HWL), ("Pedestrian", PEOPLE_HWL)):
+        own = rows[label]
+        assert len(set(found.track_ids[own].tolist())) == 1
+        assert len(own) >= FRAMES - 2  # a tracker may wait for a second box before it tells of an object
+        for row in own.tolist():
+            truth = places(int(found.frames[row]))[label]
+            # 0.3 m, 4 px: what a filter and typical errors of detectors may move a perfect box
+            np.testing.assert_allclose(found.bottoms[row], truth, atol=0.3)
+            np.testing.assert_allclose(found.corners_xyxy[row], outline(truth, size), atol=4.0)
+    assert len({found.track_ids[own[0]] for own in rows.values()}) == 2
+
+
+def test_projected_boxes_are_the_outlines_of_those_in_space(call, folder, tmp_path):
+    assert call("track", folder, "-o", tmp_path / "out", "--box2d", "projected").code == 0
+    found, _ = results(tmp_path / "out")
+    for k in range(len(found)):
+        h, w, length = found.sizes_hwl[k]
+        turn, (x, y, z) = found.rotations_y[k], found.bottoms[k]
+        corners = [
+            (
+                x + np.cos(turn) * i * length + np.sin(turn) * j * w,
+                y - up,
+                z - np.sin(turn) * i * length + np.cos(turn) * j * w,
+            )
+            for i in (-0.5, 0.5)
+            for j in (-0.5, 0.5)
+            for up in (0.0, h)
+        ]
+        seen = np.array(corners)
+        u, v = FOCAL * seen[:, 0] / seen[:, 2] + CX, FOCAL * seen[:, 1] / seen[:, 2] + CY
+        # 0.2 px: how closely edges are followed; no box is at the border of the picture
+        np.testing.assert_allclose(found.corners_xyxy[k], [u.min(), v.min(), u.max(), v.max()], atol=0.2)
+
+
+@pytest.mark.parametrize(
+    "gone",
+    [
+        ("oxts",),
+        ("det2d_x",),
+        ("det3d_y",),
+        ("det2d_x/Pedestrian",),
+        ("det3d_y/Car",),
+        ("det2d_x/Pedestrian", "det3d_y/Pedestrian"),
+    ],
+)
+def test_what_is_missing_is_told_and_the_rest_is_tracked(call, folder, tmp_path, gone):
+    for name in gone:
+        for file in (folder / name).rglob("*.txt"):
+            file.unlink()
+        (folder / name).rename(folder / f"gone_{name.replace('/', '_')}")
+    outcome = call("track", folder, "-o", tmp_path / "out")
+    assert outcome.code == 0, outcome.err
+    _, rows = results(tmp_path / "out")
+    expected = {"Car", "Pedestrian"} - ({"Pedestrian"} if len(gone) == 2 else set())
+    assert set(rows) == expected
+
+
+def test_empty_lists_give_an_empty_file(call, folder, tmp_path):
+    for file in folder.glob("det*/*/*.txt"):
+        file.write_text("")
+    assert call("track", folder, "-o", tmp_path / "out").code == 0
+    assert (tmp_path / "out" / "0003.txt").read_text() == ""
+
+
+@pytest.mark.parametrize("offline", [(), ("--offline",)])
+def test_lines_of_json_tell_the_world(call, folder, tmp_path, offline):
+    assert call("track", folder, "-o", tmp_path / "out", "--format", "jsonl", *offline).code == 0
+    lines = [json.loads(line) for line in (tmp_path / "out" / "0003.jsonl").read_text().splitlines()]
+    assert [line["timestamp_ns"] for line in lines] == [k * 100_000_000 for k in range(FRAMES)]
+    car = next(one for one in lines[-1]["objects"] if one["class"] == "Car")
+    # by hand: the car's middle in the camera's frame of frame 0, as east, north and up of there
+    np.testing.assert_allclose(car["center"], [25.0, -3.0, -0.85], atol=0.3)
+    assert len(car["center_cov"]) == len(car["size_cov"]) == 9
+    assert np.hypot(*car["velocity"][:2]) < 1.0
+
+
+def test_labels_of_a_scene_are_cuboids(call, folder, tmp_path):
+    outcome = call("track", folder, "-o", tmp_path / "out", "--format", "sfs")
+    assert outcome.code == 0, outcome.err
+    with sceneloom.open(tmp_path / "out" / "0003.sfs") as scene:
+        cuboids = [one for one in scene.annotations if one.type == "cuboid"]
+    assert len(cuboids) == 2
+
+
+def test_the_report_counts_frames_and_tracks(call, folder, tmp_path):
+    report = json.loads(call("track", folder, "-o", tmp_path / "out", "--json").out)
+    assert report["form"] == "kitti"
+    assert report["drives"][0]["frames"] == FRAMES
+    assert report["drives"][0]["tracks"] == {"Car": 1, "Pedestrian": 1}
+
+
+def test_a_sequence_can_be_chosen_and_must_be_there(call, folder, tmp_path):
+    (folder / "calib" / "0009.txt").write_text(CALIB)
+    assert call("track", folder, "-o", tmp_path / "out", "--sequence", "0003").code == 0
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["0003.txt"]
+    outcome = call("track", folder, "-o", tmp_path / "other", "--sequence", "0001")
+    assert outcome.code == 1
+    assert "sequence 0001: is not there" in outcome.err
+
+
+def test_an_output_is_not_overwritten_unasked(call, folder, tmp_path):
+    assert call("track", folder, "-o", tmp_path / "out").code == 0
+    outcome = call("track", folder, "-o", tmp_path / "out")
+    assert (outcome.code, "exists already" in outcome.err) == (1, True)
+    assert call("track", folder, "-o", tmp_path / "out", "--overwrite").code == 0
+
+
+def test_a_faulty_list_is_told_with_its_line_and_nothing_is_written(call, folder, tmp_path):
+    (folder / "det2d_x/Car/0003.txt").write_text("0,1,1,9,9,0.5\n0,1,car\n")
+    outcome = call("track", folder, "-o", tmp_path / "out")
+    assert outcome.code == 1
+    assert "det2d_x/Car/0003.txt: line 2: 3 values; expected 6" in outcome.err
+    assert not (tmp_path / "out").exists()
+    assert call("track", folder, "-o", tmp_path / "out", "--lenient").code == 0
+
+
+def test_several_detectors_are_a_question(call, folder, tmp_path):
+    (folder / "det2d_z" / "Car").mkdir(parents=True)
+    outcome = call("track", folder, "-o", tmp_path / "out")
+    assert (outcome.code, "choose one with `--det2d NAME`" in outcome.err) == (2, True)
+    assert call("track", folder, "-o", tmp_path / "out", "--det2d", "x").code == 0

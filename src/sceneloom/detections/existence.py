@@ -1,46 +1,84 @@
 r"""How likely it is that an object exists which one detector or both report.
 
-A place where a detector could report something holds an object (e) with the prior probability π. A score is what it
-says: of the boxes with the score s the share s is true. By Bayes' theorem a box with the score s has told
+A score names the logarithm of odds x. What comes true of boxes with such scores is fitted to data with few numbers,
+all of which grow with the scores (`detectors` names them, `fitting` fits them, `kernels.existence_odds` computes):
 
-    P(box, s | e) / P(box, s | not e) = [s / (1 - s)] / [π / (1 - π)].
+    log odds(e | box of the sweep)       = a + b x
+    log odds(e | boxes of both)          = a' + b' x + c' y + d' (IoU - 0.7)
+    log odds(e | box of the sweep alone) = a + b x + log(1 - D v),
 
-Given what is there, detectors err independently of one another, so the ratios of both multiply:
+D the share of objects shown openly that the detector of pictures finds, v how openly the picture shows the place: in
+full from some height in pixels and some seen share on, not at all for what is tiny, hidden or out of the picture. A
+score that is no number tells nothing.
 
-    odds(e | both) = odds(s_3d) odds(s_2d) / odds(π).
+A camera may be worse than it was when D was fitted: by night, in rain, or with another network behind it. So D is of
+two kinds, with the odds w that a picture is of the poor kind (recall D') or not, by all other objects of the sweep:
+each sure one that has no box speaks for the poor kind, each one that has a box against it,
 
-Two false boxes seldom fall on one place: the smaller π, the more an agreement says. A detector that had to see the
-object and reports nothing tells too, with its chance D to find what is there:
+    log w = log w₀ + Σ_found p log(D' / D) + Σ_missed log[(1 - p D' v) / (1 - p D v)],
 
-    odds(e | box, none) = odds(s) (1 - D),
+p how likely each object is by its sweep. With an empty picture of many sure objects missing boxes say little at all.
 
-since where nothing is, it was all but certain to report nothing. D falls with what the sensor can see of it. A score
-that is no number tells nothing, and leaves the prior. The formulas are compiled: `kernels.existence_odds`.
-
-Source: Bayes' theorem under conditional independence: Chen et al. 2022, "Multimodal Object Detection via Probabilistic
-Ensembling", eq. 4 for the agreement; Thrun, Burgard and Fox 2005, "Probabilistic Robotics", ch. 4.2 for log odds.
+Source: Platt 1999, "Probabilistic Outputs for Support Vector Machines", for scores as logistic functions; Thrun,
+Burgard and Fox 2005, "Probabilistic Robotics", ch. 4.2, for log odds. `independent` derives the form from Bayes'
+theorem.
 """
 
-from functools import lru_cache
+import math
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.detections.classes import UNLISTED
-from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.detections.classes import KINDS
+from sceneloom.detections.detectors import ClassStatistics, Detectors
 from sceneloom.kernels import existence_odds as columns
 
+_SUREST = 0.9995
+"""No detector finds a larger share than this."""
+_LEAST = 1e-3
 
-@lru_cache(maxsize=256)
-def existence_table(settings: ProjectionSettings) -> Float64Array:
+
+def existence_table(
+    detectors: Detectors, *, recall_2d: float | None = None, recall_3d: float | None = None
+) -> Float64Array:
     """Give what detectors are like as the compiled formulas take it.
+
+    Args:
+        detectors: whose numbers.
+        recall_2d, recall_3d: take the place of theirs; 0 where the other one's silence shall tell nothing.
 
     Returns:
         (K + 1, COLUMNS) float64, a row for each class of `classes.KINDS` and a last one for whatever else there is; the
         columns are those of `kernels.existence_odds`.
     """
-    row = np.empty(columns.COLUMNS)
-    row[columns.PRIOR] = np.log(settings.prior / (1.0 - settings.prior))
-    row[columns.RECALL_2D], row[columns.RECALL_3D] = settings.recall_2d, settings.recall_3d
-    row[columns.LEAST_HEIGHT_PX], row[columns.FARTHEST_3D] = settings.least_height_px, settings.farthest_3d
-    return read_only(np.tile(row, (UNLISTED + 1, 1)))
+    rows = [_row(statistics_of(detectors, name), recall_2d, recall_3d) for name in (*KINDS, "")]
+    return read_only(np.array(rows))
+
+
+def statistics_of(detectors: Detectors, name: str) -> ClassStatistics:
+    """Give the numbers of a class; where there are none, those of a class of its family, else of `otherwise`."""
+    if name in detectors.classes:
+        return detectors.classes[name]
+    family = KINDS[name].family if name in KINDS else None
+    relatives = [other for other in detectors.classes if other in KINDS and KINDS[other].family == family]
+    return detectors.classes[relatives[0] if relatives else detectors.otherwise]
+
+
+def _row(own: ClassStatistics, recall_2d: float | None, recall_3d: float | None) -> Float64Array:
+    sight, row = own.sight, np.empty(columns.COLUMNS)
+    found_2d = sight.recall_2d if recall_2d is None else recall_2d
+    poorly_2d = sight.weak_recall_2d if recall_2d is None else recall_2d
+    row[columns.PRIOR] = math.log(sight.prior / (1.0 - sight.prior))
+    for first, told in ((columns.SWEEP_LOW, own.sweep), (columns.PICTURE_LOW, own.picture)):
+        row[first : first + 4] = told.low, told.high, told.base, told.slope
+    both = own.both
+    row[columns.BOTH_BASE : columns.BOTH_OVERLAP + 1] = both.base, both.sweep, both.picture, both.overlap
+    row[columns.RECALL_2D] = min(found_2d, _SUREST)
+    row[columns.WEAK_RECALL_2D] = min(poorly_2d, _SUREST)
+    # silence that tells nothing tells nothing of how well the camera works, either
+    row[columns.WEAK_SHARE] = sight.weak_share if found_2d > poorly_2d else 0.0
+    row[columns.LOW_PX], row[columns.HIGH_PX] = sight.heights_px
+    row[columns.SEEN_SHARE] = max(sight.seen_share, _LEAST)
+    row[columns.RECALL_3D] = min(sight.recall_3d if recall_3d is None else recall_3d, _SUREST)
+    row[columns.FARTHEST_3D] = sight.farthest_3d
+    return row

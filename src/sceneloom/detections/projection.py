@@ -22,15 +22,15 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.detections.assignment import assign, pair_gains
 from sceneloom.detections.camera_only import Placed, place_by_height
 from sceneloom.detections.classes import numbers_of, says_nothing, table_rows
-from sceneloom.detections.existence import existence_table
-from sceneloom.detections.noise import NOISE
+from sceneloom.detections.headings import turn_with_motion
+from sceneloom.detections.noise import picture_sigmas
 from sceneloom.detections.outlines import Outlines, project_outlines
 from sceneloom.detections.refinement import refine
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
-from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.detections.settings import ProjectionSettings, Tables, tables_of
 from sceneloom.errors import OptionError
 from sceneloom.kernels import existence_odds, fused_columns, sound_boxes
-from sceneloom.kernels.box_noise import center_and_size_covariances
+from sceneloom.kernels.box_noise import box_covariances, widen_agreed
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.types import PointsFrame
 
@@ -49,14 +49,15 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
 
     Raises:
         CalibrationError: the lens is unknown.
-        OptionError: the boxes of the sweep are not in the lidar's frame.
+        OptionError: the boxes of the sweep are not in the lidar's frame, or there are no such detectors.
+        DataError: the file of the detectors says something else.
 
     Source: DB34/T 4101-2022, clause 5.7 and table 10 name what is asked for; how is ours.
     """
     if pair.boxes_3d.frame is not PointsFrame.SENSOR:
         raise OptionError(f"boxes in the {pair.boxes_3d.frame} frame; expected the lidar's")
-    table = existence_table(settings)
-    sweep, picture = _seen(pair, table)
+    tables = tables_of(settings)
+    sweep, picture = _seen(pair, tables.existence)
     outlines = project_outlines(pair.camera, pair.camera_from_lidar, sweep.numbers, likely=sweep.likely)
     gains = pair_gains(
         outlines.corners_xyxy,
@@ -72,25 +73,30 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
         outlines.corners_xyxy,
         outlines.seen_shares,
         partners,
+        sweep.told,
         sweep.odds,
-        picture.odds,
+        picture.numbers,
+        picture.told,
         sweep.kinds,
-        table,
+        tables.existence,
     )
-    covariances = _covariances(pair.boxes_3d, sweep)
-    refine(
-        pair.camera, pair.camera_from_lidar, outlines, sweep.numbers, covariances, partners, picture.numbers
-    )
+    spread = _refined(pair, sweep, picture, outlines, partners, tables, settings)
     alone = np.flatnonzero(taken == NO_BOX) if settings.keep_camera_only else _NO_ROWS
     placed = place_by_height(pair.camera, pair.camera_from_lidar, picture.numbers, alone, picture.kinds)
-    others = existence_odds.scores_of_picture(placed.rows, placed.ranges, picture.odds, picture.kinds, table)
+    others = existence_odds.scores_of_picture(
+        placed.rows, placed.ranges, picture.odds, picture.kinds, tables.existence
+    )
     scores = np.concatenate([scores, others])
     labels = (*_labels(sweep, picture, partners), *(picture.labels[k] for k in placed.rows.tolist()))
-    return _joined(pair, sweep, picture, outlines, partners, covariances, placed, scores, labels)
+    return _joined(
+        pair, sweep, picture, outlines, partners, spread, placed, scores, labels, tables.degrees_of_freedom
+    )
 
 
 _NO_ROWS = np.zeros(0, np.int64)
 _NOT_TOLD = np.zeros((0, 7, 7))
+_ANY_YAW = np.pi**2 / 3.0
+"""Variance of a heading of which nothing is known [rad²]."""
 
 
 class _Seen(NamedTuple):
@@ -102,7 +108,8 @@ class _Seen(NamedTuple):
         labels: N classes.
         classes: (N,) int64 of `classes.numbers_of`.
         kinds: (N,) int64, rows of tables.
-        odds: (N,) float64, logarithms of the odds that each exists, by the detector.
+        told: (N,) float64, logarithms of the odds that each exists, as the detector names them; NaN for no numbers.
+        odds: (N,) float64, the same as they come true of that detector.
         likely: (N,) float64, the probabilities.
     """
 
@@ -111,6 +118,7 @@ class _Seen(NamedTuple):
     labels: Sequence[str]
     classes: Int64Array
     kinds: Int64Array
+    told: Float64Array
     odds: Float64Array
     likely: Float64Array
 
@@ -140,17 +148,55 @@ def _weighed(
     table: Float64Array,
 ) -> _Seen:
     kinds = table_rows(classes)
-    odds = existence_odds.told_odds(boxes.scores, rows, boxes.score_form is ScoreForm.LOGIT, kinds, table)
+    odds = existence_odds.told_odds(
+        boxes.scores, rows, boxes.score_form is ScoreForm.LOGIT, isinstance(boxes, Boxes2D), kinds, table
+    )
     return _Seen(numbers, rows, labels, classes, kinds, *odds)
 
 
-def _covariances(boxes: Boxes3D, sweep: _Seen) -> Float64Array:
-    """(N, 6, 6) [m²], of middles and sizes: as the detector tells, else as far off as such boxes usually are."""
-    told = _NOT_TOLD if boxes.covariances is None else boxes.covariances
-    covariances: Float64Array = center_and_size_covariances(
-        sweep.numbers, told, sweep.rows, sweep.kinds, NOISE
+class _Spread(NamedTuple):
+    """How uncertain the objects of a sweep are.
+
+    Attributes:
+        covariances: (N, 6, 6) float64 [m²], of middles and sizes.
+        of_yaws: (N,) float64 [rad²].
+    """
+
+    covariances: Float64Array
+    of_yaws: Float64Array
+
+
+def _refined(
+    pair: DetectionPair,
+    sweep: _Seen,
+    picture: _Seen,
+    outlines: Outlines,
+    partners: Int64Array,
+    tables: Tables,
+    settings: ProjectionSettings,
+) -> _Spread:
+    """Sharpen the boxes of a sweep by their partners; how uncertain they are is as their detector tells, or usual."""
+    told = _NOT_TOLD if pair.boxes_3d.covariances is None else pair.boxes_3d.covariances
+    covariances, of_yaws, own = box_covariances(
+        sweep.numbers, sweep.told, told, sweep.rows, sweep.kinds, tables.noise
     )
-    return covariances
+    off_px = pair.camera.fx * np.radians(settings.rotation_sigma_deg)
+    refine(
+        pair.camera,
+        pair.camera_from_lidar,
+        outlines,
+        sweep.numbers,
+        covariances,
+        partners,
+        picture.numbers,
+        picture_sigmas(tables.noise, sweep.kinds, added_px=off_px),
+    )
+    widen_agreed(covariances, partners, own, sweep.kinds, tables.noise)
+    velocities = pair.boxes_3d.velocities
+    if settings.time_sigma > 0.0 and velocities is not None:
+        moved = np.where(np.isfinite(velocities), velocities, 0.0)[sweep.rows] * settings.time_sigma
+        covariances[:, :3, :3] += moved[:, :, None] * moved[:, None]
+    return _Spread(covariances, of_yaws)
 
 
 def _labels(sweep: _Seen, picture: _Seen, partners: Int64Array) -> list[str]:
@@ -171,18 +217,20 @@ def _joined(
     picture: _Seen,
     outlines: Outlines,
     partners: Int64Array,
-    covariances: Float64Array,
+    spread: _Spread,
     placed: Placed,
     scores: Float64Array,
     labels: tuple[str, ...],
+    degrees_of_freedom: float,
 ) -> FusedBoxes:
     """The objects of the sweep, then those of the picture alone."""
-    places = fused_columns.join_places(sweep.numbers, covariances, *placed[1:5])
+    places = fused_columns.join_places(sweep.numbers, spread.covariances, *placed[1:5])
     centers, center_covariances, sizes, size_covariances, yaws = places
     corners, rows_3d, rows_2d = fused_columns.join_sources(
         outlines.corners_xyxy, sweep.rows, partners, picture.numbers, picture.rows, placed.rows, NO_BOX
     )
     velocities = pair.boxes_3d.velocities
+    of_yaws = np.concatenate([spread.of_yaws, np.full(len(placed.rows), _ANY_YAW)])
     if velocities is not None:
         velocities = np.concatenate([velocities[sweep.rows], np.zeros((len(placed.rows), 3))])
     return FusedBoxes(
@@ -191,7 +239,7 @@ def _joined(
         center_covariances=center_covariances,
         sizes_lwh=sizes,
         size_covariances=size_covariances,
-        yaws=yaws,
+        yaws=turn_with_motion(yaws, velocities),
         velocities=velocities,
         scores=scores,
         labels=labels,
@@ -199,4 +247,6 @@ def _joined(
         ids=np.arange(len(labels)),
         rows_3d=rows_3d,
         rows_2d=rows_2d,
+        yaw_variances=of_yaws,
+        degrees_of_freedom=degrees_of_freedom,
     )

@@ -22,13 +22,6 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.box_sides import shifted_sides, update_by_sides
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
-MIDDLE_SIGMAS = (2.0, 0.03)
-"""Deviation of the middle of a box in the picture: so many pixels for clocks and calibration, plus so much of its side.
-
-Source: detections of KITTI's sequences against the outlines of those of the sweeps: 1.5 px and 3 % of the width.
-"""
-HEIGHT_SIGMAS = (2.0, 0.06)
-"""Deviation of the height of a box in the picture: so many pixels, plus this share of it; source as above."""
 FARTHEST = 3.0
 """A number of the picture that is more deviations than this from where it is expected has another reason."""
 BORDER_PX = 2.0
@@ -47,6 +40,7 @@ def refine(
     covariances: Float64Array,
     partners: Int64Array,
     corners_xyxy: Float64Array,
+    sigmas: Float64Array,
 ) -> None:
     """Update boxes by their partners.
 
@@ -58,6 +52,7 @@ def refine(
         covariances: (N, 6, 6) [m²], of middles and sizes; changed.
         partners: (N,) int64, which box of the picture is the same object, NO_BOX for none.
         corners_xyxy: (M, 4) [px], boxes of the picture, corner convention.
+        sigmas: (N, 6), how far off partners are, of `noise.picture_sigmas`.
     """
     corners, count = outlines.corners_camera, len(boxes)
     pixels = project_unbounded(camera, corners.reshape(-1, 3)).reshape(count, 8, 2)
@@ -78,7 +73,7 @@ def refine(
         _STEP,
         partners,
         corners_xyxy,
-        (*MIDDLE_SIGMAS, *HEIGHT_SIGMAS),
+        sigmas,
         FARTHEST,
         _LEAST_SHARE,
     )

@@ -34,6 +34,7 @@ class DetectionPair:
 
 _ARRAYS = (
     *("centers", "center_covariances", "sizes_lwh", "size_covariances", "yaws", "velocities", "scores"),
+    "yaw_variances",
     *("corners_xyxy", "ids", "rows_3d", "rows_2d"),
 )
 """The fields of `FusedBoxes` that are arrays."""
@@ -57,6 +58,9 @@ class FusedBoxes:
         ids: (N,) int64, numbers of the objects in this pair.
         rows_3d: (N,) int64, which box of the sweep, or NO_BOX.
         rows_2d: (N,) int64, which box of the picture, or NO_BOX.
+        yaw_variances: (N,) float64 [rad²], or None.
+        degrees_of_freedom: of the Student distribution of errors with these covariances
+            (`noise.radius_squared`), infinite for a Gaussian one, or None where nothing is known of it.
 
     Raises:
         ArrayError: shapes or dtypes are wrong.
@@ -77,6 +81,8 @@ class FusedBoxes:
     ids: Int64Array
     rows_3d: Int64Array
     rows_2d: Int64Array
+    yaw_variances: Float64Array | None = None
+    degrees_of_freedom: float | None = None
 
     def __post_init__(self) -> None:
         count = check_array("fused.centers", self.centers, (None, 3), np.float64)
@@ -86,6 +92,7 @@ class FusedBoxes:
         check_array("fused.yaws", self.yaws, (count,), np.float64)
         check_array("fused.velocities", self.velocities, (count, 3), np.float64, optional=True)
         check_array("fused.scores", self.scores, (count,), np.float64)
+        check_array("fused.yaw_variances", self.yaw_variances, (count,), np.float64, optional=True)
         check_array("fused.corners_xyxy", self.corners_xyxy, (count, 4), np.float64)
         for name in ("ids", "rows_3d", "rows_2d"):
             check_array(f"fused.{name}", getattr(self, name), (count,), np.int64)

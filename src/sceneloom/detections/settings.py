@@ -1,47 +1,91 @@
 """The numbers that detection fusion by projection goes by."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import NamedTuple
 
+from sceneloom.arrays import Float64Array
+from sceneloom.detections.detector_files import DEFAULT, find_detectors
+from sceneloom.detections.detectors import Detectors
+from sceneloom.detections.existence import existence_table
+from sceneloom.detections.noise import noise_table
 from sceneloom.errors import OptionError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProjectionSettings:
-    """What `fuse_by_projection` takes for granted about detectors.
+    """What `fuse_by_projection` takes for granted.
 
     Attributes:
+        detectors: how often detectors are right, and how far off: `Detectors`, a name out of `detector_names()`, or the
+            path of a file.
         least_iou: boxes that overlap less in the picture than this are not one object, 0 to 1.
-        prior: share of the places at which a detector could report something that hold an object, 0 to 1, both
-            excluded; see `existence`.
-        recall_2d, recall_3d: share of the objects in its view that the detector of pictures and that of sweeps finds,
-            0 to 1 (excluded).
-        least_height_px: a box less high than this in the picture need not have been found there [px].
-        farthest_3d: what is farther than this need not have been found in the sweep [m].
+        recall_2d, recall_3d: share of the objects in its view that the detector of pictures and that of sweeps finds, 0
+            to 1 (excluded), for all classes; 0 where its silence shall tell nothing. [default: by `detectors`]
         keep_camera_only: whether boxes of the picture without one in the sweep become objects.
+        rotation_sigma_deg: how well the turn from lidar to camera is known, beyond what pictures of such detectors show
+            anyway [°].
+        time_sigma: how well the time of a box is known; objects with a velocity are as uncertain along it [s].
 
     Raises:
         OptionError: a number is out of bounds.
     """
 
+    detectors: str | Detectors = DEFAULT
     least_iou: float = 0.3
-    prior: float = 0.1
-    recall_2d: float = 0.9
-    recall_3d: float = 0.5
-    least_height_px: float = 25.0
-    farthest_3d: float = 70.0
+    recall_2d: float | None = None
+    recall_3d: float | None = None
     keep_camera_only: bool = True
+    rotation_sigma_deg: float = 0.0
+    time_sigma: float = 0.0
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            low, high = _BOUNDS.get(f.name, (0.0, float("inf")))
-            if not low <= value <= high:
-                raise OptionError(f"{f.name} {value!r}; expected {low:g} to {high:g}")
+        for name, (low, high) in _BOUNDS.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise OptionError(f"{name} {value!r}; expected {low:g} to {high:g}")
 
 
 _BOUNDS = {
     "least_iou": (0.0, 1.0),
-    "prior": (1e-6, 1.0 - 1e-6),
     "recall_2d": (0.0, 0.999),
     "recall_3d": (0.0, 0.999),
+    "rotation_sigma_deg": (0.0, 90.0),
+    "time_sigma": (0.0, float("inf")),
 }
+
+
+class Tables(NamedTuple):
+    """What detectors are like, as compiled formulas take it.
+
+    Attributes:
+        existence: columns of `kernels.existence_odds`.
+        noise: columns of `kernels.box_noise`.
+        degrees_of_freedom: of errors.
+    """
+
+    existence: Float64Array
+    noise: Float64Array
+    degrees_of_freedom: float
+
+
+_TABLES: dict[ProjectionSettings, Tables] = {}
+_MOST = 64
+
+
+def tables_of(settings: ProjectionSettings) -> Tables:
+    """Give the tables of some settings.
+
+    Raises:
+        OptionError: no detectors have that name.
+        DataError: their file says something else.
+    """
+    found = _TABLES.get(settings)
+    if found is None:
+        told = settings.detectors
+        detectors = find_detectors(told) if isinstance(told, str) else told
+        existence = existence_table(detectors, recall_2d=settings.recall_2d, recall_3d=settings.recall_3d)
+        found = Tables(existence, noise_table(detectors), detectors.degrees_of_freedom)
+        if len(_TABLES) >= _MOST:
+            _TABLES.clear()
+        _TABLES[settings] = found
+    return found

@@ -101,16 +101,16 @@ def _update(states, covariances, n, row, residual, variance, gain):  # type: ign
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def _deviation(box, number, sigmas):  # type: ignore[no-untyped-def]
+def _deviation(box, number, sigmas, n):  # type: ignore[no-untyped-def]
     """Deviation of a number of the picture: of the middle across or upright, or of the height [px]."""
     scale = box[2] - box[0] if number == 0 else box[3] - box[1]
-    return sigmas[0] + sigmas[1] * scale if number < 2 else sigmas[2] + sigmas[3] * scale
+    return sigmas[n, 2 * number] + sigmas[n, 2 * number + 1] * scale
 
 
 @njit(
     "void(float64[:,::1], float64[:,:,::1], Array(float64, 2, 'C', readonly=True), float64[:,:,::1], "
     "Array(float64, 2, 'C', readonly=True), float64[:,:,::1], int64[::1], int64[:,::1], float64[:,:,:,::1], float64, "
-    "int64[::1], float64[:,::1], UniTuple(float64, 4), float64, float64)",
+    "int64[::1], float64[:,::1], float64[:,::1], float64, float64)",
     nogil=True,
     cache=True,
     error_model="numpy",
@@ -128,7 +128,7 @@ def update_by_sides(
     step: float,
     partners: Int64Array,
     boxes_xyxy: Float64Array,
-    sigmas: tuple[float, float, float, float],
+    sigmas: Float64Array,
     farthest: float,
     least_share: float,
 ) -> None:
@@ -149,7 +149,8 @@ def update_by_sides(
         step: [m].
         partners: (N,), of `shifted_sides`.
         boxes_xyxy: (M, 4) [px], boxes of the picture.
-        sigmas: deviation of a middle [px], and as a share of its side; of a height, likewise.
+        sigmas: (N, 6), deviations of the middle across: [px], and beside that as a share of the box's width; of the
+            middle upright and of the height likewise, as shares of the height.
         farthest: a number farther off than so many deviations is left out.
         least_share: no size shrinks below this share of what it was.
 
@@ -173,7 +174,7 @@ def update_by_sides(
             _add_slope(shifted, step, m, axis + 2, axis, rotation, axes, n, signs[last], of_high, slope)
             residuals[number] = of_low * (box[axis] - pixels[n, first, axis])
             residuals[number] += of_high * (box[axis + 2] - pixels[n, last, axis])
-            variances[number] = _deviation(box, number, sigmas) ** 2
+            variances[number] = _deviation(box, number, sigmas, n) ** 2
             spread = variances[number]
             for k in range(6):
                 for i in range(6):

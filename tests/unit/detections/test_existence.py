@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.detections.existence import existence_table
-from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.detections.independent import independent_detectors
 from sceneloom.kernels import existence_odds
 from sceneloom.scene.detections import ScoreForm
 
@@ -23,54 +23,57 @@ def share_true(*said):
     return there / (there + not_there)
 
 
-SETTINGS = ProjectionSettings(prior=PRIOR, recall_2d=1 - SAYS_IF_THERE[0], recall_3d=1 - SAYS_IF_THERE[0])
-TABLE = existence_table(SETTINGS)
+DETECTORS = independent_detectors(prior=PRIOR, recall_2d=1 - SAYS_IF_THERE[0], recall_3d=1 - SAYS_IF_THERE[0])
+TABLE = existence_table(DETECTORS)
 CAR = np.zeros(1, np.int64)
 OUTLINE = np.array([[10.0, 20, 110, 120]])
 
 
-def told(score, form=ScoreForm.PROBABILITY):
-    return existence_odds.told_odds(np.array([score]), CAR, form is ScoreForm.LOGIT, CAR, TABLE)
+def told(score, form=ScoreForm.PROBABILITY, *, of_picture=False):
+    logit = form is ScoreForm.LOGIT
+    return existence_odds.told_odds(np.array([score]), CAR, logit, of_picture, CAR, TABLE)
 
 
-def exists(odds_3d, odds_2d=None, *, seen_share=1.0):
+def exists(of_sweep, of_picture=None, *, seen_share=1.0):
     """How likely the object of a box of a sweep is, with a partner in the picture or without."""
-    partners, others = (CAR - 1, CAR * 0.0) if odds_2d is None else (CAR, odds_2d)
+    partners, others = (CAR - 1, CAR * 0.0) if of_picture is None else (CAR, of_picture[0])
     shares = np.array([seen_share])
-    return existence_odds.scores_of_sweep(OUTLINE, shares, partners, odds_3d, others, CAR, TABLE)[0]
+    return existence_odds.scores_of_sweep(
+        OUTLINE, shares, partners, of_sweep[0], of_sweep[1], OUTLINE, others, CAR, TABLE
+    )[0]
 
 
 @pytest.mark.parametrize("first", [1, 2])
 @pytest.mark.parametrize("second", [1, 2])
 def test_two_reports_are_worth_what_counting_says(first, second):
-    both = exists(told(share_true(first))[0], told(share_true(second))[0])
+    both = exists(told(share_true(first)), told(share_true(second)))
     assert both == pytest.approx(share_true(first, second), rel=1e-12)
 
 
 def test_a_report_that_the_other_detector_does_not_share_is_worth_what_counting_says():
     # where nothing is, silence is taken for certain; here it is so in 0.9 of the cases
     odds = share_true(2, 0) / (1 - share_true(2, 0)) * SAYS_IF_NOT[0]
-    assert exists(told(share_true(2))[0]) == pytest.approx(odds / (1 + odds), rel=1e-12)
-    of_picture = existence_odds.scores_of_picture(CAR, np.array([20.0]), told(share_true(2))[0], CAR, TABLE)
+    assert exists(told(share_true(2))) == pytest.approx(odds / (1 + odds), rel=1e-12)
+    of_picture = existence_odds.scores_of_picture(CAR, np.array([20.0]), told(share_true(2))[1], CAR, TABLE)
     assert of_picture[0] == pytest.approx(odds / (1 + odds), rel=1e-12)
 
 
 def test_what_cannot_be_seen_is_not_missed():
-    assert exists(told(0.7)[0], seen_share=0.0) == pytest.approx(0.7, rel=1e-12)
-    far = existence_odds.scores_of_picture(CAR, np.array([71.0]), told(0.7)[0], CAR, TABLE)
+    assert exists(told(0.7), seen_share=0.0) == pytest.approx(0.7, rel=1e-12)
+    far = existence_odds.scores_of_picture(CAR, np.array([71.0]), told(0.7)[1], CAR, TABLE)
     assert far[0] == pytest.approx(0.7, rel=1e-12)
 
 
 def test_logits_are_logarithms_of_odds():
     np.testing.assert_allclose(told(np.log(3.0), ScoreForm.LOGIT), told(0.75), rtol=1e-12)
-    np.testing.assert_allclose(told(0.75), [[np.log(3.0)], [0.75]], rtol=1e-12)
+    np.testing.assert_allclose(told(0.75), [[np.log(3.0)], [np.log(3.0)], [0.75]], rtol=1e-12)
 
 
 @pytest.mark.parametrize("form", list(ScoreForm))
 def test_a_score_that_is_no_number_leaves_what_the_other_detector_says(form):
-    assert exists(told(np.nan, form)[0], told(0.7)[0]) == pytest.approx(0.7, rel=1e-12)
+    assert exists(told(np.nan, form), told(0.7)) == pytest.approx(0.7, rel=1e-12)
 
 
 @pytest.mark.parametrize(("one", "other"), [(0.0, 1.0), (1.0, 1.0), (np.inf, 0.0), (-5.0, 7.0)])
 def test_the_surest_scores_give_a_probability(one, other):
-    assert 0.0 <= exists(told(one)[0], told(other)[0]) <= 1.0
+    assert 0.0 <= exists(told(one), told(other)) <= 1.0

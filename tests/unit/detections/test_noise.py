@@ -2,9 +2,12 @@
 
 import numpy as np
 
-from sceneloom.detections.noise import CENTER_SIGMAS, NOISE, SIZE_SIGMAS
-from sceneloom.kernels.box_noise import center_and_size_covariances
+from sceneloom.detections.classes import KINDS
+from sceneloom.detections.independent import CENTER_SIGMAS, SIZE_SIGMAS, independent_detectors
+from sceneloom.detections.noise import noise_table
+from sceneloom.kernels.box_noise import box_covariances
 
+NOISE = noise_table(independent_detectors())
 YAWS = np.array([0.4, -2.0, 1.0, 0.2])
 
 
@@ -13,14 +16,14 @@ def covariances_of(told=None):
     sizes = np.array([[4.0, 2.0, 1.5], [1.0, 0.5, 1.7], [4.0, 2.0, 1.5], [4.0, 2.0, 1.5]])
     told = np.zeros((0, 7, 7)) if told is None else told
     boxes, cars = np.column_stack([centers, sizes, YAWS]), np.zeros(4, np.int64)
-    return center_and_size_covariances(boxes, told, np.arange(4), cars, NOISE)
+    return box_covariances(boxes, np.zeros(4), told, np.arange(4), cars, NOISE)[0]
 
 
-def test_deviations_lie_along_the_axes_of_the_box_and_grow_with_size_and_range():
+def test_deviations_lie_along_the_axes_of_the_box_and_grow_with_the_range():
     found = covariances_of()[0]
-    growth = 1 + 50 / 60
+    growth = np.sqrt(50 / 20)
     turn = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
-    size = np.array([4.0, 2.0, 1.5])
+    size = np.array(KINDS["car"].size_lwh)
     along = np.diag(((CENTER_SIGMAS[0] * size + CENTER_SIGMAS[1]) * growth) ** 2)
     np.testing.assert_allclose(found[:3, :3], turn @ along @ turn.T, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(

@@ -1,5 +1,7 @@
 """Detection fusion by projection, on scenes whose answer is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ CAMERA_FROM_LIDAR = RigidTransform(
     np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3)
 )
 CAR = (4.0, 2.0, 1.6)
+SETTINGS = ProjectionSettings(detectors="independent")
 
 
 def boxes_3d(*rows, labels=None, **more):
@@ -52,7 +55,7 @@ def outline(x, y, z):
 
 
 def fused(three, two):
-    return fuse_by_projection(DetectionPair(three, two, CAMERA, CAMERA_FROM_LIDAR))
+    return fuse_by_projection(DetectionPair(three, two, CAMERA, CAMERA_FROM_LIDAR), settings=SETTINGS)
 
 
 def test_boxes_of_both_detectors_become_one_object_whose_existence_multiplies_the_odds():
@@ -119,7 +122,7 @@ def test_boxes_of_the_picture_alone_are_left_out_on_request():
         boxes_3d((20, 3, -1, 0.6)), boxes_2d((700, 250, 750, 350, 0.8)), CAMERA, CAMERA_FROM_LIDAR
     )
     assert len(fuse_by_projection(pair)) == 2
-    assert len(fuse_by_projection(pair, settings=ProjectionSettings(keep_camera_only=False))) == 1
+    assert len(fuse_by_projection(pair, settings=replace(SETTINGS, keep_camera_only=False))) == 1
 
 
 @pytest.mark.parametrize(
@@ -212,7 +215,7 @@ def test_boxes_in_another_frame_are_refused():
         fused(three, boxes_2d())
 
 
-@pytest.mark.parametrize("wrong", [{"prior": 0.0}, {"least_iou": np.nan}, {"recall_2d": 1.0}])
+@pytest.mark.parametrize("wrong", [{"time_sigma": -1.0}, {"least_iou": np.nan}, {"recall_2d": 1.0}])
 def test_settings_out_of_bounds_are_refused(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
         ProjectionSettings(**wrong)

@@ -6,7 +6,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.outlines import project_outlines
-from sceneloom.detections.refinement import HEIGHT_SIGMAS, MIDDLE_SIGMAS, refine
+from sceneloom.detections.refinement import refine
 from sceneloom.detections.results import NO_BOX
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
@@ -16,6 +16,8 @@ CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, LENS)
 CAMERA_FROM_LIDAR = RigidTransform(
     np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.05, -0.1, -0.3])
 )
+MIDDLE_SIGMAS, HEIGHT_SIGMAS = (2.0, 0.03), (2.0, 0.06)
+SIGMAS = np.tile([*MIDDLE_SIGMAS, *MIDDLE_SIGMAS, *HEIGHT_SIGMAS], (2, 1))
 CENTER, SIZE, YAW = np.array([30.0, 4.0, -0.8]), np.array([4.2, 1.8, 1.5]), 0.5
 COVARIANCE = np.diag([0.3, 0.25, 0.2, 0.3, 0.15, 0.12]) ** 2
 
@@ -40,7 +42,7 @@ def sharpened(center, partner, covariance=COVARIANCE):
     covariances = np.array([COVARIANCE, covariance])
     outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes)
     partners = np.array([NO_BOX, 0])
-    refine(CAMERA, CAMERA_FROM_LIDAR, outlines, boxes, covariances, partners, partner[None].copy())
+    refine(CAMERA, CAMERA_FROM_LIDAR, outlines, boxes, covariances, partners, partner[None].copy(), SIGMAS)
     np.testing.assert_array_equal(boxes[0], np.hstack([center, SIZE, YAW]))
     np.testing.assert_array_equal(covariances[0], COVARIANCE)
     assert boxes[1, 6] == YAW

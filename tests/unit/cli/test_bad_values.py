@@ -23,6 +23,8 @@ NEEDED = {
     "serve": (),
     "send": ("DRIVE", "localhost:1"),
     "conformance": ("localhost:1", "--checks"),
+    "eval detection": ("DRIVE", "DRIVE"),
+    "eval tracking": ("DRIVE", "DRIVE"),
     "eval trajectory": ("DRIVE", "DRIVE"),
     "edit merge": ("DRIVE", "DRIVE", "-o", "OUT.sfs"),
 }
@@ -58,6 +60,8 @@ def bad_values(option: click.Option) -> Iterator[tuple[str, ...]]:
         yield tuple("nan" for _ in kind.types)
     elif kind.name == "positive":
         yield from ((number,) for number in (*BAD_NUMBERS, "inf", "0"))
+    elif kind.name == "share":
+        yield from ((number,) for number in (*BAD_NUMBERS, "0", "1.5"))
     elif kind.name == "not_negative":
         yield from ((number,) for number in BAD_NUMBERS)
 

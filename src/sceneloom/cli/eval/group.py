@@ -6,7 +6,13 @@ import click
 
 from sceneloom.cli.verb_group import VerbGroup
 
-VERBS = MappingProxyType({"trajectory": "Say how far a trajectory is from a reference."})
+VERBS = MappingProxyType(
+    {
+        "detection": "Say how good detections are.",
+        "tracking": "Say how good a tracker is.",
+        "trajectory": "Say how far a trajectory is from a reference.",
+    }
+)
 """Each verb stands in the module of its name, with `_` for `-`."""
 
 

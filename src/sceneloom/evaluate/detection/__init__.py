@@ -1,6 +1,7 @@
 """How good detections are: precision and recall by KITTI's rules, and whether scores and covariances are true."""
 
 from sceneloom.evaluate.detection.calibration import Calibration, ReliabilityBin, judge_calibration
+from sceneloom.evaluate.detection.comparison import SIMILARITIES, DetectionReport, compare_detections
 from sceneloom.evaluate.detection.covariances import CovarianceScores, Coverage, judge_covariances
 from sceneloom.evaluate.detection.curve import ScoreCurve, score_curve
 from sceneloom.evaluate.detection.evaluation import (
@@ -30,10 +31,12 @@ __all__ = [
     "KITTI_DIFFICULTIES",
     "KITTI_IN_SPACE",
     "LEAST_OVERLAPS",
+    "SIMILARITIES",
     "Calibration",
     "ClassDetection",
     "CovarianceScores",
     "Coverage",
+    "DetectionReport",
     "DetectionRules",
     "DetectionScores",
     "Difficulty",
@@ -42,6 +45,7 @@ __all__ = [
     "ScoredDetections",
     "at_difficulty",
     "box_errors",
+    "compare_detections",
     "evaluate_detection",
     "judge_calibration",
     "judge_covariances",

@@ -1,5 +1,6 @@
 """How good a tracker is: HOTA, CLEAR and identities, by KITTI's rules or for boxes in space."""
 
+from sceneloom.evaluate.tracking.comparison import TrackingReport, compare_tracks
 from sceneloom.evaluate.tracking.evaluation import (
     CLASSES,
     ClassTracking,
@@ -20,9 +21,11 @@ __all__ = [
     "ClearScores",
     "HotaScores",
     "IdentityScores",
+    "TrackingReport",
     "TrackingRules",
     "TrackingScores",
     "combine_scores",
+    "compare_tracks",
     "evaluate_tracking",
     "score_sequence",
 ]

@@ -1,0 +1,283 @@
+"""Objects of whole sequences from files: KITTI's text, lists of detections, and the cuboids of scenes."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.errors import ArrayError, DataError, OptionError
+from sceneloom.evaluate.objects import ObjectTable
+from sceneloom.evaluate.overlaps import Similarity
+from sceneloom.evaluate.scene_objects import labelled_times, scene_objects
+from sceneloom.formats import open_scene
+from sceneloom.formats.kitti import KittiLabels, read_labels
+from sceneloom.formats.kitti.detection_lists import DetectionList, read_boxes_2d_list, read_boxes_3d_list
+from sceneloom.formats.ledger import Ledger
+from sceneloom.scene import Notice, NoticeKind
+
+LABEL_FOLDERS = ("label_02", "label_2", "data")
+"""Folders inside a given one in which KITTI and those who evaluate by its rules keep labels and results."""
+
+OBJECTS = "objects"
+"""The name of the only sequence where each file is a frame, and of that of two scenes."""
+
+ObjectSequences = Mapping[str, ObjectTable]
+"""Tables by name of the sequence."""
+
+
+class _Kind(StrEnum):
+    """What a path holds."""
+
+    SEQUENCES = "a KITTI file for each sequence"
+    FRAMES = "a KITTI file for each frame"
+    LISTS = "a folder of lists of detections for each class"
+    EMPTY = "empty files"
+    SCENE = "a scene"
+
+
+@dataclass(frozen=True, slots=True)
+class BothSides:
+    """Results and truth of the same sequences.
+
+    Attributes:
+        results, truth: by name of the sequence.
+        similarities: those in which both sides can be compared.
+        from_scenes: whether they are cuboids of scenes, whose classes are anybody's.
+        notices: what is to be known about them.
+    """
+
+    results: ObjectSequences
+    truth: ObjectSequences
+    similarities: tuple[Similarity, ...]
+    from_scenes: bool
+    notices: tuple[Notice, ...] = ()
+
+
+def read_both(
+    results: Path | str, truth: Path | str, *, sequences: Sequence[str] = (), lenient: bool = False
+) -> BothSides:
+    """Read what is to be evaluated and what is true.
+
+    Each is a file or folder of KITTI's text (a file for each sequence of the tracking benchmark, or for each frame of
+    the object benchmark; the folder that holds `label_02` or `label_2` will do), or a scene with cuboids. Results may
+    also be lists of detections, `CLASS/SEQUENCE.txt`.
+
+    Args:
+        results, truth: where they are.
+        sequences: those to take. [default: all of the truth]
+        lenient: skip faulty lines of lists, and open damaged drives.
+
+    Raises:
+        DataError: a file is missing or holds something wrong, or one side lacks a sequence.
+        OptionError: one side is a scene and the other one is not, or a sequence that was asked for is not there.
+    """
+    ledger = Ledger(lenient=lenient)
+    kinds = [_kind_of(path) for path in (results, truth)]
+    if _Kind.SCENE in kinds:
+        if kinds != [_Kind.SCENE, _Kind.SCENE]:
+            raise OptionError(
+                f"{results} is {kinds[0]}, {truth} is {kinds[1]}; expected two scenes, or KITTI's text on both sides"
+            )
+        sides = _read_scenes(results, truth, ledger)
+    else:
+        sides = _read_texts(Path(results), Path(truth), kinds, frozenset(sequences), ledger)
+    _check_names(*sides, sequences, (results, truth))
+    found, true = ({name: side[name] for name in sequences or sorted(sides[1])} for side in sides)
+    _note_frames(found, true, ledger)
+    return BothSides(found, true, _comparable(found, true), _Kind.SCENE in kinds, ledger.notices)
+
+
+def classes_of(sides: BothSides, usual: Sequence[str]) -> tuple[str, ...]:
+    """Of KITTI's text the usual classes that occur in the truth; of scenes, or where none of them does, all that do."""
+    there = {label.lower() for table in sides.truth.values() for label in table.labels} - {"dontcare"}
+    known = () if sides.from_scenes else tuple(label for label in usual if label in there)
+    return known or tuple(sorted(there))
+
+
+def check_similarity(sides: BothSides, similarity: Similarity) -> None:
+    """Refuse a similarity for which one side has no boxes.
+
+    Raises:
+        OptionError: it has none.
+    """
+    if similarity not in sides.similarities:
+        told = ", ".join(sides.similarities) or "nothing: results and truth have no boxes in common"
+        raise OptionError(f"similarity {similarity.value!r}: one side has no such boxes; comparable: {told}")
+
+
+def _kind_of(path: Path | str) -> _Kind:
+    if not isinstance(path, Path):
+        return _Kind.SCENE
+    if not path.exists():
+        raise DataError(path, "", "no such file or folder")
+    folder = _folder_of(path)
+    if not folder.is_dir():
+        return _kind_of_files([path]) if path.suffix.lower() == ".txt" else _Kind.SCENE
+    files = sorted(folder.glob("*.txt"))
+    if any(file.stem.isdigit() for file in files):
+        return _kind_of_files(files)
+    if any(file.stem.isdigit() for file in folder.glob("*/*.txt")):
+        return _Kind.LISTS
+    return _Kind.SCENE
+
+
+def _kind_of_files(files: Iterable[Path]) -> _Kind:
+    """Tell files of sequences, whose lines begin with a number, from those of frames by the first line of all."""
+    for file in files:
+        with file.open("rb") as stream:
+            word = next((line.split()[0] for line in stream if line.strip()), None)
+        if word is not None:
+            return _Kind.SEQUENCES if word.lstrip(b"-").isdigit() else _Kind.FRAMES
+    return _Kind.EMPTY
+
+
+def _folder_of(path: Path) -> Path:
+    """The folder that holds the files, for the one that holds it."""
+    inner = [path / name for name in LABEL_FOLDERS if (path / name).is_dir()]
+    return inner[0] if inner else path
+
+
+def _read_scenes(
+    results: Path | str, truth: Path | str, ledger: Ledger
+) -> tuple[ObjectSequences, ObjectSequences]:
+    with ExitStack() as stack:
+        found, true = (
+            stack.enter_context(open_scene(path, lenient=ledger.lenient)) for path in (results, truth)
+        )
+        times_ns = labelled_times(true)
+        return {OBJECTS: scene_objects(found, times_ns)}, {OBJECTS: scene_objects(true, times_ns)}
+
+
+def _read_texts(
+    results: Path, truth: Path, kinds: list[_Kind], wanted: frozenset[str], ledger: Ledger
+) -> tuple[ObjectSequences, ObjectSequences]:
+    told = [kind for kind in kinds if kind in (_Kind.SEQUENCES, _Kind.FRAMES)]
+    if len(set(told)) > 1:
+        raise OptionError(f"{results} is {kinds[0]}, {truth} is {kinds[1]}; expected the same on both sides")
+    by_frame = told[:1] == [_Kind.FRAMES]
+    if kinds[1] is _Kind.LISTS:
+        raise OptionError(f"{truth} is {_Kind.LISTS}, which has no truth; expected KITTI's labels")
+    sides = [
+        _read_lists(path, wanted, ledger)
+        if kind is _Kind.LISTS
+        else _read_labels(path, wanted, by_frame=by_frame)
+        for path, kind in zip((results, truth), kinds, strict=True)
+    ]
+    if all(path.is_file() for path in (results, truth)):
+        # two files are meant to be compared, whatever their names
+        sides = [dict(zip(sides[1], side.values(), strict=True)) for side in sides]
+    return sides[0], sides[1]
+
+
+def _files_of(path: Path, wanted: frozenset[str]) -> list[Path]:
+    if path.is_file():
+        return [path]
+    files = [file for file in sorted(_folder_of(path).glob("*.txt")) if file.stem.isdigit()]
+    return [file for file in files if file.stem in wanted] if wanted else files
+
+
+def _read_labels(path: Path, wanted: frozenset[str], *, by_frame: bool) -> dict[str, ObjectTable]:
+    if by_frame:
+        tables = [_table(read_labels(file), file) for file in _files_of(path, frozenset())]
+        return {OBJECTS: ObjectTable.joined(tables)}
+    return {file.stem: _table(read_labels(file), file) for file in _files_of(path, wanted)}
+
+
+def _table(labels: KittiLabels, file: Path) -> ObjectTable:
+    try:
+        return ObjectTable.of_kitti(labels)
+    except ArrayError as error:
+        raise DataError(file, "", str(error)) from error
+
+
+def _read_lists(path: Path, wanted: frozenset[str], ledger: Ledger) -> dict[str, ObjectTable]:
+    tables: dict[str, list[ObjectTable]] = {}
+    for file in sorted(path.glob("*/*.txt")):
+        if file.stem.isdigit() and (not wanted or file.stem in wanted):
+            tables.setdefault(file.stem, []).append(_table_of_list(file, ledger))
+    return {name: ObjectTable.joined(parts) for name, parts in tables.items()}
+
+
+def _table_of_list(file: Path, ledger: Ledger) -> ObjectTable:
+    """The detections of one class and sequence; lists of boxes in space have more columns."""
+    if _Kind.EMPTY is _kind_of_files([file]):
+        return ObjectTable.empty()
+    with file.open("rb") as stream:
+        in_space = next(line for line in stream if line.strip()).count(b",") > 5
+    if in_space:
+        found = read_boxes_3d_list(file, None, ledger)
+        heights, widths, lengths, right, down, forward, turns = found.values[:, 7:14].T
+        boxes = (forward, -right, heights / 2 - down, lengths, widths, heights, -turns - np.pi / 2)
+        return _detections(found, found.values[:, 2:6], found.values[:, 6], np.column_stack(boxes))
+    found = read_boxes_2d_list(file, None, ledger)
+    return _detections(found, found.values[:, 1:5], found.values[:, 5], None)
+
+
+def _detections(
+    found: DetectionList, corners_xyxy: Float64Array, scores: Float64Array, boxes: Float64Array | None
+) -> ObjectTable:
+    none = np.full(len(found.frames), -1, np.int64)
+    return ObjectTable(found.frames, none, found.labels, corners_xyxy, boxes, scores=scores)
+
+
+def _check_names(
+    found: ObjectSequences,
+    true: ObjectSequences,
+    wanted: Sequence[str],
+    paths: tuple[Path | str, Path | str],
+) -> None:
+    if not true and not wanted:
+        raise DataError(paths[1], "", "no sequence; expected files such as 0000.txt")
+    for path, side in zip(paths, (found, true), strict=True):
+        missing = ", ".join(sorted(set(wanted) - set(side)))
+        if missing:
+            raise OptionError(f"{path}: no sequence {missing}, which `--sequence` asks for")
+    for path, side, other in ((paths[0], found, true), (paths[1], true, found)):
+        missing = ", ".join(sorted(set(other) - set(side)))
+        if missing and not wanted:
+            problem = (
+                f"no sequence {missing}, which the other side has; choose those of both with `--sequence`"
+            )
+            raise DataError(path, "", problem)
+
+
+def _note_frames(found: ObjectSequences, true: ObjectSequences, ledger: Ledger) -> None:
+    for name, truth in true.items():
+        last = int(truth.frames.max()) if len(truth) else -1
+        beyond = np.unique(found[name].frames[found[name].frames > last])
+        if len(beyond):
+            ledger.note(
+                NoticeKind.ASSUMED,
+                "results-beyond-truth",
+                f"sequence {name}",
+                "results in frames after the last one of the truth count as false",
+                count=len(beyond),
+            )
+
+
+def _comparable(found: ObjectSequences, true: ObjectSequences) -> tuple[Similarity, ...]:
+    """The similarities for which both sides have boxes that are larger than nothing, or no rows at all."""
+    in_picture = all(_have_pictures(side) for side in (found, true))
+    in_space = all(_have_space(side) for side in (found, true))
+    told = [Similarity.PICTURE] if in_picture else []
+    return (*told, *((Similarity.ABOVE, Similarity.SPACE, Similarity.DISTANCE) if in_space else ()))
+
+
+def _have_pictures(side: ObjectSequences) -> bool:
+    filled = [table for table in side.values() if len(table)]
+    return not filled or any(
+        (table.corners_xyxy[:, 2:] > table.corners_xyxy[:, :2]).all(axis=1).any()
+        for table in filled
+        if table.corners_xyxy is not None
+    )
+
+
+def _have_space(side: ObjectSequences) -> bool:
+    filled = [table for table in side.values() if len(table)]
+    return not filled or any(
+        (table.boxes[:, 3:6] > 0).all(axis=1).any() for table in filled if table.boxes is not None
+    )

@@ -1,0 +1,84 @@
+"""How good a tracker is: files of its results held against files of the truth."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from sceneloom.evaluate.object_files import check_similarity, classes_of, read_both
+from sceneloom.evaluate.overlaps import Similarity
+from sceneloom.evaluate.tracking.evaluation import CLASSES, ClassTracking, evaluate_tracking
+from sceneloom.evaluate.tracking.protocol import KITTI_RULES, TrackingRules
+from sceneloom.scene import Notice
+
+
+class TrackingReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One comparison.
+
+    Attributes:
+        results, truth: what was compared.
+        similarity: what says how alike two boxes are.
+        least_similarity: pairs from which CLEAR and identities take two boxes for one object.
+        sequences: names, in order.
+        classes: the figures by class.
+        notices: what is to be known about the numbers.
+    """
+
+    results: str
+    truth: str
+    similarity: str
+    least_similarity: float
+    sequences: tuple[str, ...]
+    classes: dict[str, ClassTracking]
+    notices: tuple[Notice, ...] = ()
+
+
+def compare_tracks(
+    results: Path | str,
+    truth: Path | str,
+    *,
+    classes: Sequence[str] = (),
+    sequences: Sequence[str] = (),
+    similarity: Similarity | None = None,
+    least_similarity: float | None = None,
+    rules: TrackingRules = KITTI_RULES,
+    lenient: bool = False,
+) -> TrackingReport:
+    """Hold what a tracker found against the truth, by KITTI's rules.
+
+    Args:
+        results, truth: files or folders, as of `object_files.read_both`.
+        classes: those to evaluate. [default: KITTI's of the truth, else all of the truth]
+        sequences: those to take. [default: all of the truth]
+        similarity: what says how alike two boxes are. [default: boxes of the picture where both have them, else boxes
+            in space]
+        least_similarity: pairs from which CLEAR and identities take two boxes for one object. [default: 0.5]
+        rules: all else that counts.
+        lenient: as of `object_files.read_both`.
+
+    Raises:
+        DataError: a file is missing or holds something wrong.
+        OptionError: both sides cannot be compared, or not in this way.
+        ArrayError: an id comes twice in a frame.
+    """
+    sides = read_both(results, truth, sequences=sequences, lenient=lenient)
+    usual = (Similarity.PICTURE, Similarity.SPACE)
+    chosen = similarity or next((known for known in usual if known in sides.similarities), Similarity.SPACE)
+    check_similarity(sides, chosen)
+    least = rules.least_similarity if least_similarity is None else least_similarity
+    told = evaluate_tracking(
+        sides.results,
+        sides.truth,
+        classes=classes or classes_of(sides, CLASSES),
+        rules=replace(rules, similarity=chosen, least_similarity=least),
+    )
+    return TrackingReport(
+        results=str(results),
+        truth=str(truth),
+        similarity=chosen.value,
+        least_similarity=least,
+        sequences=tuple(sides.truth),
+        classes=told,
+        notices=sides.notices,
+    )

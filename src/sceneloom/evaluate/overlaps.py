@@ -88,7 +88,7 @@ def covered_by(found: ObjectTable, regions: Float64Array, pairs: FramePairs) -> 
 def _column(objects: ObjectTable, name: str, similarity: Similarity, side: str) -> Float64Array:
     column: Float64Array | None = getattr(objects, name)
     if column is None:
-        raise OptionError(f"similarity {similarity.value!r}: {side} have no {name}")
+        raise OptionError(f"similarity {similarity.value!r}: {side} without {name}")
     return _plain(column)
 
 

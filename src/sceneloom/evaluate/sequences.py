@@ -16,4 +16,4 @@ def check_sequences(results: Mapping[str, ObjectTable], truth: Mapping[str, Obje
         raise OptionError("the truth has no sequence")
     for side, names in (("results", set(truth) - set(results)), ("truth", set(results) - set(truth))):
         if names:
-            raise OptionError(f"the {side} lack the sequences {', '.join(sorted(names))}")
+            raise OptionError(f"{side} without the sequences {', '.join(sorted(names))}")

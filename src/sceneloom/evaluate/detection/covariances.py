@@ -2,9 +2,9 @@
 
 import msgspec
 import numpy as np
-from scipy import stats
 
 from sceneloom.arrays import Float64Array
+from sceneloom.detections.noise import radius_squared
 from sceneloom.errors import ArrayError, OptionError
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
@@ -56,21 +56,23 @@ def judge_covariances(
     Args:
         errors: (N, K), estimated less true, N >= 1.
         covariances: (N, K, K), of the errors.
-        degrees_of_freedom: ν > 2 of the Student distribution that errors have, with those covariances; its regions are
-            the ellipsoids eᵀ Σ⁻¹ e <= K F (ν - 2) / ν, F of the F distribution with K and ν. [default: Gaussian]
+        degrees_of_freedom: ν > 2 of the Student distribution that errors have, with those covariances; infinite for a
+            Gaussian, which is also the default. The regions are those of `detections.noise.radius_squared`.
 
     Raises:
         ArrayError: shapes do not fit, or a matrix is no covariance.
         OptionError: `degrees_of_freedom` is not above 2.
 
-    Source: Bar-Shalom, Li and Kirubarajan 2001, section 5.4, for NEES; Kotz and Nadarajah 2004, section 1.7, for
-    ellipsoids of the multivariate Student distribution.
+    Source: Bar-Shalom, Li and Kirubarajan 2001, section 5.4.
     """
+    from scipy import stats  # takes a second, which those without covariances need not wait
+
     count, dimensions = errors.shape
     if covariances.shape != (count, dimensions, dimensions):
         raise ArrayError(f"covariances: {covariances.shape}; expected {(count, dimensions, dimensions)}")
-    if degrees_of_freedom is not None and not degrees_of_freedom > 2.0:
-        raise OptionError(f"degrees of freedom {degrees_of_freedom}; expected more than 2")
+    freedom = np.inf if degrees_of_freedom is None else degrees_of_freedom
+    if not freedom > 2.0:
+        raise OptionError(f"degrees of freedom {freedom}; expected more than 2")
     signs, logs = np.linalg.slogdet(covariances)
     if not (np.isfinite(logs).all() and (signs > 0).all()):
         row = int(np.flatnonzero(~(np.isfinite(logs) & (signs > 0)))[0])
@@ -85,11 +87,9 @@ def judge_covariances(
         nees=float(distances.mean()),
         nees_low=float(low),
         nees_high=float(high),
-        degrees_of_freedom=degrees_of_freedom,
+        degrees_of_freedom=None if np.isinf(freedom) else freedom,
         coverages=tuple(
-            Coverage(
-                level=level, share=float((distances <= _limit(level, dimensions, degrees_of_freedom)).mean())
-            )
+            Coverage(level=level, share=_share_within(distances, level, dimensions, freedom))
             for level in LEVELS
         ),
         log_volume=float(logs.mean() / 2.0),
@@ -97,9 +97,6 @@ def judge_covariances(
     )
 
 
-def _limit(level: float, dimensions: int, degrees_of_freedom: float | None) -> float:
-    """How large eᵀ Σ⁻¹ e is on the border of a region."""
-    if degrees_of_freedom is None:
-        return float(stats.chi2.ppf(level, dimensions))
-    tails = stats.f.ppf(level, dimensions, degrees_of_freedom)
-    return float(dimensions * tails * (degrees_of_freedom - 2.0) / degrees_of_freedom)
+def _share_within(distances: Float64Array, level: float, dimensions: int, freedom: float) -> float:
+    limit = radius_squared(level, degrees_of_freedom=freedom, dimensions=dimensions)
+    return float((distances <= limit).mean())

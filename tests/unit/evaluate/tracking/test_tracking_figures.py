@@ -1,0 +1,178 @@
+"""Figures of trackers by hand: what counts, what does not, in pictures and in space."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import ArrayError, OptionError
+from sceneloom.evaluate.objects import ObjectTable
+from sceneloom.evaluate.overlaps import Similarity
+from sceneloom.evaluate.tracking import TrackingRules, evaluate_tracking, score_sequence
+
+IN_SPACE = TrackingRules(similarity=Similarity.SPACE)
+
+
+def table(rows, **columns) -> ObjectTable:
+    """Rows of frame, id, label and the left edge of a box of 100 x 80 pixels."""
+    frames, ids, labels, lefts = zip(*rows, strict=True)
+    left = np.array(lefts, float)
+    corners = np.column_stack([left, np.zeros(len(left)), left + 100, np.full(len(left), 80.0)])
+    told = {name: np.asarray(column, float) for name, column in columns.items()}
+    return ObjectTable(np.array(frames), np.array(ids), labels, told.pop("corners_xyxy", corners), **told)
+
+
+def track(label: str, number: int, left: float, frames=range(10)) -> list:
+    return [(frame, number, label, left) for frame in frames]
+
+
+def clear_of(found: ObjectTable, truth: ObjectTable, label: str = "car", **how):
+    return score_sequence(found, truth, label, **how).clear
+
+
+def test_two_tracks_of_one_object_are_one_switch_and_half_of_the_association():
+    truth = table(track("Car", 0, 0))
+    found = table(track("Car", 1, 0, range(5)) + track("Car", 2, 0, range(5, 10)))
+    told = score_sequence(found, truth, "car")
+    assert (told.clear.idsw, told.clear.frag, told.clear.tp) == (1, 0, 10)
+    # each pair lasts 5 frames of the 10 in which one of both is there
+    assert (told.hota.deta, told.hota.assa) == (1.0, 0.5)
+    assert told.hota.hota == pytest.approx(np.sqrt(0.5))
+    assert (told.hota.assre, told.hota.asspr) == (0.5, 1.0)
+    assert told.identity.idf1 == 0.5
+
+
+def test_a_gap_is_a_fragment_and_no_switch():
+    truth = table(track("Car", 0, 0) + track("Car", 1, 500))
+    found = table(track("Car", 7, 0, [0, 1, 2, 6, 7, 8, 9]) + track("Car", 8, 500))
+    told = clear_of(found, truth)
+    assert (told.frag, told.idsw, told.fn, told.fp) == (1, 0, 3, 0)
+    assert (told.mt, told.pt, told.ml) == (1, 1, 0)
+
+
+def test_frames_in_which_nothing_is_found_at_all_end_no_track():
+    truth, found = table(track("Car", 0, 0)), table(track("Car", 7, 0, [0, 1, 2, 6, 7, 8, 9]))
+    # as in TrackEval, whose memory of the frame before outlives frames without results
+    assert clear_of(found, truth).frag == 0
+
+
+@pytest.mark.parametrize(
+    ("columns", "label"),
+    [({"occlusions": [3] * 10}, "Car"), ({"truncations": [1] * 10}, "Car"), ({}, "Van"), ({}, "van")],
+)
+def test_what_is_found_of_hidden_cut_and_similar_objects_neither_counts_nor_is_false(columns, label):
+    truth, found = table(track(label, 0, 0), **columns), table(track("Car", 1, 0))
+    told = clear_of(found, truth)
+    assert (told.tp, told.fn, told.fp) == (0, 0, 0)
+
+
+def test_small_boxes_and_boxes_in_regions_are_not_false_where_no_object_is():
+    truth = table([(0, 0, "Car", 900), (0, -1, "DontCare", 0)])
+    corners = np.array([[0, 0, 90, 80], [60, 0, 160, 80], [500, 0, 540, 25], [500, 100, 540, 126]], float)
+    found = table([(0, k, "Car", 0) for k in range(4)], corners_xyxy=corners)
+    # in the region with all of it; with 40 %; 25 pixels high; 26 pixels high
+    assert clear_of(found, truth).fp == 2
+
+
+def test_other_classes_are_neither_found_nor_false():
+    truth = table(track("Car", 0, 0) + track("Cyclist", 1, 300))
+    found = table(track("Car", 5, 0) + track("Pedestrian", 6, 600))
+    told = clear_of(found, truth)
+    assert (told.tp, told.fn, told.fp) == (10, 0, 0)
+
+
+def test_names_of_classes_do_not_depend_on_capitals():
+    truth, found = table(track("CAR", 0, 0)), table(track("car", 1, 0))
+    assert clear_of(found, truth, "Car").tp == 10
+
+
+def test_the_order_of_rows_says_nothing():
+    rng = np.random.default_rng(1)
+    truth = table(track("Car", 0, 0) + track("Car", 1, 60) + track("Car", 2, 130))
+    found = table(track("Car", 5, 10) + track("Car", 6, 75, range(6)) + track("Car", 7, 75, range(6, 10)))
+    shuffled = [side.select(rng.permutation(len(side))) for side in (found, truth)]
+    assert score_sequence(*shuffled, "car") == score_sequence(found, truth, "car")
+
+
+def in_space(rows) -> ObjectTable:
+    """Rows of frame, id and x of boxes of 4 x 2 x 1.5 m."""
+    frames, ids, places = (np.array(column) for column in zip(*rows, strict=True))
+    boxes = np.zeros((len(rows), 7))
+    boxes[:, 0], boxes[:, 3:6] = places, (4, 2, 1.5)
+    return ObjectTable(frames, ids, ("Car",) * len(rows), boxes=boxes)
+
+
+def test_tracks_in_space_need_no_pictures():
+    truth = in_space([(f, 0, 10.0 + f) for f in range(10)])
+    found = in_space([(f, 3, 11.0 + f) for f in range(10)])
+    told = score_sequence(found, truth, "car", rules=IN_SPACE)
+    # a metre off: 3 m of 5 m in common
+    assert told.clear.motp == pytest.approx(0.6)
+    assert told.hota.curves["tp"][10:13] == (10, 10, 0)
+
+
+def test_distances_of_middles_fall_to_nothing_at_four_metres():
+    truth = in_space([(0, 0, 0.0), (1, 0, 0.0), (2, 0, 0.0)])
+    found = in_space([(0, 1, 1.0), (1, 1, 2.0), (2, 1, 2.1)])
+    told = score_sequence(found, truth, "car", rules=TrackingRules(similarity=Similarity.DISTANCE))
+    assert told.clear.tp == 2
+    assert told.clear.motp == pytest.approx((0.75 + 0.5) / 2)
+
+
+@pytest.mark.parametrize("side", ["results", "truth"])
+def test_an_id_that_comes_twice_in_a_frame_is_named(side):
+    good, bad = table(track("Car", 0, 0)), table([(0, 0, "Car", 0), (4, 9, "Car", 0), (4, 9, "Car", 200)])
+    sides = (bad, good) if side == "results" else (good, bad)
+    with pytest.raises(ArrayError, match=f"{side}: frame 4: two boxes of Car with id 9"):
+        score_sequence(*sides, "car")
+    with pytest.raises(ArrayError, match=f"sequence 0007: {side}: frame 4"):
+        evaluate_tracking({"0007": sides[0]}, {"0007": sides[1]}, classes=("car",))
+
+
+def test_the_same_id_of_two_classes_is_no_mistake():
+    both = table([(0, 9, "Car", 0), (0, 9, "Pedestrian", 300)])
+    assert clear_of(both, both).tp == 1
+
+
+def test_numbers_that_are_none_are_named_with_their_frame():
+    with pytest.raises(ArrayError, match=r"corners_xyxy\[1\] \(frame 3\).*nan.*expected finite"):
+        table([(0, 1, "Car", 0.0), (3, 1, "Car", float("nan"))])
+
+
+def test_frames_beyond_the_sequence_and_below_zero_are_named():
+    truth, found = table(track("Car", 0, 0)), table([(12, 1, "Car", 0)])
+    with pytest.raises(ArrayError, match="results: frame 12; the sequence has 10 frames"):
+        score_sequence(found, truth, "car", frame_count=10)
+    with pytest.raises(ArrayError, match=r"frames: -1; expected 0 or more"):
+        table([(-1, 1, "Car", 0)])
+
+
+def test_different_sequences_on_both_sides_are_named():
+    one = table(track("Car", 0, 0))
+    with pytest.raises(OptionError, match="results without the sequences 0001"):
+        evaluate_tracking({"0000": one}, {"0000": one, "0001": one})
+    with pytest.raises(OptionError, match="truth without the sequences 0002"):
+        evaluate_tracking({"0000": one, "0002": one}, {"0000": one})
+    with pytest.raises(OptionError, match="no sequence"):
+        evaluate_tracking({}, {})
+
+
+def test_boxes_that_are_not_there_are_asked_for():
+    one = table(track("Car", 0, 0))
+    with pytest.raises(OptionError, match="similarity '3d': the truth without boxes"):
+        score_sequence(one, one, "car", rules=IN_SPACE)
+
+
+@pytest.mark.parametrize("empty", ["results", "truth", "both"])
+def test_nothing_on_a_side_has_defined_figures(empty):
+    nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
+    found, truth = (nothing if empty in (side, "both") else one for side in ("results", "truth"))
+    told = score_sequence(found, truth, "car")
+    assert (told.hota.hota, told.clear.mota, told.identity.idf1, told.hota.loca) == (0.0, 0.0, 0.0, 1.0)
+    assert (told.clear.fn, told.clear.fp) == (10 * (empty == "results"), 10 * (empty == "truth"))
+
+
+def test_several_sequences_are_weighted_by_their_boxes():
+    good, bad = table(track("Car", 0, 0)), table(track("Car", 0, 500, range(2)))
+    told = evaluate_tracking({"a": good, "b": bad}, {"a": good, "b": good}, classes=("car",))["car"].combined
+    assert (told.clear.tp, told.clear.fn, told.clear.fp) == (10, 10, 2)
+    assert told.hota.deta == pytest.approx(10 / 22)
+    assert told.hota.assa == 1.0

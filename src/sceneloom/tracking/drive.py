@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.scene.tracks import Track, TrackedObjects, Tracks
+from sceneloom.tracking.hindsight import look_back
 from sceneloom.tracking.observation import Observation
 from sceneloom.tracking.settings import TrackerSettings
 from sceneloom.tracking.tracker import DEFAULTS, Tracker
@@ -26,6 +27,8 @@ def track_drive(
         offline: whether later moments may tell of earlier ones.
     """
     tracker = Tracker(settings)
+    if offline:
+        return look_back([tracker.advance(observation) for observation in observations], settings)
     return gathered([tracker.step(observation) for observation in observations])
 
 

@@ -55,21 +55,21 @@ def filtered(
     fresh = np.isnan(differing)
     means, variances = np.where(fresh, 0.0, differing), np.where(fresh, UNKNOWN, variances)
     seen = np.flatnonzero(has_area(corners) & has_area(outlined))
-    apart = _differences(corners[seen], outlined[seen])
-    gains = variances[seen] / (variances[seen] + _noises(corners[seen]))
+    apart = differences(corners[seen], outlined[seen])
+    gains = variances[seen] / (variances[seen] + noises(corners[seen]))
     means[seen] += gains * (apart - means[seen])
     variances[seen] *= 1.0 - gains
     return means, variances
 
 
-def _differences(corners: Float64Array, outlined: Float64Array) -> Float64Array:
+def differences(corners: Float64Array, outlined: Float64Array) -> Float64Array:
     """Shifts of the middles of boxes (N, 4) from those of outlines, and logarithms of the factors of their sides."""
     sides, usual = corners[:, 2:] - corners[:, :2], outlined[:, 2:] - outlined[:, :2]
     shifts = ((corners[:, :2] + corners[:, 2:]) - (outlined[:, :2] + outlined[:, 2:])) / (2.0 * usual)
     return np.concatenate([shifts, np.log(sides / usual)], axis=1)
 
 
-def _noises(corners: Float64Array) -> Float64Array:
+def noises(corners: Float64Array) -> Float64Array:
     """Variances (N, 4) of the differences of a detector's boxes: of a middle half, of a side twice those of an edge."""
     edges = (EDGE_PX / (corners[:, 2:] - corners[:, :2]) + EDGE_SHARE) ** 2
     return np.concatenate([edges / 2.0, edges * 2.0], axis=1)

@@ -34,8 +34,10 @@ class TrackerSettings:
         report: objects are told from this probability of existence on, 0 to 1.
         drop: they are forgotten below this one.
         longest_gap: an object without any box for so long is forgotten [s].
-        density: how many boxes of other things are to be expected [1/m²].
+        vehicle_density, person_density: how many boxes of other things lie around a vehicle and a person [1/m²].
         hidden_time, open_time: how long objects are hidden by something unknown, and how long they are not [s].
+        accept: offline, objects are told that were so likely at one moment, 0 to 1.
+        longest_fill: offline, moments without a box between two with one are told if they last no longer [s].
         picture_box: which box of an object in a picture is told.
 
     Raises:
@@ -56,9 +58,12 @@ class TrackerSettings:
     report: float = 0.5
     drop: float = 0.005
     longest_gap: float = 3.0
-    density: float = 0.001
+    vehicle_density: float = 0.0003
+    person_density: float = 0.001
     hidden_time: float = 1.0
     open_time: float = 5.0
+    accept: float = 0.9
+    longest_fill: float = 1.0
     picture_box: PictureBox = PictureBox.IMAGE
 
     def __post_init__(self) -> None:
@@ -79,4 +84,5 @@ _BOUNDS = {
     "lifetime": (1e-3, float("inf")),
     "report": (0.0, 1.0),
     "drop": (0.0, 1.0),
+    "accept": (0.0, 1.0),
 }

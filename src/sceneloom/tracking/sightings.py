@@ -189,7 +189,10 @@ def _stretched(covariances: Float64Array, centers: Float64Array) -> Float64Array
     """The covariances, wider along the sight."""
     rays = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-9)
     along = np.einsum("ni,nij,nj->n", rays, covariances, rays)
-    return covariances + ((SEEN_ALONG - 1.0) * along)[:, None, None] * rays[:, :, None] * rays[:, None]
+    wider: Float64Array = covariances + ((SEEN_ALONG - 1.0) * along)[:, None, None] * (
+        rays[:, :, None] * rays[:, None]
+    )
+    return wider
 
 
 def _yaw_variances(fused: FusedBoxes, rows: Int64Array) -> Float64Array:

@@ -69,10 +69,7 @@ class Tracker:
         self._learn_words(seen)
         predicted, slopes = _predicted(self._objects, seconds, self.settings)
         foreseen, missed = _foreseen(predicted, observation, self.settings)
-        gained = gains(
-            predicted.means, predicted.covariances, predicted.codes, foreseen, seen, self.settings.density
-        )
-        rows, columns = pair(gained)
+        rows, columns = pair(gains(predicted, foreseen, seen, self.settings))
         objects = predicted.select(np.arange(len(predicted)))
         unseen = predicted.hidden + (1.0 - predicted.hidden) * np.exp(missed)
         objects.log_odds += self.settings.trust * np.log(unseen)

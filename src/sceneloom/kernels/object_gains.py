@@ -1,0 +1,130 @@
+"""How much likelier it is that boxes are of objects that are followed than that they are of other things."""
+
+import numpy as np
+from numba import njit
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+
+_HOPELESS = 400.0
+"""A square of deviations that no agreement in pictures makes up for."""
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _heavy(square, count, freedom):  # type: ignore[no-untyped-def]
+    """Squares of deviations as heavy tails take them: near 0 as they are, far away as their logarithm."""
+    return (freedom + count) * np.log1p(square / freedom)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _may_be_one(a, i, b, j):  # type: ignore[no-untyped-def]
+    """Whether classes are equal, of one family, or one of them says nothing."""
+    if a[i, 0] == b[j, 0] or a[i, 0] < 0 or b[j, 0] < 0:
+        return True
+    return a[i, 1] == b[j, 1] and a[i, 1] >= 0
+
+
+@njit(
+    "float64[:,::1](float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64[:,::1], float64[:,:,::1], "
+    "int64[:,::1], float64[::1], float64, float64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def gains_in_space(
+    places: Float64Array,
+    spreads: Float64Array,
+    codes: Int64Array,
+    expected: Float64Array,
+    seen_places: Float64Array,
+    seen_spreads: Float64Array,
+    seen_codes: Int64Array,
+    seen_doubts: Float64Array,
+    least_variance: float,
+    freedom: float,
+) -> Float64Array:
+    """Compare where objects are expected with where boxes are.
+
+    Args:
+        places, spreads: (N, 3) and (N, 3, 3) [m, m²], of objects.
+        codes: (N, 2), class and family, -1 for none.
+        expected: (N,), logarithm of how many boxes of other things lie around each [1/m²].
+        seen_places, seen_spreads, seen_codes: the same of M boxes.
+        seen_doubts: (M,), what is added for each box.
+        least_variance: is added along each axis [m²].
+        freedom: degrees of freedom of Student's distribution.
+
+    Returns:
+        (N, M) float64 logarithms of ratios of likelihoods on the ground, -inf for what cannot be one.
+    """
+    gains = np.full((len(places), len(seen_places)), -np.inf)
+    for i in range(len(places)):
+        for j in range(len(seen_places)):
+            if not _may_be_one(codes, i, seen_codes, j):
+                continue
+            x = seen_places[j, 0] - places[i, 0]
+            y = seen_places[j, 1] - places[i, 1]
+            z = seen_places[j, 2] - places[i, 2]
+            a = spreads[i, 0, 0] + seen_spreads[j, 0, 0] + least_variance
+            b = spreads[i, 0, 1] + seen_spreads[j, 0, 1]
+            c = spreads[i, 0, 2] + seen_spreads[j, 0, 2]
+            d = spreads[i, 1, 1] + seen_spreads[j, 1, 1] + least_variance
+            e = spreads[i, 1, 2] + seen_spreads[j, 1, 2]
+            f = spreads[i, 2, 2] + seen_spreads[j, 2, 2] + least_variance
+            if x * x + y * y + z * z > _HOPELESS * (a + d + f):
+                continue
+            area = a * d - b * b
+            # the adjugate of the symmetric matrix, row by row
+            r, s, t = d * f - e * e, c * e - b * f, b * e - c * d
+            whole = a * r + b * s + c * t
+            square = x * x * r + y * y * (a * f - c * c) + z * z * area
+            square += 2.0 * (x * y * s + x * z * t + y * z * (b * c - a * e))
+            far = _heavy(square / whole, 3.0, freedom)
+            gains[i, j] = seen_doubts[j] - expected[i] - np.log(2.0 * np.pi) - 0.5 * (np.log(area) + far)
+    return gains
+
+
+@njit(
+    "void(float64[:,::1], float64[:,::1], float64[:,::1], boolean[::1], float64, float64, float64, float64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def add_gains_in_picture(
+    gains: Float64Array,
+    foreseen: Float64Array,
+    corners: Float64Array,
+    measured: BoolArray,
+    sigma: float,
+    usual: float,
+    least: float,
+    freedom: float,
+) -> None:
+    """Add to gains what boxes in a picture say.
+
+    Args:
+        gains: (N, M), are changed in place.
+        foreseen, corners: (N, 4) and (M, 4) [px], where objects are expected and where boxes are, NaN for none.
+        measured: (M,), whether there is a box in space behind the one in the picture.
+        sigma: deviation of the share by which boxes of one object fail to overlap.
+        usual: the share of overlap that says nothing.
+        least: a box in the picture alone that overlaps less is not of the object.
+        freedom: degrees of freedom of Student's distribution.
+    """
+    neutral = _heavy(((1.0 - usual) / sigma) ** 2, 1.0, freedom)
+    for j in range(len(corners)):
+        area = (corners[j, 2] - corners[j, 0]) * (corners[j, 3] - corners[j, 1])
+        if not area > 0.0:
+            continue
+        for i in range(len(foreseen)):
+            if gains[i, j] == -np.inf:
+                continue
+            own = (foreseen[i, 2] - foreseen[i, 0]) * (foreseen[i, 3] - foreseen[i, 1])
+            share = usual
+            if own > 0.0:
+                wide = min(foreseen[i, 2], corners[j, 2]) - max(foreseen[i, 0], corners[j, 0])
+                high = min(foreseen[i, 3], corners[j, 3]) - max(foreseen[i, 1], corners[j, 1])
+                common = max(wide, 0.0) * max(high, 0.0)
+                share = common / (own + area - common)
+                gains[i, j] += 0.5 * (neutral - _heavy(((1.0 - share) / sigma) ** 2, 1.0, freedom))
+            if not measured[j] and (share < least or not own > 0.0):
+                gains[i, j] = -np.inf

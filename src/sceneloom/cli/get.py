@@ -33,6 +33,7 @@ _TYPES = {"sensor": 0, "detection": 1}
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N results.")
 @click.option("--follow", is_flag=True, help="Go on until the session ends, or Ctrl-C.")
+@click.option("--track", is_flag=True, help="With --follow: follow objects from sweep to sweep, by id.")
 @click.option(
     "--wait",
     type=options.not_negative,
@@ -49,11 +50,14 @@ def get(
     overwrite: bool,
     count: int | None,
     follow: bool,
+    track: bool,
     wait: float,
     as_json: bool,
     **calls: Any,
 ) -> None:
     """Fetch results from a fusion service: those that are there, or as they come."""
+    if track and (kind != "detection" or not follow):
+        raise click.UsageError("--track needs --type detection and --follow")
     from sceneloom.service.fetched import described, open_sink
 
     fetched: Counter[str] = Counter()
@@ -62,7 +66,7 @@ def get(
         if output is not None:
             sink = stack.enter_context(open_sink(output, detections=kind == "detection", overwrite=overwrite))
         try:
-            for result in _results(open_client(""), _TYPES[kind], count, wait, follow=follow):
+            for result in _results(open_client(""), _TYPES[kind], count, wait, follow=follow, track=track):
                 fetched[kind] += 1
                 if sink is not None:
                     sink.add(result)
@@ -78,10 +82,16 @@ def get(
 
 
 def _results(
-    client: "FusionClient", fusion_type: int, count: int | None, wait_s: float, *, follow: bool
+    client: "FusionClient",
+    fusion_type: int,
+    count: int | None,
+    wait_s: float,
+    *,
+    follow: bool,
+    track: bool,
 ) -> "Iterator[Result]":
     if follow:
-        yield from client.subscribe(fusion_type, most=count or 0)
+        yield from client.subscribe(fusion_type, most=count or 0, track=track)
         return
     fetched = 0
     while count is None or fetched < count:

@@ -54,6 +54,9 @@ class FusedDetectionFrame:
         timestamp_ns: of the sweep [ns].
         picture_timestamp_ns: of the picture [ns].
         fused: the objects.
+        camera: the lens of the picture.
+        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of the picture.
+        last: whether no other picture of the same sweep comes after it.
         standing: whether it was fused as if the ego had not moved, because its way did not reach or was not to count.
         sweep_extras, picture_extras: further fields of the boxes of the sweep and of the picture.
     """
@@ -64,6 +67,9 @@ class FusedDetectionFrame:
     timestamp_ns: int
     picture_timestamp_ns: int
     fused: FusedBoxes
+    camera: Camera
+    camera_from_lidar: RigidTransform
+    last: bool = True
     standing: bool = False
     sweep_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
     picture_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
@@ -82,8 +88,30 @@ class BoxFusion:
 
     def fuse(self, waiting: Waiting[Boxes3D], pairing: BoxPairing) -> Iterator[FusedDetectionFrame]:
         """Fuse the boxes of a sweep with those of each picture that belongs to it."""
-        lidar = self.lidars[waiting.lidar_id]
         algorithm: DetectionAlgorithm = waiting.algorithm
+        seen_by = list(self._seen_by(waiting, pairing))
+        for number, (camera_id, seen, camera_from_lidar, stands) in enumerate(seen_by, start=1):
+            pair = DetectionPair(waiting.frame, seen.boxes, seen.camera, camera_from_lidar)
+            yield FusedDetectionFrame(
+                waiting.lidar_id,
+                camera_id,
+                waiting.index,
+                waiting.frame.timestamp_ns,
+                seen.timestamp_ns,
+                algorithm(pair),
+                seen.camera,
+                camera_from_lidar,
+                last=number == len(seen_by),
+                standing=stands,
+                sweep_extras=waiting.extras,
+                picture_extras=seen.extras,
+            )
+
+    def _seen_by(
+        self, waiting: Waiting[Boxes3D], pairing: BoxPairing
+    ) -> Iterator[tuple[Identifier, SeenBoxes, RigidTransform, bool]]:
+        """The boxes of each picture of a sweep, `camera_from_lidar`, and whether the ego is taken to stand still."""
+        lidar = self.lidars[waiting.lidar_id]
         for camera in self.cameras.values():
             seen = pairing.partner(waiting, camera.id)
             if seen is None:
@@ -94,20 +122,8 @@ class BoxFusion:
             stands = camera_from_lidar is None
             if camera_from_lidar is None:
                 camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=True)
-            if camera_from_lidar is None:
-                continue
-            pair = DetectionPair(waiting.frame, seen.boxes, seen.camera, camera_from_lidar)
-            yield FusedDetectionFrame(
-                waiting.lidar_id,
-                camera.id,
-                waiting.index,
-                waiting.frame.timestamp_ns,
-                seen.timestamp_ns,
-                algorithm(pair),
-                standing=stands,
-                sweep_extras=waiting.extras,
-                picture_extras=seen.extras,
-            )
+            if camera_from_lidar is not None:
+                yield camera.id, seen, camera_from_lidar, stands
 
 
 def _camera_from_lidar(

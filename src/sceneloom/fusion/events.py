@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from sceneloom.fusion.admitted import Admitted
 from sceneloom.fusion.counters import Counters
+from sceneloom.fusion.found_objects import FoundObjects
 from sceneloom.fusion.messages.records import ResultRecord, SentRecord
 from sceneloom.fusion.outcome import Outcome
 from sceneloom.fusion.properties.store import Snapshot
@@ -20,11 +21,13 @@ class Result:
         number: among the results of its type, from 0 on; a gap where results were dropped.
         record: of table 9, or the records of table 10 of one pair.
         configuration: the properties in force when its sweep came; all calibrations among them.
+        found: of records of table 10 in the process that fused them, what they tell.
     """
 
     number: int
     record: ResultRecord
     configuration: Snapshot
+    found: FoundObjects | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

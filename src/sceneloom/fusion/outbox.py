@@ -44,7 +44,7 @@ class Outbox:
     def give(self, found: RigResult) -> None:
         """Let a result be fetched."""
         kind, record, properties = _type_of(found.record), found.record, found.setting.properties
-        result = Result(self._given[kind], record, properties)
+        result = Result(self._given[kind], record, properties, found.found)
         self._given[kind] += 1
         self._counters.add(_COUNTED[kind])
         self._announcer.tell(result)

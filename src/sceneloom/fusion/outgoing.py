@@ -131,6 +131,23 @@ def fused_detections_record(
     )
 
 
+def tracked_detections_record(
+    record: FusedDetections, fused: FusedBoxes, setting: Setting, camera: Camera
+) -> FusedDetections:
+    """Give the records of tracks in place of those of the objects of a sweep and a picture.
+
+    Args:
+        record: of the sweep and the picture.
+        fused: the tracks in the lidar's frame of the standard axes.
+        setting: the configuration of the sweep.
+        camera: the lens of the picture, to whose size boxes are cut.
+    """
+    columns, _ = _declared_columns(fused, setting, camera)
+    none: tuple[None, ...] = (None,) * len(fused)
+    numbers = (fused.ids & _LARGEST_ID).astype(np.int32)
+    return replace(record, id=numbers, class_names=fused.labels, box_3d_ids=none, box_2d_ids=none, **columns)
+
+
 def _declared_columns(fused: FusedBoxes, setting: Setting, camera: Camera) -> tuple[dict[str, Any], bool]:
     """Columns of numbers of the objects in the declared axes, and whether all of them make sense."""
     velocities = fused.velocities
@@ -152,6 +169,8 @@ def _declared_columns(fused: FusedBoxes, setting: Setting, camera: Camera) -> tu
         columns["velocity_vectors"] = None
     return columns, found[-1]
 
+
+_LARGEST_ID = 2**31 - 1
 
 _COLUMNS = (
     "confidence",

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sceneloom.arrays import Float64Array
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError
 from sceneloom.fusion.admitted import CLOCK_JUMP_NS, Admitted, Received
@@ -14,6 +15,7 @@ from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.declared_data import standard_boxes, standard_frame
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame, SeenBoxes
+from sceneloom.fusion.found_objects import FoundObjects
 from sceneloom.fusion.ledger import Ledger, Stream, Ticket
 from sceneloom.fusion.messages.boxes import Boxes3d
 from sceneloom.fusion.messages.records import ResultRecord
@@ -41,10 +43,12 @@ class RigResult:
     Attributes:
         record: of table 9 or 10.
         setting: the configuration.
+        found: of records of table 10, what they tell, in the words of the fusion system.
     """
 
     record: ResultRecord
     setting: Setting
+    found: FoundObjects | None = None
 
 
 class _Sent(NamedTuple):
@@ -78,6 +82,7 @@ class Rig:
     _systems: dict[int, FusionSystem] = field(default_factory=dict)
     _cameras: set[tuple[int, int]] = field(default_factory=set)
     _path: PosePath | None = None
+    _origin: Float64Array = field(default_factory=lambda: np.zeros(3))
     _ways: dict[int, PosePath] = field(default_factory=dict)
     _newest_ns: dict[Stream, int] = field(default_factory=dict)
     _left: list[tuple[Ticket, Leave]] = field(default_factory=list)
@@ -119,9 +124,9 @@ class Rig:
         """Whether a sweep or its boxes wait for a picture."""
         return any(system.waits for system in self._systems.values())
 
-    def move(self, path: PosePath) -> None:
-        """Let the vehicle move along a way from now on."""
-        self._path = path
+    def move(self, path: PosePath, *, origin: Float64Array) -> None:
+        """Let the vehicle move along a way from now on, whose positions count from `origin`, (3,) [m]."""
+        self._path, self._origin = path, origin
         for lidar_id in self._systems:
             self._move(lidar_id)
 
@@ -222,7 +227,11 @@ class Rig:
             self._failed(found.sweep_extras, error)
             return
         boxes_3d.ticket.fused = boxes_2d.ticket.fused = True
-        yield RigResult(record, boxes_3d.setting)
+        world_from_lidar = self._world_from_lidar(lidar_id, found.timestamp_ns) if compensated else _HERE
+        origin = self._origin if compensated else _HERE.translation
+        yield RigResult(
+            record, boxes_3d.setting, FoundObjects(found, world_from_lidar, origin, boxes_3d.setting)
+        )
 
     def _adopt(self, setting: Setting) -> Iterator[RigResult]:
         """Go by another configuration from this record on; gives what waited only for cameras that are gone."""

@@ -176,7 +176,7 @@ class Worker:
             self._idle_s = task.setting.idle_s
             return self._rig.feed(task, task.ticket)
         if isinstance(task, Moved):
-            self._rig.move(task.path)
+            self._rig.move(task.path, origin=task.sent.positions[-1])
             return iter(())
         return self._rig.end() if task.final else self._rig.flush()
 

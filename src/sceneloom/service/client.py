@@ -199,18 +199,21 @@ class FusionClient:
         """Fetch all results that are there."""
         return iter(lambda: self.get(fusion_type), None)
 
-    def subscribe(self, fusion_type: int | None = None, *, most: int = 0) -> Iterator[Result]:
+    def subscribe(
+        self, fusion_type: int | None = None, *, most: int = 0, track: bool = False
+    ) -> Iterator[Result]:
         """Give results as they come, until the session ends or the iteration does.
 
         Args:
             fusion_type: 0 sensor data, 1 detections; None for what the property fusion_type says.
             most: end after so many; 0 for never.
+            track: whether the objects of detections are followed from sweep to sweep; their `id` is that of a track.
 
         Raises:
-            OptionError: there is no such type.
+            OptionError: there is no such type, or it has no objects to follow.
         """
         request = fusion_pb2.SubscribeRequest(
-            fusion_type=_type_or_none(fusion_type), most=most, session=self.session
+            fusion_type=_type_or_none(fusion_type), most=most, session=self.session, track=track
         )
         call = self._calls["Subscribe"](request, metadata=self._metadata)
         try:

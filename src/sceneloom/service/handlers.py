@@ -11,11 +11,13 @@ import grpc.aio
 from grpc.aio import ServicerContext
 
 from sceneloom.errors import DataError, OptionError
+from sceneloom.fusion.algorithms import FusionType
 from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import DONE, Cause, refused
+from sceneloom.fusion.tracked import TrackedResults
 from sceneloom.service.call_errors import CallError
 from sceneloom.service.methods import METHODS, SERVICE, Method
 from sceneloom.service.metrics import Metrics
@@ -152,6 +154,9 @@ class Handlers:
     async def _deliver(self, session: Session, asked: Any, context: Context) -> None:
         """Write results as they come: one or no data for Get, else until the caller or the session ends."""
         once = isinstance(asked, fusion_pb2.GetRequest)
+        if not once and asked.track:
+            await self._deliver_tracks(session, asked, context)
+            return
         most = 1 if once else asked.most
         fusion_type = asked.fusion_type if asked.HasField("fusion_type") else None
         delivered = 0
@@ -159,20 +164,41 @@ class Handlers:
             result = await session.next_result(fusion_type, asked.wait_ms / 1e3 if once else None)
             if result is None:
                 break
-            await self._write(session, result, context)
+            try:
+                await self._write(session, result, context)
+            except BaseException:
+                session.fusion.put_back(result)
+                raise
             delivered += 1
         if once and not delivered:
             await context.write(NO_DATA)
 
+    async def _deliver_tracks(self, session: Session, asked: Any, context: Context) -> None:
+        """Write results of detection fusion as they come, their objects followed from one to the next."""
+        if asked.HasField("fusion_type") and asked.fusion_type != FusionType.DETECTIONS:
+            raise OptionError(f"track: fusion_type {asked.fusion_type}; expected 1, detections")
+        tracked, delivered = TrackedResults(), 0
+        taken: dict[int, Result] = {}
+        try:
+            while not (asked.most and delivered >= asked.most):
+                result = await session.next_result(FusionType.DETECTIONS, None)
+                if result is None:
+                    break
+                taken[result.number] = result
+                for told in await session.run(tracked.take, result):
+                    await self._write(session, told, context)
+                    del taken[told.number]
+                    delivered += 1
+        finally:
+            for result in taken.values():
+                session.fusion.put_back(result)
+
     async def _write(self, session: Session, result: Result, context: Context) -> None:
-        """Write a result; it is put back where it cannot be written, so that others have it."""
+        """Write a result; where that fails, who fetched it puts it back, so that others have it."""
         try:
             await context.write(await self._reply(session, result))
-        except BaseException as error:
-            session.fusion.put_back(result)
-            if isinstance(error, grpc.aio.InternalError):  # the connection has broken
-                raise asyncio.CancelledError from error
-            raise
+        except grpc.aio.InternalError as error:  # the connection has broken
+            raise asyncio.CancelledError from error
         session.fusion.counters.add(f"delivered.{kind_of(result.record).name}")
         session.last_fetched_s = self.sessions.clock()
 

@@ -331,14 +331,16 @@ class GetRequest(_message.Message):
     def __init__(self, fusion_type: _Optional[int] = ..., wait_ms: _Optional[int] = ..., session: _Optional[str] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
-    __slots__ = ("fusion_type", "most", "session")
+    __slots__ = ("fusion_type", "most", "session", "track")
     FUSION_TYPE_FIELD_NUMBER: _ClassVar[int]
     MOST_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
+    TRACK_FIELD_NUMBER: _ClassVar[int]
     fusion_type: int
     most: int
     session: str
-    def __init__(self, fusion_type: _Optional[int] = ..., most: _Optional[int] = ..., session: _Optional[str] = ...) -> None: ...
+    track: bool
+    def __init__(self, fusion_type: _Optional[int] = ..., most: _Optional[int] = ..., session: _Optional[str] = ..., track: _Optional[bool] = ...) -> None: ...
 
 class NoData(_message.Message):
     __slots__ = ()

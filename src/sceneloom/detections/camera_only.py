@@ -14,11 +14,12 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels import height_placing
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
-_EDGES = (0.05, 2.0)
+EDGES = (0.05, 2.0)
 """Deviation of an edge of a box: this share of its side, plus so many pixels."""
-_CUT = (2.0, 0.5)
-"""A box that comes so near to the top or bottom of the picture may be cut there [px]; deviation of the distance of such
-a box, as a share of it."""
+BORDER_PX = 2.0
+"""A box that comes so near to the border of the picture may be cut there [px]."""
+_CUT_SIGMA = 0.5
+"""Deviation of the distance of what the picture cuts at top or bottom, as a share of it."""
 
 
 class Placed(NamedTuple):
@@ -68,6 +69,6 @@ def place_by_height(
             camera_from_lidar.rotation,
             camera_from_lidar.translation,
             float(camera.height),
-            (*_EDGES, *_CUT),
+            (*EDGES, BORDER_PX, _CUT_SIGMA),
         )
     )

@@ -7,21 +7,24 @@ What becomes of the boxes:
 - A box of the sweep alone stays an object. If the picture shows its place openly, and its detector should have found it
   there, it becomes less likely.
 - A box of the picture alone stays an object too, at the distance that its height in the picture and the usual height
-  of its class give (`camera_only`); how little that is worth is in its covariance. Its heading is not known, and given
-  as 0. Whoever wants measured objects alone takes those with a box in the sweep.
+  of its class give (`camera_only`), or that of the points of the sweep behind it, where these are given and tell one
+  (`frustum`); how little that is worth is in its covariance. Its heading is not known, and given as 0. Whoever wants
+  measured objects alone takes those with a box in the sweep.
 
 Boxes whose place or size is no number are left out.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.detections.assignment import assign, pair_gains
 from sceneloom.detections.camera_only import Placed, place_by_height
 from sceneloom.detections.classes import numbers_of, says_nothing, table_rows
+from sceneloom.detections.frustum import place_by_points
 from sceneloom.detections.headings import turn_with_motion
 from sceneloom.detections.noise import picture_sigmas
 from sceneloom.detections.outlines import Outlines, project_outlines
@@ -82,17 +85,22 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
     )
     spread = _refined(pair, sweep, picture, outlines, partners, tables, settings)
     alone = np.flatnonzero(taken == NO_BOX) if settings.keep_camera_only else _NO_ROWS
-    placed = place_by_height(pair.camera, pair.camera_from_lidar, picture.numbers, alone, picture.kinds)
+    placed, by_points = _placed(pair, sweep, picture, alone)
     others = existence_odds.scores_of_picture(
         placed.rows, placed.ranges, picture.odds, picture.kinds, tables.existence
     )
     scores = np.concatenate([scores, others])
     labels = (*_labels(sweep, picture, partners), *(picture.labels[k] for k in placed.rows.tolist()))
-    return _joined(
+    fused = _joined(
         pair, sweep, picture, outlines, partners, spread, placed, scores, labels, tables.degrees_of_freedom
     )
+    if by_points is None:
+        return fused
+    return replace(fused, by_points=np.concatenate([np.zeros(len(sweep.rows), np.bool_), by_points]))
 
 
+_BELIEVED = 0.3
+"""Points in a box of the sweep that is less likely than this may be another object's."""
 _NO_ROWS = np.zeros(0, np.int64)
 _NOT_TOLD = np.zeros((0, 7, 7))
 _ANY_YAW = np.pi**2 / 3.0
@@ -197,6 +205,20 @@ def _refined(
         moved = np.where(np.isfinite(velocities), velocities, 0.0)[sweep.rows] * settings.time_sigma
         covariances[:, :3, :3] += moved[:, :, None] * moved[:, None]
     return _Spread(covariances, of_yaws)
+
+
+def _placed(
+    pair: DetectionPair, sweep: _Seen, picture: _Seen, alone: Int64Array
+) -> tuple[Placed, BoolArray | None]:
+    """The objects of boxes of the picture alone, and which of them points of the sweep have placed."""
+    camera, camera_from_lidar = pair.camera, pair.camera_from_lidar
+    placed = place_by_height(camera, camera_from_lidar, picture.numbers, alone, picture.kinds)
+    if pair.points_lidar is None:
+        return placed, None
+    boxes = sweep.numbers[sweep.likely >= _BELIEVED]
+    return place_by_points(
+        camera, camera_from_lidar, pair.points_lidar, picture.numbers, picture.kinds, boxes, placed
+    )
 
 
 def _labels(sweep: _Seen, picture: _Seen, partners: Int64Array) -> list[str]:

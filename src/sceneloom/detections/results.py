@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, check_array, read_only
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, check_array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.rigid import RigidTransform
@@ -24,12 +24,21 @@ class DetectionPair:
         boxes_2d: in the picture.
         camera: its lens.
         camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of the picture.
+        points_lidar: (N, 3) float32 [m], points of the sweep in the lidar's frame at its time, or None: boxes of the
+            picture alone are placed by them.
+
+    Raises:
+        ArrayError: the points are no such array.
     """
 
     boxes_3d: Boxes3D
     boxes_2d: Boxes2D
     camera: Camera
     camera_from_lidar: RigidTransform
+    points_lidar: Float32Array | None = None
+
+    def __post_init__(self) -> None:
+        check_array("pair.points_lidar", self.points_lidar, (None, 3), np.float32, optional=True)
 
 
 _ARRAYS = (
@@ -61,6 +70,8 @@ class FusedBoxes:
         yaw_variances: (N,) float64 [rad²], or None.
         degrees_of_freedom: of the Student distribution of errors with these covariances
             (`noise.radius_squared`), infinite for a Gaussian one, or None where nothing is known of it.
+        by_points: (N,) bool, whether points of the sweep behind a box of the picture alone placed the object, or None
+            where none were given.
 
     Raises:
         ArrayError: shapes or dtypes are wrong.
@@ -83,6 +94,7 @@ class FusedBoxes:
     rows_2d: Int64Array
     yaw_variances: Float64Array | None = None
     degrees_of_freedom: float | None = None
+    by_points: BoolArray | None = None
 
     def __post_init__(self) -> None:
         count = check_array("fused.centers", self.centers, (None, 3), np.float64)
@@ -94,6 +106,7 @@ class FusedBoxes:
         check_array("fused.scores", self.scores, (count,), np.float64)
         check_array("fused.yaw_variances", self.yaw_variances, (count,), np.float64, optional=True)
         check_array("fused.corners_xyxy", self.corners_xyxy, (count, 4), np.float64)
+        check_array("fused.by_points", self.by_points, (count,), np.bool_, optional=True)
         for name in ("ids", "rows_3d", "rows_2d"):
             check_array(f"fused.{name}", getattr(self, name), (count,), np.int64)
         if len(self.labels) != count:

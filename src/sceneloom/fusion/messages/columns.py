@@ -53,6 +53,11 @@ class ColumnChecks:
         self._columns = tuple(
             (column, np.dtype(column.dtype), tuple(map(table.row, column.names))) for column in columns
         )
+        # of those whose rows have the same bounds the row that stands for all
+        self._bounds = tuple(
+            rows[0] if all(row.bounds == rows[0].bounds for row in rows) else None
+            for _, _, rows in self._columns
+        )
 
     def settle(self, record: Any) -> int:
         """Check all columns of a list that is being made, and make them read-only.
@@ -64,14 +69,15 @@ class ColumnChecks:
             DataError: a column has another shape or dtype, or a number in it is not finite or out of range.
         """
         count: int | None = None
-        for column, dtype, rows in self._columns:
+        for (column, dtype, rows), bounds in zip(self._columns, self._bounds, strict=True):
             values = getattr(record, column.attribute)
             if column.optional and (values is None or count == 0):
                 object.__setattr__(record, column.attribute, None)
                 continue
             _check_shape(values, column, dtype, self._table, count)
             count = len(values)
-            _check_values(values, column, rows, self._table, self._group)
+            if bounds is None or not bounds.admits(values):
+                _check_values(values, column, rows, self._table, self._group)
             object.__setattr__(record, column.attribute, read_only(values))
         return count or 0
 
@@ -98,7 +104,7 @@ def settle_classes(record: Any, table: Table, count: int, *, group: str) -> None
     if not isinstance(names, tuple | list) or len(names) != count:
         raise table.fault("class", f"{shown(names)}; expected a tuple of {count}")
     row = table.row("class")
-    for name in set(names) if all(isinstance(name, str) for name in names) else names:
+    for name in set(names) if set(map(type, names)) == {str} else names:
         try:
             row.check_class(name, table.owner)
         except DataError as error:
@@ -137,8 +143,6 @@ def _check_shape(
 
 
 def _check_values(values: AnyArray, column: Column, rows: tuple[Row, ...], table: Table, group: str) -> None:
-    if all(row.bounds == rows[0].bounds for row in rows) and rows[0].admits(values):
-        return
     flat = values.reshape(len(values), math.prod(values.shape[1:]))
     for j in range(flat.shape[1]):
         row = rows[j if len(rows) > 1 else 0]

@@ -13,7 +13,7 @@ from sceneloom.fusion.messages.records import (
     kind_of,
 )
 from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM
-from sceneloom.fusion.messages.wire_bytes import LENGTH_TYPE, enclosed, field_head, wire_fields
+from sceneloom.fusion.messages.wire_bytes import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
 
 try:
     from google.protobuf.message import DecodeError, Message
@@ -26,6 +26,7 @@ try:
     )
     from sceneloom.fusion.messages.protobuf_lists import read_list, write_list
     from sceneloom.fusion.messages.wire import fusion_pb2
+    from sceneloom.fusion.messages.wire_lists import list_bytes, read_usual_list
 except ImportError as missing:
     raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[serve]'") from missing
 
@@ -89,7 +90,7 @@ def encoded_parts(record: Record) -> list[bytes | memoryview]:
     kind = kind_of(record)
     message_type = getattr(fusion_pb2, kind.message_name)
     if kind.layout is not None:
-        return [to_protobuf(record).SerializeToString(deterministic=True)]
+        return _list_parts(record, kind, message_type)
     parts: list[bytes | memoryview] = []
     message = message_type()
     for row in kind.table.rows:
@@ -103,6 +104,20 @@ def encoded_parts(record: Record) -> list[bytes | memoryview]:
             message = message_type()
     parts.append(message.SerializeToString(deterministic=True))
     return parts
+
+
+def _list_parts(record: Any, kind: RecordKind, message_type: Any) -> list[bytes | memoryview]:
+    """The bytes of a list of records: what stands before them, the records, and what stands behind."""
+    layout: Any = kind.layout
+    group = message_type.DESCRIPTOR.fields_by_name[layout.group].number
+    before, after = message_type(), message_type()
+    for row in kind.table.rows:
+        write_field(before if row.number < group else after, row, getattr(record, row.attribute))
+    return [
+        before.SerializeToString(deterministic=True),
+        list_bytes(record, kind),
+        after.SerializeToString(deterministic=True),
+    ]
 
 
 def encode_in(container: Message, record: Record) -> bytes:
@@ -171,7 +186,12 @@ def decode_send_request(content: bytes) -> SentRecord:
     Raises:
         DataError: they are no such message, carry no record, or the record is faulty.
     """
-    found = _large_record(content)
+    field = _only_record(content)
+    if field is not None and _SENT_KINDS[field.number].layout is not None:
+        record = read_usual_list(content, field.start, field.stop, _SENT_KINDS[field.number])
+        if record is not None:
+            return cast("SentRecord", record)
+    found = None if field is None else _large_record(content, field)
     if found is None:
         return from_send_request(parse_message(fusion_pb2.SendRequest, content))
     kind, message, arrays = found
@@ -184,20 +204,32 @@ def decode_send_request(content: bytes) -> SentRecord:
     return cast("SentRecord", kind.record_type(**values))
 
 
-def _large_record(content: bytes) -> tuple[RecordKind, Any, dict[int, Any]] | None:
-    """The kind of the only record of a request, its message without arrays, and the arrays by their row numbers.
+def _only_record(content: bytes) -> WireField | None:
+    """Where the only record of a request stands; None where there are several or none, or something is unusual.
 
-    None where the library had better read it: it has no arrays, or something is unusual about it.
+    Raises:
+        DataError: what stands beside the record is no such request.
     """
     outer = wire_fields(content, 0, len(content))
     records = [field for field in outer or () if field.number in _SENT_KINDS]
     if outer is None or len(records) != 1 or records[0].type != LENGTH_TYPE:
         return None
-    kind = _SENT_KINDS[records[0].number]
+    if len(outer) > 1:
+        # what stands beside the record is read, too, so that what the library refuses is refused here
+        parse_message(fusion_pb2.SendRequest, content[: records[0].head] + content[records[0].stop :])
+    return records[0]
+
+
+def _large_record(content: bytes, field: WireField) -> tuple[RecordKind, Any, dict[int, Any]] | None:
+    """The kind of the only record of a request, its message without arrays, and the arrays by their row numbers.
+
+    None where the library had better read it: it has no arrays, or something is unusual about it.
+    """
+    kind = _SENT_KINDS[field.number]
     large = {row.number: row for row in kind.table.rows if row.type in ARRAY_DTYPES or row.type == STREAM}
     if kind.layout is not None or not large:
         return None
-    inner = wire_fields(content, records[0].start, records[0].stop)
+    inner = wire_fields(content, field.start, field.stop)
     if inner is None:
         return None
     found = {field.number: field for field in inner if field.number in large}
@@ -207,8 +239,6 @@ def _large_record(content: bytes) -> tuple[RecordKind, Any, dict[int, Any]] | No
         return None
     rest = b"".join(content[field.head : field.stop] for field in inner if field.number not in found)
     message = parse_message(getattr(fusion_pb2, kind.message_name), rest)
-    # what stands beside the record is read, too, so that what the library refuses is refused here
-    parse_message(fusion_pb2.SendRequest, content[: records[0].head] + content[records[0].stop :])
     arrays = {
         number: content[field.start : field.stop]
         if large[number].type == STREAM

@@ -16,6 +16,8 @@ from sceneloom.calibrate.scan_order import ScanOrder
 _LEAST_JUMP, _JUMP_SHARE, _LARGEST_JUMP = 0.4, 0.04, 3.0
 """A jump is larger than this [m], and than this share of the range; one larger than that counts no more [m]."""
 _GAP_STEPS = 4.0
+_SLANT_FACTOR = 2.0
+"""A surface that slants so many times as much as where it was last seen explains a jump."""
 _NEIGHBOURS = 16
 _ISOLATED = 3.0
 _SURFACE_DISTANCE = 0.6
@@ -48,16 +50,16 @@ def find_depth_edges(frame: CalibrationFrame, chosen: Int64Array) -> DepthEdges:
     if frame.scan is None:
         eye = frame.camera_from_lidar.inverse().translation
         near, far = _jumps_anywhere(frame.points_lidar, chosen, eye)
-        shares = np.ones(len(near))
+        shares, reaches = np.ones(len(near)), np.ones(len(near))
     else:
         eye = np.zeros(3)
-        near, far, shares = _jumps_in_scan(frame.scan, chosen, len(frame.points_lidar))
+        near, far, shares, reaches = _jumps_in_scan(frame.scan, chosen, len(frame.points_lidar))
     inner, outer = frame.points_lidar[near] - eye, frame.points_lidar[far] - eye
     ranges_near, ranges_far = np.linalg.norm(inner, axis=1), np.linalg.norm(outer, axis=1)
     weights = (shares * np.minimum(ranges_far - ranges_near, _LARGEST_JUMP)).astype(np.float32)
     outer *= (ranges_near / ranges_far)[:, None]
     middle = inner + outer
-    middle *= (ranges_near / np.linalg.norm(middle, axis=1))[:, None]
+    middle *= (reaches * ranges_near / np.linalg.norm(middle, axis=1))[:, None]
     return DepthEdges(np.ascontiguousarray(middle + eye), np.ascontiguousarray(outer + eye), weights)
 
 
@@ -65,31 +67,84 @@ def _is_jump(near: Float64Array, far: Float64Array, apart: Float64Array | float)
     """Whether the range jumps between two points, seen at an angle [rad] to one another."""
     with np.errstate(divide="ignore"):
         steep = 1.0 / near - 1.0 / far > apart / _SURFACE_DISTANCE
-    return np.asarray((far - near > np.maximum(_LEAST_JUMP, _JUMP_SHARE * near)) & steep)
+    return np.asarray((far - near > _least_jump(near)) & steep)
+
+
+def _least_jump(near: Float64Array) -> Float64Array:
+    return np.maximum(_LEAST_JUMP, _JUMP_SHARE * near)
 
 
 def _jumps_in_scan(
     scan: ScanOrder, chosen: Int64Array, count: int
-) -> tuple[Int64Array, Int64Array, Float64Array]:
-    """Jumps between neighbours on a line, and between lines; these count less, since lines lie farther apart."""
+) -> tuple[Int64Array, Int64Array, Float64Array, Float64Array]:
+    """Jumps between neighbours on a line, and between lines; these count less, since lines lie farther apart.
+
+    Returns:
+        near, far: (N,) int64, the points.
+        shares: (N,) what each counts.
+        reaches: (N,) how far the edge is, as a multiple of the near point's range.
+    """
     wanted = np.zeros(count, np.bool_)
     wanted[chosen] = True
     rows = np.flatnonzero(wanted[scan.order])
     lines, azimuths, ranges = scan.lines[rows], scan.azimuths[rows], scan.ranges[rows]
     points = scan.order[rows]
     if len(rows) < 2:
-        return points[:0], points[:0], np.zeros(0)
+        return points[:0], points[:0], np.zeros(0), np.zeros(0)
     same = np.diff(lines) == 0
     step = float(np.median(np.diff(azimuths)[same])) if same.any() else 0.0
-    pairs = np.flatnonzero(same & (np.diff(azimuths) <= _GAP_STEPS * step))
-    along = _directed(pairs, pairs + 1, ranges, step)
-    upper = _above(lines, azimuths, scan.count, step)
-    lower = np.flatnonzero(upper >= 0)
     spacing = _line_spacing(scan)
-    across = _directed(lower, upper[lower], ranges, spacing)
-    near, far = np.concatenate([along[0], across[0]]), np.concatenate([along[1], across[1]])
+    after = np.full(len(rows), -1)
+    pairs = np.flatnonzero(same & (np.diff(azimuths) <= _GAP_STEPS * step))
+    after[pairs] = pairs + 1
+    ways = [
+        _jumps_along(way, _reversed(way), ranges, apart)
+        for way, apart in ((after, step), (rows_above(lines, azimuths, scan.count, step), spacing))
+    ]
+    near, far, reaches = (np.concatenate(parts) for parts in zip(*ways, strict=True))
     share = min(step / spacing, 1.0) if spacing > 0 else 1.0
-    return points[near], points[far], np.repeat([1.0, share], [len(along[0]), len(across[0])])
+    return points[near], points[far], np.repeat([1.0, share], [len(way[0]) for way in ways]), reaches
+
+
+def _reversed(ahead: Int64Array) -> Int64Array:
+    """Of each row the one that it is ahead of; -1 for none."""
+    behind = np.full(len(ahead), -1)
+    behind[ahead[ahead >= 0]] = np.flatnonzero(ahead >= 0)
+    return behind
+
+
+def _jumps_along(
+    ahead: Int64Array, behind: Int64Array, ranges: Float64Array, apart: float
+) -> tuple[Int64Array, Int64Array, Float64Array]:
+    """Jumps from each row to the one ahead and to the one behind: near rows, far rows, reaches."""
+    found = []
+    for onwards, back in ((ahead, behind), (behind, ahead)):
+        near = np.flatnonzero(onwards >= 0)
+        near = near[_is_jump(ranges[near], ranges[onwards[near]], apart)]
+        far, before = onwards[near], back[near]
+        slants, known = _slants(ranges, near, before)
+        # a plane's inverse range changes evenly with the angle
+        explained = 1.0 / ranges[near] - 1.0 / ranges[far] < _SLANT_FACTOR * slants
+        kept = known & ~explained
+        reaches = 1.0 / np.maximum(1.0 - 0.5 * slants * ranges[near], ranges[near] / ranges[far])
+        found.append((near[kept], far[kept], reaches[kept]))
+    return (
+        np.concatenate([found[0][0], found[1][0]]),
+        np.concatenate([found[0][1], found[1][1]]),
+        np.concatenate([found[0][2], found[1][2]]),
+    )
+
+
+def _slants(ranges: Float64Array, near: Int64Array, before: Int64Array) -> tuple[Float64Array, BoolArray]:
+    """How much inverse range falls towards an edge on the surface that ends there, and whether it is that surface.
+
+    Where the surface is one point wide its slant counts as none; a point that itself lies behind an edge, or has nothing
+    beside it, is no end of a surface that is known.
+    """
+    previous = np.where(before >= 0, ranges[before], ranges[near])
+    same = np.abs(previous - ranges[near]) < _least_jump(ranges[near])
+    slants = np.where(same, 1.0 / previous - 1.0 / ranges[near], 0.0)
+    return slants, np.asarray((before >= 0) & (same | (previous > ranges[near])))
 
 
 def _line_spacing(scan: ScanOrder) -> float:
@@ -98,17 +153,14 @@ def _line_spacing(scan: ScanOrder) -> float:
     return float(np.median(np.diff(means))) if len(means) > 1 else 0.0
 
 
-def _directed(
-    first: Int64Array, second: Int64Array, ranges: Float64Array, apart: float
-) -> tuple[Int64Array, Int64Array]:
-    """Of pairs those that jump, the nearer one first."""
-    there = _is_jump(ranges[first], ranges[second], apart)
-    back = _is_jump(ranges[second], ranges[first], apart)
-    return np.concatenate([first[there], second[back]]), np.concatenate([second[there], first[back]])
+def rows_above(lines: Int64Array, azimuths: Float64Array, count: int, step: float) -> Int64Array:
+    """The point of the next line above at the same azimuth, by row; -1 for none.
 
-
-def _above(lines: Int64Array, azimuths: Float64Array, count: int, step: float) -> Int64Array:
-    """The point of the next line above at the same azimuth, by row; -1 for none."""
+    Args:
+        lines, azimuths: (M,) of points in the order of a scan.
+        count: number of lines.
+        step: usual angle between points of a line [rad].
+    """
     turn = 8.0  # more than all azimuths span, so that lines follow one another
     keys = lines * turn + azimuths
     wanted = (lines + 1) * turn + azimuths

@@ -37,6 +37,8 @@ class FrameFeatures:
         levels: (P,) float32, intensity as a level that is as frequent as any other, 0 to `LEVELS` - 1.
         level_cells: (P,) int16.
         seen: how many points the camera sees by the stated calibration.
+        around: (A,) int64, the points of the frame in the picture and around it.
+        visible: (V,) int64, those in the picture that nothing hides.
     """
 
     frame: CalibrationFrame
@@ -49,6 +51,8 @@ class FrameFeatures:
     levels: Float32Array
     level_cells: AnyArray
     seen: int
+    around: Int64Array
+    visible: Int64Array
 
 
 def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> FrameFeatures:
@@ -80,6 +84,8 @@ def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> 
         levels[order],
         _tiles(level_pixels[order], picture),
         seen,
+        chosen,
+        visible,
     )
 
 
@@ -126,9 +132,12 @@ def _around_view(frame: CalibrationFrame) -> Int64Array:
     rays = unproject(camera, border)
     angles = np.arccos(np.clip(rays[np.isfinite(rays).all(axis=1), 2], -1.0, 1.0))
     widest = float(angles.max()) if len(angles) == len(border) else domain_angle(camera)
-    points = frame.camera_from_lidar.apply(frame.points_lidar)
-    ranges = np.linalg.norm(points, axis=1)
-    rows: Int64Array = np.flatnonzero(points[:, 2] > np.cos(min(widest + _BESIDE, np.pi)) * ranges)
+    stated = frame.camera_from_lidar
+    ahead, seen_from = stated.rotation[2], stated.inverse().translation
+    relative = frame.points_lidar - seen_from
+    ranges = np.sqrt(np.einsum("ij,ij->i", relative, relative))
+    forward = np.einsum("ij,j->i", relative, ahead)
+    rows: Int64Array = np.flatnonzero(forward > np.cos(min(widest + _BESIDE, np.pi)) * ranges)
     return rows
 
 
@@ -149,11 +158,16 @@ def _levels(frame: CalibrationFrame, visible: Int64Array) -> tuple[Int64Array, F
     values = None if frame.intensities is None else frame.intensities[visible]
     if values is None or len(values) < 2 or values.min() == values.max():
         return visible[:0], np.zeros(0, np.float32)
-    # points of one intensity share the middle of their levels
-    counts = np.bincount(values, minlength=256)
-    middles = (np.cumsum(counts) - 0.5 * counts) / len(values) * (LEVELS - 1)
     drawn = np.linspace(0, len(visible) - 1, min(_MOST_POINTS, len(visible))).astype(np.int64)
-    return visible[drawn], middles[values[drawn]].astype(np.float32)
+    return visible[drawn], _evened_levels(values)[drawn]
+
+
+def _evened_levels(intensities: UInt8Array) -> Float32Array:
+    """Intensities (N,) as levels that are as frequent as any other, 0 to `LEVELS` - 1."""
+    # points of one intensity share the middle of their levels
+    counts = np.bincount(intensities, minlength=256)
+    middles = (np.cumsum(counts) - 0.5 * counts) / max(len(intensities), 1) * (LEVELS - 1)
+    return middles.astype(np.float32)[intensities]
 
 
 def _tiles(pixels: Float64Array, picture: MeasuredPicture) -> AnyArray:

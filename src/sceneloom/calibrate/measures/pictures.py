@@ -1,5 +1,6 @@
 """A picture as the measures take it: small, its edges by direction, its grey levels evened out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy import ndimage
 from sceneloom.arrays import Float32Array, Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector
+from sceneloom.kernels.blurring import blur, box_means
 
 DIRECTIONS = 4
 """Edges are told apart by the direction across them: 0, 45, 90, 135 degrees from rightward to downward."""
@@ -24,9 +26,11 @@ _SURROUNDINGS_PX = 61
 _NOISE = 2.0
 """Grey levels per pixel that noise and compression make."""
 _STRONGEST = 3.0
-FINE_PX, COARSE_PX = 1.0, 5.0
+WIDTHS_PX = {"fine": 1.0, "coarse": 5.0}
 """How far edges are widened, so that what misses them by a little still meets them."""
 _GREY_PX = 1.5
+_STEPS = 16
+"""Parts of a grey level that are told apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +40,7 @@ class MeasuredPicture:
     Attributes:
         camera: the lens of the reduced picture.
         lens: its numbers as the projection takes them.
+        grey: (H, W) float32, the reduced picture, 0 to 255.
         edges: by name of the width, "fine" and "coarse": (4, H, W) float32, strength of edges across each direction,
             as multiples of what is usual around them.
         levels: (H, W) float32, 0 to `LEVELS` - 1, each level as frequent as any other.
@@ -44,30 +49,35 @@ class MeasuredPicture:
 
     camera: Camera
     lens: Float64Array
+    grey: Float32Array
     edges: dict[str, Float32Array]
     levels: Float32Array
     plainness: float
 
 
-def measured_picture(grey: Float32Array, camera: Camera) -> MeasuredPicture:
-    """Reduce a picture to what its lens tells apart at 0.08 degrees, and find its edges and levels."""
+def measured_picture(
+    grey: Float32Array, camera: Camera, *, widths: Sequence[str] = tuple(WIDTHS_PX)
+) -> MeasuredPicture:
+    """Reduce a picture to what its lens tells apart at 0.08 degrees, and find its edges and levels.
+
+    Args:
+        widths: names of the widths at which edges are wanted.
+    """
     factor = max(int(min(camera.fx, camera.fy) / _PIXELS_PER_RADIAN + 0.25), 1)
     small, lens = _reduced(grey, camera, factor)
-    smoothed = ndimage.gaussian_filter(small, _SMOOTHED_PX)
+    smoothed = blur(small, _SMOOTHED_PX)
     across, down = ndimage.sobel(smoothed, 1) / 8.0, ndimage.sobel(smoothed, 0) / 8.0
     strength = np.hypot(across, down)
-    usual = ndimage.uniform_filter(strength, _SURROUNDINGS_PX) + _NOISE
-    angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    shares = 1.0 / (box_means(strength, _SURROUNDINGS_PX) + np.float32(_NOISE))
+    ways = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    cosines, sines = np.cos(ways).astype(np.float32), np.sin(ways).astype(np.float32)
     directed = [
-        np.minimum(np.abs(across * np.cos(angle) + down * np.sin(angle)) / usual, _STRONGEST)
-        for angle in angles
+        np.minimum(np.abs(across * cosine + down * sine) * shares, np.float32(_STRONGEST))
+        for cosine, sine in zip(cosines, sines, strict=True)
     ]
-    edges = {
-        name: np.stack([ndimage.gaussian_filter(image, width) for image in directed]).astype(np.float32)
-        for name, width in (("fine", FINE_PX), ("coarse", COARSE_PX))
-    }
-    plain = float(np.mean(ndimage.uniform_filter(strength, 9) < 0.25))
-    return MeasuredPicture(lens, lens_vector(lens), edges, _evened(small), plain)
+    edges = {name: np.stack([blur(image, WIDTHS_PX[name]) for image in directed]) for name in widths}
+    plain = float(np.mean(box_means(strength, 9) < 0.25))
+    return MeasuredPicture(lens, lens_vector(lens), small, edges, evened(blur(small, _GREY_PX)), plain)
 
 
 def _reduced(grey: Float32Array, camera: Camera, factor: int) -> tuple[Float32Array, Camera]:
@@ -89,8 +99,9 @@ def _reduced(grey: Float32Array, camera: Camera, factor: int) -> tuple[Float32Ar
     return np.ascontiguousarray(blocks.mean(axis=(1, 3), dtype=np.float32)), cut.resized(width, height)
 
 
-def _evened(grey: Float32Array) -> Float32Array:
-    smoothed = ndimage.gaussian_filter(grey, _GREY_PX)
-    sample = np.sort(smoothed.ravel()[:: max(smoothed.size // 20_000, 1)])
-    shares = np.searchsorted(sample, smoothed.ravel()) / max(len(sample), 1)
-    return np.ascontiguousarray((shares * (LEVELS - 1)).reshape(grey.shape), np.float32)
+def evened(grey: Float32Array) -> Float32Array:
+    """Turn brightness (H, W), 0 to 255, into levels that are as frequent as any other, 0 to `LEVELS` - 1."""
+    sample = np.sort(grey.ravel()[:: max(grey.size // 20_000, 1)])
+    shares = np.searchsorted(sample, np.arange(256 * _STEPS) / _STEPS) / max(len(sample), 1)
+    table = (shares * (LEVELS - 1)).astype(np.float32)
+    return table[np.clip(grey * _STEPS, 0, len(table) - 1).astype(np.int32)]

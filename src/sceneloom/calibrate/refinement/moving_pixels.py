@@ -13,6 +13,7 @@ from sceneloom.cameras.models import project_unbounded
 _STEP_SHARE = 1e-4
 """Derivatives of the lens are taken over this part of a point's distance."""
 _FOCAL_STEP = 1e-4
+_SHIFTS = range(Parameter.RIGHT, Parameter.AHEAD + 1)
 
 
 def moving_pixels(
@@ -31,16 +32,17 @@ def moving_pixels(
     camera = focused(cues.features.picture.camera, float(numbers[Parameter.FOCAL]))
     seen = points @ matrix[:3, :3].T + matrix[:3, 3]
     pixels = project_unbounded(camera, seen)
-    by_place = _by_place(camera, seen)
-    slopes = np.zeros((len(points), 2, len(free)))
+    by_place = _by_place(camera, seen, pixels)
+    slopes = np.empty((len(points), 2, len(free)))
     for column, k in enumerate(free.tolist()):
         if k == Parameter.FOCAL:
             wider = project_unbounded(focused(camera, _FOCAL_STEP), seen)
-            slopes[:, :, column] = (wider - pixels) / _FOCAL_STEP * UNITS[k]
+            slopes[:, :, column] = (wider - pixels) * (UNITS[k] / _FOCAL_STEP)
+        elif k in _SHIFTS:
+            slopes[:, :, column] = by_place[k - Parameter.RIGHT].T * UNITS[k]
         else:
-            slopes[:, :, column] = (
-                np.einsum("nij,nj->ni", by_place, _velocity(cues, k, seen, points, matrix)) * UNITS[k]
-            )
+            velocity = _velocity(cues, k, seen, points, matrix) * UNITS[k]
+            slopes[:, :, column] = np.einsum("cin,nc->ni", by_place, velocity)
     return pixels, slopes
 
 
@@ -50,27 +52,32 @@ def focused(camera: Camera, logarithm: float) -> Camera:
     return camera if scale == 1.0 else replace(camera, fx=camera.fx * scale, fy=camera.fy * scale)
 
 
-def _by_place(camera: Camera, seen: Float64Array) -> Float64Array:
-    """How pixels change with the points' places in the camera frame, (M, 2, 3) [px/m]."""
-    steps = _STEP_SHARE * np.linalg.norm(seen, axis=1)[:, None]
-    ways = []
-    for axis in np.eye(3):
-        ahead = project_unbounded(camera, seen + steps * axis)
-        behind = project_unbounded(camera, seen - steps * axis)
-        ways.append((ahead - behind) / (2.0 * steps))
-    return np.stack(ways, axis=2)
+def _by_place(camera: Camera, seen: Float64Array, pixels: Float64Array) -> Float64Array:
+    """How pixels change with the points' places in the camera frame, (3, 2, M) [px/m], by axis."""
+    steps = _STEP_SHARE * np.sqrt(np.einsum("ij,ij->i", seen, seen))
+    ways = np.empty((3, 2, len(seen)))
+    for axis in range(3):
+        ahead = seen.copy()
+        ahead[:, axis] += steps
+        ways[axis] = ((project_unbounded(camera, ahead) - pixels) / steps[:, None]).T
+    return ways
 
 
 def _velocity(
     cues: Cues, parameter: int, seen: Float64Array, points_lidar: Float64Array, matrix: Float64Array
 ) -> Float64Array:
-    """How the points move in the camera frame as a number grows, (M, 3)."""
-    if parameter < 3:
-        return np.cross(np.eye(3)[parameter], seen)
-    if parameter < 6:
-        return np.broadcast_to(np.eye(3)[parameter - 3], seen.shape)
+    """How the points move in the camera frame as a turn or the time grows, (M, 3)."""
+    if parameter < Parameter.RIGHT:
+        return _across(np.eye(3)[parameter], seen)
     twist = cues.frame.twist_lidar
     if twist is None:
         return np.zeros_like(seen)
-    moved: Float64Array = -(np.cross(twist[:3], points_lidar) + twist[3:]) @ matrix[:3, :3].T
+    moved: Float64Array = -(_across(twist[:3], points_lidar) + twist[3:]) @ matrix[:3, :3].T
     return moved
+
+
+def _across(turn: Float64Array, points: Float64Array) -> Float64Array:
+    """The cross product of a vector with points, (M, 3): a product with a matrix is several times as fast."""
+    x, y, z = turn
+    crossed: Float64Array = points @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    return crossed

@@ -14,20 +14,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array
+from sceneloom.calibrate.measures.pictures import evened
 from sceneloom.calibrate.refinement.cues import CHANNELS, Cues
 from sceneloom.calibrate.refinement.moving_pixels import moving_pixels
 from sceneloom.kernels.aligned_maps import sum_maps
+from sceneloom.kernels.blurring import blur, box_means
 
-WIDTHS_PX = (6.0, 3.0, 1.5)
+WIDTHS_PX = (6.0, 3.0, 1.0)
 """How far pictures are blurred [px of the measured picture], from the first look to the last."""
-_STRIDES = {6.0: 3, 3.0: 2, 1.5: 1}
+_STRIDES = {6.0: 3, 3.0: 2, 1.0: 1}
 """So many pixels of a picture are one of the map: a wide blur leaves nothing between them."""
 
 _WIDER = 4.0
-_BEYOND = 1 << 18
+_BRIGHTNESS_SHARE = 0.75
+"""Contrasts are known where their points are, edges between two points: brightness is blurred less than edges."""
 _CELL_WIDTHS = 2.0
 """Points of a channel within so many widths see the same of a picture: they count as one."""
 
@@ -35,10 +37,9 @@ _CELL_WIDTHS = 2.0
 def maps_of(cues: Cues, width: float) -> Float32Array:
     """Give the maps of a picture at a width, (K, H, W): edges by direction, then brightness."""
     picture, stride = cues.features.picture, _STRIDES[width]
-    layers = [*picture.edges["fine"], picture.levels]
-    return np.stack(
-        [_band(_reduced(np.asarray(layer, np.float32), stride), width / stride) for layer in layers]
-    )
+    layers = [(image, width) for image in picture.edges["fine"]]
+    layers.append((evened(picture.grey), _BRIGHTNESS_SHARE * width))
+    return np.stack([_band(_reduced(image, stride), wide / stride) for image, wide in layers])
 
 
 def _reduced(image: Float32Array, stride: int) -> Float32Array:
@@ -54,10 +55,8 @@ def _reduced(image: Float32Array, stride: int) -> Float32Array:
 
 def _band(image: Float32Array, width: float) -> Float32Array:
     """Blur, and take off what a blur of several times the width leaves: two boxes are nearly a Gaussian."""
-    fine = ndimage.gaussian_filter(image, width, truncate=3.0)
     box = 2 * round(_WIDER * width * np.sqrt(6.0) / 2.0) + 1
-    wide = ndimage.uniform_filter(ndimage.uniform_filter(image, box, mode="nearest"), box, mode="nearest")
-    return np.asarray(fine - wide, np.float32)
+    return np.asarray(blur(image, width) - box_means(box_means(image, box), box), np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,19 +169,36 @@ class Linearised:
         A channel whose points do not fit better than others would gets 0.
         """
         sums = self.sums(step)
-        groups = self.level.groups % len(CHANNELS)
-        inside: BoolArray = np.asarray(np.isfinite(self.pixels).all(axis=1))
-        counts = np.bincount(groups[inside], minlength=len(CHANNELS)).astype(np.float64)
-        distinct = self._distinct(inside)
+        counts, distinct = self._counts()
         safe = np.maximum(counts, 1.0)
         means = sums.values.sum(axis=0) / safe
         variances = np.maximum(sums.squares.sum(axis=0) / safe - means**2, 1e-12)
         return np.asarray(np.maximum(means, 0.0) / variances * distinct / safe, np.float64)
 
-    def _distinct(self, inside: BoolArray) -> Float64Array:
-        """How many cells of a few widths the points of each channel fall into."""
+    def motion_form(self) -> Float64Array:
+        """The mean square of how far pixels move with a step in units, as a quadratic form (P, P) [blur widths]."""
+        rows = self._inside()
+        if len(rows) == 0:
+            return np.zeros((self.slopes.shape[2],) * 2)
+        scale = _STRIDES[self.level.width] / self.level.width
+        moved = np.float64(scale) * self.slopes[rows].reshape(2 * len(rows), -1)
+        form: Float64Array = np.einsum("ip,iq->pq", moved, moved) / len(rows)
+        return form
+
+    def _inside(self) -> AnyArray:
+        """Rows of the points in the pictures."""
+        size = np.array(self.level.maps.shape[:0:-1])
+        with np.errstate(invalid="ignore"):
+            return np.flatnonzero(((self.pixels >= 0.0) & (self.pixels < size - 1)).all(axis=1))
+
+    def _counts(self) -> tuple[Float64Array, Float64Array]:
+        """How many points of each channel fall into the pictures, and into how many cells of a few widths."""
         cell = _CELL_WIDTHS * self.level.width / _STRIDES[self.level.width]
-        cells = np.clip(np.floor(self.pixels[inside] / cell), -_BEYOND, _BEYOND).astype(np.int64) + _BEYOND
-        keys = (self.level.groups[inside].astype(np.int64) << 40) + (cells[:, 0] << 20) + cells[:, 1]
-        kept = (np.unique(keys) >> 40) % len(CHANNELS)
-        return np.bincount(kept, minlength=len(CHANNELS)).astype(np.float64)
+        inside = self._inside()
+        groups = self.level.groups[inside]
+        cells = (self.pixels[inside] / np.float32(cell)).astype(np.int32)
+        across, down = (int(size / cell) + 1 for size in self.level.maps.shape[:0:-1])
+        taken = np.zeros((len(self.level.cues), len(CHANNELS), across * down), np.bool_)
+        taken.reshape(-1)[(groups * np.int64(down) + cells[:, 1]) * across + cells[:, 0]] = True
+        counts = np.bincount(groups % len(CHANNELS), minlength=len(CHANNELS)).astype(np.float64)
+        return counts, taken.sum(axis=(0, 2)).astype(np.float64)

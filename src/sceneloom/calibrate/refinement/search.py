@@ -7,10 +7,9 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.calibrate.measures.candidate import COUNT, UNITS
+from sceneloom.calibrate.refinement.hill import FARTHEST, Hill
 from sceneloom.calibrate.refinement.objective import Level, Linearised
 
-FARTHEST = np.array([6.0, 6.0, 6.0, 3.0, 3.0, 3.0, 2.0, 2.5])
-"""How far a calibration is usually off, in units: 1.5 degrees, 15 cm, 2 % of the focal length, 50 ms."""
 TURNS = np.arange(3)
 _STARTS = 200
 _KEPT = (8, 3, 1)
@@ -19,11 +18,9 @@ _ROUNDS = 2
 _EVERY = (3, 2, 1)
 """At the wider looks so many points are one: their maps are smooth."""
 _MOST_STEPS = 10
-_FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.4, 1.0, 0.01, 2.0
-"""Of a climb, in units; pixels move straight over about so much."""
+_FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.3, 1.0, 0.01, 2.0
+"""Of a climb, in widths of the blur; the maps are smooth over about so much."""
 _SEED = 7
-_CURVATURE_STEP = 0.1
-"""Curvature is taken over this part of the units: over less, single pixels show."""
 _LAST_STEPS = 3
 
 
@@ -35,14 +32,14 @@ class Found:
         numbers: (8,) float64, as of a `Change`.
         free: (P,) int64, which of them were searched.
         weights: (C,) of the channels there.
-        curvature: (P, P), minus the second derivatives of the objective by units, at the last level.
+        inverse: (P, P), inverse of minus the second derivatives of the objective by units, at the last level.
         last: the last level around these numbers.
     """
 
     numbers: Float64Array
     free: AnyArray
     weights: Float64Array
-    curvature: Float64Array
+    inverse: Float64Array
     last: Linearised
 
 
@@ -112,20 +109,21 @@ def _spread(free: AnyArray, step: Float64Array) -> Float64Array:
 def _climb(level: Level, free: AnyArray, numbers: Float64Array) -> Float64Array:
     """Go uphill at one level, with pixels linearised anew in each round."""
     for _ in range(_ROUNDS):
-        step = _descended(_Hill.around(level, free, numbers))
-        numbers = numbers + _spread(free, step)
+        hill = Hill.around(level, free, numbers)
+        step = _descended(hill)
+        numbers = numbers + _spread(free, hill.basis @ step)
         if np.abs(step).max() < 0.05:
             break
     return numbers
 
 
-def _descended(hill: "_Hill") -> Float64Array:
+def _descended(hill: Hill) -> Float64Array:
     """Where a quasi-Newton descent of minus the objective ends; a library's would wake threads for eight numbers.
 
     Source: the update of Broyden, Fletcher, Goldfarb and Shanno, with halved steps (Nocedal and Wright 2006,
     algorithm 6.1).
     """
-    here = np.zeros(len(hill.reach))
+    here = np.zeros(len(hill.basis))
     value, slope = hill.downwards(here)
     inverse = np.eye(len(here)) * (_FIRST_STEP / max(float(np.sqrt((slope**2).sum())), 1e-12))
     for _ in range(_MOST_STEPS):
@@ -149,53 +147,16 @@ def _descended(hill: "_Hill") -> Float64Array:
     return here
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Hill:
-    """The objective around a candidate: what the channels say, and what speaks against going far."""
-
-    linearised: Linearised
-    weights: Float64Array
-    reach: Float64Array
-    offset: Float64Array
-
-    @classmethod
-    def around(cls, level: Level, free: AnyArray, numbers: Float64Array) -> "_Hill":
-        linearised = level.around(numbers, free)
-        weights = linearised.channel_weights(np.zeros(len(free)))
-        return cls(linearised, weights, FARTHEST[free], (numbers / UNITS)[free])
-
-    def downwards(self, step: Float64Array) -> tuple[float, Float64Array]:
-        """Minus the objective and its slope at a step, (P,) in units."""
-        sums = self.linearised.sums(step)
-        away = (self.offset + step) / self.reach
-        value = float((sums.values.sum(axis=0) * self.weights).sum() - 0.5 * away @ away)
-        return -value, away / self.reach - np.einsum("fcp,c->p", sums.gradients, self.weights)
-
-    def curvature(self) -> Float64Array:
-        """Minus the second derivatives of the objective, (P, P), by units."""
-        rows = []
-        for axis in np.eye(len(self.reach)) * _CURVATURE_STEP:
-            (_, ahead), (_, behind) = self.downwards(axis), self.downwards(-axis)
-            rows.append((ahead - behind) / (2.0 * _CURVATURE_STEP))
-        curvature = np.array(rows)
-        return np.asarray(0.5 * (curvature + curvature.T), np.float64)
-
-
 def _polished(level: Level, free: AnyArray, numbers: Float64Array) -> Found:
     """Newton's steps to the top, which long narrow ridges need; none that leads down."""
     for _ in range(_LAST_STEPS):
-        hill = _Hill.around(level, free, numbers)
-        curvature = hill.curvature()
+        hill = Hill.around(level, free, numbers)
         value, slope = hill.downwards(np.zeros(len(free)))
-        step = np.clip(-solved(curvature, hill.reach, slope), -1.0, 1.0)
-        if hill.downwards(step)[0] >= value:
+        step = np.clip(-hill.inverse_curvature() @ slope, -1.0, 1.0)
+        share = next((part for part in (1.0, 0.5, 0.25) if hill.downwards(part * step)[0] < value), 0.0)
+        numbers = numbers + _spread(free, hill.basis @ (share * step))
+        if np.abs(share * step).max() < _SMALLEST_STEP:
             break
-        numbers = numbers + _spread(free, step)
-    return Found(numbers, free, hill.weights, hill.curvature(), hill.linearised)
-
-
-def solved(curvature: Float64Array, reach: Float64Array, right: Float64Array) -> Float64Array:
-    """Solve with a curvature; where it rises it counts as flat, so that the reach alone bounds it."""
-    values, vectors = np.linalg.eigh(curvature)
-    steep = np.maximum(values, np.diagonal(vectors.T @ np.diag(reach**-2.0) @ vectors))
-    return np.asarray(vectors @ ((vectors.T @ right).T / steep).T, np.float64)
+    hill = Hill.around(level, free, numbers)
+    inverse = hill.basis @ hill.inverse_curvature() @ hill.basis.T
+    return Found(numbers, free, hill.weights, inverse, hill.linearised)

@@ -12,7 +12,8 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.refinement.cues import CHANNELS
-from sceneloom.calibrate.refinement.search import FARTHEST, Found, solved
+from sceneloom.calibrate.refinement.hill import FARTHEST
+from sceneloom.calibrate.refinement.search import Found
 from sceneloom.kernels.aligned_maps import sum_maps
 
 _ACROSS, _DOWN = 6, 3
@@ -27,12 +28,11 @@ def covariance_of(found: Found, views: Int64Array) -> Float64Array:
         views: (F,) int64, which frames show nearly the same.
     """
     reach = FARTHEST[found.free]
-    inverse = solved(found.curvature, reach, np.eye(len(found.free)))
     pulls = cluster_slopes(found, views)
     count = int((np.abs(pulls).sum(axis=1) > 0).sum())
     spread = pulls.T @ pulls * (count / max(count - 1, 1)) + np.diag(reach**-2.0)
     systematic = np.diag(np.full(len(found.free), _SYSTEMATIC**2))
-    return np.asarray(inverse @ spread @ inverse + systematic, np.float64)
+    return np.asarray(found.inverse @ spread @ found.inverse + systematic, np.float64)
 
 
 def cluster_slopes(found: Found, views: Int64Array) -> Float64Array:

@@ -4,7 +4,6 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.detections.noise import radius_squared
 from sceneloom.errors import ArrayError, OptionError
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
@@ -65,7 +64,10 @@ def judge_covariances(
 
     Source: Bar-Shalom, Li and Kirubarajan 2001, section 5.4.
     """
-    from scipy import stats  # takes a second, which those without covariances need not wait
+    # these take a second, which those who have no covariances need not wait
+    from scipy import stats
+
+    from sceneloom.detections.noise import radius_squared
 
     count, dimensions = errors.shape
     if covariances.shape != (count, dimensions, dimensions):
@@ -80,6 +82,9 @@ def judge_covariances(
             f"covariances[{row}]: {covariances[row].tolist()}; expected a positive definite matrix"
         )
     distances = (errors * np.linalg.solve(covariances, errors[..., None])[..., 0]).sum(axis=1)
+    limits = {
+        level: radius_squared(level, degrees_of_freedom=freedom, dimensions=dimensions) for level in LEVELS
+    }
     low, high = stats.chi2.ppf((0.025, 0.975), count * dimensions) / count
     return CovarianceScores(
         count=count,
@@ -89,14 +94,8 @@ def judge_covariances(
         nees_high=float(high),
         degrees_of_freedom=None if np.isinf(freedom) else freedom,
         coverages=tuple(
-            Coverage(level=level, share=_share_within(distances, level, dimensions, freedom))
-            for level in LEVELS
+            Coverage(level=level, share=float((distances <= limit).mean())) for level, limit in limits.items()
         ),
         log_volume=float(logs.mean() / 2.0),
         root_mean_square=float(np.sqrt((errors**2).mean())),
     )
-
-
-def _share_within(distances: Float64Array, level: float, dimensions: int, freedom: float) -> float:
-    limit = radius_squared(level, degrees_of_freedom=freedom, dimensions=dimensions)
-    return float((distances <= limit).mean())

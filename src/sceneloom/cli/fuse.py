@@ -5,14 +5,24 @@ from typing import Any
 
 import click
 
-from sceneloom.cli import options
+from sceneloom.cli import detection_options, options
+from sceneloom.cli.fuse_detections import fuse_found
 from sceneloom.cli.fusion_summary import print_fusion
 from sceneloom.cli.printing import print_json, progress_bar
 
 
 @click.command()
 @click.argument("path", type=options.place)
-@click.option("-o", "--output", type=options.target, help="The .sfs file to write.")
+@click.option(
+    "-o", "--output", type=options.target, help="The .sfs file to write; of detections, the .jsonl file."
+)
+@click.option(
+    "--type",
+    "fusion_type",
+    type=click.Choice(["sensor", "detection"]),
+    help="Fuse clouds and pictures, or what detectors found in them. [default: sensor]",
+)
+@detection_options.takes
 @options.way(further="`identity`: it stood still")
 @click.option(
     "--algorithm",
@@ -36,8 +46,37 @@ from sceneloom.cli.printing import print_json, progress_bar
 @options.part
 @options.rewriting
 def fuse(
+    path: Path | str, output: Path | None, fusion_type: str | None, algorithm: str | None, **given: Any
+) -> None:
+    """Fuse lidar and cameras of a drive: coloured clouds in one world, depth images, one scene file.
+
+    With --type detection, fuse what detectors found: objects with existence and covariances, as lines of JSON (table 10
+    of DB34/T 4101). PATH is then a drive with --boxes2d and --boxes3d, or a folder laid out like KITTI's tracking
+    benchmark.
+    """
+    if fusion_type == "detection":
+        detection_options.refuse(given, _OF_SENSOR_DATA, "detections are fused into lines of JSON")
+        found = {name: given.pop(name) for name in (*detection_options.NAMES, *_WAY)}
+        kept = {name: value for name, value in given.items() if name not in _OF_SENSOR_DATA}
+        fuse_found(path, output, found, algorithm=algorithm, **kept)
+        return
+    detection_options.refuse(given, detection_options.NAMES, "say --type detection with it")
+    kept = {name: value for name, value in given.items() if name not in detection_options.NAMES}
+    _fuse_sensor_data(path, output, algorithm=algorithm, **kept)
+
+
+_WAY = ("trajectory", "heading")
+_OF_SENSOR_DATA = (
+    *("depth", "depth_form", "pictures", "pictures_every"),
+    *("start", "stop", "profile", "time_unit"),
+)
+"""Options that only the fusion of sensor data has."""
+
+
+def _fuse_sensor_data(
     path: Path | str,
     output: Path | None,
+    *,
     trajectory: str | None,
     heading: str | None,
     algorithm: str | None,
@@ -55,15 +94,10 @@ def fuse(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Fuse lidar and cameras of a drive: coloured clouds in one world, depth images, one scene file."""
     if output is None and depth is None and pictures is None:
         raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
-    for option, value, needed, folder in (
-        ("--depth-form", depth_form, "--depth", depth),
-        ("--pictures-every", pictures_every, "--pictures", pictures),
-    ):
-        if value is not None and folder is None:
-            raise click.UsageError(f"{option} {value} does nothing without {needed} DIR")
+    _refuse_idle("--depth-form", depth_form, "--depth", depth)
+    _refuse_idle("--pictures-every", pictures_every, "--pictures", pictures)
     from sceneloom.formats import open_scene
     from sceneloom.fusion import FusionConfiguration
     from sceneloom.pipeline import FusionOutputs
@@ -96,3 +130,8 @@ def fuse(
         print_json(report)
     else:
         print_fusion(report, outputs, quiet=quiet, verbose=verbose)
+
+
+def _refuse_idle(option: str, value: object, needed: str, folder: Path | None) -> None:
+    if value is not None and folder is None:
+        raise click.UsageError(f"{option} {value} does nothing without {needed} DIR")

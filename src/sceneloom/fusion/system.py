@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sceneloom.colouring.results import FusedFrame
+from sceneloom.detections import DetectionAlgorithm
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.fusion.configuration import FusionConfiguration
@@ -39,6 +40,7 @@ class FusionSystem:
         configuration: the settings.
         on_unreadable: told of a picture that cannot be decoded, which then counts as unpaired; None: it raises.
         on_failed: told of a sweep, or its boxes, whose fusion raised, which then has no result; None: it raises.
+        detect: fuses boxes in place of the algorithm that the configuration names; None for that one.
         on_left: told of what is not kept any more, used or not; the results that it took part in can be fetched then.
         dropped: how many sweeps, pictures and lists of boxes were dropped because too many waited.
 
@@ -50,6 +52,7 @@ class FusionSystem:
     on_unreadable: Callable[[DataError], None] | None = None
     on_failed: OnFailed | None = None
     on_left: OnLeft = nobody
+    detect: DetectionAlgorithm | None = None
     dropped: int = 0
     _lidars: dict[Identifier, KnownLidar] = field(default_factory=dict)
     _cameras: dict[Identifier, KnownCamera] = field(default_factory=dict)
@@ -216,7 +219,7 @@ class FusionSystem:
             boxes,
             boxes.timestamp_ns,
             self._tolerance_ns(lidar),
-            self._algorithm(FusionType.DETECTIONS, self.configuration.detection_algorithm),
+            self.detect or self._algorithm(FusionType.DETECTIONS, self.configuration.detection_algorithm),
             self.configuration,
             extras,
         )

@@ -7,23 +7,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
+import msgspec
 import numpy as np
 
 from sceneloom.errors import OptionError
 from sceneloom.formats import write_scene
-from sceneloom.formats.kitti import KittiSequence, KittiTracking, write_labels
+from sceneloom.formats.kitti import KittiSequence, KittiTracking, sequence_scene, write_labels
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detected import DetectedDrive, kitti_drive
+from sceneloom.pipeline.fused_files import read_fused
 from sceneloom.pipeline.track_kitti import kitti_results
 from sceneloom.pipeline.track_lines import track_lines
 from sceneloom.pipeline.track_report import TrackedReport, TrackReport
 from sceneloom.pipeline.tracked import TrackedDrive
-from sceneloom.pipeline.tracking import TrackingSettings, track
-from sceneloom.scene import Notice, OdometrySensor, PosePath, Scene
+from sceneloom.pipeline.tracking import TrackingSettings, track, track_observations
+from sceneloom.scene import Notice, Scene
 from sceneloom.scene.types import Progress
-from sceneloom.tracking import PictureBox
+from sceneloom.tracking import Observation, PictureBox
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,17 +36,28 @@ class TrackableDrive:
         drive: what detectors found.
         scene: what labels are put into.
         rectified_from_lidar: into the frame of KITTI's boxes; None for that of the camera.
+        observations: what was fused before, of each sweep; None where it has to be fused.
     """
 
     drive: DetectedDrive
     scene: Scene
     rectified_from_lidar: RigidTransform | None = None
+    observations: tuple[Observation, ...] | None = None
+
+    @classmethod
+    def of_fused(cls, path: Path) -> "TrackableDrive":
+        """A file that `fuse_detections` wrote; its scene has no sensors.
+
+        Raises:
+            DataError: a file is missing or faulty.
+        """
+        drive, observations = read_fused(path)
+        return cls(drive, Scene((), source=str(path), format="detections"), observations=observations)
 
     @classmethod
     def of_sequence(cls, sequence: KittiSequence, source: str) -> "TrackableDrive":
-        """A sequence of KITTI's tracking benchmark; its scene has the ego's way alone."""
-        path = PosePath.identity() if sequence.world_from_ego is None else sequence.world_from_ego
-        scene = Scene((OdometrySensor("ego", path),), source=f"{source}/{sequence.name}", format="kitti")
+        """A sequence of KITTI's tracking benchmark; its scene has the ego's way and the camera, without pictures."""
+        scene = sequence_scene(sequence, source=f"{source}/{sequence.name}")
         return cls(kitti_drive(sequence), scene, sequence.rectified_from_lidar)
 
 
@@ -138,19 +151,61 @@ def track_folder(
         OutputError: the folder has something in it, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
+    names = tuple(sequences) or tracking.sequences
+
+    def read(k: int) -> TrackableDrive:
+        return TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))
+
+    report = track_many(
+        read,
+        len(names),
+        output,
+        source=str(tracking.path),
+        form=form,
+        box2d=box2d,
+        settings=settings,
+        overwrite=overwrite,
+        progress=progress,
+    )
+    return msgspec.structs.replace(report, notices=(*tracking.notices, *report.notices))
+
+
+def track_many(
+    read: Callable[[int], TrackableDrive],
+    count: int,
+    output: str | Path,
+    *,
+    source: str,
+    form: str | None = None,
+    box2d: PictureBox = PictureBox.IMAGE,
+    settings: TrackingSettings | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> TrackReport:
+    """Track several drives, a file each, named after it.
+
+    Args:
+        read: gives one by its number.
+        count: how many there are.
+        output: the folder to write.
+        source: what is read, for the report.
+        form, box2d, settings, overwrite, progress: as of `track_folder`.
+
+    Raises:
+        OutputError: the folder has something in it, or cannot be written.
+        OptionError: a value is not one that can be followed.
+    """
     begun = time.perf_counter()
     output, wanted = Path(output), form or "kitti"
     form_of(output, wanted)
-    names = tuple(sequences) or tracking.sequences
     reports, losses = [], LossReport()
     with filling(output, overwrite=overwrite) as folder:
-        for k, name in enumerate(names):
-            source = TrackableDrive.of_sequence(tracking.sequence(name), str(tracking.path))
-            steps = None if progress is None else _of_many(progress, k, len(names))
-            report, loss = _track_into(folder, output, source, wanted, box2d, settings, steps)
+        for k in range(count):
+            steps = None if progress is None else _of_many(progress, k, count)
+            report, loss = _track_into(folder, output, read(k), wanted, box2d, settings, steps)
             reports.append(report)
             losses = LossReport.of([*losses, *loss])
-    return _report(str(tracking.path), output, wanted, reports, tracking.notices, begun, losses)
+    return _report(source, output, wanted, reports, (), begun, losses)
 
 
 def track_into(
@@ -199,7 +254,10 @@ def _track_into(
 ) -> tuple[TrackedReport, LossReport]:
     chosen = settings or TrackingSettings()
     chosen = replace(chosen, tracker=replace(chosen.tracker, picture_box=box2d))
-    tracked = track(source.drive, settings=chosen, progress=progress)
+    if source.observations is None:
+        tracked = track(source.drive, settings=chosen, progress=progress)
+    else:
+        tracked = track_observations(source.drive, source.observations, settings=chosen, progress=progress)
     suffix, write = FORMS[form]
     place = folder / (name or f"{source.drive.name}{suffix}")
     losses = write(tracked, source, place, box2d)

@@ -1,7 +1,7 @@
 """Tracking: what detectors found in a drive becomes objects followed through time."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -100,26 +100,52 @@ def _groups(drive: DetectedDrive) -> Iterator[tuple[DetectedDrive, dict[str, Any
             yield drive.of_classes(classes), recalls
 
 
+def track_observations(
+    drive: DetectedDrive,
+    observations: Sequence[Observation],
+    *,
+    settings: TrackingSettings | None = None,
+    progress: Progress | None = None,
+) -> TrackedDrive:
+    """Follow the objects of a drive whose detections were fused before.
+
+    Args:
+        drive: where the sensors were; of each observation's time.
+        observations: in the order of time.
+        settings: how.
+        progress: told after each sweep.
+    """
+    steps = _Steps(progress, 0, 1, len(observations))
+    found, seconds = _track_all(drive, observations, settings or TrackingSettings(), steps)
+    return TrackedDrive(drive, found, seconds)
+
+
 def _track_part(
     drive: DetectedDrive, settings: TrackingSettings, steps: _Steps
 ) -> tuple[tuple[TrackedObjects, ...], float]:
-    """Fuse and track; and the time of the processor that both take, without reading and progress [s]."""
     fuse = _fusion(settings)
     lonely = partial(fuse_by_projection, settings=replace(settings.fusion, recall_2d=0.0))
+    seen = (_observation(drive, moment, fuse, lonely) for moment in moments(drive))
+    return _track_all(drive, seen, settings, steps)
+
+
+def _track_all(
+    drive: DetectedDrive, observations: Iterable[Observation], settings: TrackingSettings, steps: _Steps
+) -> tuple[tuple[TrackedObjects, ...], float]:
+    """Track; and the time of the processor for that and for fusing, without what progress takes [s]."""
     tracker, seconds = Tracker(settings.tracker), 0.0
     online, seen = list[TrackedObjects](), list[Observation]()
-    for count, moment in enumerate(moments(drive), start=1):
-        begun = time.thread_time()
-        observation = _observation(drive, moment, fuse, lonely)
+    begun = time.thread_time()
+    for count, observation in enumerate(observations, start=1):
         if settings.offline:
             seen.append(observation)
         else:
             online.append(tracker.step(observation))
         seconds += time.thread_time() - begun
         steps.done(count)
+        begun = time.thread_time()
     if not settings.offline:
         return tuple(online), seconds
-    begun = time.thread_time()
     tracks = track_drive(seen, settings=settings.tracker, offline=True)
     seconds += time.thread_time() - begun
     return moments_of(tracks, drive.timestamps_ns), seconds

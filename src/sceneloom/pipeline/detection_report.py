@@ -1,0 +1,87 @@
+"""What detection fusion did, in numbers."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import msgspec
+
+from sceneloom.detections.results import NO_BOX
+from sceneloom.fusion.detection_fusion import FusedDetectionFrame
+from sceneloom.scene import Notice
+
+
+class FusedDriveReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One drive or sequence.
+
+    Attributes:
+        name: of it.
+        file: where its objects are.
+        pairs: sweeps that were fused with a picture.
+        unpaired: sweeps to which no picture belongs, and which have no result.
+        objects: in all pairs.
+        both, sweeps_only, pictures_only: of these, seen by both detectors, or by one of them.
+        by_class: how many objects of each class.
+        notices: what was assumed or is missing.
+    """
+
+    name: str
+    file: str
+    pairs: int
+    unpaired: int
+    objects: int
+    both: int
+    sweeps_only: int
+    pictures_only: int
+    by_class: Mapping[str, int]
+    notices: tuple[Notice, ...] = ()
+
+
+class DetectionFusionReport(msgspec.Struct, frozen=True, kw_only=True):
+    """All drives or sequences of one call.
+
+    Attributes:
+        source: what was read.
+        output: the file, or the folder of files.
+        drives: one by one.
+        seconds: the whole call.
+        notices: of all of them.
+    """
+
+    source: str
+    output: str
+    drives: tuple[FusedDriveReport, ...]
+    seconds: float
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(slots=True)
+class DetectionTally:
+    """Counts objects.
+
+    Attributes:
+        pairs: sweeps that were fused with a picture.
+        fused_sweeps: of which there is any result.
+        both, sweeps_only, pictures_only: objects, by who saw them.
+        by_class: objects of each class.
+    """
+
+    pairs: int = 0
+    fused_sweeps: int = 0
+    both: int = 0
+    sweeps_only: int = 0
+    pictures_only: int = 0
+    by_class: Counter[str] = field(default_factory=Counter)
+    _sweep: int = -1
+
+    def add(self, frame: FusedDetectionFrame) -> None:
+        """Count the objects of a pair."""
+        fused = frame.fused
+        self.pairs += 1
+        self.fused_sweeps += frame.index != self._sweep
+        self._sweep = frame.index
+        in_space, in_picture = fused.rows_3d != NO_BOX, fused.rows_2d != NO_BOX
+        self.both += int((in_space & in_picture).sum())
+        self.sweeps_only += int((in_space & ~in_picture).sum())
+        self.pictures_only += int((~in_space & in_picture).sum())
+        self.by_class.update(fused.labels)

@@ -1,0 +1,148 @@
+"""`sceneloom fuse --type detection`, and `track` of what it wrote, on simulated drives and made-up folders."""
+
+import json
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.fusion.messages.json_form import format_json, parse_json
+from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """Three sweeps with what detectors found in them, as lines of JSON."""
+    folder = tmp_path_factory.mktemp("drive")
+    camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))
+    drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=16, steps=240), cameras=(camera,))
+    sceneloom.write(drive.scene, folder / "recording", pictures="png")
+    in_space, in_pictures = detect_3d(drive), detect_2d(drive)
+    for name, reports, record in (
+        ("boxes3d.jsonl", in_space, boxes_3d_record),
+        ("boxes2d.jsonl", in_pictures, boxes_2d_record),
+    ):
+        lines = [format_json(record(report.boxes, sensor_id=0, seq=k)) for k, report in enumerate(reports)]
+        (folder / name).write_text("\n".join(lines))
+    return folder, [report.boxes for report in in_space], [report.boxes for report in in_pictures]
+
+
+def test_objects_of_a_drive_are_records_of_table_10(call, drive, tmp_path):
+    folder, in_space, in_pictures = drive
+    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
+    out = tmp_path / "objects.jsonl"
+    outcome = call("fuse", folder / "recording", "--type", "detection", *files, "-o", out, "--json")
+    assert outcome.code == 0, outcome.err
+    records = [parse_json(line) for line in out.read_text().splitlines()]
+    sides = [json.loads(line) for line in (tmp_path / "objects.frames.jsonl").read_text().splitlines()]
+    assert len(records) == len(sides) == len(in_space)
+    for record, boxes, seen in zip(records, in_space, in_pictures, strict=True):
+        assert record.timestamp.nanoseconds == boxes.timestamp_ns
+        # each box is in one object, and no object is of none
+        assert sorted(n for n in record.box_3d_ids if n is not None) == list(range(len(boxes)))
+        assert sorted(n for n in record.box_2d_ids if n is not None) == list(range(len(seen)))
+        assert all(pair != (None, None) for pair in zip(record.box_3d_ids, record.box_2d_ids, strict=True))
+    report = json.loads(outcome.out)["drives"][0]
+    assert report["objects"] == sum(map(len, records))
+    assert report["both"] == sum(
+        None not in pair for r in records for pair in zip(r.box_3d_ids, r.box_2d_ids, strict=True)
+    )
+
+
+def test_what_was_fused_is_tracked_as_if_at_once(call, drive, tmp_path):
+    folder, _, _ = drive
+    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
+    recording = folder / "recording"
+    assert call("fuse", recording, "--type", "detection", *files, "-o", tmp_path / "objects.jsonl").code == 0
+    assert call("track", tmp_path / "objects.jsonl", "-o", tmp_path / "a.jsonl").code == 0
+    outcome = call("track", recording, *files, "-o", tmp_path / "b.jsonl")
+    assert outcome.code == 0, outcome.err
+    one, other = (
+        [json.loads(line)["objects"] for line in (tmp_path / name).read_text().splitlines()]
+        for name in ("a.jsonl", "b.jsonl")
+    )
+    assert [len(objects) for objects in one] == [len(objects) for objects in other]
+    assert sum(map(len, one)) > 0
+    for objects, others in zip(one, other, strict=True):
+        for a, b in zip(objects, others, strict=True):
+            assert (a["id"], a["class"]) == (b["id"], b["class"])
+            # 0.05 m: corners that are whole pixels on the way through the file
+            np.testing.assert_allclose(a["center"], b["center"], atol=0.05)
+
+
+@pytest.mark.parametrize("one", ["boxes3d", "boxes2d"])
+def test_one_detector_is_enough(call, drive, tmp_path, one):
+    folder, _, _ = drive
+    outcome = call(
+        "track", folder / "recording", f"--{one}", folder / f"{one}.jsonl", "-o", tmp_path / "a.sfs"
+    )
+    assert outcome.code == 0, outcome.err
+    with sceneloom.open(tmp_path / "a.sfs") as scene:
+        assert len(scene.lidars) == 1
+
+
+def test_a_folder_of_kittis_sequences_gives_two_files_each(call, tmp_path, tracking_texts):
+    for name, text in tracking_texts.items():
+        (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "kitti" / name).write_text(text)
+    outcome = call("fuse", tmp_path / "kitti", "--type", "detection", "-o", tmp_path / "out")
+    assert outcome.code == 0, outcome.err
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["0001.frames.jsonl", "0001.jsonl"]
+    (record, *_) = (parse_json(line) for line in (tmp_path / "out" / "0001.jsonl").read_text().splitlines())
+    # the box of the sweep that no picture's detector looked for keeps its probability: 1 / (1 + exp(-2))
+    assert record.class_names == ("Pedestrian",)
+    assert call("track", tmp_path / "out", "-o", tmp_path / "tracked").code == 0
+
+
+@pytest.fixture
+def tracking_texts():
+    """Two frames, people in sweeps and cars in pictures."""
+    return {
+        "calib/0001.txt": "P2: 700 0 600 0 0 700 180 0 0 0 1 0\nR_rect 1 0 0 0 1 0 0 0 1\n"
+        "Tr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n",
+        "oxts/0001.txt": ("0 0" + " 0" * 28 + "\n") * 2,
+        "det2d_a/Car/0001.txt": "1,10,20,110,220,0.75\n",
+        "det3d_b/Pedestrian/0001.txt": "0,1,0,0,9,9,2.0,1.8,0.6,0.8,-1.0,1.5,8.0,0.0,0.2\n",
+    }
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        ((), 2, "no boxes; name files of them with --boxes3d, --boxes2d or both"),
+        (("--boxes3d", "gone.jsonl"), 1, "gone.jsonl"),
+        (("--boxes3d", "{boxes2d}"), 1, "expected Boxes3d or Box3d"),
+        (("--boxes3d", "{boxes3d}", "--lidar", "roof"), 2, "lidar 'roof'"),
+        (("--boxes2d", "{boxes2d}", "--camera", "front"), 2, "camera 'front'"),
+        (("--boxes3d", "{boxes3d}", "--det2d", "x"), 2, "--det2d does not count here"),
+        (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
+    ],
+)
+def test_what_cannot_be_fused_is_told(call, drive, tmp_path, words, code, told):
+    folder, _, _ = drive
+    given = [
+        word.format(boxes2d=folder / "boxes2d.jsonl", boxes3d=folder / "boxes3d.jsonl") for word in words
+    ]
+    outcome = call("fuse", folder / "recording", "--type", "detection", "-o", tmp_path / "out.jsonl", *given)
+    assert (outcome.code, told in outcome.err) == (code, True), outcome.err
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_options_of_detections_need_the_type(call, drive, tmp_path):
+    folder, _, _ = drive
+    outcome = call("fuse", folder / "recording", "--boxes3d", "x", "-o", tmp_path / "out.sfs")
+    assert (outcome.code, "say --type detection with it" in outcome.err) == (2, True)
+
+
+def test_results_whose_other_file_is_missing_are_told(call, drive, tmp_path):
+    folder, _, _ = drive
+    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
+    assert (
+        call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "o.jsonl").code
+        == 0
+    )
+    (tmp_path / "o.frames.jsonl").unlink()
+    outcome = call("track", tmp_path / "o.jsonl", "-o", tmp_path / "a.jsonl")
+    assert (outcome.code, "o.frames.jsonl: is missing" in outcome.err) == (1, True), outcome.err

@@ -1,8 +1,8 @@
 """`quality`: surfaces as triangles between the points, cut where depth jumps, and jumps placed by the picture.
 
-Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly. Across jumps they say
-little: there, depths flow in from the surfaces on both sides, over pixels of one colour and hardly across edges of the
-picture.
+Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly; the slopes around
+their corners tell how surfaces bend between scan lines. Across jumps they say little: there, depths flow in from the
+surfaces on both sides, over pixels of one colour and hardly across edges of the picture.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from sceneloom.depth.samples import Samples, weighted_quantile
 from sceneloom.depth.steepness import steepest_slope, trusts_of
 from sceneloom.kernels.delaunay import CORNERS, MOST_EXTENT, hilbert_codes, triangulate
 from sceneloom.kernels.edge_aware import link_pixels, smooth_downward, smooth_rightward
-from sceneloom.kernels.triangle_filling import fill_triangles, measure_triangles
+from sceneloom.kernels.triangle_filling import fill_triangles, measure_slopes, measure_triangles
 
 _LONGEST_SURFACE, _LONGEST_JUMP = 12.0, 2.5
 """The longest side of a triangle that is filled, in spacings of the scan lines."""
@@ -26,6 +26,9 @@ _EDGE_LEVELS = 12.0
 """A difference of so many levels, all three channels together, weakens what flows between two pixels by e."""
 
 _TURNS = 2
+_FLOW = 0.5
+"""How far depths flow, as a share of the squared spacing of the scan lines."""
+
 _BELIEF_IN_EDGES = np.float32(0.85)
 """Not every edge of a picture is one of a thing: by so much jumps go to where the picture has them."""
 
@@ -42,15 +45,17 @@ def cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) 
     """
     filled = close_gaps(samples, per_radian)
     triangles = triangles_between(samples.pixels, *samples.image.shape)
-    measures = np.empty((len(triangles), 3), np.float32)
+    inverse_depths, measures = np.reciprocal(samples.depths), np.empty((len(triangles), 3), np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
-        measure_triangles(samples.pixels, np.reciprocal(samples.depths), triangles, measures)
+        measure_triangles(samples.pixels, inverse_depths, triangles, measures)
     areas, sides, slopes = np.ascontiguousarray(measures.T)
     broad = areas > _SLIVER_PX2
     spacing = weighted_quantile(sides, areas, 0.5)
     steepest = steepest_slope(slopes[broad], areas[broad], per_radian)
     trusts = trusts_of(slopes, steepest)
-    beyond = _fill(samples, triangles, sides, trusts, spacing, filled)
+    bends = np.empty_like(samples.pixels)
+    measure_slopes(samples.pixels, inverse_depths, triangles, trusts, bends, np.empty_like(samples.depths))
+    beyond = _fill(samples, bends, triangles, sides, trusts, spacing, filled)
     depths = _guide(filled, beyond, rgb, spacing)
     return Filled(depths, filled.trusts, filled.spreads, filled.gaps, spacing)
 
@@ -80,6 +85,7 @@ def triangles_between(pixels: Float32Array, height: int, width: int) -> AnyArray
 
 def _fill(
     samples: Samples,
+    bends: Float32Array,
     triangles: AnyArray,
     sides: Float32Array,
     trusts: Float32Array,
@@ -92,7 +98,7 @@ def _fill(
     beside = filled.trusts.copy()
     filled.trusts.fill(_UNDRAWN)
     images = (filled.depths, filled.trusts, filled.spreads, filled.gaps)
-    fill_triangles(samples.pixels, samples.depths, triangles, small, trusts, sides, *images)
+    fill_triangles(samples.pixels, samples.depths, bends, triangles, small, trusts, sides, *images)
     beyond: BoolArray = filled.trusts == _UNDRAWN
     np.copyto(filled.trusts, beside, where=beyond)
     return beyond
@@ -105,7 +111,7 @@ def _guide(filled: Filled, beyond: BoolArray, rgb: UInt8Array | None, spacing: f
     weights = np.where(depths > 0, trusts + np.float32(_TRUST_OF_JUMPS), np.float32(0))
     flows, room = weights * depths, np.empty_like(depths)
     for turn in range(1, _TURNS + 1):
-        strength = 1.5 * 4.0 ** (_TURNS - turn) / (4.0**_TURNS - 1) * spacing**2
+        strength = 1.5 * 4.0 ** (_TURNS - turn) / (4.0**_TURNS - 1) * _FLOW * spacing**2
         smooth_rightward(rightward, strength, flows, weights)
         smooth_downward(downward, strength, flows, weights, room)
     np.divide(flows, weights, out=flows, where=weights > 0)

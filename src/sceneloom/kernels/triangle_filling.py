@@ -16,6 +16,10 @@ _IN_BOOL_1D = types.Array(boolean, 1, "C", readonly=True)
 _KERNEL: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 _PART: dict[str, Any] = {"nogil": True, "inline": "always", "error_model": "numpy"}
 
+_NOTHING, _HALF = np.float32(0.0), np.float32(0.5)
+_SLIVER = np.float32(0.1)
+"""Twice the least area of a triangle that tells a slope [px²]."""
+
 _ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may lie and still be filled by it, as a share of the triangle."""
 
@@ -46,6 +50,48 @@ def measure_triangles(
         measures[t, 2] = math.sqrt(slope_u * slope_u + slope_v * slope_v) if twice != 0 else math.inf
 
 
+@numba.njit(void(_IN_F32_2D, _IN_F32_1D, _IN_I32_2D, _IN_F32_1D, float32[:, ::1], float32[::1]), **_KERNEL)
+def measure_slopes(
+    pixels: Float32Array,
+    inverse_depths: Float32Array,
+    triangles: AnyArray,
+    trusts: Float32Array,
+    slopes: Float32Array,
+    weights: Float32Array,
+) -> None:
+    """Measure how the inverse depth changes around each point: the mean of its triangles, the smallest before all.
+
+    Args:
+        pixels: (N, 2) [px].
+        inverse_depths: (N,) [1/m].
+        triangles: (T, 3).
+        trusts: (T,), 1 for one surface, 0 for a jump, which does not count.
+        slopes: (N, 2) [1/m/px], written: rightward and downward; 0 where no triangle tells.
+        weights: (N,), overwritten.
+    """
+    slopes[:], weights[:] = _NOTHING, _NOTHING
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        bu, bv = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
+        cu, cv = pixels[c, 0] - pixels[a, 0], pixels[c, 1] - pixels[a, 1]
+        twice = bu * cv - bv * cu
+        if abs(twice) < _SLIVER or trusts[t] <= 0:
+            continue
+        longest = max(bu * bu + bv * bv, cu * cu + cv * cv, (bu - cu) ** 2 + (bv - cv) ** 2)
+        db, dc = inverse_depths[b] - inverse_depths[a], inverse_depths[c] - inverse_depths[a]
+        room = longest + np.float32(1)
+        weight = trusts[t] * abs(twice) / (room * room * room)
+        slope_u, slope_v = weight * (db * cv - dc * bv) / twice, weight * (dc * bu - db * cu) / twice
+        for k in (a, b, c):
+            slopes[k, 0] += slope_u
+            slopes[k, 1] += slope_v
+            weights[k] += weight
+    for k in range(slopes.shape[0]):
+        if weights[k] > 0:
+            slopes[k, 0] /= weights[k]
+            slopes[k, 1] /= weights[k]
+
+
 @numba.njit(**_PART)
 def _span(value: float, step: float, columns: int) -> tuple[int, int]:
     """First and last of so many columns in which a value that grows by `step` is not below the rounding."""
@@ -56,9 +102,30 @@ def _span(value: float, step: float, columns: int) -> tuple[int, int]:
     return 0, columns if value >= -_ROUNDING else -1
 
 
+@numba.njit(**_PART)
+def _rise(slopes: Float32Array, corner: int, across: float, down: float) -> Any:
+    """What a corner's slope adds so many pixels away."""
+    return slopes[corner, 0] * across + slopes[corner, 1] * down
+
+
+@numba.njit(**_PART)
+def _evenness(
+    pixels: Float32Array, slopes: Float32Array, corners: tuple[Any, ...], inverses: tuple[Any, ...]
+) -> Any:
+    """Give how far depth itself counts as linear: where slopes miss the other corners, and depths are unlike."""
+    least, most, off = min(inverses), max(inverses), _NOTHING
+    for own in range(3):
+        for other in range(3):
+            k, m = corners[own], corners[other]
+            told = _rise(slopes, k, pixels[m, 0] - pixels[k, 0], pixels[m, 1] - pixels[k, 1])
+            off = max(off, abs(inverses[other] - inverses[own] - told))
+    one = np.float32(1)
+    return min(one, most / least - one) * (min(one, off / (most - least)) if most > least else one)
+
+
 @numba.njit(
     void(
-        _IN_F32_2D, _IN_F32_1D, _IN_I32_2D, _IN_BOOL_1D, _IN_F32_1D, _IN_F32_1D,
+        _IN_F32_2D, _IN_F32_1D, _IN_F32_2D, _IN_I32_2D, _IN_BOOL_1D, _IN_F32_1D, _IN_F32_1D,
         float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1],
     ),
     **_KERNEL,
@@ -66,6 +133,7 @@ def _span(value: float, step: float, columns: int) -> tuple[int, int]:
 def fill_triangles(
     pixels: Float32Array,
     depths: Float32Array,
+    slopes: Float32Array,
     triangles: AnyArray,
     filled: BoolArray,
     trusts: Float32Array,
@@ -75,13 +143,20 @@ def fill_triangles(
     spread_image: Float32Array,
     length_image: Float32Array,
 ) -> None:
-    """Fill the pixels of triangles: linearly in inverse depth where these are trusted.
+    """Fill the pixels of triangles: in inverse depth where these are trusted.
+
+    On one surface, each corner tells its inverse depth and half of what its slope adds on the way to the pixel, and
+    the pixel's shares in the triangle weigh the three: exact for planes and for what bends evenly. Nothing leaves the
+    range of the corners. Where slopes miss the other corners, and these are unlike in depth, depths are linear, which
+    errs least where nobody knows: entirely so where they miss by all there is, and one corner is twice as far as
+    another.
 
     Across jumps, what the image told already stays, and where it told nothing, depths are linear.
 
     Args:
         pixels: (N, 2) [px].
         depths: (N,) [m].
+        slopes: (N, 2) [1/m/px], how the inverse depth changes rightward and downward.
         triangles: (T, 3).
         filled: (T,), others are left out.
         trusts: (T,), 1 for one surface, 0 for a jump.
@@ -109,6 +184,8 @@ def fill_triangles(
         za, zb, zc = depths[a], depths[b], depths[c]
         spread, trust = max(za, zb, zc) - min(za, zb, zc), trusts[t]
         ya, yb, yc = one / za, one / zb, one / zc
+        least, most = min(ya, yb, yc), max(ya, yb, yc)
+        even = _evenness(pixels, slopes, (a, b, c), (ya, yb, yc))
         for row in range(top, bottom + 1):
             du, dv = np.float32(left) - au, np.float32(row) - av
             share_b = (du * (cv - av) - dv * (cu - au)) / twice
@@ -120,10 +197,16 @@ def fill_triangles(
             for column in range(max(first_a, first_b, first_c), min(last_a, last_b, last_c) + 1):
                 of_b, of_c = share_b + np.float32(column) * step_b, share_c + np.float32(column) * step_c
                 of_a = one - of_b - of_c
-                surface = one / (of_a * ya + of_b * yb + of_c * yc)
                 u = left + column
+                across, down = np.float32(u), np.float32(row)
+                bent = of_a * _rise(slopes, a, across - au, down - av)
+                bent += of_b * _rise(slopes, b, across - bu, down - bv)
+                bent += of_c * _rise(slopes, c, across - cu, down - cv)
+                inverse = min(most, max(least, of_a * ya + of_b * yb + of_c * yc + _HALF * bent))
+                linear = of_a * za + of_b * zb + of_c * zc
+                surface = (one - even) / inverse + even * linear
                 told = depth_image[row, u]
-                between = told if told > 0 else of_a * za + of_b * zb + of_c * zc
+                between = told if told > 0 else linear
                 depth_image[row, u] = trust * surface + (one - trust) * between
                 trust_image[row, u] = trust
                 spread_image[row, u] = spread

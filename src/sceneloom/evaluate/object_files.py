@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import ArrayError, DataError, OptionError
+from sceneloom.evaluate.fused_objects import fused_files, read_fused, truth_in_lidar
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import Similarity
 from sceneloom.evaluate.scene_objects import labelled_times, scene_objects
@@ -35,6 +36,7 @@ class _Kind(StrEnum):
     SEQUENCES = "a KITTI file for each sequence"
     FRAMES = "a KITTI file for each frame"
     LISTS = "a folder of lists of detections for each class"
+    FUSED = "lines of fused detections"
     EMPTY = "empty files"
     SCENE = "a scene"
 
@@ -64,7 +66,8 @@ def read_both(
 
     Each is a file or folder of KITTI's text (a file for each sequence of the tracking benchmark, or for each frame of
     the object benchmark; the folder that holds `label_02` or `label_2` will do), or a scene with cuboids. Results may
-    also be lists of detections, `CLASS/SEQUENCE.txt`.
+    also be lists of detections, `CLASS/SEQUENCE.txt`, or lines of fused ones, `SEQUENCE.jsonl`, which are compared
+    in the lidar's frame: the truth's folder has `calib` beside `label_02` then.
 
     Args:
         results, truth: where they are.
@@ -115,6 +118,8 @@ def _kind_of(path: Path | str) -> _Kind:
     if not path.exists():
         raise DataError(path, "", "no such file or folder")
     folder = _folder_of(path)
+    if fused_files(path):
+        return _Kind.FUSED
     if not folder.is_dir():
         return _kind_of_files([path]) if path.suffix.lower() == ".txt" else _Kind.SCENE
     files = sorted(folder.glob("*.txt"))
@@ -159,14 +164,16 @@ def _read_texts(
     if len(set(told)) > 1:
         raise OptionError(f"{results} is {kinds[0]}, {truth} is {kinds[1]}; expected the same on both sides")
     by_frame = told[:1] == [_Kind.FRAMES]
-    if kinds[1] is _Kind.LISTS:
-        raise OptionError(f"{truth} is {_Kind.LISTS}, which has no truth; expected KITTI's labels")
-    sides = [
-        _read_lists(path, wanted, ledger)
-        if kind is _Kind.LISTS
-        else _read_labels(path, wanted, by_frame=by_frame)
-        for path, kind in zip((results, truth), kinds, strict=True)
-    ]
+    if kinds[1] in (_Kind.LISTS, _Kind.FUSED):
+        raise OptionError(f"{truth} is {kinds[1]}, which has no truth; expected KITTI's labels")
+    readers = {
+        _Kind.LISTS: lambda path: _read_lists(path, wanted, ledger),
+        _Kind.FUSED: lambda path: _read_fused(path, wanted),
+    }
+    in_lidar = kinds[0] is _Kind.FUSED
+    true = _read_labels(truth, wanted, by_frame=by_frame, in_lidar=in_lidar)
+    found = readers.get(kinds[0], lambda path: _read_labels(path, wanted, by_frame=by_frame))(results)
+    sides = [found, true]
     if all(path.is_file() for path in (results, truth)):
         # two files are meant to be compared, whatever their names
         sides = [dict(zip(sides[1], side.values(), strict=True)) for side in sides]
@@ -180,7 +187,11 @@ def _files_of(path: Path, wanted: frozenset[str]) -> list[Path]:
     return [file for file in files if file.stem in wanted] if wanted else files
 
 
-def _read_labels(path: Path, wanted: frozenset[str], *, by_frame: bool) -> dict[str, ObjectTable]:
+def _read_labels(
+    path: Path, wanted: frozenset[str], *, by_frame: bool, in_lidar: bool = False
+) -> dict[str, ObjectTable]:
+    if in_lidar:
+        return {file.stem: _table_in_lidar(file) for file in _files_of(path, wanted)}
     if by_frame:
         tables = [_table(read_labels(file), file) for file in _files_of(path, frozenset())]
         return {OBJECTS: ObjectTable.joined(tables)}
@@ -192,6 +203,18 @@ def _table(labels: KittiLabels, file: Path) -> ObjectTable:
         return ObjectTable.of_kitti(labels)
     except ArrayError as error:
         raise DataError(file, "", str(error)) from error
+
+
+def _table_in_lidar(file: Path) -> ObjectTable:
+    """The labels of a sequence in the lidar's frame, by the calibration in the folder beside theirs."""
+    labels = read_labels(file)
+    boxes = truth_in_lidar(labels, file.parent.with_name("calib") / file.name)
+    return replace(_table(labels, file), boxes=boxes)
+
+
+def _read_fused(path: Path, wanted: frozenset[str]) -> dict[str, ObjectTable]:
+    files = [file for file in fused_files(path) if not wanted or file.stem in wanted]
+    return {file.stem: read_fused(file) for file in files}
 
 
 def _read_lists(path: Path, wanted: frozenset[str], ledger: Ledger) -> dict[str, ObjectTable]:

@@ -25,6 +25,17 @@ class Similarity(StrEnum):
     """1 - d / `ZERO_DISTANCE`, of the horizontal distance d of the middles."""
 
 
+def similarity_named(name: Similarity | str) -> Similarity:
+    """The similarity of that name.
+
+    Raises:
+        OptionError: there is none.
+    """
+    if name not in tuple(Similarity):
+        raise OptionError(f"similarity {str(name)!r}; expected one of {', '.join(Similarity)}")
+    return Similarity(name)
+
+
 ZERO_DISTANCE = 4.0
 """Middles that are so far apart have nothing in common, half of it is a similarity of 0.5 [m]."""
 

@@ -37,6 +37,12 @@ from sceneloom.cli.printing import print_json, print_notices
     is_flag=True,
     help="Excuse detections in regions of DontCare also where boxes in space are compared, which KITTI does not.",
 )
+@click.option(
+    "--degrees-of-freedom",
+    type=options.positive,
+    metavar="NU",
+    help="Of the Student distribution of errors, for regions of covariances; more than 2. [default: Gaussian]",
+)
 @options.printing
 def detection(
     results: Path | str,
@@ -50,6 +56,7 @@ def detection(
     threshold: float | None,
     difficulties: tuple[str, ...],
     regions_in_space: bool,
+    degrees_of_freedom: float | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -57,11 +64,11 @@ def detection(
     """Say how good the detections RESULTS are, held against TRUTH: AP, F1, calibration of scores, by KITTI's rules.
 
     Both are KITTI's text (a file for each sequence or for each frame, in a folder, or one file), or scenes with
-    cuboids; RESULTS may also be lists of detections, CLASS/NNNN.txt.
+    cuboids; RESULTS may also be lists of detections, CLASS/NNNN.txt, or what `sceneloom fuse --type detection` wrote,
+    whose covariances are judged, too.
     """
     from sceneloom.evaluate.detection import DetectionRules, compare_detections
     from sceneloom.evaluate.detection.plot import plot_detection
-    from sceneloom.evaluate.overlaps import Similarity
     from sceneloom.evaluate.plot import check_plot
 
     if plot is not None:
@@ -71,9 +78,10 @@ def detection(
         truth,
         classes=classes,
         sequences=sequences,
-        similarities=[Similarity(one) for one in similarities],
+        similarities=similarities,
         least_overlap=threshold,
         difficulties=difficulties,
+        degrees_of_freedom=degrees_of_freedom,
         rules=DetectionRules(regions_in_space=regions_in_space),
         lenient=lenient,
     )

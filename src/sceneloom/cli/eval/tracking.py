@@ -43,7 +43,6 @@ def tracking(
 
     Both are KITTI's text (a file NNNN.txt for each sequence, in a folder, or one file), or scenes with cuboids.
     """
-    from sceneloom.evaluate.overlaps import Similarity
     from sceneloom.evaluate.plot import check_plot
     from sceneloom.evaluate.tracking import compare_tracks
     from sceneloom.evaluate.tracking.plot import plot_tracking
@@ -55,7 +54,7 @@ def tracking(
         truth,
         classes=classes,
         sequences=sequences,
-        similarity=None if similarity is None else Similarity(similarity),
+        similarity=similarity,
         least_similarity=threshold,
         lenient=lenient,
     )

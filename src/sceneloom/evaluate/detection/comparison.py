@@ -16,7 +16,7 @@ from sceneloom.evaluate.detection.evaluation import (
 )
 from sceneloom.evaluate.detection.rules import DetectionRules
 from sceneloom.evaluate.object_files import BothSides, check_similarity, classes_of, read_both
-from sceneloom.evaluate.overlaps import Similarity
+from sceneloom.evaluate.overlaps import Similarity, similarity_named
 from sceneloom.scene import Notice
 
 SIMILARITIES = (Similarity.PICTURE, Similarity.ABOVE, Similarity.SPACE)
@@ -46,7 +46,7 @@ def compare_detections(
     *,
     classes: Sequence[str] = (),
     sequences: Sequence[str] = (),
-    similarities: Sequence[Similarity] = (),
+    similarities: Sequence[Similarity | str] = (),
     least_overlap: float | None = None,
     difficulties: Sequence[str] = (),
     degrees_of_freedom: float | None = None,
@@ -71,7 +71,9 @@ def compare_detections(
         OptionError: both sides cannot be compared, or not in this way.
     """
     sides = read_both(results, truth, sequences=sequences, lenient=lenient)
-    chosen = tuple(similarities) or tuple(known for known in SIMILARITIES if known in sides.similarities)
+    chosen = tuple(map(similarity_named, similarities)) or tuple(
+        known for known in SIMILARITIES if known in sides.similarities
+    )
     for similarity in chosen or SIMILARITIES[-1:]:
         if similarity is Similarity.DISTANCE:
             raise OptionError(f"similarity 'distance'; detections take {', '.join(SIMILARITIES)}")

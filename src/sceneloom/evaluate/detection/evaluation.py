@@ -201,6 +201,7 @@ def _judge_boxes(
             errors[:, part], covariances[:, part, part], degrees_of_freedom=degrees_of_freedom
         )
         for name, part in PARTS.items()
+        if covariances[:, part, part].any()  # what nobody told has variances of 0
     }
     return judged, reversed_share
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from sceneloom.evaluate.object_files import check_similarity, classes_of, read_both
-from sceneloom.evaluate.overlaps import Similarity
+from sceneloom.evaluate.overlaps import Similarity, similarity_named
 from sceneloom.evaluate.tracking.evaluation import CLASSES, ClassTracking, evaluate_tracking
 from sceneloom.evaluate.tracking.protocol import KITTI_RULES, TrackingRules
 from sceneloom.scene import Notice
@@ -40,7 +40,7 @@ def compare_tracks(
     *,
     classes: Sequence[str] = (),
     sequences: Sequence[str] = (),
-    similarity: Similarity | None = None,
+    similarity: Similarity | str | None = None,
     least_similarity: float | None = None,
     rules: TrackingRules = KITTI_RULES,
     lenient: bool = False,
@@ -64,7 +64,9 @@ def compare_tracks(
     """
     sides = read_both(results, truth, sequences=sequences, lenient=lenient)
     usual = (Similarity.PICTURE, Similarity.SPACE)
-    chosen = similarity or next((known for known in usual if known in sides.similarities), Similarity.SPACE)
+    chosen = next((known for known in usual if known in sides.similarities), Similarity.SPACE)
+    if similarity is not None:
+        chosen = similarity_named(similarity)
     check_similarity(sides, chosen)
     least = rules.least_similarity if least_similarity is None else least_similarity
     told = evaluate_tracking(

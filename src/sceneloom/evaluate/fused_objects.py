@@ -1,0 +1,104 @@
+"""What detection fusion found as rows of a table, with covariances, and KITTI's truth in the same lidar frame."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.detections import FusedBoxes
+from sceneloom.errors import DataError
+from sceneloom.evaluate.objects import ObjectTable
+from sceneloom.formats.kitti import KittiLabels
+from sceneloom.formats.kitti.calibration import read_calibration
+from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, lidar_boxes
+from sceneloom.formats.rig.csv_files import read_lines
+from sceneloom.fusion.messages.fused import FusedDetections
+from sceneloom.fusion.messages.json_form import parse_json
+
+_SIDE = ".frames"
+"""What the names of files end with that say where sensors were, before their suffix."""
+
+
+def fused_files(path: Path) -> list[Path]:
+    """The files of lines of table 10 of DB34/T 4101 that a path has: itself, or those in a folder."""
+    files = sorted(path.glob("*.jsonl")) if path.is_dir() else [path] if path.suffix == ".jsonl" else []
+    return [file for file in files if not file.stem.endswith(_SIDE)]
+
+
+def fused_table(frames: Iterable[int], fused: Iterable[FusedBoxes]) -> ObjectTable:
+    """Give fused objects as rows, in the lidar's frame, boxes in pictures by KITTI's count of pixels.
+
+    Variances of headings that nobody told are 0, and are not judged.
+
+    Args:
+        frames: number of the frame of each of them.
+        fused: the objects of each sweep.
+    """
+    tables = [_table(frame, boxes) for frame, boxes in zip(frames, fused, strict=True)]
+    return ObjectTable.joined(tables)
+
+
+def _table(frame: int, fused: FusedBoxes) -> ObjectTable:
+    covariances = np.zeros((len(fused), 7, 7))
+    covariances[:, :3, :3], covariances[:, 3:6, 3:6] = fused.center_covariances, fused.size_covariances
+    if fused.yaw_variances is not None:
+        covariances[:, 6, 6] = fused.yaw_variances
+    return ObjectTable(
+        np.full(len(fused), frame, np.int64),
+        np.full(len(fused), -1, np.int64),
+        fused.labels,
+        fused.corners_xyxy - CENTRE_TO_CORNER,
+        np.column_stack([fused.centers, fused.sizes_lwh, fused.yaws]),
+        scores=fused.scores,
+        covariances=covariances,
+    )
+
+
+def read_fused(path: Path) -> ObjectTable:
+    """Read lines of table 10, as `sceneloom fuse --type detection` writes them; the number of a cloud is its frame.
+
+    Raises:
+        DataError: the file cannot be read, a line is no such record, or a cloud comes twice.
+    """
+    tables: dict[int, ObjectTable] = {}
+    for number, line in read_lines(path):
+        try:
+            record = parse_json(line)
+        except DataError as error:
+            raise DataError(path, f"line {number}", f"{error.place or 'record'}: {error.problem}") from error
+        if not isinstance(record, FusedDetections):
+            raise DataError(path, f"line {number}", "is no record of fused detections (table 10)")
+        if record.points_seq in tables:
+            problem = f"cloud {record.points_seq} comes twice; expected the objects of one camera"
+            raise DataError(path, f"line {number}", problem)
+        tables[record.points_seq] = _table_of_record(record)
+    return ObjectTable.joined(list(tables.values()))
+
+
+def _table_of_record(record: FusedDetections) -> ObjectTable:
+    count = len(record.class_names)
+    covariances = np.zeros((count, 7, 7))
+    covariances[:, :3, :3], covariances[:, 3:6, 3:6] = record.center_covs, record.size_covs
+    yaws = np.arctan2(record.directions[:, 1], record.directions[:, 0])
+    columns = [record.centers, record.sizes_lwh, yaws]
+    return ObjectTable(
+        np.full(count, record.points_seq, np.int64),
+        np.full(count, -1, np.int64),
+        record.class_names,
+        record.corners_xyxy.astype(np.float64) - CENTRE_TO_CORNER,
+        np.column_stack(columns).astype(np.float64),
+        scores=record.confidence.astype(np.float64),
+        covariances=covariances,
+    )
+
+
+def truth_in_lidar(labels: KittiLabels, calibration: Path) -> Float64Array:
+    """Give the boxes of labels in the lidar's frame, (N, 7) as of `ObjectTable.boxes`.
+
+    Raises:
+        DataError: the calibration is missing or faulty.
+    """
+    rectified_from_lidar = read_calibration(calibration).rectified_from_lidar
+    placed = lidar_boxes(labels.sizes_hwl, labels.bottoms, labels.rotations_y, rectified_from_lidar)
+    return np.column_stack(placed)

@@ -60,7 +60,8 @@ NAMES = ("boxes3d", "boxes2d", "lidar", "cameras", *OF_FOLDERS, "detectors")
 DETECTORS = click.option(
     "--detectors",
     metavar="NAME",
-    help="What is known of the detectors: a name, or a TOML file. [default: independent ones, of simulated drives]",
+    help="What is known of the detectors: a name, or a TOML file. [default: in KITTI's folders those of KITTI, else "
+    "independent ones]",
 )
 """What fusion goes by."""
 

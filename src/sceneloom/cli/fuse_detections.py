@@ -42,7 +42,7 @@ def fuse_found(
     how: dict[str, Any] = {
         "configuration": FusionConfiguration(**options.said(detection_algorithm=algorithm)),
         "overwrite": overwrite,
-        "settings": ProjectionSettings(**options.said(detectors=given["detectors"])),
+        "settings": None if given["detectors"] is None else ProjectionSettings(detectors=given["detectors"]),
     }
     with progress_bar("fusing", quiet=quiet) as progress:
         report = _fuse(path, output, given, reading, {**how, "progress": progress})

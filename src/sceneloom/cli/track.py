@@ -60,7 +60,7 @@ def track(
         "form": form,
         "settings": TrackingSettings(
             offline=offline,
-            fusion=ProjectionSettings(**options.said(detectors=detectors)),
+            fusion=None if detectors is None else ProjectionSettings(detectors=detectors),
             **options.said(algorithm=algorithm),
         ),
         "overwrite": overwrite,

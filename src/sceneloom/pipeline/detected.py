@@ -8,6 +8,8 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
+from sceneloom.detections.detector_files import detector_names
+from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.formats.kitti import KittiSequence
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.tracking_folder import CAMERA_ID, LIDAR_ID
@@ -46,6 +48,7 @@ class DetectedDrive:
         cameras: by id.
         classes: that the detector of sweeps looks for; None for all that there are.
         period_ns: the usual time from sweep to sweep [ns].
+        detectors: name of what is known of such detectors, for those who say none; None for the usual one.
         way_known: whether the ego's way is known; else the world is the ego's frame.
         notices: what was assumed or is missing.
     """
@@ -57,6 +60,7 @@ class DetectedDrive:
     cameras: Mapping[Identifier, DetectedCamera]
     classes: frozenset[str] | None = None
     period_ns: int = PERIOD_NS
+    detectors: str | None = None
     way_known: bool = True
     notices: tuple[Notice, ...] = field(default=())
 
@@ -166,6 +170,18 @@ def poses_at(source: PoseSource, times_ns: Int64Array) -> tuple[RigidTransform, 
     )
 
 
+def kitti_detectors() -> str | None:
+    """The name of what is known of detectors on KITTI's drives; None where the package has none."""
+    return next((name for name in detector_names() if name.startswith("kitti")), None)
+
+
+def projection_settings(drive: DetectedDrive, said: ProjectionSettings | None) -> ProjectionSettings:
+    """What fusion by projection takes for granted: what was said, else what is known of the drive's detectors."""
+    if said is not None:
+        return said
+    return ProjectionSettings() if drive.detectors is None else ProjectionSettings(detectors=drive.detectors)
+
+
 def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
     """A sequence of KITTI's tracking benchmark as a drive.
 
@@ -195,6 +211,7 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
         cameras={CAMERA_ID: camera},
         classes=sequence.classes_3d,
         period_ns=PERIOD_NS,
+        detectors=kitti_detectors(),
         way_known=known,
         notices=tuple(notices),
     )

@@ -18,7 +18,7 @@ from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.kernels.declared_objects import declare_objects
 from sceneloom.pipeline.coverage import fusion_for
-from sceneloom.pipeline.detected import DetectedDrive
+from sceneloom.pipeline.detected import DetectedDrive, projection_settings
 from sceneloom.scene import Boxes3D, Identifier
 
 
@@ -33,7 +33,7 @@ def iter_fused_detections(
     Args:
         drive: what they found.
         configuration: settings of the fusion system.
-        settings: what fusion by projection takes for granted about detectors.
+        settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
 
     Yields:
         The objects of each sweep and each picture that belongs to it, in the order of the sweeps.
@@ -45,7 +45,7 @@ def iter_fused_detections(
     chosen = configuration or FusionConfiguration()
     detect = None
     if chosen.detection_algorithm == "projection":
-        wanted, found = settings or ProjectionSettings(), frozenset(drive.labels)
+        wanted, found = projection_settings(drive, settings), frozenset(drive.labels)
         detect = fusion_for(drive.classes_2d, drive.classes, found, wanted) or partial(
             fuse_by_projection, settings=wanted
         )

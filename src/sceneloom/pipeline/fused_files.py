@@ -52,7 +52,7 @@ def fuse_folder_detections(
         output: the folder to write.
         sequences: which ones; none for all.
         configuration: settings of the fusion system.
-        settings: what fusion by projection takes for granted about detectors.
+        settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
         overwrite: whether files that exist may be replaced.
         progress: told after each pair.
 
@@ -90,7 +90,7 @@ def fuse_detections(
         drive: what detectors found.
         output: the file of lines; the other one has its name with `.frames.jsonl`.
         configuration: settings of the fusion system.
-        settings: what fusion by projection takes for granted about detectors.
+        settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
         overwrite: whether files that exist may be replaced.
         progress: told after each pair.
 

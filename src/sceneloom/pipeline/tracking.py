@@ -13,7 +13,7 @@ from sceneloom.detections.results import DetectionAlgorithm
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detected import DetectedDrive, Moment, moments
+from sceneloom.pipeline.detected import DetectedDrive, Moment, moments, projection_settings
 from sceneloom.pipeline.tracked import TrackedDrive, joined_moments, moments_of
 from sceneloom.scene import Boxes2D, TrackedObjects
 from sceneloom.scene.types import Progress
@@ -27,13 +27,13 @@ class TrackingSettings:
     Attributes:
         offline: whether states may look ahead: smoothed over the drive, gaps filled.
         algorithm: name of the algorithm of detection fusion.
-        fusion: what fusion by projection takes for granted.
+        fusion: what fusion by projection takes for granted; None for what is known of the drive's detectors.
         tracker: what the tracker takes for granted.
     """
 
     offline: bool = False
     algorithm: str = "projection"
-    fusion: ProjectionSettings = field(default_factory=ProjectionSettings)
+    fusion: ProjectionSettings | None = None
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
 
 
@@ -54,12 +54,11 @@ def track(
         CalibrationError: a lens is unknown.
     """
     wanted = settings or TrackingSettings()
+    fusion = projection_settings(drive, wanted.fusion)
     parts, seconds = [], 0.0
     groups = tuple(_groups(drive))
     for k, (part, recalls) in enumerate(groups):
-        own = replace(
-            wanted, fusion=replace(wanted.fusion, **recalls), tracker=replace(wanted.tracker, **recalls)
-        )
+        own = replace(wanted, fusion=replace(fusion, **recalls), tracker=replace(wanted.tracker, **recalls))
         steps = _Steps(progress, k, len(groups), len(part.boxes))
         found, spent = _track_part(part, own, steps)
         parts.append(found)
@@ -123,8 +122,9 @@ def track_observations(
 def _track_part(
     drive: DetectedDrive, settings: TrackingSettings, steps: _Steps
 ) -> tuple[tuple[TrackedObjects, ...], float]:
-    fuse = _fusion(settings)
-    lonely = partial(fuse_by_projection, settings=replace(settings.fusion, recall_2d=0.0))
+    known = projection_settings(drive, settings.fusion)
+    fuse = _fusion(settings.algorithm, known)
+    lonely = partial(fuse_by_projection, settings=replace(known, recall_2d=0.0))
     seen = (_observation(drive, moment, fuse, lonely) for moment in moments(drive))
     return _track_all(drive, seen, settings, steps)
 
@@ -151,10 +151,10 @@ def _track_all(
     return moments_of(tracks, drive.timestamps_ns), seconds
 
 
-def _fusion(settings: TrackingSettings) -> DetectionAlgorithm:
-    if settings.algorithm == "projection":
-        return partial(fuse_by_projection, settings=settings.fusion)
-    found: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, settings.algorithm)
+def _fusion(name: str, known: ProjectionSettings) -> DetectionAlgorithm:
+    if name == "projection":
+        return partial(fuse_by_projection, settings=known)
+    found: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, name)
     return found
 
 

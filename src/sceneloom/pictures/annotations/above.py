@@ -80,13 +80,13 @@ def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) ->
     for positions, colour in labelled_places(scene, sample):
         draw_marks(plot, layout.pixels(positions), colour, _MARK_PX)
     for figure in relations_in_world(scene, sample.timestamp_ns):
-        names += draw_figure(plot, _seen(figure, layout), thickness=1)
+        names += draw_figure(plot, on_map(figure, layout), thickness=1)
     for _, figure in figures_in_world(scene, sample.timestamp_ns):
-        names += draw_figure(plot, _seen(figure, layout), thickness=2)
+        names += draw_figure(plot, on_map(figure, layout), thickness=2)
     write_names(plot, names)
 
 
-def _seen(figure: Figure, layout: MapLayout) -> Figure:
+def on_map(figure: Figure, layout: MapLayout) -> Figure:
     """The same figure as pixels of the map."""
     return Figure(
         figure.name,

@@ -51,7 +51,7 @@ def draw_annotations_in_picture(
         for positions, colour in labelled_places(scene, sample):
             labelled += draw_marks(canvas, _pixels(camera, camera_from_world, positions), colour, 1.5) > 0
         for _, figure in figures_in_world(scene, timestamp_ns):
-            names += draw_figure(canvas, _seen(figure, camera, camera_from_world), thickness=2)
+            names += draw_figure(canvas, through_lens(figure, camera, camera_from_world), thickness=2)
     for _, figure in figures_in_picture(scene, camera_id, timestamp_ns):
         names += draw_figure(canvas, figure, thickness=1)
     write_names(canvas, names)
@@ -64,7 +64,7 @@ def _caption(scene: Scene, shown: int, timestamp_ns: int) -> str:
     return count_text(shown, "annotation") + (f"; now: {', '.join(events)}" if events else "")
 
 
-def _seen(figure: Figure, camera: Camera, camera_from_world: RigidTransform) -> Figure:
+def through_lens(figure: Figure, camera: Camera, camera_from_world: RigidTransform) -> Figure:
     """The same figure as pixels; lines end where the lens sees no further."""
     lines = tuple(part for line in figure.lines for part in _projected_line(line, camera, camera_from_world))
     areas = tuple(_pixels(camera, camera_from_world, _bent(area)) for area in figure.areas)

@@ -1,0 +1,117 @@
+"""Sequences of KITTI's tracking benchmark with the lists of two detectors, held against what others say of them."""
+
+import numpy as np
+import pytest
+
+from sceneloom.cli import main
+from sceneloom.formats.kitti import open_tracking_folder, read_labels, write_labels
+from sceneloom.formats.kitti.camera_boxes import lidar_boxes
+from sceneloom.formats.rig.csv_files import read_table
+from sceneloom.pipeline.detected import kitti_drive
+from sceneloom.pipeline.track_kitti import projected_boxes
+
+PART = ("0012", "0014")
+"""A car that stands, and one that drives, with another camera."""
+
+
+@pytest.fixture(scope="module")
+def folder(data_dir):
+    return data_dir / "real" / "kitti_tracking"
+
+
+@pytest.fixture(scope="module")
+def tracking(folder):
+    return open_tracking_folder(folder)
+
+
+def test_every_sequence_is_read_whole_and_without_doubts(tracking):
+    assert len(tracking.sequences) == 9
+    for name in PART:
+        sequence = tracking.sequence(name)
+        assert sequence.notices == ()
+        assert sequence.classes_2d == sequence.classes_3d == {"Car", "Pedestrian"}
+        assert len(sequence.world_from_ego.timestamps_ns) == sequence.frame_count
+
+
+@pytest.mark.parametrize("name", PART)
+def test_boxes_of_sweeps_are_outlined_where_their_detector_says(tracking, name):
+    sequence = tracking.sequence(name)
+    off = []
+    for frame in range(0, sequence.frame_count, 5):
+        values, _ = sequence.detections_3d.of(frame)
+        boxes = sequence.boxes_3d(frame)
+        outlines = projected_boxes(boxes, sequence.camera, sequence.camera_from_lidar)
+        ahead = values[:, 12] > 6.0  # the detector does not cut boxes that reach behind the camera
+        # it counts pixel centres and cuts at the centre of the last one
+        limits = [sequence.camera.width - 1.0, sequence.camera.height - 1.0] * 2
+        off.append(np.abs(np.clip(outlines[ahead] - 0.5, 0.0, limits) - values[ahead, 2:6]))
+    differences = np.concatenate(off)
+    assert len(differences) > 40
+    # boxes here are upright in the lidar's frame, there in the camera's: half a degree moves their corners a little
+    assert np.median(differences) < 0.3
+    assert np.quantile(differences, 0.95) < 3.0
+
+
+def test_what_people_labelled_as_standing_stands_in_the_world(tracking, folder):
+    sequence = tracking.sequence("0014")
+    labels = read_labels(folder / "label_02" / "0014.txt")
+    labels = labels.select(labels.have_place)
+    places = kitti_drive(sequence).places()
+    centers, _, _ = lidar_boxes(
+        labels.sizes_hwl, labels.bottoms, labels.rotations_y, sequence.rectified_from_lidar
+    )
+    world = np.array(
+        [places[f].apply(center) for f, center in zip(labels.frames.tolist(), centers, strict=True)]
+    )
+    driven = np.linalg.norm(places[-1].translation - places[0].translation)
+    assert driven > 20.0
+    spreads = []
+    for track in np.unique(labels.track_ids):
+        own = world[labels.track_ids == track]
+        if len(own) >= 20:
+            spreads.append(np.linalg.norm(np.ptp(own, axis=0)[:2]))
+    # parked cars; people draw boxes within some decimetres
+    assert (np.array(spreads) < 1.5).sum() >= 3
+
+
+def turned_deg(rotations):
+    """How far each rotation is from the first one."""
+    cosines = (np.einsum("ij,nij->n", rotations[0], rotations) - 1) / 2
+    return np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+
+
+def test_the_way_turns_as_pictures_say(tracking, folder):
+    places = kitti_drive(tracking.sequence("0006")).places()
+    rows = read_table(folder / "orbslam3_poses" / "0006.txt", named=False).numbers(range(12))
+    by_unit = turned_deg(np.array([place.rotation for place in places]))
+    by_pictures = turned_deg(rows.reshape(-1, 3, 4)[:, :, :3])
+    assert by_pictures.max() > 60.0  # the drive turns a corner
+    # half a degree is what the odometry of pictures and the mounting of the unit are off together
+    assert np.abs(by_unit - by_pictures).max() < 1.0
+
+
+def test_labels_are_written_as_they_were_read(folder, tmp_path):
+    source = folder / "label_02" / "0014.txt"
+    write_labels(read_labels(source), tmp_path / "0014.txt")
+    assert (tmp_path / "0014.txt").read_text() == source.read_text()
+
+
+def test_labels_of_objects_are_read(data_dir):
+    labels = read_labels(data_dir / "real" / "kitti_object" / "label_2" / "000000.txt")
+    assert (labels.types, labels.frames.tolist()) == (("Pedestrian",), [0])
+
+
+def test_a_folder_without_labels_is_tracked(folder, tmp_path):
+    for path in folder.rglob("0012.txt"):
+        name = path.relative_to(folder)
+        if name.parts[0] in {"calib", "oxts", "det2d_rrc", "det3d_pointrcnn"}:
+            (tmp_path / "drive" / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / "drive" / name).write_bytes(path.read_bytes())
+    with pytest.raises(SystemExit) as stop:
+        main(["track", str(tmp_path / "drive"), "-o", str(tmp_path / "out"), "--format", "kitti", "-q"])
+    assert stop.value.code in (None, 0)
+    found = read_labels(tmp_path / "out" / "0012.txt")
+    assert set(found.types) == {"Car", "Pedestrian"}
+    keys = list(zip(found.frames.tolist(), found.track_ids.tolist(), strict=True))
+    assert len(keys) == len(set(keys))  # evaluations refuse an id that stands twice in a frame
+    assert (found.corners_xyxy[:, 2:] > found.corners_xyxy[:, :2]).all()

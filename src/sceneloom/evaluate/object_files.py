@@ -101,6 +101,22 @@ def classes_of(sides: BothSides, usual: Sequence[str]) -> tuple[str, ...]:
     return known or tuple(sorted(there))
 
 
+def check_classes(sides: BothSides, classes: Sequence[str]) -> None:
+    """Refuse a class that occurs on neither side, whose figures would all be 0.
+
+    Raises:
+        OptionError: there is one.
+    """
+    tables = [*sides.results.values(), *sides.truth.values()]
+    there = {label.lower() for table in tables for label in table.labels}
+    for label in classes:
+        if label.lower() not in there:
+            told = ", ".join(sorted(there)) or "none"
+            raise OptionError(
+                f"class {label!r} occurs neither in the results nor in the truth, which have {told}"
+            )
+
+
 def check_similarity(sides: BothSides, similarity: Similarity) -> None:
     """Refuse a similarity for which one side has no boxes.
 

@@ -59,6 +59,50 @@ def _counted(
     return right, wrong, passed
 
 
+@njit("boolean[::1](float64[:,::1], float64)", nogil=True, cache=True)
+def _near_something(overlaps: Float64Array, least: float) -> BoolArray:
+    """Say which detections of a frame overlap a true object by more than `least`."""
+    near = np.zeros(overlaps.shape[1], np.bool_)
+    for i in range(overlaps.shape[0]):
+        for j in range(overlaps.shape[1]):
+            if overlaps[i, j] > least:
+                near[j] = True
+    return near
+
+
+@njit(
+    "void(int64[:,::1], int64[::1], float64[:,::1], boolean[::1], boolean[::1], boolean[::1], float64[::1], float64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def _step_through(
+    steps: Int64Array,
+    rows: Int64Array,
+    overlaps: Float64Array,
+    true_ignored: BoolArray,
+    found_ignored: BoolArray,
+    excused: BoolArray,
+    scores: Float64Array,
+    least: float,
+) -> None:
+    """Let the detections `rows` of a frame come in by their scores, and write how the counts change."""
+    own_scores, ignored, forgiven = scores[rows], found_ignored[rows], excused[rows]
+    order = np.argsort(-own_scores, kind="mergesort")
+    chosen, taken = np.zeros(len(rows), np.bool_), np.zeros(len(rows), np.bool_)
+    before = (0, 0, 0)
+    for k in range(len(order)):
+        j = order[k]
+        chosen[j] = True
+        if k + 1 < len(order) and own_scores[order[k + 1]] == own_scores[j]:
+            continue
+        now = _counted(overlaps, chosen, true_ignored, ignored, forgiven, least, taken)
+        steps[rows[j], 0] = now[0] - before[0]
+        steps[rows[j], 1] = now[1] - before[1]
+        steps[rows[j], 2] = now[2] - before[2]
+        before = now
+
+
 @njit(
     "int64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], boolean[::1], boolean[::1], boolean[::1], "
     "float64[::1], float64)",
@@ -101,20 +145,13 @@ def score_steps(
     for f in range(len(starts) - 1):
         t0, t1, d0, d1 = true_starts[f], true_starts[f + 1], found_starts[f], found_starts[f + 1]
         block = overlaps[starts[f] : starts[f + 1]].reshape((t1 - t0, d1 - d0))
-        order = np.argsort(-scores[d0:d1], kind="mergesort")
-        chosen, taken = np.zeros(d1 - d0, np.bool_), np.zeros(d1 - d0, np.bool_)
-        before = (0, 0, 0)
-        for k in range(len(order)):
-            chosen[order[k]] = True
-            if k + 1 < len(order) and scores[d0 + order[k + 1]] == scores[d0 + order[k]]:
-                continue
-            now = _counted(
-                block, chosen, true_ignored[t0:t1], found_ignored[d0:d1], excused[d0:d1], least, taken
-            )
-            steps[d0 + order[k], 0] = now[0] - before[0]
-            steps[d0 + order[k], 1] = now[1] - before[1]
-            steps[d0 + order[k], 2] = now[2] - before[2]
-            before = now
+        near = _near_something(block, least)
+        for j in range(d1 - d0):
+            # what is near no object changes no pair
+            if not near[j] and not (found_ignored[d0 + j] or excused[d0 + j]):
+                steps[d0 + j, 1] = 1
+        rows = d0 + np.flatnonzero(near)
+        _step_through(steps, rows, block[:, near], true_ignored[t0:t1], found_ignored, excused, scores, least)
     return steps
 
 

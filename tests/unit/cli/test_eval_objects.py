@@ -199,3 +199,26 @@ def test_files_of_frames_are_the_object_benchmark(call: Call, tmp_path: Path) ->
     for one in told["classes"]["car"]:
         assert one["difficulties"]["easy"]["true_objects"] == 3
         assert one["difficulties"]["easy"]["max_f1"] == 1
+
+
+def test_a_class_that_nobody_has_is_named(call: Call, sides: tuple[Path, Path]) -> None:
+    for verb in ("tracking", "detection"):
+        outcome = call("eval", verb, *sides, "--class", "cat")
+        assert outcome.code == 2
+        assert (
+            "class 'cat' occurs neither in the results nor in the truth, which have car, pedestrian"
+            in outcome.err
+        )
+
+
+def test_results_without_ids_are_remarked_or_refused(call: Call, sides: tuple[Path, Path]) -> None:
+    results, truth = sides
+    with (results / "0000.txt").open("a") as stream:
+        stream.write(line(3, -1, "Car", 700, score=0.5) + "\n")
+    outcome = call("eval", "tracking", results, truth)
+    assert "results-without-id" in outcome.err or "id is below 0" in outcome.err
+    for path in results.iterdir():
+        path.write_text(line(3, -1, "Car", 700, score=0.5) + "\n")
+    outcome = call("eval", "tracking", results, truth)
+    assert outcome.code == 2
+    assert "no object has an id" in outcome.err

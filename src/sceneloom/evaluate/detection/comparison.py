@@ -15,7 +15,7 @@ from sceneloom.evaluate.detection.evaluation import (
     evaluate_detection,
 )
 from sceneloom.evaluate.detection.rules import DetectionRules
-from sceneloom.evaluate.object_files import BothSides, check_similarity, classes_of, read_both
+from sceneloom.evaluate.object_files import BothSides, check_classes, check_similarity, classes_of, read_both
 from sceneloom.evaluate.overlaps import Similarity, similarity_named
 from sceneloom.scene import Notice
 
@@ -71,6 +71,7 @@ def compare_detections(
         OptionError: both sides cannot be compared, or not in this way.
     """
     sides = read_both(results, truth, sequences=sequences, lenient=lenient)
+    check_classes(sides, classes)
     chosen = tuple(map(similarity_named, similarities)) or tuple(
         known for known in SIMILARITIES if known in sides.similarities
     )

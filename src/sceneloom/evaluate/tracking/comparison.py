@@ -6,11 +6,12 @@ from pathlib import Path
 
 import msgspec
 
-from sceneloom.evaluate.object_files import check_similarity, classes_of, read_both
+from sceneloom.errors import OptionError
+from sceneloom.evaluate.object_files import BothSides, check_classes, check_similarity, classes_of, read_both
 from sceneloom.evaluate.overlaps import Similarity, similarity_named
 from sceneloom.evaluate.tracking.evaluation import CLASSES, ClassTracking, evaluate_tracking
 from sceneloom.evaluate.tracking.protocol import KITTI_RULES, TrackingRules
-from sceneloom.scene import Notice
+from sceneloom.scene import Notice, NoticeKind
 
 
 class TrackingReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,10 +60,12 @@ def compare_tracks(
 
     Raises:
         DataError: a file is missing or holds something wrong.
-        OptionError: both sides cannot be compared, or not in this way.
+        OptionError: both sides cannot be compared, or not in this way, or results have no ids.
         ArrayError: an id comes twice in a frame.
     """
     sides = read_both(results, truth, sequences=sequences, lenient=lenient)
+    check_classes(sides, classes)
+    without = _check_ids(results, sides)
     usual = (Similarity.PICTURE, Similarity.SPACE)
     chosen = next((known for known in usual if known in sides.similarities), Similarity.SPACE)
     if similarity is not None:
@@ -82,5 +85,26 @@ def compare_tracks(
         least_similarity=least,
         sequences=tuple(sides.truth),
         classes=told,
-        notices=sides.notices,
+        notices=(*sides.notices, *without),
+    )
+
+
+def _check_ids(results: Path | str, sides: BothSides) -> tuple[Notice, ...]:
+    """Remark results without an id, which are left out; refuse them where none has one."""
+    count = sum(len(table) for table in sides.results.values())
+    without = sum(int((table.ids < 0).sum()) for table in sides.results.values())
+    if count and without == count:
+        raise OptionError(
+            f"{results}: no object has an id, which tracks need; see `sceneloom eval detection`"
+        )
+    if not without:
+        return ()
+    return (
+        Notice(
+            kind=NoticeKind.SKIPPED,
+            code="results-without-id",
+            place=str(results),
+            message="objects whose id is below 0 are left out",
+            count=without,
+        ),
     )

@@ -107,13 +107,8 @@ class Tracker:
     ) -> None:
         """Read of some objects the boxes that are theirs."""
         settings = self.settings
-        objects.means[rows], objects.covariances[rows] = motion.updated(
-            objects.means[rows], objects.covariances[rows], seen.measures[columns], seen.covariances[columns]
-        )
-        vehicles = np.flatnonzero(objects.vehicles)
-        objects.means[vehicles], objects.covariances[vehicles] = motion.along_heading(
-            objects.means[vehicles], objects.covariances[vehicles], settings.side_slip
-        )
+        motion.read(objects.means, objects.covariances, rows, seen.measures, seen.covariances, columns)
+        motion.read_no_slip(objects.means, objects.covariances, objects.vehicles, settings.side_slip)
         gained = seen.log_odds[columns] - existence.log_odds(settings.prior)
         objects.log_odds[rows] = predicted.log_odds[rows] + settings.trust * gained
         objects.votes[rows] += self._votes(seen, columns)
@@ -169,9 +164,9 @@ def _predicted(
 ) -> tuple[Population, Float64Array]:
     """The objects so much later, and the slopes of their states."""
     moved = objects.select(np.arange(len(objects)))
-    moved.means, slopes = motion.transition(objects.means, objects.vehicles, seconds)
-    noise = motion.process_noise(objects.means, objects.vehicles, seconds, settings)
-    moved.covariances = slopes @ objects.covariances @ slopes.transpose(0, 2, 1) + noise
+    moved.means, moved.covariances, slopes = motion.predicted(
+        objects.means, objects.covariances, objects.vehicles, seconds, settings
+    )
     moved.log_odds = existence.aged(objects.log_odds, seconds, settings.lifetime)
     leaving, coming = np.exp(-seconds / settings.hidden_time), np.exp(-seconds / settings.open_time)
     moved.hidden = objects.hidden * leaving + (1.0 - objects.hidden) * (1.0 - coming)

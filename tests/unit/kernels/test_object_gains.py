@@ -1,0 +1,77 @@
+"""Gains of pairs of objects and boxes, against the same formulas written one pair at a time."""
+
+import numpy as np
+import pytest
+
+from sceneloom.kernels.object_gains import add_gains_in_picture, gains_in_space
+
+LEAST, FREEDOM = 0.09, 4.0
+
+
+def covariances(random, count):
+    root = random.normal(size=(count, 3, 3)) * 0.5
+    return root @ root.transpose(0, 2, 1) + 0.01 * np.eye(3)
+
+
+def space(count=5, others=7):
+    random = np.random.default_rng(0)
+    places, seen = random.normal(size=(count, 3)) * 2.0, random.normal(size=(others, 3)) * 2.0
+    codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1]])
+    seen_codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1], [4, -1], [0, 0]])
+    doubts, density = -random.random(others), np.log(random.uniform(1e-4, 1e-2, count))
+    return (
+        places,
+        covariances(random, count),
+        codes,
+        density,
+        seen,
+        covariances(random, others),
+        seen_codes,
+        doubts,
+    )
+
+
+def test_gains_in_space_are_those_of_the_formula():
+    places, spreads, codes, density, seen, seen_spreads, seen_codes, doubts = space()
+    found = gains_in_space(
+        places, spreads, codes, density, seen, seen_spreads, seen_codes, doubts, LEAST, FREEDOM
+    )
+    for i in range(5):
+        for j in range(7):
+            same = codes[i, 0] == seen_codes[j, 0] or -1 in (codes[i, 0], seen_codes[j, 0])
+            family = codes[i, 1] == seen_codes[j, 1] != -1
+            if not (same or family):
+                assert found[i, j] == -np.inf
+                continue
+            spread = spreads[i] + seen_spreads[j] + LEAST * np.eye(3)
+            apart = seen[j] - places[i]
+            square = apart @ np.linalg.inv(spread) @ apart
+            far = (FREEDOM + 3) * np.log(1.0 + square / FREEDOM)
+            ground = -0.5 * np.log(np.linalg.det(2.0 * np.pi * spread[:2, :2]))
+            assert found[i, j] == pytest.approx(ground - far / 2.0 - density[i] + doubts[j], rel=1e-9)
+
+
+def test_what_is_hopelessly_far_is_no_pair():
+    places, spreads, codes, density, seen, seen_spreads, seen_codes, doubts = space()
+    found = gains_in_space(
+        places, spreads, codes, density, seen + 1e3, seen_spreads, seen_codes, doubts, LEAST, FREEDOM
+    )
+    assert (found == -np.inf).all()
+
+
+def test_boxes_in_pictures_speak_for_and_against():
+    foreseen = np.array([[0.0, 0.0, 10.0, 10.0], [100.0, 0.0, 110.0, 10.0], [np.nan] * 4])
+    corners = np.array([[0.0, 0.0, 10.0, 10.0], [4.0, 0.0, 14.0, 10.0], [np.nan] * 4, [8.0, 0.0, 18.0, 10.0]])
+    measured = np.array([True, True, True, False])
+    gains = np.zeros((3, 4))
+    add_gains_in_picture(gains, foreseen, corners, measured, 0.25, 0.6, 0.3, FREEDOM)
+
+    def told(share):
+        return -0.5 * (FREEDOM + 1) * np.log(1.0 + ((1.0 - share) / 0.25) ** 2 / FREEDOM)
+
+    assert gains[0, 0] == pytest.approx(told(1.0) - told(0.6))
+    assert gains[0, 1] == pytest.approx(told(60.0 / 140.0) - told(0.6))
+    assert gains[1, 0] == pytest.approx(told(0.0) - told(0.6))
+    assert gains[:, 2].tolist() == [0.0, 0.0, 0.0]  # no box in the picture says nothing
+    assert gains[2, :3].tolist() == [0.0, 0.0, 0.0]  # nor does an object that it does not show
+    assert (gains[:, 3] == -np.inf).all()  # a box of the picture alone has to overlap

@@ -1,0 +1,125 @@
+"""Drives whose truth is known by formula, as a tracker sees them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.detections import FusedBoxes
+from sceneloom.detections.outlines import project_outlines
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.tracking import Observation, View
+
+Path = Callable[[float], tuple[float, float, float]]
+"""Where an object is at a time [s]: x, y [m] and heading [rad] in the world."""
+
+FRONT = View(
+    Camera("pinhole", 1200, 400, 700.0, 700.0, 599.5, 199.5),
+    RigidTransform(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3)),
+)
+SIZES = {"Car": (4.2, 1.8, 1.5), "Pedestrian": (0.8, 0.6, 1.7)}
+
+
+@dataclass(frozen=True)
+class Actor:
+    """An object of a drive.
+
+    Attributes:
+        path: where it is.
+        label: its class.
+        unseen: times [s] at which neither detector finds it: from, to.
+        only_in_picture: times at which the detector of pictures alone finds it.
+        score: of its boxes.
+    """
+
+    path: Path
+    label: str = "Car"
+    unseen: tuple[float, float] = (0.0, 0.0)
+    only_in_picture: tuple[float, float] = (0.0, 0.0)
+    score: float = 0.95
+
+
+@dataclass(frozen=True)
+class Street:
+    """A drive.
+
+    Attributes:
+        actors: its objects.
+        ego: where the lidar is.
+        sigma: deviation of the middles of boxes [m].
+        turned: numbers of the frames whose boxes are the wrong way round.
+    """
+
+    actors: Sequence[Actor]
+    ego: Path = lambda seconds: (0.0, 0.0, 0.0)
+    sigma: float = 0.1
+    turned: frozenset[int] = field(default_factory=frozenset)
+
+    def observe(
+        self, times: Sequence[float], *, views: Mapping[str, View] | None = None
+    ) -> list[Observation]:
+        """What is seen at these times [s]."""
+        random = np.random.default_rng(1)
+        views = {"front": FRONT} if views is None else views
+        return [self._observation(k, seconds, views, random) for k, seconds in enumerate(times)]
+
+    def _observation(self, k, seconds, views, random):
+        world_from_lidar = _pose(*self.ego(seconds))
+        fused = {
+            name: self._fused(k, seconds, world_from_lidar, view, random) for name, view in views.items()
+        }
+        return Observation(round(seconds * 1e9), world_from_lidar, fused, views)
+
+    def _fused(self, k, seconds, world_from_lidar, view, random):
+        seen = [a for a in self.actors if not a.unseen[0] <= seconds < a.unseen[1]]
+        count = len(seen)
+        lidar_from_world = world_from_lidar.inverse()
+        numbers = np.zeros((count, 7))
+        for row, actor in enumerate(seen):
+            x, y, heading = actor.path(seconds)
+            length, width, height = SIZES[actor.label]
+            turn = lidar_from_world.rotate(np.array([np.cos(heading), np.sin(heading), 0.0]))
+            numbers[row, :3] = lidar_from_world.apply(np.array([x, y, height / 2.0 - 1.7]))
+            numbers[row, 3:] = length, width, height, np.arctan2(turn[1], turn[0])
+        corners = project_outlines(view.camera, view.camera_from_lidar, numbers).corners_xyxy
+        shown = corners[:, 2] > corners[:, 0]
+        alone = np.array([a.only_in_picture[0] <= seconds < a.only_in_picture[1] for a in seen], np.bool_)
+        numbers[:, :2] += random.normal(scale=self.sigma, size=(count, 2))
+        if k in self.turned:
+            numbers[:, 6] += np.pi
+        spread = np.where(alone, 8.0, max(self.sigma, 0.05))
+        return FusedBoxes(
+            timestamp_ns=round(seconds * 1e9),
+            centers=numbers[:, :3],
+            center_covariances=np.eye(3) * (spread**2)[:, None, None],
+            sizes_lwh=numbers[:, 3:6],
+            size_covariances=np.eye(3) * np.full((count, 1, 1), 0.1**2),
+            yaws=np.where(alone, 0.0, numbers[:, 6]),
+            velocities=None,
+            scores=np.array([a.score for a in seen]).reshape(-1),
+            labels=tuple(a.label for a in seen),
+            corners_xyxy=corners,
+            ids=np.arange(count),
+            rows_3d=np.where(alone, -1, np.arange(count)),
+            rows_2d=np.where(shown, np.arange(count), -1),
+        )
+
+
+def _pose(x: float, y: float, heading: float) -> RigidTransform:
+    cosine, sine = np.cos(heading), np.sin(heading)
+    rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return RigidTransform(rotation, np.array([x, y, 0.0]))
+
+
+@pytest.fixture
+def street() -> type[Street]:
+    """Drives by formula."""
+    return Street
+
+
+@pytest.fixture
+def actor() -> type[Actor]:
+    """Their objects."""
+    return Actor

@@ -15,6 +15,7 @@ from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.tracking_folder import CAMERA_ID, LIDAR_ID
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pipeline.sweep_points import SweepPoints
 from sceneloom.scene import Boxes2D, Boxes3D, Identifier, Notice, NoticeKind, PosePath
 from sceneloom.scene.pose_source import PoseSource
 
@@ -50,6 +51,7 @@ class DetectedDrive:
         period_ns: the usual time from sweep to sweep [ns].
         detectors: name of what is known of such detectors, for those who say none; None for the usual one.
         way_known: whether the ego's way is known; else the world is the ego's frame.
+        points: of the sweeps, by which what pictures alone show is placed; None where there are none.
         notices: what was assumed or is missing.
     """
 
@@ -62,6 +64,7 @@ class DetectedDrive:
     period_ns: int = PERIOD_NS
     detectors: str | None = None
     way_known: bool = True
+    points: SweepPoints | None = None
     notices: tuple[Notice, ...] = field(default=())
 
     @property
@@ -110,13 +113,28 @@ class Moment:
     Attributes:
         timestamp_ns: of the sweep [ns].
         world_from_lidar: at that time.
-        pairs: by camera that has a picture of that time.
+        pairs: by camera that has a picture of that time, without points.
+        boxes_3d: of the sweep.
+        points: of the sweeps, or None.
     """
 
     timestamp_ns: int
     world_from_lidar: RigidTransform
     pairs: Mapping[Identifier, DetectionPair]
     boxes_3d: Boxes3D
+    points: SweepPoints | None = None
+
+    def pairs_with_points(self) -> Mapping[Identifier, DetectionPair]:
+        """The pairs with the points of the sweep, which are read now, if any picture has boxes.
+
+        Raises:
+            DataError: the sweep cannot be read.
+        """
+        looked_for = any(len(pair.boxes_2d) for pair in self.pairs.values())
+        points = None if self.points is None or not looked_for else self.points.at(self.timestamp_ns)
+        if points is None:
+            return self.pairs
+        return {camera_id: replace(pair, points_lidar=points) for camera_id, pair in self.pairs.items()}
 
 
 def moments(drive: DetectedDrive) -> Iterator[Moment]:
@@ -135,7 +153,7 @@ def moments(drive: DetectedDrive) -> Iterator[Moment]:
                 continue
             camera_from_lidar = seen_from[camera_id][row].inverse() @ places[k]
             pairs[camera_id] = DetectionPair(boxes, camera.boxes[row], camera.lens, camera_from_lidar)
-        yield Moment(boxes.timestamp_ns, places[k], pairs, boxes)
+        yield Moment(boxes.timestamp_ns, places[k], pairs, boxes, drive.points)
 
 
 _NONE = -1
@@ -195,6 +213,12 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
     else:
         ego_from_lidar = sequence.lidar_from_imu.inverse()
     known = path is not None and sequence.lidar_from_imu is not None
+    detectors = kitti_detectors()
+    if detectors is not None:
+        message = (
+            f"boxes are taken to be as sure and exact as those of {detectors}; `--detectors` says otherwise"
+        )
+        notices.append(Notice(kind=NoticeKind.ASSUMED, code="detectors", place="", message=message))
     path = path if known and path is not None else PosePath.identity()
     frames = range(sequence.frame_count)
     camera = DetectedCamera(
@@ -211,7 +235,7 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
         cameras={CAMERA_ID: camera},
         classes=sequence.classes_3d,
         period_ns=PERIOD_NS,
-        detectors=kitti_detectors(),
+        detectors=detectors,
         way_known=known,
         notices=tuple(notices),
     )

@@ -13,6 +13,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.pipeline.detected import DetectedCamera, DetectedDrive, poses_at
 from sceneloom.pipeline.detection_lists import ListContext, read_boxes_2d, read_boxes_3d
+from sceneloom.pipeline.sweep_points import SweepPoints
 from sceneloom.scene import (
     Boxes2D,
     Boxes3D,
@@ -87,6 +88,7 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
             cameras=cameras,
             classes=None if files.boxes_3d else frozenset(),
             period_ns=sweep_period_ns(lidar),
+            points=SweepPoints.of(scene, lidar.id, source),
             notices=(*scene.notices, *ledger.notices),
         )
 

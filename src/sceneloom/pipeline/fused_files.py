@@ -184,7 +184,9 @@ def _report(
         output=str(output),
         drives=tuple(reports),
         seconds=time.perf_counter() - begun,
-        notices=(*notices, *(notice for report in reports for notice in report.notices)),
+        notices=tuple(
+            dict.fromkeys([*notices, *(notice for report in reports for notice in report.notices)])
+        ),
     )
 
 

@@ -16,14 +16,15 @@ from sceneloom.formats.kitti import KittiSequence, KittiTracking, sequence_scene
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detected import DetectedDrive, kitti_drive
+from sceneloom.pipeline.detected import DetectedDrive, kitti_drive, poses_at
 from sceneloom.pipeline.fused_files import read_fused
 from sceneloom.pipeline.track_kitti import kitti_results
 from sceneloom.pipeline.track_lines import track_lines
+from sceneloom.pipeline.track_pictures import save_tracking_pictures
 from sceneloom.pipeline.track_report import TrackedReport, TrackReport
 from sceneloom.pipeline.tracked import TrackedDrive
 from sceneloom.pipeline.tracking import TrackingSettings, track, track_observations
-from sceneloom.scene import Notice, Scene
+from sceneloom.scene import Identifier, Notice, Scene
 from sceneloom.scene.types import Progress
 from sceneloom.tracking import Observation, PictureBox
 
@@ -80,6 +81,14 @@ def _write_kitti(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2
     return LossReport()
 
 
+def _camera_from_lidar(drive: DetectedDrive, camera_id: Identifier) -> RigidTransform:
+    """How a camera lies to the lidar, at the first sweep."""
+    times = drive.timestamps_ns[:1] if len(drive.boxes) else np.zeros(1, np.int64)
+    (world_from_camera,) = poses_at(drive.cameras[camera_id].source, times)
+    (world_from_lidar,) = poses_at(drive.source, times)
+    return world_from_camera.inverse() @ world_from_lidar
+
+
 def _write_lines(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2d: PictureBox) -> LossReport:
     del source, box2d
     with path.open("wb") as file:
@@ -129,6 +138,7 @@ def track_folder(
     form: str | None = None,
     box2d: PictureBox = PictureBox.IMAGE,
     settings: TrackingSettings | None = None,
+    pictures: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> TrackReport:
@@ -143,6 +153,7 @@ def track_folder(
         form: "kitti", "jsonl" or "sfs"; None for KITTI's results.
         box2d: which boxes in the picture are told.
         settings: how.
+        pictures: folder into which some moments are drawn, one in it for each sequence; None for none.
         overwrite: whether files that exist may be replaced.
         progress: told after each sweep.
 
@@ -164,6 +175,7 @@ def track_folder(
         form=form,
         box2d=box2d,
         settings=settings,
+        pictures=pictures,
         overwrite=overwrite,
         progress=progress,
     )
@@ -179,6 +191,7 @@ def track_many(
     form: str | None = None,
     box2d: PictureBox = PictureBox.IMAGE,
     settings: TrackingSettings | None = None,
+    pictures: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> TrackReport:
@@ -189,7 +202,7 @@ def track_many(
         count: how many there are.
         output: the folder to write.
         source: what is read, for the report.
-        form, box2d, settings, overwrite, progress: as of `track_folder`.
+        form, box2d, settings, pictures, overwrite, progress: as of `track_folder`.
 
     Raises:
         OutputError: the folder has something in it, or cannot be written.
@@ -199,10 +212,14 @@ def track_many(
     output, wanted = Path(output), form or "kitti"
     form_of(output, wanted)
     reports, losses = [], LossReport()
-    with filling(output, overwrite=overwrite) as folder:
+    with ExitStack() as stack:
+        folder = stack.enter_context(filling(output, overwrite=overwrite))
+        drawn = None if pictures is None else stack.enter_context(filling(pictures, overwrite=overwrite))
         for k in range(count):
             steps = None if progress is None else _of_many(progress, k, count)
-            report, loss = _track_into(folder, output, read(k), wanted, box2d, settings, steps)
+            one = read(k)
+            own = None if drawn is None else drawn / one.drive.name
+            report, loss = _track_into(folder, output, one, wanted, box2d, settings, steps, pictures=own)
             reports.append(report)
             losses = LossReport.of([*losses, *loss])
     return _report(source, output, wanted, reports, (), begun, losses)
@@ -215,6 +232,7 @@ def track_into(
     form: str | None = None,
     box2d: PictureBox = PictureBox.IMAGE,
     settings: TrackingSettings | None = None,
+    pictures: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> TrackReport:
@@ -223,7 +241,7 @@ def track_into(
     Args:
         source: the drive.
         output: the file; its suffix tells the form where `form` does not.
-        form, box2d, settings, overwrite, progress: as of `track_folder`.
+        form, box2d, settings, pictures, overwrite, progress: as of `track_folder`.
 
     Raises:
         OutputError: the file exists, or cannot be written.
@@ -235,8 +253,9 @@ def track_into(
     check_output(output, overwrite=overwrite)
     with ExitStack() as stack:
         draft = stack.enter_context(replacing(output, overwrite=overwrite))
+        drawn = None if pictures is None else stack.enter_context(filling(pictures, overwrite=overwrite))
         report, loss = _track_into(
-            draft.parent, output, source, wanted, box2d, settings, progress, name=draft.name
+            draft.parent, output, source, wanted, box2d, settings, progress, name=draft.name, pictures=drawn
         )
     return _report(source.scene.source, output, wanted, [report], (), begun, loss)
 
@@ -251,6 +270,7 @@ def _track_into(
     progress: Progress | None,
     *,
     name: str | None = None,
+    pictures: Path | None = None,
 ) -> tuple[TrackedReport, LossReport]:
     chosen = settings or TrackingSettings()
     chosen = replace(chosen, tracker=replace(chosen.tracker, picture_box=box2d))
@@ -261,6 +281,8 @@ def _track_into(
     suffix, write = FORMS[form]
     place = folder / (name or f"{source.drive.name}{suffix}")
     losses = write(tracked, source, place, box2d)
+    if pictures is not None:
+        save_tracking_pictures(source.scene, source.drive, tracked.moments, pictures)
     labels = {
         number: label for m in tracked.moments for number, label in zip(m.ids.tolist(), m.labels, strict=True)
     }
@@ -300,6 +322,6 @@ def _report(
         drives=drives,
         ms_per_frame=sum(one.seconds for one in drives) * 1e3 / frames if frames else 0.0,
         seconds=time.perf_counter() - begun,
-        notices=(*notices, *(notice for one in drives for notice in one.notices)),
+        notices=tuple(dict.fromkeys([*notices, *(notice for one in drives for notice in one.notices)])),
         losses=losses,
     )

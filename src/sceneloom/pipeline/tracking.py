@@ -125,7 +125,8 @@ def _track_part(
     known = projection_settings(drive, settings.fusion)
     fuse = _fusion(settings.algorithm, known)
     lonely = partial(fuse_by_projection, settings=replace(known, recall_2d=0.0))
-    seen = (_observation(drive, moment, fuse, lonely) for moment in moments(drive))
+    prepared = tuple(moments(drive))
+    seen = (_observation(drive, moment, fuse, lonely) for moment in prepared)
     return _track_all(drive, seen, settings, steps)
 
 
@@ -163,7 +164,7 @@ def _observation(
 ) -> Observation:
     """What is seen at a moment; a sweep to which no picture belongs counts as it is."""
     if moment.pairs:
-        return Observation.of_pairs(moment.pairs, moment.world_from_lidar, fuse=fuse)
+        return Observation.of_pairs(moment.pairs_with_points(), moment.world_from_lidar, fuse=fuse)
     camera_id, camera = next(iter(drive.cameras.items()), (None, None))
     lens = _NO_LENS if camera is None else camera.lens
     none = Boxes2D.empty(moment.timestamp_ns)

@@ -1,0 +1,98 @@
+"""What scores come to, fitted: logistic functions of few numbers that start from what is plausible."""
+
+import itertools
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.detections.detectors import Agreement, Sight, Told
+from sceneloom.detections.fitting.examples import IGNORED, PictureColumns, SweepColumns
+from sceneloom.detections.fitting.regression import fit_odds
+from sceneloom.kernels.existence_odds import USUAL_OVERLAP
+
+_ENDS = (0.001, 0.35)
+"""Shares of the true boxes below which and above which scores are held: the lowest tell of few, and above the second
+nearly all are true, so that nothing is known of the slope there."""
+SUREST_2D = 5.0
+"""Probabilities of pictures are held at 0.993: what is surer says how they were rounded."""
+_AGREEMENT, _AGREEMENT_WEIGHTS = (1.0, 0.5, 0.2, 2.0), (10.0, 100.0, 300.0, 100.0)
+"""What boxes of both come to where data say nothing, and as how many examples' worth that counts: half the slope of a
+calibrated score, since what one detector takes for an object misleads the other one, too."""
+_HEIGHTS_PX = ((10.0, 20.0), (15.0, 25.0), (20.0, 35.0), (25.0, 50.0))
+_SEEN_SHARES = (0.1, 0.25, 0.5, 1.0)
+_FLOOR = 0.03
+"""What a picture shows nothing of is found by chance."""
+_PRIOR = 0.1
+_OPEN = 0.5
+
+
+def fit_told(told: Float64Array, verdicts: Int64Array, *, highest: float = np.inf) -> Told:
+    """Fit what the scores of one detector come to, with or without a box of the other one."""
+    rows = (verdicts != IGNORED) & np.isfinite(told)
+    came_true = verdicts[rows] == 1
+    if not came_true.any():
+        return Told(low=0.0, high=0.0, base=float(np.log(_PRIOR / (1.0 - _PRIOR))), slope=0.0)
+    low, high = np.minimum(_held(told[rows][came_true]), highest).tolist()
+    held = np.clip(told[rows], low, high)
+    base, slope = fit_odds(
+        np.column_stack([np.ones(len(held)), held]),
+        came_true,
+        expected=np.array([0.0, 1.0]),
+        weights=np.array([1e-2, 1.0]),
+    )
+    return Told(low=low, high=high, base=float(base), slope=float(slope))
+
+
+def _held(told: Float64Array) -> tuple[float, float]:
+    low, high = np.quantile(told, (_ENDS[0], 1.0 - _ENDS[1]))
+    return float(low), float(max(high, low))
+
+
+def fit_agreement(columns: SweepColumns, of_sweep: Told, of_picture: Told) -> Agreement:
+    """Fit what two boxes of one object come to."""
+    rows = columns.matched & (columns.verdict != IGNORED)
+    rows &= np.isfinite(columns.told) & np.isfinite(columns.partner_told)
+    features = np.column_stack(
+        [
+            np.ones(int(rows.sum())),
+            np.clip(columns.told[rows], of_sweep.low, of_sweep.high),
+            np.clip(columns.partner_told[rows], of_picture.low, of_picture.high),
+            columns.overlap[rows] - USUAL_OVERLAP,
+        ]
+    )
+    found = fit_odds(
+        features,
+        columns.verdict[rows] == 1,
+        expected=np.array(_AGREEMENT),
+        weights=np.array(_AGREEMENT_WEIGHTS),
+    )
+    base, sweep, picture, overlap = found.tolist()
+    return Agreement(base=base, sweep=sweep, picture=picture, overlap=overlap)
+
+
+def fit_sight(
+    columns: SweepColumns, picture: PictureColumns, *, weak_recall_2d: float, weak_share: float
+) -> Sight:
+    """Fit what detectors find: of the objects of one, the share of which the other one has a box."""
+    true = columns.verdict == 1
+    found, heights, shares = columns.matched[true], columns.height[true], columns.seen[true]
+    best, sight = -np.inf, (_HEIGHTS_PX[0], _SEEN_SHARES[0], 0.5)
+    for (low, high), seen in itertools.product(_HEIGHTS_PX, _SEEN_SHARES):
+        openness = np.clip((heights - low) / (high - low), 0.0, 1.0) * np.minimum(shares / seen, 1.0)
+        plain = openness > _OPEN
+        recall = (found[plain].sum() + 1.0) / (plain.sum() + 2.0)
+        chances = np.maximum(recall * openness, _FLOOR)
+        likelihood = np.log(np.where(found, chances, 1.0 - chances)).sum()
+        if likelihood > best:
+            best, sight = likelihood, ((low, high), seen, float(recall))
+    told = picture.verdict == 1
+    recall_3d = float((picture.matched[told].sum() + 1.0) / (told.sum() + 2.0))
+    return Sight(
+        recall_2d=sight[2],
+        recall_3d=recall_3d,
+        weak_recall_2d=min(weak_recall_2d, sight[2]),
+        weak_share=weak_share,
+        heights_px=sight[0],
+        seen_share=sight[1],
+        prior=_PRIOR,
+    )

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
         to_world,
     )
     from sceneloom.evaluate import evaluate_trajectory
+    from sceneloom.evaluate.detection import compare_detections
+    from sceneloom.evaluate.tracking import compare_tracks
     from sceneloom.formats.sfs import SceneWriter, salvage
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
@@ -49,6 +51,8 @@ __all__ = [
     "__version__",
     "apply_corrections",
     "colour",
+    "compare_detections",
+    "compare_tracks",
     "convert",
     "count_points",
     "crop_scene",
@@ -82,6 +86,8 @@ _ON_FIRST_USE = {
     "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),
     "apply_corrections": ("sceneloom.editing", "apply_corrections"),
     "colour": ("sceneloom.pipeline", "colour"),
+    "compare_detections": ("sceneloom.evaluate.detection", "compare_detections"),
+    "compare_tracks": ("sceneloom.evaluate.tracking", "compare_tracks"),
     "convert": ("sceneloom.pipeline", "convert"),
     "count_points": ("sceneloom.visibility", "count_points"),
     "crop_scene": ("sceneloom.editing", "crop_scene"),

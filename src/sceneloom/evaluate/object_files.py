@@ -91,6 +91,10 @@ def read_both(
     _check_names(*sides, sequences, (results, truth))
     found, true = ({name: side[name] for name in sequences or sorted(sides[1])} for side in sides)
     _note_frames(found, true, ledger)
+    if _same_place(results, truth):
+        ledger.note(
+            NoticeKind.ASSUMED, "truth-against-itself", str(results), "results and truth are the same files"
+        )
     return BothSides(found, true, _comparable(found, true), _Kind.SCENE in kinds, ledger.notices)
 
 
@@ -282,6 +286,12 @@ def _check_names(
                 f"no sequence {missing}, which the other side has; choose those of both with `--sequence`"
             )
             raise DataError(path, "", problem)
+
+
+def _same_place(results: Path | str, truth: Path | str) -> bool:
+    if isinstance(results, Path) and isinstance(truth, Path):
+        return _folder_of(results).resolve() == _folder_of(truth).resolve()
+    return results == truth
 
 
 def _note_frames(found: ObjectSequences, true: ObjectSequences, ledger: Ledger) -> None:

@@ -180,6 +180,12 @@ def test_boxes_that_one_side_lacks_are_named(call: Call, sides: tuple[Path, Path
     assert "similarity '3d': one side has no such boxes; comparable: 2d" in outcome.err
 
 
+def test_the_truth_held_against_itself_is_remarked(call: Call, sides: tuple[Path, Path]) -> None:
+    truth = sides[1]
+    assert "the same files" in call("eval", "tracking", truth / "label_02", truth).err
+    assert "the same files" not in call("eval", "tracking", *sides).err
+
+
 def test_two_files_are_compared_whatever_their_names(
     call: Call, sides: tuple[Path, Path], tmp_path: Path
 ) -> None:

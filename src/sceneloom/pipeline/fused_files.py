@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.errors import CalibrationError, DataError
+from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.clouds.cloud import file_faults
 from sceneloom.formats.kitti import KittiTracking
 from sceneloom.formats.kitti.oxts import PERIOD_NS
@@ -241,14 +241,15 @@ class _Lens(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     coefficients: tuple[float, ...] = ()
 
 
+_Time = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 _Seven = tuple[float, float, float, float, float, float, float]
 
 
 class _Placed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where lidar and camera were, as `_side` tells it."""
 
-    timestamp_ns: int
-    picture_timestamp_ns: int
+    timestamp_ns: _Time
+    picture_timestamp_ns: _Time
     lidar: Identifier
     camera: Identifier
     world_from_lidar: _Seven
@@ -279,7 +280,7 @@ def _placed(path: Path, number: int, line: str) -> _Placed:
     try:
         placed = msgspec.json.decode(line, type=_Placed)
         placed.view  # noqa: B018 - a lens or a pose that is none raises here, where the line is known
-    except (msgspec.DecodeError, CalibrationError, UnicodeError) as error:
+    except (msgspec.DecodeError, SceneloomError, UnicodeError) as error:
         raise DataError(path, f"line {number}", f"{error}; expected where lidar and camera were") from error
     return placed
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array, read_only
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.kitti.number_lines import Line, as_table, read_lines
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import filling, replacing
 
 NUMBERS = (
     *("truncated", "occluded", "alpha", "x1", "y1", "x2", "y2"),
@@ -193,11 +193,37 @@ def write_labels(labels: KittiLabels, path: Path | str, *, overwrite: bool = Fal
         draft.write_text("".join(f"{line}\n" for line in format_labels(labels, path)), "utf-8", newline="\n")
 
 
-def format_labels(labels: KittiLabels, path: Path | str = "") -> Iterator[str]:
+def write_object_labels(
+    labels: KittiLabels, folder: Path | str, *, frames: Sequence[int] | None = None, overwrite: bool = False
+) -> None:
+    """Write labels or results as the object benchmark has them: `NNNNNN.txt` for each frame, tracks left out.
+
+    Args:
+        labels: of any number of frames.
+        folder: to be written.
+        frames: that get a file, be it empty; None for those that have an object.
+        overwrite: whether files that exist may be replaced.
+
+    Raises:
+        OutputError: the folder has something in it, or cannot be written.
+        DataError: a number is not finite, or a class has a blank.
+    """
+    texts = dict.fromkeys(labels.frames.tolist() if frames is None else frames, "")
+    lines = format_labels(labels, folder, tracked=False)
+    for frame, line in zip(labels.frames.tolist(), lines, strict=True):
+        if frame in texts:
+            texts[frame] += f"{line}\n"
+    with filling(Path(folder), overwrite=overwrite) as draft:
+        for frame, text in texts.items():
+            (draft / f"{frame:06d}.txt").write_text(text, "utf-8", newline="\n")
+
+
+def format_labels(labels: KittiLabels, path: Path | str = "", *, tracked: bool = True) -> Iterator[str]:
     """The lines of labels or results, without their ends.
 
     Args:
         path: what is written, for messages.
+        tracked: whether frame and track stand first, as in the tracking benchmark.
 
     Raises:
         DataError: a number is not finite, or a class has a blank.
@@ -221,4 +247,5 @@ def format_labels(labels: KittiLabels, path: Path | str = "") -> Iterator[str]:
     for frame, track, word, truncation, occlusion, row in heads:
         if not word or any(letter.isspace() for letter in word):
             raise DataError(path, "", f"class {word!r}; expected a word without blanks")
-        yield f"{frame} {track} {word} {truncation:g} {occlusion} {' '.join(f'{value:.6f}' for value in row)}"
+        first = f"{frame} {track} " if tracked else ""
+        yield f"{first}{word} {truncation:g} {occlusion} {' '.join(f'{value:.6f}' for value in row)}"

@@ -15,6 +15,9 @@ from sceneloom.formats.ledger import Ledger
 LARGEST = 1e9
 """Larger numbers are none of a drive: what is computed with them has no digits left."""
 
+LATEST = 999_999
+"""The largest number of a frame or a track: names of KITTI's files have six digits, and there is one entry a frame."""
+
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _SHOWN = 40
 
@@ -72,15 +75,15 @@ class Line:
         return [self.float_at(first + k, name) for k, name in enumerate(names)]
 
     def whole_at(self, column: int, name: str, *, low: int = 0) -> int:
-        """A whole number, with or without a fraction of zeros.
+        """A whole number of up to six digits, with or without a fraction of zeros.
 
         Raises:
-            DataError: it is none, or less than `low`.
+            DataError: it is none, less than `low`, or larger.
         """
         value = self.float_at(column, name)
-        if value != int(value) or value < low:
+        if value != int(value) or not low <= value <= LATEST:
             shown = self.words[column][:_SHOWN]
-            raise self.fault(f"{name} {shown!r}; expected a whole number of {low} or more")
+            raise self.fault(f"{name} {shown!r}; expected a whole number from {low} to {LATEST}")
         return int(value)
 
 

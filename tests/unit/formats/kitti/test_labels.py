@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OutputError
-from sceneloom.formats.kitti import read_labels, write_labels
+from sceneloom.formats.kitti import read_labels, write_labels, write_object_labels
 
 CAR = "Car 0 1 -1.50 10.0 20.0 30.0 40.0 1.5 1.6 4.0 2.0 1.5 10.0 0.25"
 NOWHERE = "DontCare -1 -1 -10 5 6 7 8 -1 -1 -1 -1000 -1000 -1000 -10"
@@ -47,6 +47,16 @@ def test_what_is_written_is_read_back(tmp_path):
     np.testing.assert_array_equal(back.bottoms, labels.bottoms[[0, 2]])
     assert back.scores.tolist() == [0.125, 0.125]
     assert len((tmp_path / "out.txt").read_text().splitlines()[0].split()) == 18
+
+
+def test_labels_of_objects_have_a_file_for_each_frame(tmp_path):
+    labels = read_labels(written(tmp_path, TRACKING))
+    write_object_labels(labels, tmp_path / "out", frames=range(5))
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == [f"{k:06d}.txt" for k in range(5)]
+    assert (tmp_path / "out" / "000001.txt").read_text() == ""
+    back = read_labels(tmp_path / "out" / "000004.txt")
+    assert (back.frames.tolist(), back.types, back.track_ids.tolist()) == ([4], ("Car",), [-1])
+    np.testing.assert_array_equal(back.bottoms, labels.bottoms[[2]])
 
 
 def test_an_output_is_not_overwritten_unasked(tmp_path):

@@ -140,8 +140,9 @@ GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
         (
             "det2d_a__Car__0007",
             "-1,1,1,2,2,0.5\n",
-            "line 1: frame '-1'; expected a whole number of 0 or more",
+            "line 1: frame '-1'; expected a whole number from 0 to 999999",
         ),
+        ("det2d_a__Car__0007", "1e8,1,1,2,2,0.5\n", "line 1: frame '1e8'"),
         ("det2d_a__Car__0007", "0.5,1,1,2,2,0.5\n", "line 1: frame '0.5'"),
         ("det2d_a__Car__0007", "0,1,1,2,2,7.5\n", "line 1: score 7.5; expected a probability"),
         (

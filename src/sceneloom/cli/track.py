@@ -30,6 +30,12 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @detection_options.takes
 @options.way(further="`identity`: it stood still")
 @click.option("--algorithm", metavar="NAME", help="Algorithm of detection fusion. [default: projection]")
+@click.option(
+    "--pictures",
+    type=options.target,
+    metavar="DIR",
+    help="Draw a dozen moments: over photographs and from above.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @options.reading
 @options.printing
@@ -41,6 +47,7 @@ def track(
     box2d: str | None,
     detectors: str | None,
     algorithm: str | None,
+    pictures: Path | None,
     overwrite: bool,
     as_json: bool,
     quiet: bool,
@@ -58,6 +65,7 @@ def track(
 
     how: dict[str, Any] = {
         "form": form,
+        "pictures": pictures,
         "settings": TrackingSettings(
             offline=offline,
             fusion=None if detectors is None else ProjectionSettings(detectors=detectors),

@@ -195,3 +195,13 @@ def test_several_detectors_are_a_question(call, folder, tmp_path):
     outcome = call("track", folder, "-o", tmp_path / "out")
     assert (outcome.code, "choose one with `--det2d NAME`" in outcome.err) == (2, True)
     assert call("track", folder, "-o", tmp_path / "out", "--det2d", "x").code == 0
+
+
+def test_pictures_of_each_sequence_are_drawn_on_request(call, folder, tmp_path):
+    outcome = call("track", folder, "-o", tmp_path / "out", "--pictures", tmp_path / "look")
+    assert outcome.code == 0, outcome.err
+    drawn = sorted(
+        path.relative_to(tmp_path / "look").as_posix() for path in (tmp_path / "look").rglob("*.png")
+    )
+    assert drawn[0] == "0003/000000_above.png"
+    assert len(drawn) == FRAMES

@@ -1,6 +1,7 @@
 """The figures of trackers: HOTA, CLEAR and identities, of one sequence and of several together.
 
-All shares are 0 to 1; MOTA may be below 0. What cannot be told for want of objects is 0, but for LocA, which is 1.
+All shares are 0 to 1; MOTA may be below 0. What cannot be told for want of objects is 0, but for LocA, which is 1, and
+for MOTA of several sequences together, which is minus the number of false boxes then.
 """
 
 from collections.abc import Sequence
@@ -171,7 +172,7 @@ def score_clear(sequence: ScoredSequence, *, least_similarity: float = 0.5) -> C
         frag = int(np.maximum(begun - 1, 0).sum())
     mt = int((tracked > 0.8).sum())
     pt = int((tracked >= 0.2).sum()) - mt
-    return _clear(
+    scores = _clear(
         tp=tp,
         fn=true_boxes - tp,
         fp=found_boxes - tp,
@@ -182,6 +183,8 @@ def score_clear(sequence: ScoredSequence, *, least_similarity: float = 0.5) -> C
         ml=sequence.true_count - mt - pt,
         similarity=alike,
     )
+    # TrackEval says 0 of one sequence without true objects, and counts false boxes when it takes several as one
+    return scores if true_boxes else msgspec.structs.replace(scores, mota=0.0)
 
 
 def combine_clear(parts: Sequence[ClearScores]) -> ClearScores:
@@ -192,7 +195,7 @@ def combine_clear(parts: Sequence[ClearScores]) -> ClearScores:
 
 def _clear(*, tp: int, fn: int, fp: int, idsw: int, similarity: float, **counts: int) -> ClearScores:
     return ClearScores(
-        mota=(tp - fp - idsw) / (tp + fn) if tp + fn else 0.0,
+        mota=(tp - fp - idsw) / max(1, tp + fn),
         motp=similarity / max(1, tp),
         recall=tp / max(1, tp + fn),
         precision=tp / max(1, tp + fp),

@@ -176,3 +176,10 @@ def test_several_sequences_are_weighted_by_their_boxes():
     assert (told.clear.tp, told.clear.fn, told.clear.fp) == (10, 10, 2)
     assert told.hota.deta == pytest.approx(10 / 22)
     assert told.hota.assa == 1.0
+
+
+def test_sequences_without_any_object_count_their_false_boxes_when_taken_together():
+    nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
+    told = evaluate_tracking({"a": one, "b": one}, {"a": nothing, "b": nothing}, classes=("car",))["car"]
+    # as TrackEval has it
+    assert (told.sequences["a"].clear.mota, told.combined.clear.mota) == (0.0, -20.0)

@@ -49,6 +49,8 @@ def check_array(
         raise ArrayError(f"{name}: a {type(array).__name__}; {_expected(shape, dtype)}")
     found: tuple[int, ...] = array.shape
     if array.dtype == dtype and len(found) == len(shape):
+        if found[1:] == shape[1:] and (shape[0] is None or shape[0] == found[0]):
+            return found[0]
         # a plain loop, since scenes make hundreds of thousands of small arrays
         for length, expected in zip(found, shape, strict=True):
             if expected is not None and length != expected:
@@ -76,5 +78,5 @@ def _expected(shape: Sequence[int | None], dtype: DTypeLike) -> str:
 def read_only(array: ArrayLike, dtype: DTypeLike | None = None) -> AnyArray:
     """Return the array as a contiguous view that refuses writing."""
     view = np.ascontiguousarray(array, dtype=dtype).view()
-    view.flags.writeable = False
+    view.setflags(write=False)
     return view

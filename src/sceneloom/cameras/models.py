@@ -36,6 +36,7 @@ def _model(name: str) -> Model:
     return MODELS[name]
 
 
+@lru_cache(maxsize=64)
 def _module(name: str) -> ModelModule:
     return cast("ModelModule", import_module(_model(name).module))
 

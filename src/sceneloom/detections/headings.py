@@ -1,8 +1,7 @@
 """Headings that are turned by half a circle, repaired by the motion of the object."""
 
-import numpy as np
-
 from sceneloom.arrays import Float64Array
+from sceneloom.kernels.turned_headings import turn_backward
 
 FASTEST_BACKWARDS = 3.0
 """What moves faster than this moves forward [m/s]: cars leave parking places at 1 to 2 m/s."""
@@ -21,7 +20,5 @@ def turn_with_motion(yaws: Float64Array, velocities: Float64Array | None) -> Flo
     """
     if velocities is None or not len(yaws):
         return yaws
-    speeds = np.hypot(velocities[:, 0], velocities[:, 1])
-    along = velocities[:, 0] * np.cos(yaws) + velocities[:, 1] * np.sin(yaws)
-    turned: Float64Array = np.where((speeds > FASTEST_BACKWARDS) & (along < _AGAINST * speeds), np.pi, 0.0)
-    return (yaws + turned + np.pi) % (2.0 * np.pi) - np.pi if turned.any() else yaws
+    turned: Float64Array = turn_backward(yaws, velocities, FASTEST_BACKWARDS, _AGAINST)
+    return turned

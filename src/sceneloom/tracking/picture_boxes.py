@@ -5,12 +5,15 @@ it differs changes slowly: its middle by shares of the outline's sides, its side
 filtered, so that the box in the next picture is foreseen well, and so that one picture's noise does not count in full.
 """
 
+from dataclasses import fields
+
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.detections.outlines import Outlines, project_outlines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.tracking.observation import View
+from sceneloom.visibility.outlines import widest_angle
 
 EDGE_PX, EDGE_SHARE = 1.0, 0.02
 """Deviation of an edge of a detector's box: so many pixels, plus so much of its side."""
@@ -31,15 +34,39 @@ def outlines(
         world_from_lidar: where the lidar is.
         view: the camera.
     """
-    lidar_from_world = world_from_lidar.inverse()
-    turn = lidar_from_world.rotation
+    turn = world_from_lidar.rotation
     cosines, sines = np.cos(numbers[:, 6]), np.sin(numbers[:, 6])
     boxes = numbers.copy()
-    boxes[:, :3] = lidar_from_world.apply(numbers[:, :3])
+    boxes[:, :3] = (numbers[:, :3] - world_from_lidar.translation) @ turn
     boxes[:, 6] = np.arctan2(
-        turn[1, 0] * cosines + turn[1, 1] * sines, turn[0, 0] * cosines + turn[0, 1] * sines
+        turn[0, 1] * cosines + turn[1, 1] * sines, turn[0, 0] * cosines + turn[1, 0] * sines
     )
-    return project_outlines(view.camera, view.camera_from_lidar, boxes, likely=likely)
+    in_view = _in_view(boxes, view)
+    if in_view.all():
+        return project_outlines(view.camera, view.camera_from_lidar, boxes, likely=likely)
+    found = project_outlines(view.camera, view.camera_from_lidar, boxes[in_view], likely=likely[in_view])
+    return Outlines(*(_spread(getattr(found, f.name), in_view) for f in fields(found)))
+
+
+def _in_view(boxes: Float64Array, view: View) -> BoolArray:
+    """Which boxes may be in the picture: not those whose ball lies outside the cone that it shows.
+
+    To find where such a box leaves the lens, which it never enters, is slow.
+    """
+    middles = boxes[:, :3] @ view.camera_from_lidar.rotation.T + view.camera_from_lidar.translation
+    away = np.sqrt((middles**2).sum(axis=1))
+    reach = np.sqrt((boxes[:, 3:6] ** 2).sum(axis=1)) / 2.0
+    angles = np.arctan2(np.hypot(middles[:, 0], middles[:, 1]), middles[:, 2])
+    balls = np.arcsin(np.minimum(reach / np.maximum(away, 1e-9), 1.0))
+    in_view: BoolArray = (angles - balls < widest_angle(view.camera)) | (reach >= away)
+    return in_view
+
+
+def _spread(rows: Float64Array, chosen: BoolArray) -> Float64Array:
+    """Rows in their places among all, zeros between them."""
+    every = np.zeros((len(chosen), *rows.shape[1:]))
+    every[chosen] = rows
+    return every
 
 
 def filtered(

@@ -66,27 +66,38 @@ class Population:
             supports=np.zeros(0, np.uint8),
         )
 
+    def copied(self) -> "Population":
+        """The same objects, to be changed in place."""
+        kept: dict[str, Any] = {}
+        for name in _COLUMNS:
+            value = getattr(self, name)
+            kept[name] = dict(value) if isinstance(value, dict) else value.copy()
+        return Population(**kept)
+
     def select(self, rows: Int64Array | BoolArray) -> "Population":
         """Some of the objects."""
         kept: dict[str, Any] = {}
-        for f in fields(self):
-            value = getattr(self, f.name)
-            kept[f.name] = {k: v[rows] for k, v in value.items()} if isinstance(value, dict) else value[rows]
+        for name in _COLUMNS:
+            value = getattr(self, name)
+            kept[name] = {k: v[rows] for k, v in value.items()} if isinstance(value, dict) else value[rows]
         return Population(**kept)
 
     def joined(self, others: "Population") -> "Population":
         """These objects and others, whose words are the same."""
         kept: dict[str, Any] = {}
-        for f in fields(self):
-            own, other = getattr(self, f.name), getattr(others, f.name)
+        for name in _COLUMNS:
+            own, other = getattr(self, name), getattr(others, name)
             if isinstance(own, dict):
-                kept[f.name] = {
+                kept[name] = {
                     k: np.concatenate([own.get(k, no_boxes(len(self))), other.get(k, no_boxes(len(others)))])
                     for k in {**own, **other}
                 }
             else:
-                kept[f.name] = np.concatenate([own, other])
+                kept[name] = np.concatenate([own, other])
         return Population(**kept)
+
+
+_COLUMNS = tuple(f.name for f in fields(Population))
 
 
 def no_boxes(count: int) -> Float64Array:

@@ -70,7 +70,7 @@ class Tracker:
         predicted, slopes = _predicted(self._objects, seconds, self.settings)
         foreseen, missed = _foreseen(predicted, observation, self.settings)
         rows, columns = pair(gains(predicted, foreseen, seen, self.settings))
-        objects = predicted.select(np.arange(len(predicted)))
+        objects = predicted.copied()
         unseen = predicted.hidden + (1.0 - predicted.hidden) * np.exp(missed)
         objects.log_odds += self.settings.trust * np.log(unseen)
         objects.hidden = predicted.hidden / unseen
@@ -156,14 +156,14 @@ class Tracker:
         settings = self.settings
         there = objects.log_odds > existence.log_odds(settings.drop)
         there &= timestamp_ns - objects.seen_ns <= settings.longest_gap * 1e9
-        return objects.select(there)
+        return objects if there.all() else objects.select(there)
 
 
 def _predicted(
     objects: Population, seconds: float, settings: TrackerSettings
 ) -> tuple[Population, Float64Array]:
     """The objects so much later, and the slopes of their states."""
-    moved = objects.select(np.arange(len(objects)))
+    moved = objects.copied()
     moved.means, moved.covariances, slopes = motion.predicted(
         objects.means, objects.covariances, objects.vehicles, seconds, settings
     )

@@ -120,7 +120,7 @@ def main() -> None:
         found = fit_detectors(
             simulated_examples(),
             name="simulated",
-            settings=FitSettings(otherwise="car", overlap=0.25, surest_3d=7.0),
+            settings=FitSettings(otherwise="car", overlap=0.25, surest_3d=7.0, least_count=80),
             provenance={
                 "detectors": "simulate.detect_2d, simulate.detect_3d with their defaults",
                 "data": f"{DRIVES} simulated streets, every {STEP}th of {FRAMES} sweeps, seeds 0 to {DRIVES - 1}",

@@ -18,7 +18,7 @@ from sceneloom.errors import DataError, OptionError
 FOLDER = Path(__file__).parent / "fitted"
 """Where the package keeps its files."""
 
-DEFAULT = INDEPENDENT
+DEFAULT = "simulated"
 """The detectors that are taken for granted: made up, and known exactly."""
 
 

@@ -1,0 +1,85 @@
+"""A calibration that is wrong, told by boxes that are made up."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.detections import DetectionPair
+from sceneloom.detections.residuals import BoxResiduals
+from sceneloom.geometry.boxes import CORNER_SIGNS
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+
+LENS = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
+CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, LENS)
+CAMERA_FROM_LIDAR = RigidTransform(
+    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.05, -0.1, -0.3])
+)
+SIZE = np.array([4.2, 1.8, 1.5])
+
+
+def shown(center):
+    """The corners of a car that heads along x, bounded, by OpenCV."""
+    points = (center + CORNER_SIGNS * SIZE / 2) @ CAMERA_FROM_LIDAR.rotation.T
+    points = points + CAMERA_FROM_LIDAR.translation
+    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(LENS))[0][:, 0] + 0.5
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+
+
+def pairs(turn_deg, *, count=40):
+    """Pictures of cars whose sweeps are taken with a camera that is turned from where it is said to be."""
+    generator = np.random.default_rng(3)
+    turn = RigidTransform(cv2.Rodrigues(np.radians(turn_deg))[0], np.zeros(3))
+    for _ in range(count):
+        ahead = generator.uniform(12.0, 40.0, 5)
+        centers = np.column_stack(
+            [ahead, ahead * generator.uniform(-0.6, 0.6, 5), generator.uniform(-1, 0, 5)]
+        )
+        noisy = centers + 0.1 * generator.normal(size=(5, 3))
+        corners = np.array([shown(center) for center in centers]) + generator.normal(size=(5, 4))
+        # a false box in each, and one car that the camera does not find
+        corners[0] = [700.0, 150.0, 790.0, 200.0]
+        three = Boxes3D(0, noisy, np.tile(SIZE, (5, 1)), np.zeros(5), np.ones(5), ("Car",) * 5)
+        two = Boxes2D(0, corners, np.ones(5), ("car",) * 5)
+        yield DetectionPair(three, two, CAMERA, turn @ CAMERA_FROM_LIDAR)
+
+
+def told(turn_deg, **more):
+    residuals = BoxResiduals()
+    for pair in pairs(np.array(turn_deg, np.float64), **more):
+        residuals.add(pair)
+    return residuals
+
+
+@pytest.mark.parametrize("turn", [(2.0, 0, 0), (0, -2.0, 0), (0, 0, 2.5), (1.2, 1.2, -1.2)])
+def test_a_turn_is_found_and_told(turn):
+    residuals = told(turn)
+    found = residuals.misalignment()
+    # 200 cars, each known to a pixel or a tenth of a degree; about the axis of sight ten times worse
+    np.testing.assert_allclose(found.rotation_deg, -np.array(turn), atol=0.3)
+    assert found.is_wrong
+    (notice,) = residuals.notices("front")
+    assert notice.place == "front"
+
+
+@pytest.mark.parametrize("turn", [(0, 0, 0), (0.3, -0.3, 0)])
+def test_a_calibration_that_is_right_is_not_told(turn):
+    residuals = told(turn)
+    assert residuals.misalignment().angle_deg < 0.8
+    assert residuals.notices("front") == []
+
+
+def test_too_few_boxes_say_nothing():
+    assert told((2.0, 0, 0), count=2).notices("front") == []
+
+
+def test_empty_lists_and_other_classes_say_nothing():
+    residuals = BoxResiduals()
+    for pair in pairs(np.zeros(3), count=3):
+        two = pair.boxes_2d
+        residuals.add(replace(pair, boxes_2d=Boxes2D.empty(0)))
+        residuals.add(replace(pair, boxes_2d=replace(two, labels=("pedestrian",) * len(two))))
+    assert residuals.misalignment() is None

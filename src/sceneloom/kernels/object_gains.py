@@ -5,9 +5,6 @@ from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 
-_HOPELESS = 400.0
-"""A square of deviations that no agreement in pictures makes up for."""
-
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def _heavy(square, count, freedom):  # type: ignore[no-untyped-def]
@@ -25,7 +22,7 @@ def _may_be_one(a, i, b, j):  # type: ignore[no-untyped-def]
 
 @njit(
     "float64[:,::1](float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64[:,::1], float64[:,:,::1], "
-    "int64[:,::1], float64[::1], float64, float64)",
+    "int64[:,::1], float64[::1], float64, float64, float64)",
     nogil=True,
     cache=True,
     error_model="numpy",
@@ -41,6 +38,7 @@ def gains_in_space(
     seen_doubts: Float64Array,
     least_variance: float,
     freedom: float,
+    most: float,
 ) -> Float64Array:
     """Compare where objects are expected with where boxes are.
 
@@ -52,12 +50,16 @@ def gains_in_space(
         seen_doubts: (M,), what is added for each box.
         least_variance: is added along each axis [m²].
         freedom: degrees of freedom of Student's distribution.
+        most: how much pictures can add later; pairs that will stay below 0 need not be told apart.
 
     Returns:
         (N, M) float64 logarithms of ratios of likelihoods on the ground, -inf for what cannot be one.
     """
     gains = np.full((len(places), len(seen_places)), -np.inf)
     for i in range(len(places)):
+        # no pair is worth more than one whose places are known as well as can be; farther ones are hopeless
+        best = most - expected[i] - np.log(2.0 * np.pi * least_variance)
+        farthest = freedom * np.expm1(max(2.0 * best, 0.0) / (freedom + 3.0))
         for j in range(len(seen_places)):
             if not _may_be_one(codes, i, seen_codes, j):
                 continue
@@ -70,7 +72,7 @@ def gains_in_space(
             d = spreads[i, 1, 1] + seen_spreads[j, 1, 1] + least_variance
             e = spreads[i, 1, 2] + seen_spreads[j, 1, 2]
             f = spreads[i, 2, 2] + seen_spreads[j, 2, 2] + least_variance
-            if x * x + y * y + z * z > _HOPELESS * (a + d + f):
+            if x * x + y * y + z * z > farthest * (a + d + f):
                 continue
             area = a * d - b * b
             # the adjugate of the symmetric matrix, row by row

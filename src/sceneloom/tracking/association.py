@@ -35,6 +35,10 @@ FREEDOM = 4.0
 """Degrees of freedom of what boxes are off."""
 
 
+_AGREEMENT = 0.5 * (FREEDOM + 1.0) * float(np.log1p(((1.0 - USUAL_OVERLAP) / OVERLAP_SIGMA) ** 2 / FREEDOM))
+"""What a picture adds at most: where boxes are the same."""
+
+
 def gains(
     objects: Population, foreseen: ByCamera, seen: Sightings, settings: TrackerSettings
 ) -> Float64Array:
@@ -58,6 +62,7 @@ def gains(
         np.minimum(seen.log_odds, 0.0),
         LEAST_SIGMA**2,
         FREEDOM,
+        len(seen.corners_xyxy) * _AGREEMENT,
     )
     for camera_id, corners in seen.corners_xyxy.items():
         if camera_id in foreseen:

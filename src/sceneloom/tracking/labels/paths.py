@@ -16,6 +16,8 @@ BOXED = (Support.BOTH, Support.SWEEP, Support.PICTURE)
 _MEASURED = (Support.BOTH, Support.SWEEP)
 _ROUNDING = 1e-9
 """Tolerances are kept this share smaller, so that another order of the same sums does not break the promise."""
+_MOST_UNSURE = 0.6
+"""However little is known of a speed, what gets on faster does not stand [m/s]."""
 _LEAST_VARIANCE = 1e-6
 """No variance counts as less than this [m²]."""
 
@@ -106,7 +108,10 @@ def label_path(track: Track, settings: LabelSettings) -> LabelPath:
 
 
 def stands(track: Track, settings: LabelSettings) -> bool:
-    """Say whether an object stands still: never far from its usual place, and not getting on from there."""
+    """Say whether an object stands still: never far from its usual place, and not getting on from there.
+
+    It may get on as fast as the settings say, or as its speed is uncertain by one deviation.
+    """
     rows = np.flatnonzero(np.isin(track.supports, _MEASURED))
     if len(rows) < 2:
         return False
@@ -115,7 +120,9 @@ def stands(track: Track, settings: LabelSettings) -> bool:
     if float(away.max()) > settings.standing_spread:
         return False
     slopes = np.polynomial.polynomial.polyfit(times, places, 1)[1]
-    return float(np.hypot(*slopes)) <= settings.standing_speed
+    known = np.trace(track.covariances[rows, 7:9, 7:9], axis1=1, axis2=2) / 2.0
+    unsure = min(float(np.sqrt(max(float(np.median(known)), 0.0))), _MOST_UNSURE)
+    return float(np.hypot(*slopes)) <= max(settings.standing_speed, unsure)
 
 
 def _weights(track: Track) -> Float64Array:

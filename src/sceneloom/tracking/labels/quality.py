@@ -47,7 +47,7 @@ LIMITS: Mapping[FlagKind, float] = {
     FlagKind.SHORT: 5.0,
     FlagKind.UNSURE: 0.5,
     FlagKind.SPARSE: 0.5,
-    FlagKind.PICTURE_ONLY: 0.0,
+    FlagKind.PICTURE_ONLY: 0.5,
     FlagKind.JITTER: 0.25,
     FlagKind.JUMP: 1.5,
     FlagKind.SIZE: 0.25,

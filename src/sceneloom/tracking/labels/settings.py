@@ -17,7 +17,8 @@ class LabelSettings:
         constant_sizes: whether each object gets one size.
         standing: whether what stands still is found, and given one pose.
         standing_spread: what stands is never farther than this from its usual place [m].
-        standing_speed: nor does it get on faster than this from its first to its last state [m/s].
+        standing_speed: nor does it get on faster than this from its first to its last state [m/s], or than its speed is
+            uncertain.
         least_states: objects that fewer boxes of detectors support are left out.
         least_score: objects that are never surer than this are left out, 0 to 1.
         boxes_2d: whether the detector's boxes in pictures become annotations.

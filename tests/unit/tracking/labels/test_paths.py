@@ -127,6 +127,13 @@ def test_what_stands_gets_one_pose_and_what_creeps_does_not(a_track):
     assert not label_path(a_track(speed=0.0), LabelSettings(standing=False)).stands
 
 
+def test_what_is_seen_so_briefly_that_its_speed_is_not_known_may_stand(a_track):
+    unsure = np.tile(np.diag([0.01] * 7 + [0.2] * 3), (4, 1, 1))
+    assert label_path(a_track(count=4, speed=0.4, covariances=unsure), LabelSettings()).stands
+    assert not label_path(a_track(count=4, speed=0.4), LabelSettings()).stands
+    assert not label_path(a_track(count=4, speed=1.0, covariances=100.0 * unsure), LabelSettings()).stands
+
+
 def test_a_pedestrian_who_stands_at_first_and_then_walks_does_not_stand(a_track):
     along = np.concatenate([np.zeros(15), np.linspace(0.0, 1.5, 6)])
     track = a_track(label="pedestrian", centers=np.column_stack([along, np.zeros((21, 2))]))

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from sceneloom.motion.ego_motion import find_ego_motion
     from sceneloom.pipeline import colour, convert, deskew, fuse, iter_fused, sync
     from sceneloom.pipeline.depth_images import write_depth_images
+    from sceneloom.pipeline.found_objects import fuse_detections, track_objects
     from sceneloom.scene import PosePath, Scene
     from sceneloom.service.client import FusionClient
     from sceneloom.simulate import simulate_street
@@ -61,6 +62,7 @@ __all__ = [
     "evaluate_trajectory",
     "find_ego_motion",
     "fuse",
+    "fuse_detections",
     "iter_fused",
     "merge_scenes",
     "open",
@@ -73,6 +75,7 @@ __all__ = [
     "to_ego",
     "to_sensor",
     "to_world",
+    "track_objects",
     "validate",
     "write",
     "write_depth_images",
@@ -96,6 +99,7 @@ _ON_FIRST_USE = {
     "evaluate_trajectory": ("sceneloom.evaluate", "evaluate_trajectory"),
     "find_ego_motion": ("sceneloom.motion.ego_motion", "find_ego_motion"),
     "fuse": ("sceneloom.pipeline", "fuse"),
+    "fuse_detections": ("sceneloom.pipeline", "fuse_detections"),
     "iter_fused": ("sceneloom.pipeline", "iter_fused"),
     "merge_scenes": ("sceneloom.editing", "merge_scenes"),
     "open": ("sceneloom.formats.table", "open_scene"),
@@ -108,6 +112,7 @@ _ON_FIRST_USE = {
     "to_ego": ("sceneloom.editing", "to_ego"),
     "to_sensor": ("sceneloom.editing", "to_sensor"),
     "to_world": ("sceneloom.editing", "to_world"),
+    "track_objects": ("sceneloom.pipeline", "track_objects"),
     "validate": ("sceneloom.checks", "validate"),
     "write": ("sceneloom.formats.table", "write_scene"),
     "write_depth_images": ("sceneloom.pipeline", "write_depth_images"),

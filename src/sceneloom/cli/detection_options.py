@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.identifiers import known_id, known_id_or_none
+from sceneloom.cli import options
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.detected_scene import DetectionFiles
-    from sceneloom.scene import Scene
+    from sceneloom.pipeline.found_objects import DetectionInput
 
 FILES = (
     click.option(
@@ -51,9 +50,7 @@ FOLDERS = (
 )
 """Choices in a folder laid out like KITTI's tracking benchmark."""
 
-OF_FILES = ("boxes3d", "boxes2d", "lidar", "cameras", "trajectory", "heading")
-OF_FOLDERS = ("det2d", "det3d", "sequences")
-NAMES = ("boxes3d", "boxes2d", "lidar", "cameras", *OF_FOLDERS, "detectors")
+NAMES = ("boxes3d", "boxes2d", "lidar", "cameras", "det2d", "det3d", "sequences", "detectors")
 """The names of the arguments; the ego's way is an option of other verbs, too."""
 
 
@@ -73,13 +70,6 @@ def takes(command: Any) -> Any:
     return command
 
 
-def is_kitti_folder(path: "Path | str") -> bool:
-    """Whether a path is a folder laid out like KITTI's tracking benchmark."""
-    from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
-
-    return is_tracking_folder(Path(path))
-
-
 def refuse(given: dict[str, Any], names: Sequence[str], why: str) -> None:
     """Refuse options that say nothing about such an input.
 
@@ -92,15 +82,27 @@ def refuse(given: dict[str, Any], names: Sequence[str], why: str) -> None:
             raise click.UsageError(f"--{flag} does not count here: {why}")
 
 
-def files_of(scene: "Scene", given: dict[str, Any]) -> "DetectionFiles":
-    """The lists of boxes that were named, with the ids of sensors as the scene has them."""
+def chosen(given: dict[str, Any]) -> "DetectionInput":
+    """What of a path is fused or tracked."""
     from sceneloom.pipeline.detected_scene import DetectionFiles
+    from sceneloom.pipeline.found_objects import DetectionInput
 
-    return DetectionFiles(
-        boxes_3d=given["boxes3d"],
-        boxes_2d=given["boxes2d"],
-        lidar=known_id_or_none(scene, given["lidar"]),
-        cameras=tuple(known_id(scene, said) for said in given["cameras"]),
-        trajectory=given["trajectory"],
-        heading=given["heading"],
+    return DetectionInput(
+        files=DetectionFiles(
+            boxes_3d=given["boxes3d"],
+            boxes_2d=given["boxes2d"],
+            lidar=given["lidar"],
+            cameras=given["cameras"],
+            trajectory=given["trajectory"],
+            heading=given["heading"],
+        ),
+        detector_2d=given["det2d"],
+        detector_3d=given["det3d"],
+        sequences=given["sequences"],
     )
+
+
+def reading(given: dict[str, Any]) -> dict[str, Any]:
+    """The options of opening a drive that were said, without `lenient`."""
+    ours = (*NAMES, "trajectory", "heading", "lenient")
+    return options.said(**{name: value for name, value in given.items() if name not in ours})

@@ -38,6 +38,7 @@ def fuse_found(
         )
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.fusion import FusionConfiguration
+    from sceneloom.pipeline.found_objects import fuse_detections
 
     how: dict[str, Any] = {
         "configuration": FusionConfiguration(**options.said(detection_algorithm=algorithm)),
@@ -45,34 +46,19 @@ def fuse_found(
         "settings": None if given["detectors"] is None else ProjectionSettings(detectors=given["detectors"]),
     }
     with progress_bar("fusing", quiet=quiet) as progress:
-        report = _fuse(path, output, given, reading, {**how, "progress": progress})
+        report = fuse_detections(
+            path,
+            output,
+            chosen=detection_options.chosen(given),
+            lenient=reading["lenient"],
+            reading=detection_options.reading(reading),
+            progress=progress,
+            **how,
+        )
     if as_json:
         print_json(report)
     else:
         _print(report, quiet=quiet, verbose=verbose)
-
-
-def _fuse(
-    path: Path | str, output: Path, given: dict[str, Any], reading: dict[str, Any], how: dict[str, Any]
-) -> "DetectionFusionReport":
-    from sceneloom.formats import open_scene
-    from sceneloom.formats.kitti import open_tracking_folder
-    from sceneloom.pipeline.detected_scene import scene_drive
-    from sceneloom.pipeline.fused_files import fuse_detections, fuse_folder_detections
-
-    lenient = bool(reading["lenient"])
-    if detection_options.is_kitti_folder(path) and not given["boxes3d"] and not given["boxes2d"]:
-        detection_options.refuse(
-            given, detection_options.OF_FILES, f"{path} is a folder of KITTI's sequences"
-        )
-        tracking = open_tracking_folder(
-            path, detector_2d=given["det2d"], detector_3d=given["det3d"], lenient=lenient
-        )
-        return fuse_folder_detections(tracking, output, sequences=given["sequences"], **how)
-    detection_options.refuse(given, detection_options.OF_FOLDERS, f"{path} is no folder of KITTI's sequences")
-    with open_scene(path, **options.said(**reading)) as scene:
-        drive = scene_drive(scene, detection_options.files_of(scene, given), lenient=lenient)
-        return fuse_detections(drive, output, **how)
 
 
 def _print(report: "DetectionFusionReport", *, quiet: bool, verbose: bool) -> None:

@@ -60,6 +60,7 @@ def track(
     fuse --type detection` wrote.
     """
     from sceneloom.detections.settings import ProjectionSettings
+    from sceneloom.pipeline.found_objects import track_objects
     from sceneloom.pipeline.tracking import TrackingSettings
     from sceneloom.tracking import PictureBox
 
@@ -75,46 +76,19 @@ def track(
         **({} if box2d is None else {"box2d": PictureBox(box2d)}),
     }
     with progress_bar("tracking", quiet=quiet) as progress:
-        report = _track(path, output, {**how, "progress": progress}, given)
+        report = track_objects(
+            path,
+            output,
+            chosen=detection_options.chosen(given),
+            lenient=given["lenient"],
+            reading=detection_options.reading(given),
+            progress=progress,
+            **how,
+        )
     if as_json:
         print_json(report)
     else:
         print_tracking(report, quiet=quiet, verbose=verbose)
-
-
-def _track(path: Path | str, output: Path, how: dict[str, Any], given: dict[str, Any]) -> "TrackReport":
-    """Track what the path holds."""
-    from sceneloom.formats import open_scene
-    from sceneloom.formats.kitti import open_tracking_folder
-    from sceneloom.pipeline.detected_scene import scene_drive
-    from sceneloom.pipeline.fused_files import fused_files
-    from sceneloom.pipeline.tracked_files import TrackableDrive, track_folder, track_into, track_many
-
-    reading = {name: value for name, value in given.items() if name not in _OWN}
-    if detection_options.is_kitti_folder(path) and not given["boxes3d"] and not given["boxes2d"]:
-        detection_options.refuse(
-            given, detection_options.OF_FILES, f"{path} is a folder of KITTI's sequences"
-        )
-        tracking = open_tracking_folder(
-            path, detector_2d=given["det2d"], detector_3d=given["det3d"], lenient=reading["lenient"]
-        )
-        return track_folder(tracking, output, sequences=given["sequences"], **how)
-    detection_options.refuse(given, detection_options.OF_FOLDERS, f"{path} is no folder of KITTI's sequences")
-    fused = () if given["boxes3d"] or given["boxes2d"] else fused_files(Path(path))
-    if fused and Path(path).is_dir():
-        return track_many(
-            lambda k: TrackableDrive.of_fused(fused[k]), len(fused), output, source=str(path), **how
-        )
-    if fused:
-        return track_into(TrackableDrive.of_fused(fused[0]), output, **how)
-    with open_scene(path, **options.said(**reading)) as scene:
-        files = detection_options.files_of(scene, given)
-        drive = scene_drive(scene, files, lenient=reading["lenient"])
-        return track_into(TrackableDrive(drive, scene), output, **how)
-
-
-_OWN = (*detection_options.OF_FILES, *detection_options.OF_FOLDERS)
-"""Options that do not concern the reading of a drive."""
 
 
 def print_tracking(report: "TrackReport", *, quiet: bool, verbose: bool) -> None:

@@ -15,10 +15,15 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.depth_images import DepthReport, write_depth_images
     from sceneloom.pipeline.deskew_report import DeskewReport
     from sceneloom.pipeline.deskewing import deskew, deskewed_scene
+    from sceneloom.pipeline.detected_scene import DetectionFiles
+    from sceneloom.pipeline.detection_report import DetectionFusionReport
+    from sceneloom.pipeline.found_objects import DetectionInput, fuse_detections, track_objects
     from sceneloom.pipeline.fusing import fuse, iter_fused
     from sceneloom.pipeline.outputs import FusionOutputs
     from sceneloom.pipeline.report import CameraReport, FusionReport
     from sceneloom.pipeline.syncing import SyncReport, sync
+    from sceneloom.pipeline.track_report import TrackReport
+    from sceneloom.pipeline.tracking import TrackingSettings
 
 __all__ = [
     "CameraReport",
@@ -28,16 +33,23 @@ __all__ = [
     "ConversionReport",
     "DepthReport",
     "DeskewReport",
+    "DetectionFiles",
+    "DetectionFusionReport",
+    "DetectionInput",
     "FusionOutputs",
     "FusionReport",
     "SyncReport",
+    "TrackReport",
+    "TrackingSettings",
     "colour",
     "convert",
     "deskew",
     "deskewed_scene",
     "fuse",
+    "fuse_detections",
     "iter_fused",
     "sync",
+    "track_objects",
     "write_depth_images",
 ]
 
@@ -49,16 +61,23 @@ _ON_FIRST_USE = {
     "ConversionReport": "conversion",
     "DepthReport": "depth_images",
     "DeskewReport": "deskew_report",
+    "DetectionFiles": "detected_scene",
+    "DetectionFusionReport": "detection_report",
+    "DetectionInput": "found_objects",
     "FusionOutputs": "outputs",
     "FusionReport": "report",
     "SyncReport": "syncing",
+    "TrackReport": "track_report",
+    "TrackingSettings": "tracking",
     "colour": "colouring",
     "convert": "conversion",
     "deskew": "deskewing",
     "deskewed_scene": "deskewing",
     "fuse": "fusing",
+    "fuse_detections": "found_objects",
     "iter_fused": "fusing",
     "sync": "syncing",
+    "track_objects": "found_objects",
     "write_depth_images": "depth_images",
 }
 """The module of everything that is imported when it is first asked for."""

@@ -1,6 +1,7 @@
 """Detection fusion of a drive: what detectors found goes through the fusion system; results as records of table 10."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from heapq import merge
 from typing import Any
@@ -9,16 +10,19 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
+from sceneloom.detections import DetectionAlgorithm, DetectionPair
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.fusion import FusionConfiguration, FusionSystem
+from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.kernels.declared_objects import declare_objects
 from sceneloom.pipeline.coverage import fusion_for
 from sceneloom.pipeline.detected import DetectedDrive, projection_settings
+from sceneloom.pipeline.sweep_points import SweepPoints
 from sceneloom.scene import Boxes3D, Identifier
 
 
@@ -43,13 +47,15 @@ def iter_fused_detections(
         CalibrationError: a lens is unknown.
     """
     chosen = configuration or FusionConfiguration()
-    detect = None
+    detect: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, chosen.detection_algorithm)
     if chosen.detection_algorithm == "projection":
         wanted, found = projection_settings(drive, settings), frozenset(drive.labels)
         detect = fusion_for(drive.classes_2d, drive.classes, found, wanted) or partial(
             fuse_by_projection, settings=wanted
         )
-    system = FusionSystem(chosen, detect=detect)
+    system = FusionSystem(
+        chosen, detect=detect if drive.points is None else _WithPoints(drive.points, detect)
+    )
     system.add_lidar(drive.lidar_id, drive.source, period_ns=drive.period_ns, place=drive.source)
     for index, (camera_id, camera) in enumerate(drive.cameras.items()):
         system.add_camera(camera_id, camera.source, index=index)
@@ -58,6 +64,19 @@ def iter_fused_detections(
         yield from iter(system.get_detections, None)
     system.flush()
     yield from iter(system.get_detections, None)
+
+
+@dataclass(frozen=True, slots=True)
+class _WithPoints:
+    """Reads the points of a sweep, by which what pictures alone show is placed, when its boxes are fused."""
+
+    points: SweepPoints
+    detect: DetectionAlgorithm
+
+    def __call__(self, pair: DetectionPair) -> FusedBoxes:
+        if not len(pair.boxes_2d):
+            return self.detect(pair)
+        return self.detect(replace(pair, points_lidar=self.points.at(pair.boxes_3d.timestamp_ns)))
 
 
 _Sent = tuple[int, int, int, Identifier, Boxes3D | SeenBoxes]

@@ -75,7 +75,7 @@ def fuse_folder_detections(
     return _report(str(tracking.path), output, reports, tracking.notices, begun)
 
 
-def fuse_detections(
+def fuse_drive_detections(
     drive: DetectedDrive,
     output: str | Path,
     *,
@@ -205,7 +205,7 @@ def _begins_with_detections(path: Path) -> bool:
 
 
 def read_fused(path: Path) -> tuple[DetectedDrive, tuple[Observation, ...]]:
-    """Read what `fuse_detections` wrote, for a tracker to go on with.
+    """Read what `fuse_drive_detections` wrote, for a tracker to go on with.
 
     Numbers have 32 bits there and corners are whole pixels, so that tracks differ a little from those of a drive that
     is fused and tracked at once.

@@ -1,0 +1,156 @@
+"""Detection fusion and tracking of what a path holds: KITTI's sequences, a drive with lists of boxes, or objects."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from sceneloom.errors import OptionError
+from sceneloom.formats import open_scene
+from sceneloom.formats.kitti import KittiTracking, open_tracking_folder
+from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
+from sceneloom.pipeline.detected_scene import DetectionFiles, scene_drive
+from sceneloom.pipeline.detection_report import DetectionFusionReport
+from sceneloom.pipeline.fused_files import fuse_drive_detections, fuse_folder_detections, fused_files
+from sceneloom.pipeline.track_report import TrackReport
+from sceneloom.pipeline.tracked_files import TrackableDrive, track_folder, track_into, track_many
+from sceneloom.scene import Identifier, Scene
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectionInput:
+    """What of a path is fused or tracked.
+
+    Attributes:
+        files: lists of boxes beside a drive.
+        detector_2d, detector_3d: which folders of lists, in one laid out like KITTI's tracking benchmark.
+        sequences: which of its sequences; empty for all.
+    """
+
+    files: DetectionFiles = field(default_factory=DetectionFiles)
+    detector_2d: str | None = None
+    detector_3d: str | None = None
+    sequences: Sequence[str] = ()
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether there are lists of boxes beside a drive."""
+        return bool(self.files.boxes_3d or self.files.boxes_2d)
+
+
+def fuse_detections(
+    path: str | Path,
+    output: str | Path,
+    *,
+    chosen: DetectionInput | None = None,
+    lenient: bool = False,
+    reading: Mapping[str, Any] | None = None,
+    **how: Any,
+) -> DetectionFusionReport:
+    """Fuse what detectors found in a drive, or in each sequence of a folder, into records of table 10.
+
+    Args:
+        path: a folder laid out like KITTI's tracking benchmark, or a drive.
+        output: the folder of files, or the file of lines of JSON.
+        chosen: what of it.
+        lenient: leave out what is faulty, and count it.
+        reading: further options of opening a drive.
+        how: `configuration`, `settings`, `overwrite`, `progress` as of `fuse_drive_detections`.
+
+    Raises:
+        OptionError: an option does not concern such a path, or a value is not one that can be followed.
+        DataError: a file is faulty.
+        OutputError: the output exists, or cannot be written.
+        PoseError: it is not known where a sensor was.
+    """
+    wanted = chosen or DetectionInput()
+    if _is_kitti(path, wanted):
+        return fuse_folder_detections(
+            _kitti(path, wanted, lenient=lenient), output, sequences=wanted.sequences, **how
+        )
+    _refuse_kitti(path, wanted)
+    with open_scene(path, **_opening(reading, lenient=lenient)) as scene:
+        drive = scene_drive(scene, with_known_ids(scene, wanted.files), lenient=lenient)
+        return fuse_drive_detections(drive, output, **how)
+
+
+def track_objects(
+    path: str | Path,
+    output: str | Path,
+    *,
+    chosen: DetectionInput | None = None,
+    lenient: bool = False,
+    reading: Mapping[str, Any] | None = None,
+    **how: Any,
+) -> TrackReport:
+    """Follow objects through a drive, or through each sequence of a folder.
+
+    Args:
+        path: a folder laid out like KITTI's tracking benchmark, a drive, or what `fuse_detections` wrote.
+        output: the folder of files, or the file.
+        chosen: what of it.
+        lenient: leave out what is faulty, and count it.
+        reading: further options of opening a drive.
+        how: `form`, `box2d`, `settings`, `overwrite`, `progress`, … as of `track_into`.
+
+    Raises:
+        OptionError: an option does not concern such a path, or a value is not one that can be followed.
+        DataError: a file is faulty.
+        OutputError: the output exists, or cannot be written.
+        PoseError: it is not known where a sensor was.
+    """
+    wanted = chosen or DetectionInput()
+    if _is_kitti(path, wanted):
+        return track_folder(_kitti(path, wanted, lenient=lenient), output, sequences=wanted.sequences, **how)
+    _refuse_kitti(path, wanted)
+    found = () if wanted.has_lists else fused_files(Path(path))
+    if found and Path(path).is_dir():
+        return track_many(
+            lambda k: TrackableDrive.of_fused(found[k]), len(found), output, source=str(path), **how
+        )
+    if found:
+        return track_into(TrackableDrive.of_fused(found[0]), output, **how)
+    with open_scene(path, **_opening(reading, lenient=lenient)) as scene:
+        drive = scene_drive(scene, with_known_ids(scene, wanted.files), lenient=lenient)
+        return track_into(TrackableDrive(drive, scene), output, **how)
+
+
+def _opening(reading: Mapping[str, Any] | None, *, lenient: bool) -> dict[str, Any]:
+    return {**(reading or {}), **({"lenient": True} if lenient else {})}
+
+
+def with_known_ids(scene: Scene, files: DetectionFiles) -> DetectionFiles:
+    """The same files, with ids of sensors as the scene has them: `7` may be a number there, and a text here."""
+
+    def known(said: Identifier) -> Identifier:
+        ids = [sensor.id for sensor in scene.sensors]
+        return next((found for found in ids if said not in ids and str(found) == said), said)
+
+    lidar = None if files.lidar is None else known(files.lidar)
+    return replace(files, lidar=lidar, cameras=tuple(map(known, files.cameras)))
+
+
+def _is_kitti(path: str | Path, wanted: DetectionInput) -> bool:
+    if wanted.has_lists or not is_tracking_folder(Path(path)):
+        return False
+    files = wanted.files
+    if files.lidar is not None or files.cameras or files.trajectory or files.heading:
+        raise OptionError(
+            f"{path} is a folder of KITTI's sequences, whose sensors and way are known: --lidar, --camera, "
+            "--trajectory and --heading do not count here"
+        )
+    return True
+
+
+def _kitti(path: str | Path, wanted: DetectionInput, *, lenient: bool) -> KittiTracking:
+    return open_tracking_folder(
+        path, detector_2d=wanted.detector_2d, detector_3d=wanted.detector_3d, lenient=lenient
+    )
+
+
+def _refuse_kitti(path: str | Path, wanted: DetectionInput) -> None:
+    if wanted.detector_2d or wanted.detector_3d or wanted.sequences:
+        raise OptionError(
+            f"{path} is no folder of KITTI's sequences, or has lists beside it: --det2d, --det3d and --sequence do not "
+            "count here"
+        )

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import cos, pi, radians, sin
+from math import cos, degrees, isnan, log, pi, radians, sin
 
 import numpy as np
 
@@ -69,14 +69,14 @@ class ScanLines:
     @property
     def reach(self) -> "Reach":
         """How far occlusion must reach to bridge them."""
-        across, along = np.degrees([self.across, self.along])
-        window = np.clip(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)
+        across, along = degrees(self.across), degrees(self.along)
+        window = _bounded(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)
         # Of the points of a cell only the nearest counts, so that what is near reaches a cell at least.
         least = max(_NEARS_DEG[0], window / CELLS_PER_REACH)
         return Reach(
             radians(window),
-            radians(np.clip(_NEAR_PER_SPACING_ACROSS * across - _OUTLINE_DEG, *_NEARS_DEG)),
-            radians(np.clip(_NEAR_PER_SPACING_ALONG * along - _OUTLINE_DEG, least, _NEARS_DEG[1])),
+            radians(_bounded(_NEAR_PER_SPACING_ACROSS * across - _OUTLINE_DEG, *_NEARS_DEG)),
+            radians(_bounded(_NEAR_PER_SPACING_ALONG * along - _OUTLINE_DEG, least, _NEARS_DEG[1])),
             self.angle,
         )
 
@@ -168,20 +168,25 @@ def measure_surface_distance(
 
 def find_lines(spacings: Float64Array) -> ScanLines | None:
     """Tell the lines from spacings along the four axes: of the two upright pairs of axes, the one that differs more."""
-    ratios = np.abs(np.log(spacings[:2] / spacings[2:]))
-    if np.isnan(ratios).all():
+    along_axes = spacings.tolist()
+    ratios = {pair: abs(log(along_axes[pair] / along_axes[pair + 2])) for pair in range(2)}
+    told = [pair for pair, ratio in ratios.items() if not isnan(ratio)]
+    if not told:
         return None
-    pair = int(np.nanargmax(ratios))
-    axis = pair if spacings[pair] > spacings[pair + 2] else pair + 2
-    return ScanLines(float(spacings[axis]), float(spacings[(axis + 2) % 4]), axis * pi / 4)
+    pair = max(told, key=ratios.__getitem__)
+    axis = pair if along_axes[pair] > along_axes[pair + 2] else pair + 2
+    return ScanLines(along_axes[axis], along_axes[(axis + 2) % 4], axis * pi / 4)
 
 
-def fit_reach(spacings: Float64Array) -> Reach:
-    """Fit the reach to spacings along the four axes; a usual one where they tell no lines."""
-    lines = find_lines(spacings)
+def fit_reach(lines: ScanLines | None) -> Reach:
+    """Fit the reach to scan lines; a usual one where there are none."""
     if lines is None:
         return Reach(radians(_USUAL_WINDOW_DEG), radians(_USUAL_NEAR_DEG), radians(_USUAL_NEAR_DEG))
     return lines.reach
+
+
+def _bounded(value: float, least: float, most: float) -> float:
+    return min(max(value, least), most)
 
 
 @lru_cache(maxsize=1)

@@ -18,7 +18,7 @@ from sceneloom.colouring.scan_lines import SPARSEST, Neighbours, ScanLines, look
 _UNEVEN = 2.5
 """How many times as far apart sparse neighbours are as dense ones. Where all lines lie alike, what stands before what
 and the bending of a fisheye make that up to 2.1; lidars as above have 4.1 and more (simulated streets, PandaSet)."""
-_DENSE, _SPARSE = 15, 93
+_DENSE, _SPARSE = 15.0, 93.0
 _FEWEST = 64
 _SPARSER_THAN = 1.5
 
@@ -46,11 +46,10 @@ class Part:
 def are_uneven(neighbours: Neighbours) -> bool:
     """Say whether the lines around some points lie so differently that one reach does not fit all."""
     spacings = _around(neighbours)
-    known = spacings[np.isfinite(spacings)]
+    known = np.sort(spacings[np.isfinite(spacings)]).tolist()
     if len(known) < _FEWEST:
         return False
-    dense, sparse = np.percentile(known, [_DENSE, _SPARSE])
-    return bool(sparse > _UNEVEN * dense)
+    return _percentile(known, _SPARSE) > _UNEVEN * _percentile(known, _DENSE)
 
 
 def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lines: ScanLines) -> list[Part]:
@@ -78,6 +77,14 @@ def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lin
         across = _median(spacings[inside], counts[inside])
         parts.append(Part(ScanLines(across, lines.along, lines.angle), inside[tiles]))
     return parts
+
+
+def _percentile(ordered: list[float], share: float) -> float:
+    """Give the value below which so many per cent lie, linearly between two."""
+    place = share / 100 * (len(ordered) - 1)
+    below = int(place)
+    above = min(below + 1, len(ordered) - 1)
+    return ordered[below] + (place - below) * (ordered[above] - ordered[below])
 
 
 def _median(values: Float64Array, counts: Int64Array) -> float:

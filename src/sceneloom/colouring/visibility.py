@@ -236,7 +236,7 @@ def _measure(
         parts = split_by_spacing(seen, inverse_ranges, lines)
         if len(parts) > 1:
             return [_pass(part, inverse_ranges, window, near) for part in parts], distance
-    return [(_with(fit_reach(spacings), window, near), inverse_ranges)], distance
+    return [(_with(fit_reach(lines), window, near), inverse_ranges)], distance
 
 
 def _pass(

@@ -3,7 +3,13 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.colouring.scan_lines import fit_reach, look_around, measure_spacings, measure_surface_distance
+from sceneloom.colouring.scan_lines import (
+    find_lines,
+    fit_reach,
+    look_around,
+    measure_spacings,
+    measure_surface_distance,
+)
 
 
 def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
@@ -62,7 +68,7 @@ def test_lines_beyond_reach_give_no_spacing_across_them():
     ],
 )
 def test_the_reach_follows_the_scan_lines(spacings_deg, window_deg, across_deg, along_deg, angle_deg):
-    reach = fit_reach(np.radians(spacings_deg))
+    reach = fit_reach(find_lines(np.radians(spacings_deg)))
     assert math.degrees(reach.window) == pytest.approx(window_deg)
     assert math.degrees(reach.across) == pytest.approx(across_deg, abs=1e-3)
     assert math.degrees(reach.along) == pytest.approx(along_deg)
@@ -70,7 +76,7 @@ def test_the_reach_follows_the_scan_lines(spacings_deg, window_deg, across_deg, 
 
 
 def test_the_ellipse_has_its_axes_across_and_along_the_scan_lines():
-    reach = fit_reach(np.radians([0.45, 0.2, 0.45, 0.4]))
+    reach = fit_reach(find_lines(np.radians([0.45, 0.2, 0.45, 0.4])))
     xx, xy, yy = reach.ellipse
     for length, angle in ((reach.across, reach.angle), (reach.along, reach.angle + math.pi / 2)):
         x, y = length * math.cos(angle), length * math.sin(angle)

@@ -16,14 +16,16 @@ from sceneloom.formats.rig.csv_files import read_lines
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.json_form import parse_json
 
-_SIDE = ".frames"
-"""What the names of files end with that say where sensors were, before their suffix."""
-
 
 def fused_files(path: Path) -> list[Path]:
-    """The files of lines of table 10 of DB34/T 4101 that a path has: itself, or those in a folder."""
+    """The files of lines of table 10 of DB34/T 4101 that a path has (itself, or in a folder), by their beginning."""
     files = sorted(path.glob("*.jsonl")) if path.is_dir() else [path] if path.suffix == ".jsonl" else []
-    return [file for file in files if not file.stem.endswith(_SIDE)]
+    return [file for file in files if _begins_with_detections(file)]
+
+
+def _begins_with_detections(file: Path) -> bool:
+    with file.open("rb") as stream:
+        return stream.read(64).lstrip().startswith(b'{"detections"')
 
 
 def fused_table(frames: Iterable[int], fused: Iterable[FusedBoxes]) -> ObjectTable:

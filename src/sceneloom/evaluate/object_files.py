@@ -38,7 +38,7 @@ class _Kind(StrEnum):
     LISTS = "a folder of lists of detections for each class"
     FUSED = "lines of fused detections"
     EMPTY = "empty files"
-    SCENE = "a scene"
+    SCENE = "taken for a scene"
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,12 +151,12 @@ def _kind_of(path: Path | str) -> _Kind:
 
 
 def _kind_of_files(files: Iterable[Path]) -> _Kind:
-    """Tell files of sequences, whose lines begin with a number, from those of frames by the first line of all."""
+    """Tell files of frames, whose lines begin with a class, from those of sequences by the first line of all."""
     for file in files:
         with file.open("rb") as stream:
             word = next((line.split()[0] for line in stream if line.strip()), None)
         if word is not None:
-            return _Kind.SEQUENCES if word.lstrip(b"-").isdigit() else _Kind.FRAMES
+            return _Kind.FRAMES if word[:1].isalpha() else _Kind.SEQUENCES
     return _Kind.EMPTY
 
 

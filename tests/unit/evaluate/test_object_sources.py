@@ -154,7 +154,10 @@ def test_fused_detections_are_compared_in_the_lidars_frame_with_their_covariance
     ("change", "said"),
     [
         (lambda results, truth: (truth / "calib" / "0000.txt").unlink(), "calib"),
-        (lambda results, truth: (results / "0000.jsonl").write_text("{]\n"), r"0000.jsonl: line 1"),
+        (
+            lambda results, truth: (results / "0000.jsonl").write_text('{"detections": ]\n'),
+            "0000.jsonl: line 1",
+        ),
         (
             lambda results, truth: (results / "0000.jsonl").write_text(
                 f"{fused_line(1, 9, 0.5)}\n{fused_line(1, 9, 0.5)}\n"
@@ -167,6 +170,18 @@ def test_what_is_wrong_with_fused_detections_is_named(fused: tuple[Path, Path], 
     change(*fused)
     with pytest.raises(DataError, match=said):
         compare_detections(*fused)
+
+
+def test_what_is_no_text_of_kitti_is_named(fused: tuple[Path, Path], tmp_path: Path):
+    truth = fused[1]
+    for name, content in (("noise", b"\x8f\xff\x00 7\n"), ("numbers", b"49.01 8.4 112.8\n")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "0000.txt").write_bytes(content)
+        with pytest.raises(DataError, match=f"{name}/0000.txt"):
+            compare_detections(tmp_path / name, truth)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(OptionError, match="is taken for a scene"):
+        compare_detections(tmp_path / "empty", truth)
 
 
 def test_fused_detections_are_no_truth(fused: tuple[Path, Path]):

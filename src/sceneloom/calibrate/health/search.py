@@ -16,6 +16,8 @@ _FINE_RADII = (2.4, 1.6)
 """Balls of rotations that are looked at, one after another [units of a quarter degree]."""
 _NEAR_RADII, _FAR_RADII = (4.0, 2.0), (10.0, 5.0, 2.0)
 _FINE_FROM = 4.0
+_ROUGH_FROM = 3.0
+"""In wider balls some of the features tell where to look next."""
 _LOOKS_PER_COEFFICIENT = (4.0, 2.5)
 _FARTHEST_DEG = 6.0
 
@@ -62,24 +64,38 @@ def find_rotation(objective: Objective) -> Top:
     for radius in _WIDE_RADII:
         wide = _climb(objective, wide, ROTATION, radius, WIDE)
         wide = _bounded(wide)
-    tops = [_refined(objective, start) for start in (wide, begun)]
-    return max(tops, key=lambda top: top.height)
+    places = [_climb(objective, start, ROTATION, _FINE_RADII[0], FINE) for start in (wide, begun)]
+    highest = _highest(objective, places)
+    return _top_around(objective, highest, highest, ROTATION, _FINE_RADII[1])
 
 
-def _refined(objective: Objective, start: Float64Array) -> Top:
-    for radius in _FINE_RADII[:-1]:
-        start = _climb(objective, start, ROTATION, radius, FINE)
-    return find_top(objective, start, ROTATION, (_FINE_RADII[-1],))
+def find_group(objective: Objective, start: Float64Array, parameters: Sequence[Parameter]) -> Top:
+    """Find the best place by several parameters, from near and from farther away; the higher of both counts."""
+    places = []
+    for radii in (_NEAR_RADII, _FAR_RADII):
+        place = start
+        for radius in radii[:-1]:
+            measures = FINE if radius <= _FINE_FROM else WIDE
+            place = _climb(objective, place, parameters, radius, measures)
+        places.append(place)
+    return _top_around(objective, _highest(objective, places), start, parameters, _NEAR_RADII[-1])
 
 
-def find_top(
-    objective: Objective, start: Float64Array, parameters: Sequence[Parameter], radii: Sequence[float]
+def _highest(objective: Objective, places: Sequence[Float64Array]) -> Float64Array:
+    """The place, (8,), where pictures and sweeps agree best."""
+    heights = [objective.standing(objective.agreement.score(Change.of(place), FINE))[0] for place in places]
+    return places[int(np.argmax(heights))]
+
+
+def _top_around(
+    objective: Objective,
+    place: Float64Array,
+    start: Float64Array,
+    parameters: Sequence[Parameter],
+    radius: float,
 ) -> Top:
-    """Find the best place around a start, (8,), by some parameters, in balls of some radii [units]."""
-    place = start
-    for radius in radii[:-1]:
-        place = _climb(objective, place, parameters, radius, FINE if radius <= _FINE_FROM else WIDE)
-    place, replicates = _look_around(objective, place, parameters, radii[-1], FINE)
+    """Find the top in a ball, and what replicates make of it; `start` is what its gain is told against."""
+    place, replicates = _look_around(objective, place, parameters, radius, FINE)
     there, here = (
         objective.agreement.score(Change.of(numbers), FINE, by_cells=True) for numbers in (place, start)
     )
@@ -88,18 +104,12 @@ def find_top(
         tuple(parameters),
         place,
         replicates,
-        radii[-1] * UNITS[list(parameters)],
+        radius * UNITS[list(parameters)],
         float(objective.standing(there)[0]),
         objective.distinctness(there),
         float(objective.standing(there)[0] - objective.standing(here)[0]),
         float(gains.std()),
     )
-
-
-def find_group(objective: Objective, start: Float64Array, parameters: Sequence[Parameter]) -> Top:
-    """Find the best place by several parameters, from near and from farther away; the higher of both counts."""
-    tops = [find_top(objective, start, parameters, radii) for radii in (_NEAR_RADII, _FAR_RADII)]
-    return max(tops, key=lambda top: top.height)
 
 
 def _climb(
@@ -111,7 +121,7 @@ def _climb(
 ) -> Float64Array:
     """Go to the top of the quadratic through looks at a ball, (8,)."""
     columns = list(parameters)
-    surface, scores = _looks(objective, middle, columns, radius, measures)
+    surface, scores = _looks(objective, middle, columns, radius, measures, rough=radius > _ROUGH_FROM)
     values = np.array([objective.standing(score, measures) for score in scores]).T
     found = middle.copy()
     found[columns] += radius * UNITS[columns] * surface.tops(values)[0]
@@ -143,6 +153,7 @@ def _looks(
     measures: Sequence[str],
     *,
     by_cells: bool = False,
+    rough: bool = False,
 ) -> tuple[Surface, list[Score]]:
     """Score places in a ball; one number more to be found needs more of them, but not as many more as it has terms."""
     count = int(_LOOKS_PER_COEFFICIENT[len(columns) > len(ROTATION)] * coefficients(len(columns)))
@@ -151,7 +162,8 @@ def _looks(
     for place in surface.places:
         numbers = middle.copy()
         numbers[columns] += radius * UNITS[columns] * place
-        scores.append(objective.agreement.score(Change.of(numbers), measures, by_cells=by_cells))
+        candidate = Change.of(numbers)
+        scores.append(objective.agreement.score(candidate, measures, by_cells=by_cells, rough=rough))
     return surface, scores
 
 

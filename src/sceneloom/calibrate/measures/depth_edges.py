@@ -138,7 +138,7 @@ def _jumps_along(
 def _slants(ranges: Float64Array, near: Int64Array, before: Int64Array) -> tuple[Float64Array, BoolArray]:
     """How much inverse range falls towards an edge on the surface that ends there, and whether it is that surface.
 
-    Where the surface is one point wide its slant counts as none; a point that itself lies behind an edge, or has nothing
+    Where the surface is one point wide its slant counts as none; a point that itself lies behind an edge, or has none
     beside it, is no end of a surface that is known.
     """
     previous = np.where(before >= 0, ranges[before], ranges[near])

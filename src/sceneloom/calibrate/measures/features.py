@@ -1,6 +1,6 @@
 """What is taken from each frame once, so that candidates cost little."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,19 @@ class FrameFeatures:
     seen: int
     around: Int64Array
     visible: Int64Array
+
+    def thinned(self, every: int) -> "FrameFeatures":
+        """One of so many edges and levels."""
+        return replace(
+            self,
+            edge_points=np.ascontiguousarray(self.edge_points[::every]),
+            edge_kinds=np.ascontiguousarray(self.edge_kinds[::every]),
+            edge_weights=np.ascontiguousarray(self.edge_weights[::every]),
+            edge_cells=np.ascontiguousarray(self.edge_cells[::every]),
+            level_points=np.ascontiguousarray(self.level_points[::every]),
+            levels=np.ascontiguousarray(self.levels[::every]),
+            level_cells=np.ascontiguousarray(self.level_cells[::every]),
+        )
 
 
 def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> FrameFeatures:

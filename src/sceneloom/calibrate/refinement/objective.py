@@ -17,7 +17,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array
 from sceneloom.calibrate.measures.pictures import evened
-from sceneloom.calibrate.refinement.cues import CHANNELS, Cues
+from sceneloom.calibrate.refinement.cues import CHANNELS, LEVEL_MAP, Cues
 from sceneloom.calibrate.refinement.moving_pixels import moving_pixels
 from sceneloom.kernels.aligned_maps import sum_maps
 from sceneloom.kernels.blurring import blur, box_means
@@ -28,29 +28,36 @@ _STRIDES = {6.0: 3, 3.0: 2, 1.0: 1}
 """So many pixels of a picture are one of the map: a wide blur leaves nothing between them."""
 
 _WIDER = 4.0
-_BRIGHTNESS_SHARE = 0.75
+_BRIGHTNESS_SHARE = 0.5
 """Contrasts are known where their points are, edges between two points: brightness is blurred less than edges."""
 _CELL_WIDTHS = 2.0
 """Points of a channel within so many widths see the same of a picture: they count as one."""
 
 
-def maps_of(cues: Cues, width: float) -> Float32Array:
-    """Give the maps of a picture at a width, (K, H, W): edges by direction, then brightness."""
+def fill_maps(cues: Cues, width: float, maps: Float32Array) -> None:
+    """Blur a picture: edges by direction, then brightness.
+
+    Args:
+        width: of the blur [px of the picture].
+        maps: (K, H, W) float32, filled.
+    """
     picture, stride = cues.features.picture, _STRIDES[width]
-    layers = [(image, width) for image in picture.edges["fine"]]
-    layers.append((evened(picture.grey), _BRIGHTNESS_SHARE * width))
-    return np.stack([_band(_reduced(image, stride), wide / stride) for image, wide in layers])
+    for k, image in enumerate(picture.edges["fine"]):
+        maps[k] = _band(_reduced(image, stride), width / stride)
+    maps[LEVEL_MAP] = _band(_reduced(evened(picture.grey), stride), _BRIGHTNESS_SHARE * width / stride)
 
 
 def _reduced(image: Float32Array, stride: int) -> Float32Array:
     """Average blocks of pixels; what is left over at the right and the bottom is cut."""
+    height, width = (max(size // stride, 1) * min(stride, size) for size in image.shape)
     if stride == 1:
         return image
-    height, width = max(image.shape[0] // stride, 1), max(image.shape[1] // stride, 1)
-    blocks = image[: height * stride, : width * stride]
-    return np.asarray(
-        blocks.reshape(height, -1, width, blocks.shape[1] // width).mean(axis=(1, 3)), np.float32
-    )
+    blocks = [
+        image[row:height:stride, column:width:stride]
+        for row in range(min(stride, height))
+        for column in range(min(stride, width))
+    ]
+    return np.asarray(sum(blocks[1:], start=blocks[0]) / np.float32(len(blocks)), np.float32)
 
 
 def _band(image: Float32Array, width: float) -> Float32Array:
@@ -84,20 +91,25 @@ class Level:
     @classmethod
     def of(cls, cues: Sequence[Cues], width: float) -> "Level":
         """Blur all pictures, which must be of one size."""
-        stacks = [maps_of(one, width) for one in cues]
-        kinds = len(stacks[0])
+        height, across = _reduced(cues[0].features.picture.grey, _STRIDES[width]).shape
+        kinds = LEVEL_MAP + 1
+        maps = np.empty((len(cues) * kinds, height, across), np.float32)
+        for k, one in enumerate(cues):
+            fill_maps(one, width, maps[k * kinds : (k + 1) * kinds])
         return cls(
             tuple(cues),
             width,
-            np.concatenate(stacks),
+            maps,
             np.concatenate([one.maps + kinds * k for k, one in enumerate(cues)]).astype(np.int32),
             np.concatenate([one.channels + len(CHANNELS) * k for k, one in enumerate(cues)]).astype(np.int32),
             np.concatenate([one.weights for one in cues]),
         )
 
-    def part(self, frames: AnyArray, *, every: int = 1) -> "Level":
-        """Keep the points of some frames, (F,) bool, and every so many of them; the maps are shared."""
-        kept = np.flatnonzero(frames[self.groups // len(CHANNELS)])[::every]
+    def part(self, frames: AnyArray, *, most: int | None = None) -> "Level":
+        """Keep the points of some frames, (F,) bool, evenly drawn about so many of them; the maps are shared."""
+        kept = np.flatnonzero(frames[self.groups // len(CHANNELS)])
+        if most is not None:
+            kept = kept[:: max(-(-len(kept) // most), 1)]
         return replace(self, chosen=kept if self.chosen is None else self.chosen[kept], **self._rows(kept))
 
     def _rows(self, kept: AnyArray) -> dict[str, Any]:

@@ -15,8 +15,9 @@ _STARTS = 200
 _KEPT = (8, 3, 1)
 """So many candidates are followed up after each look."""
 _ROUNDS = 2
-_EVERY = (3, 2, 1)
-"""At the wider looks so many points are one: their maps are smooth."""
+_MOST_TURNED = (12_000, 16_000, 24_000)
+_MOST_MOVED = (40_000, 160_000)
+"""Points that count at each look, for the turns alone and for all numbers; few tell turns, and wide maps are smooth."""
 _MOST_STEPS = 10
 _FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.3, 1.0, 0.01, 2.0
 """Of a climb, in widths of the blur; the maps are smooth over about so much."""
@@ -61,11 +62,12 @@ def search(
         free: (P,) int64, which of the eight numbers are searched.
         thinned: one point of so many counts.
     """
-    parts = [level.part(frames, every=every * thinned) for level, every in zip(levels, _EVERY, strict=True)]
-    best = _turned(parts)
-    if len(free) > len(TURNS):
-        for level in parts[1:]:
-            best = _climb(level, free, best)
+    most = [count // thinned for count in _MOST_TURNED]
+    best = _turned([level.part(frames, most=count) for level, count in zip(levels, most, strict=True)])
+    most = [count // thinned for count in _MOST_MOVED]
+    parts = [level.part(frames, most=count) for level, count in zip(levels[1:], most, strict=True)]
+    for level in parts:
+        best = _climb(level, free, best)
     return _polished(parts[-1], free, best)
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections.camera_only import place_by_height
-from sceneloom.detections.classes import numbers_of, table_rows
+from sceneloom.cameras.models import unproject
+from sceneloom.detections.camera_only import EDGES, place_by_height
+from sceneloom.detections.classes import KINDS, numbers_of, table_rows
 from sceneloom.geometry.rigid import RigidTransform
 
 CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
@@ -72,3 +73,48 @@ def test_only_the_boxes_asked_for_are_placed():
     assert found.rows.tolist() == [2, 0]
     np.testing.assert_array_equal(found.centers[0], placed(corners[2]).centers[0])
     np.testing.assert_array_equal(found.centers[1], placed(corners[0], label="car").centers[0])
+
+
+def angle(one, other):
+    return np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)
+
+
+def slowly_placed(camera, camera_from_lidar, box, label):
+    """One object step by step: its distance by its height, its covariance as one along the ray and one across."""
+    left, top, right, bottom = box
+    middle_u, middle_v = (left + right) / 2 - 0.5, (top + bottom) / 2 - 0.5
+    pixels = [[middle_u, middle_v], [middle_u, top - 0.5], [middle_u, bottom - 0.5]]
+    middle, up, down, *sides = unproject(
+        camera, np.array([*pixels, [left - 0.5, middle_v], [right - 0.5, middle_v]])
+    )
+    kind = KINDS[label]
+    high, wide = angle(up, down), angle(*sides)
+    distance = kind.size_lwh[2] / (2 * np.tan(high / 2)) + kind.size_lwh[1] / 2
+    of_width, of_height = (EDGES[0] + EDGES[1] / (right - left)), (EDGES[0] + EDGES[1] / (bottom - top))
+    relative = (kind.size_sigmas[2] / kind.size_lwh[2]) ** 2 + 2 * of_height**2
+    if top < 2.0 or bottom > camera.height - 2.0:
+        relative += 0.5**2
+    across = max(of_width * wide, of_height * high) ** 2
+    lidar_from_camera = camera_from_lidar.inverse()
+    ray = lidar_from_camera.rotation @ middle
+    along = np.outer(ray, ray)
+    covariance = distance**2 * (relative * along + across * (np.eye(3) - along))
+    return lidar_from_camera.apply(distance * middle), covariance
+
+
+def test_places_are_those_of_the_formulas_for_bent_lenses_and_turned_cameras():
+    generator = np.random.default_rng(5)
+    bent = Camera("brown_conrady", 1000, 600, 500.0, 510.0, 480.0, 310.0, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))
+    how = RigidTransform.from_quaternion(generator.normal(size=3), generator.normal(size=4))
+    corners = np.sort(generator.uniform(0, [1000, 600], (60, 2, 2)), axis=1).reshape(60, 4)
+    corners[::7, 1] = 0.5
+    labels = generator.choice(list(KINDS), 60).tolist()
+    kinds = table_rows(numbers_of(labels, [])[0])
+    found = place_by_height(bent, how, corners, np.arange(60), kinds)
+    assert len(found.rows) == 60
+    slowly = [slowly_placed(bent, how, box, label) for box, label in zip(corners, labels, strict=True)]
+    # the chord between rays and their cross product round differently
+    np.testing.assert_allclose(found.centers, [center for center, _ in slowly], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        found.center_covariances, [covariance for _, covariance in slowly], rtol=1e-7, atol=1e-9
+    )

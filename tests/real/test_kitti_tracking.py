@@ -1,5 +1,7 @@
 """Sequences of KITTI's tracking benchmark with the lists of two detectors, held against what others say of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,8 @@ from sceneloom.cli import main
 from sceneloom.formats.kitti import open_tracking_folder, read_labels, write_labels
 from sceneloom.formats.kitti.camera_boxes import lidar_boxes
 from sceneloom.formats.rig.csv_files import read_table
-from sceneloom.pipeline.detected import kitti_drive
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pipeline.detected import calibration_notices, kitti_drive
 from sceneloom.pipeline.track_kitti import projected_boxes
 
 PART = ("0012", "0014")
@@ -88,6 +91,16 @@ def test_the_way_turns_as_pictures_say(tracking, folder):
     assert by_pictures.max() > 60.0  # the drive turns a corner
     # half a degree is what the odometry of pictures and the mounting of the unit are off together
     assert np.abs(by_unit - by_pictures).max() < 1.0
+
+
+@pytest.mark.parametrize(("degrees", "told"), [(0.0, False), (2.5, True)])
+def test_a_calibration_that_is_turned_is_noticed_by_the_boxes(tracking, degrees, told):
+    sequence = tracking.sequence("0014")
+    turn = np.radians(degrees)
+    rotation = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    wrong = RigidTransform(rotation, np.zeros(3)) @ sequence.camera_from_lidar
+    notices = calibration_notices(kitti_drive(replace(sequence, camera_from_lidar=wrong)))
+    assert ("calibration-off" in {notice.code for notice in notices}) == told
 
 
 def test_labels_are_written_as_they_were_read(folder, tmp_path):

@@ -28,6 +28,7 @@ class ColourSettings:
         only_coloured: whether points that no picture shows are left out.
         provenance: whether clouds tell of each point camera, picture, pixel and weight.
         label_radius_px: of the square that a point fills in projected label images beside its pixel.
+        threads: how many share the work on a sweep; what they give is the same.
 
     Raises:
         OptionError: a value is not one that can be followed.
@@ -41,6 +42,7 @@ class ColourSettings:
     only_coloured: bool = False
     provenance: bool = False
     label_radius_px: int = 0
+    threads: int = 1
 
     def __post_init__(self) -> None:
         if self.blend not in BLENDS:
@@ -49,6 +51,8 @@ class ColourSettings:
             raise OptionError(f"voxel {self.voxel}; expected 0.001 to 1000 m")
         if not 0 <= self.label_radius_px <= 100:
             raise OptionError(f"label_radius_px {self.label_radius_px}; expected 0 to 100")
+        if not 1 <= self.threads <= 256:
+            raise OptionError(f"threads {self.threads}; expected 1 to 256")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

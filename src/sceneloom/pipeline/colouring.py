@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.arrays import BoolArray
+from sceneloom.colouring import VisibilitySettings
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.moving import MovingPoints, lags_for
@@ -215,7 +216,8 @@ class _Job:
         return places
 
     def _system(self) -> FusionSystem:
-        system = build_system(self.woven.scene, self.woven.ego, FusionConfiguration())
+        configuration = FusionConfiguration(visibility=VisibilitySettings(threads=self.settings.threads))
+        system = build_system(self.woven.scene, self.woven.ego, configuration)
         if self.skips is not None:
             system.on_unreadable = self.skips.add
         return system

@@ -9,6 +9,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
 from sceneloom.detections.detector_files import detector_names
+from sceneloom.detections.residuals import BoxResiduals
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.formats.kitti import KittiSequence
 from sceneloom.formats.kitti.oxts import PERIOD_NS
@@ -154,6 +155,15 @@ def moments(drive: DetectedDrive) -> Iterator[Moment]:
             camera_from_lidar = seen_from[camera_id][row].inverse() @ places[k]
             pairs[camera_id] = DetectionPair(boxes, camera.boxes[row], camera.lens, camera_from_lidar)
         yield Moment(boxes.timestamp_ns, places[k], pairs, boxes, drive.points)
+
+
+def calibration_notices(drive: DetectedDrive) -> tuple[Notice, ...]:
+    """What the boxes of pictures and sweeps say of the calibration of each camera: nothing where they come together."""
+    residuals = {camera_id: BoxResiduals() for camera_id in drive.cameras}
+    for moment in moments(drive):
+        for camera_id, pair in moment.pairs.items():
+            residuals[camera_id].add(pair)
+    return tuple(notice for camera_id, found in residuals.items() for notice in found.notices(str(camera_id)))
 
 
 _NONE = -1

@@ -133,7 +133,7 @@ def _cameras(
         return {camera.id: _detected(scene, camera, None, ego) for camera in chosen}
     lists: dict[Identifier, list[Sequence[Boxes2D]]] = {}
     for path, camera, number in _assigned(scene, files):
-        context = ListContext(camera.id, camera.pictures.timestamps_ns, number=number)
+        context = ListContext(camera.id, camera.pictures.timestamps_ns, number=number, others=_numbers(scene))
         lists.setdefault(camera.id, []).append(read_boxes_2d(path, context, ledger))
     return {
         camera_id: _detected(scene, _camera(scene, camera_id), _together_2d(found), ego)
@@ -160,6 +160,12 @@ def _assigned(scene: Scene, files: DetectionFiles) -> list[tuple[Path, CameraSen
         raise OptionError(f"{scene.source}: boxes in pictures, and no camera in it")
     first = len(scene.lidars)
     return [(path, camera, first + k) for path in files.boxes_2d for k, camera in enumerate(scene.cameras)]
+
+
+def _numbers(scene: Scene) -> frozenset[int]:
+    """How records name the cameras of a scene."""
+    first = len(scene.lidars)
+    return frozenset(range(first, first + len(scene.cameras)))
 
 
 def _detected(

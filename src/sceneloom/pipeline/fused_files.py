@@ -22,7 +22,13 @@ from sceneloom.fusion.detection_fusion import FusedDetectionFrame
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.json_form import format_json, parse_json
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detected import DetectedCamera, DetectedDrive, kitti_drive, poses_at
+from sceneloom.pipeline.detected import (
+    DetectedCamera,
+    DetectedDrive,
+    calibration_notices,
+    kitti_drive,
+    poses_at,
+)
 from sceneloom.pipeline.detection_report import DetectionFusionReport, DetectionTally, FusedDriveReport
 from sceneloom.pipeline.fused_detections import detections_record, fused_boxes_of, iter_fused_detections
 from sceneloom.scene import Boxes3D, Identifier, Notice, PosePath
@@ -146,7 +152,7 @@ def _fuse_into(
         sweeps_only=tally.sweeps_only,
         pictures_only=tally.pictures_only,
         by_class=dict(tally.by_class),
-        notices=drive.notices,
+        notices=(*drive.notices, *calibration_notices(drive)),
     )
 
 

@@ -16,7 +16,7 @@ from sceneloom.formats.kitti import KittiSequence, KittiTracking, sequence_scene
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detected import DetectedDrive, kitti_drive, poses_at
+from sceneloom.pipeline.detected import DetectedDrive, calibration_notices, kitti_drive, poses_at
 from sceneloom.pipeline.fused_files import read_fused
 from sceneloom.pipeline.track_kitti import kitti_results
 from sceneloom.pipeline.track_lines import track_lines
@@ -294,7 +294,7 @@ def _track_into(
         tracks={str(label): int(count) for label, count in counts.items()},
         states=sum(map(len, tracked.moments)),
         seconds=tracked.seconds,
-        notices=source.drive.notices,
+        notices=(*source.drive.notices, *calibration_notices(source.drive)),
     )
     return report, losses
 

@@ -9,7 +9,7 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.fusion.messages.json_form import format_json, parse_json
 from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
-from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
+from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, detect_2d, detect_3d, simulate_street
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +70,29 @@ def test_what_was_fused_is_tracked_as_if_at_once(call, drive, tmp_path):
             assert (a["id"], a["class"]) == (b["id"], b["class"])
             # 0.4 m: 1 % of the distance, as boxes of some 50 px get whole pixels on the way through the file
             np.testing.assert_allclose(a["center"], b["center"], atol=0.4)
+
+
+def test_records_name_their_camera_or_the_command_does(call, tmp_path):
+    camera = Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5)
+    cameras = (CameraSpec(camera), CameraSpec(camera, camera_mount(yaw_deg=60.0)))
+    drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=cameras)
+    sceneloom.write(drive.scene, tmp_path / "drive", pictures="png")
+    reports = {one.id: detect_2d(drive, one.id) for one in drive.scene.cameras}
+    words = []
+    for number, (name, found) in enumerate(reports.items(), start=1):  # the lidar is number 0
+        lines = [format_json(boxes_2d_record(r.boxes, sensor_id=number, seq=k)) for k, r in enumerate(found)]
+        (tmp_path / f"{name}.jsonl").write_text("\n".join(lines))
+        words += ["--boxes2d", tmp_path / f"{name}.jsonl", "--camera", name]
+    (tmp_path / "all.jsonl").write_text("\n".join((tmp_path / f"{n}.jsonl").read_text() for n in reports))
+    texts = []
+    for number, given in enumerate((words, ["--boxes2d", tmp_path / "all.jsonl"])):
+        out = tmp_path / f"{number}.jsonl"
+        outcome = call("fuse", tmp_path / "drive", "--type", "detection", *given, "-o", out)
+        assert (outcome.code, "sensor_id" in outcome.err) == (0, False), outcome.err
+        texts.append(out.read_text())
+    assert texts[0] == texts[1]
+    found = [len(parse_json(line)) for line in texts[0].splitlines()]
+    assert sum(found) == sum(len(r.boxes) for reports_of_one in reports.values() for r in reports_of_one)
 
 
 @pytest.mark.parametrize("one", ["boxes3d", "boxes2d"])

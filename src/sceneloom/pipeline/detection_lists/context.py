@@ -22,6 +22,7 @@ class ListContext:
         sensor_id: the lidar, or the camera.
         timestamps_ns: of its sweeps or pictures, (N,) int64 [ns], rising: by them, frames are numbered.
         number: `sensor_id` of the records that are its own; None for all.
+        others: those of other sensors that are known, whose records are no matter.
         source: `world_from_sensor`, for boxes in the world; None where it is not known.
         sensor_from_camera: takes the rectified camera's frame into the sensor's, for KITTI's boxes in space; None where
             it is not known.
@@ -31,6 +32,7 @@ class ListContext:
     sensor_id: Identifier
     timestamps_ns: Int64Array
     number: int | None = None
+    others: frozenset[int] = frozenset()
     source: PoseSource | None = None
     sensor_from_camera: RigidTransform | None = None
     label: str | None = None

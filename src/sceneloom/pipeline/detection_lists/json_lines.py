@@ -86,10 +86,10 @@ def _records(
             lone.append(record)
         elif context.number is None or record.sensor_id == context.number:
             yield record
-        else:
+        elif record.sensor_id not in context.others:
             others += 1
     if others:
-        message = "lists of other sensors are not this one's"
+        message = "lists whose sensor_id is that of no sensor here"
         ledger.note(NoticeKind.SKIPPED, "other-sensors", str(path), message, count=others)
     lone.sort(key=_frame_of)  # stable: within a frame, the order of the file
     for _, same in groupby(lone, key=_frame_of):

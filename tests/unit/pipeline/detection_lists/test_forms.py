@@ -45,13 +45,30 @@ def file(tmp_path, text, name="boxes.txt"):
 
 
 BOX_3D = {
-    "id": 3, "class": "Car", "points_seq": 1, "confidence": 0.5, "timestamp": "0.100000000",
-    "X": 10.0, "Y": 1.0, "Z": -0.5, "length": 4.0, "width": 2.0, "height": 1.5,
-    "direction": [0.0, 2.0, 0.0], "velocity": -3.0,
+    "id": 3,
+    "class": "Car",
+    "points_seq": 1,
+    "confidence": 0.5,
+    "timestamp": "0.100000000",
+    "X": 10.0,
+    "Y": 1.0,
+    "Z": -0.5,
+    "length": 4.0,
+    "width": 2.0,
+    "height": 1.5,
+    "direction": [0.0, 2.0, 0.0],
+    "velocity": -3.0,
 }
 BOX_2D = {
-    "id": 3, "class": "Car", "image_seq": 1, "confidence": 0.5, "timestamp": "0.100000000",
-    "x1": 10, "y1": 20, "x2": 30, "y2": 40,
+    "id": 3,
+    "class": "Car",
+    "image_seq": 1,
+    "confidence": 0.5,
+    "timestamp": "0.100000000",
+    "x1": 10,
+    "y1": 20,
+    "x2": 30,
+    "y2": 40,
 }
 
 
@@ -95,9 +112,9 @@ def test_frames_between_bare_records_are_frames_in_which_nothing_was_found(tmp_p
 
 def test_lists_of_other_sensors_are_left_out_and_counted(tmp_path, context):
     boxes = Boxes2D(0, np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.5]), ("Car",))
-    lines = [format_json(boxes_2d_record(boxes, sensor_id=number, seq=0)) for number in (1, 2)]
+    lines = [format_json(boxes_2d_record(boxes, sensor_id=number, seq=0)) for number in (1, 2, 7)]
     ledger = strict()
-    own = ListContext("camera", TIMES, number=2)
+    own = ListContext("camera", TIMES, number=2, others=frozenset({1, 2}))
     assert len(read_boxes_2d(file(tmp_path, "\n".join(lines)), own, ledger)) == 1
     assert [(notice.code, notice.count) for notice in ledger.notices] == [("other-sensors", 1)]
 

@@ -58,7 +58,7 @@ DETECTORS = click.option(
     "--detectors",
     metavar="NAME",
     help="What is known of the detectors: a name, or a TOML file. [default: in KITTI's folders those of KITTI, else "
-    "independent ones]",
+    "simulated ones]",
 )
 """What fusion goes by."""
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sceneloom.arrays import Float32Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionAlgorithm, DetectionPair, FusedBoxes
 from sceneloom.fusion.pairing import Pairing, Waiting
@@ -90,8 +91,11 @@ class BoxFusion:
         """Fuse the boxes of a sweep with those of each picture that belongs to it."""
         algorithm: DetectionAlgorithm = waiting.algorithm
         seen_by = list(self._seen_by(waiting, pairing))
+        points = None
+        if any(len(seen.boxes) for _, seen, _, _ in seen_by):
+            points = _points_lidar(self.lidars[waiting.lidar_id], waiting.reference_ns)
         for number, (camera_id, seen, camera_from_lidar, stands) in enumerate(seen_by, start=1):
-            pair = DetectionPair(waiting.frame, seen.boxes, seen.camera, camera_from_lidar)
+            pair = DetectionPair(waiting.frame, seen.boxes, seen.camera, camera_from_lidar, points)
             yield FusedDetectionFrame(
                 waiting.lidar_id,
                 camera_id,
@@ -124,6 +128,21 @@ class BoxFusion:
                 camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=True)
             if camera_from_lidar is not None:
                 yield camera.id, seen, camera_from_lidar, stands
+
+
+def _points_lidar(lidar: KnownLidar, time_ns: int) -> Float32Array | None:
+    """The points of the sweep of a time in the lidar's frame, as they were measured; None where it has not come."""
+    frame = lidar.sweep_at(time_ns)
+    if frame is None or len(frame.points) == 0:
+        return None
+    positions, source, place = frame.points.positions, lidar.source, lidar.place or lidar.source
+    if place is None or source is place or (source is not None and source.mount is place.mount):
+        return np.ascontiguousarray(positions)
+    world_from_lidar = _at(place, time_ns)
+    world_from_points = RigidTransform.identity() if source is None else _at(source, time_ns)
+    if world_from_lidar is None or world_from_points is None:
+        return None
+    return (world_from_lidar.inverse() @ world_from_points).apply(positions).astype(np.float32)
 
 
 def _camera_from_lidar(

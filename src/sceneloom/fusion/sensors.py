@@ -1,12 +1,16 @@
 """What the fusion system knows of each sensor."""
 
-from dataclasses import dataclass, replace
+from collections import deque
+from dataclasses import dataclass, field, replace
 
 from sceneloom.scene import Identifier, LidarFrame
 from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.shutter import GLOBAL, Shutter
+
+_MOST_SWEEPS = 3
+"""So many sweeps are kept for boxes, which come later."""
 
 
 @dataclass(slots=True)
@@ -20,6 +24,7 @@ class KnownLidar:
         received: how many sweeps have come.
         received_boxes: how many lists of boxes have come.
         last_raw: times of the last sweep's points as they were read.
+        latest: the last sweeps, from the first list of boxes on: their points place what pictures alone show.
     """
 
     source: PoseSource | None
@@ -28,6 +33,20 @@ class KnownLidar:
     received: int = 0
     received_boxes: int = 0
     last_raw: RawTimes | None = None
+    latest: deque[LidarFrame] = field(default_factory=lambda: deque(maxlen=_MOST_SWEEPS))
+
+    def remember(self, frame: LidarFrame) -> None:
+        """Keep a sweep for the boxes that will come of it, if any have come so far."""
+        if self.received_boxes:
+            self.latest.append(frame)
+
+    def sweep_at(self, time_ns: int) -> LidarFrame | None:
+        """The sweep that is kept of a time [ns], within half a period; None where there is none."""
+        near = [(abs(frame.reference_ns - time_ns), -k, frame) for k, frame in enumerate(self.latest)]
+        if not near:
+            return None
+        away_ns, _, frame = min(near, key=lambda one: one[:2])
+        return frame if away_ns <= self.period_ns // 2 else None
 
     def timed(self, frame: LidarFrame) -> tuple[LidarFrame, TimesFound]:
         """Bring the times of the points onto the scene's clock, and say what they were."""

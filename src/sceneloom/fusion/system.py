@@ -183,6 +183,7 @@ class FusionSystem:
             pairing.restart(time_ns)
         for lidar in self._lidars.values():
             lidar.last_raw = None
+            lidar.latest.clear()
 
     def end(self) -> None:
         """Fuse everything that waits, and let go of all pictures."""
@@ -196,6 +197,7 @@ class FusionSystem:
 
     def _receive_sweep(self, lidar_id: Identifier, lidar: KnownLidar, frame: LidarFrame) -> None:
         frame, times = lidar.timed(frame)
+        lidar.remember(frame)
         sweep = TimedSweep(frame, times)
         waiting = Waiting(
             lidar_id,

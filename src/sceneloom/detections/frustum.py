@@ -21,6 +21,7 @@ from sceneloom.cameras.models import project, unproject
 from sceneloom.detections.camera_only import BORDER_PX, EDGES, Placed
 from sceneloom.detections.classes import SIZES
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.points_in_cones import points_in_cones
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
 LEAST_POINTS = 5
@@ -52,6 +53,9 @@ _NEAR_SHIFT = 12.0
 _SLIM, _BODY = 1.0, 0.25
 """Of what is slimmer [m] the middle shows a person, riding or not: the middle of a body is this share of its width
 behind its surface."""
+_MIDDLE_AND_CORNERS = np.array([[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+_LEAST_COSINE, _WIDER = 0.2, 0.999
+"""Boxes that are wider than a cone of this cosine have no cone; those of others are a little wider than the boxes."""
 _ANY_TURN = np.linspace(0.0, np.pi / 2.0, 16)
 _SIDE_SHARE = 0.12
 """Deviation of how wide an object appears, as a share of it."""
@@ -83,13 +87,14 @@ def place_by_points(
     measured = np.zeros(len(placed.rows), np.bool_)
     if len(measured) == 0 or len(points_lidar) == 0:
         return placed, measured
-    points = points_lidar[np.isfinite(points_lidar).all(axis=1)].astype(np.float64)
+    origin = camera_from_lidar.inverse().translation
+    corners = corners_xyxy[placed.rows]
+    points = _near_boxes(camera, camera_from_lidar, points_lidar, corners, origin)
     pixels, visible = project(camera, camera_from_lidar.apply(points))
     points, pixels = points[visible], pixels[visible] + CENTRE_TO_CORNER
-    origin = camera_from_lidar.inverse().translation
     moved = Placed(*(column.copy() for column in placed))  # type: ignore[arg-type]
-    sights = _sights(camera, corners_xyxy[placed.rows])
-    for k, inside in enumerate(_cores(pixels, corners_xyxy[placed.rows])):
+    sights = _sights(camera, corners)
+    for k, inside in enumerate(_cores(pixels, corners)):
         own = points[inside]
         own = own[~_in_boxes(own, boxes)]
         found = _Found.of(own, origin, placed, k, SIZES[kinds[placed.rows[k]]], sights[k])
@@ -97,6 +102,27 @@ def place_by_points(
             measured[k] = True
             found.put(moved, k, origin)
     return moved, measured
+
+
+def _near_boxes(
+    camera: Camera,
+    camera_from_lidar: RigidTransform,
+    points_lidar: FloatArray,
+    corners: Float64Array,
+    origin: Float64Array,
+) -> Float64Array:
+    """The points (N, 3) [m] in cones around boxes of the picture: few of a sweep, of which the lens is asked."""
+    wide = corners[:, 2:] - corners[:, :2]
+    places = corners[:, None, :2] + _MIDDLE_AND_CORNERS * wide[:, None] - CENTRE_TO_CORNER
+    rays = unproject(camera, places.reshape(-1, 2)).reshape(-1, 5, 3)
+    cosines = (rays[:, 1:] * rays[:, :1]).sum(axis=2).min(axis=1)
+    known = np.isfinite(cosines)
+    if not (cosines[known] > _LEAST_COSINE).all():
+        return points_lidar[np.isfinite(points_lidar).all(axis=1)].astype(np.float64)
+    axes = rays[known, 0] @ camera_from_lidar.rotation
+    cloud = np.ascontiguousarray(points_lidar, np.float32)
+    rows = points_in_cones(cloud, origin, np.ascontiguousarray(axes), cosines[known] * _WIDER)
+    return points_lidar[rows].astype(np.float64)
 
 
 def _cores(pixels: Float64Array, corners: Float64Array) -> Iterator[Int64Array]:

@@ -53,6 +53,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 )
 @click.option("--pictures", type=options.target, metavar="DIR", help="Folder for pictures to look at.")
 @options.way(further="`identity`: it stood still")
+@options.threads
 @options.part
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @options.reading
@@ -82,7 +83,7 @@ def colour(
 
     if label_radius_px is not None and project_labels is None:
         raise click.UsageError("--label-radius does nothing without --project-labels DIR")
-    names = ("voxel", "blend", "remove_moving", "only_coloured", "provenance", "labels")
+    names = ("voxel", "blend", "remove_moving", "only_coloured", "provenance", "labels", "threads")
     chosen = {name: further.pop(name) for name in names}
     settings = ColourSettings(
         exposure=not no_exposure, **options.said(**chosen, label_radius_px=label_radius_px)

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 @click.option("--confidence", is_flag=True, help="Write the confidence beside PNG images: 8 bit, 255 for 1.")
 @click.option("--pictures", type=options.target, help="Folder for pictures to look at.")
 @options.way(further="`identity`: it stood still")
+@options.threads
 @options.part
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @options.reading
@@ -52,6 +53,7 @@ def depth(
     pictures: Path | None,
     trajectory: str | None,
     heading: str | None,
+    threads: int | None,
     start: float | None,
     stop: float | None,
     overwrite: bool,
@@ -61,7 +63,9 @@ def depth(
     **reading: Any,
 ) -> None:
     """Write a depth image for each sweep and picture: z in metres, dense by choice, with a confidence."""
+    from sceneloom.colouring import VisibilitySettings
     from sceneloom.formats import open_scene
+    from sceneloom.fusion import FusionConfiguration
     from sceneloom.pipeline.depth_images import write_depth_images
 
     with (
@@ -78,6 +82,7 @@ def depth(
             heading=heading,
             start=start,
             stop=stop,
+            configuration=FusionConfiguration(visibility=VisibilitySettings(**options.said(threads=threads))),
             lenient=reading["lenient"],
             overwrite=overwrite,
             progress=progress,

@@ -43,6 +43,7 @@ from sceneloom.cli.printing import print_json, progress_bar
     metavar="N",
     help="Draw every Nth sweep. [default: eight spread over the drive]",
 )
+@options.threads
 @options.part
 @options.rewriting
 def fuse(
@@ -67,7 +68,7 @@ def fuse(
 
 _WAY = ("trajectory", "heading")
 _OF_SENSOR_DATA = (
-    *("depth", "depth_form", "pictures", "pictures_every"),
+    *("depth", "depth_form", "pictures", "pictures_every", "threads"),
     *("start", "stop", "profile", "time_unit"),
 )
 """Options that only the fusion of sensor data has."""
@@ -84,6 +85,7 @@ def _fuse_sensor_data(
     depth_form: str | None,
     pictures: Path | None,
     pictures_every: int | None,
+    threads: int | None,
     start: float | None,
     stop: float | None,
     overwrite: bool,
@@ -98,6 +100,7 @@ def _fuse_sensor_data(
         raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
     _refuse_idle("--depth-form", depth_form, "--depth", depth)
     _refuse_idle("--pictures-every", pictures_every, "--pictures", pictures)
+    from sceneloom.colouring import VisibilitySettings
     from sceneloom.formats import open_scene
     from sceneloom.fusion import FusionConfiguration
     from sceneloom.pipeline import FusionOutputs
@@ -122,7 +125,10 @@ def _fuse_sensor_data(
             start=start,
             stop=stop,
             outputs=outputs,
-            configuration=FusionConfiguration(**options.said(fusion_algorithm=algorithm)),
+            configuration=FusionConfiguration(
+                visibility=VisibilitySettings(**options.said(threads=threads)),
+                **options.said(fusion_algorithm=algorithm),
+            ),
             lenient=reading["lenient"],
             progress=progress,
         )

@@ -133,6 +133,14 @@ part = _stacked(
     click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp."),
     click.option("--stop", type=float, metavar="S", help="End before S seconds after it."),
 )
+
+threads = click.option(
+    "--threads",
+    type=click.IntRange(1, 256),
+    metavar="N",
+    help="Threads that share the work on a sweep; what they give is the same. [default: 1]",
+)
+"""How many processors one sweep may use."""
 """On every verb that can take a part of a drive."""
 
 

@@ -101,7 +101,7 @@ def read_boxes_3d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
     """Read a list of boxes in space: `frame,type,x1,y1,x2,y2,score,h,w,l,x,y,z,ry,alpha`.
 
     Args:
-        label: class of all of them; None where the numbers in the lines tell.
+        label: class of all of them; None, or no word of KITTI's, where the numbers in the lines tell.
         ledger: told in a lenient reading of faulty lines.
 
     Raises:
@@ -117,7 +117,7 @@ def read_boxes_3d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
             ledger.fault("faulty-detections", error)
             continue
         rows.append(row)
-    classes = frozenset({label}) if label else frozenset(labels)
+    classes = frozenset(labels) or frozenset({label} if label else ())
     return _by_frame(as_table(rows, len(COLUMNS_3D)), labels, classes)
 
 
@@ -130,6 +130,8 @@ def _checked_label(line: Line, row: Sequence[float], label: str | None) -> str:
     if label is None:
         if known is None:
             raise line.fault(f"type {row[1]:g}; expected one of {listed}")
+        return known
+    if known is not None and label not in CLASSES:  # a folder of any name: the line says more
         return known
     if known is not None and label in TYPES.values() and known != label:
         raise line.fault(f"type {row[1]:g} in the folder {label}; the types are {listed}")

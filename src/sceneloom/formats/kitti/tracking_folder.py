@@ -237,7 +237,12 @@ def _detections(
             )
     lists = [read(file, label, ledger) for file, label in files if file.is_file()]
     if not files:
-        ledger.note(NoticeKind.SKIPPED, "no-detections", str(detector), "no list of this sequence in it")
+        ledger.note(
+            NoticeKind.SKIPPED,
+            "no-detections",
+            str(detector),
+            "no folders named after classes in it: goes without its boxes",
+        )
     return joined(lists, columns) if lists else None
 
 

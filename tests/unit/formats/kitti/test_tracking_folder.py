@@ -166,6 +166,18 @@ def test_a_faulty_line_is_told_with_its_place_and_what_was_expected(tracking_fol
     assert caught.value.file == str(folder / f"{file.replace('__', '/')}.txt")
 
 
+def test_the_type_tells_the_class_where_the_folder_has_another_name(tracking_folder):
+    folder = tracking_folder(
+        det3d_b__Car__0007=None,
+        det3d_b__Pedestrian__0007=None,
+        det3d_b__Car_val__0007=f"{GOOD_3D}\n",
+        det3d_b__cyclist__0007="",
+    )
+    found = sequence(folder)
+    assert found.boxes_3d(2).labels == ("Car",)
+    assert found.classes_3d == {"Car", "Cyclist"}
+
+
 def test_a_lenient_reading_leaves_faulty_lines_out(tracking_folder):
     found = sequence(tracking_folder(det3d_b__Car__0007=f"{GOOD_3D}\n2,2,0\n{GOOD_3D}\n"), lenient=True)
     assert len(found.boxes_3d(2)) == 3

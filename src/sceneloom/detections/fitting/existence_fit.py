@@ -23,6 +23,8 @@ _SEEN_SHARES = (0.1, 0.25, 0.5, 1.0)
 _FLOOR = 0.03
 """What a picture shows nothing of is found by chance."""
 _PRIOR = 0.1
+_SUREST_RECALL = 0.98
+"""No detector is taken to find a larger share than this: the next drive has another light."""
 _OPEN = 0.5
 
 
@@ -80,13 +82,13 @@ def fit_sight(
     for (low, high), seen in itertools.product(_HEIGHTS_PX, _SEEN_SHARES):
         openness = np.clip((heights - low) / (high - low), 0.0, 1.0) * np.minimum(shares / seen, 1.0)
         plain = openness > _OPEN
-        recall = (found[plain].sum() + 1.0) / (plain.sum() + 2.0)
+        recall = min((found[plain].sum() + 1.0) / (plain.sum() + 2.0), _SUREST_RECALL)
         chances = np.maximum(recall * openness, _FLOOR)
         likelihood = np.log(np.where(found, chances, 1.0 - chances)).sum()
         if likelihood > best:
             best, sight = likelihood, ((low, high), seen, float(recall))
     told = picture.verdict == 1
-    recall_3d = float((picture.matched[told].sum() + 1.0) / (told.sum() + 2.0))
+    recall_3d = min(float((picture.matched[told].sum() + 1.0) / (told.sum() + 2.0)), _SUREST_RECALL)
     return Sight(
         recall_2d=sight[2],
         recall_3d=recall_3d,

@@ -31,7 +31,7 @@ class FitSettings:
     surest_3d: float = float("inf")
     least_count: int = 200
     degrees_of_freedom: float = 5.0
-    weak_recall_2d: float = 0.6
+    weak_recall_2d: float = 0.7
     weak_share: float = 0.1
     otherwise: str | None = None
 

@@ -18,6 +18,7 @@ from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detected import DetectedDrive, calibration_notices, kitti_drive, poses_at
 from sceneloom.pipeline.fused_files import read_fused
+from sceneloom.pipeline.labelled_drive import label_drive
 from sceneloom.pipeline.track_kitti import kitti_results
 from sceneloom.pipeline.track_lines import track_lines
 from sceneloom.pipeline.track_pictures import save_tracking_pictures
@@ -97,10 +98,8 @@ def _write_lines(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2
 
 
 def _write_scene(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2d: PictureBox) -> LossReport:
-    from sceneloom.tracking.labels import label_tracks
-
     del box2d
-    return write_scene(label_tracks(source.scene, tracked.tracks).scene, path, format="sfs")
+    return write_scene(label_drive(source.scene, source.drive, tracked.tracks).scene, path, format="sfs")
 
 
 FORMS: Mapping[str, tuple[str, Write]] = MappingProxyType(

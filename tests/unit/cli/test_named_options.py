@@ -15,7 +15,7 @@ from sceneloom.cli.main import sceneloom as command_line
 
 SOURCES = Path(sceneloom.__file__).parent
 
-OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 
 def commands(

@@ -57,7 +57,11 @@ FUSED = json.dumps(
     {
         "detections": {
             "timestamp": "0.100000000",
-            "image_seq": 1, "points_seq": 1, "camera_id": 1, "lidar_id": 0, "detections": [],
+            "image_seq": 1,
+            "points_seq": 1,
+            "camera_id": 1,
+            "lidar_id": 0,
+            "detections": [],
         }
     }
 )

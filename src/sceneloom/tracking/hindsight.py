@@ -141,7 +141,7 @@ def _track(course: Course, moments: Sequence[Moment], settings: TrackerSettings)
 
 
 def _filled(course: Course, settings: TrackerSettings) -> Int64Array:
-    """Which moments are told: those with a box, and those of short gaps between them."""
+    """Which moments are told: those with a box, and those of short gaps between them; of one time the last."""
     boxes = np.flatnonzero(course.supports != Support.PREDICTED)
     times = course.timestamps_ns[boxes]
     gaps = np.diff(times) <= settings.longest_fill * 1e9
@@ -149,6 +149,7 @@ def _filled(course: Course, settings: TrackerSettings) -> Int64Array:
     kept[boxes] = True
     for short, start, stop in zip(gaps.tolist(), boxes[:-1].tolist(), boxes[1:].tolist(), strict=True):
         kept[start:stop] |= short
+    kept[:-1] &= np.diff(course.timestamps_ns) > 0
     return np.flatnonzero(kept)
 
 

@@ -168,6 +168,27 @@ def test_moments_without_boxes_or_cameras_are_moments(street, actor):
     assert track_drive([]).tracks == ()
 
 
+def test_cars_one_behind_the_other_are_two_however_they_overlap_in_the_picture(street, actor):
+    seen = street([actor(straight(0.0, start=12.0)), actor(straight(0.0, start=17.5))]).observe(TIMES[:5])
+    assert len(track_drive(seen)) == 2
+
+
+def test_a_class_is_that_of_the_most_boxes(street, actor):
+    seen = street([actor(straight(1.0))]).observe(TIMES[:12])
+    for k in (0, 5):
+        fused = seen[k].fused["front"]
+        seen[k] = replace(seen[k], fused={"front": replace(fused, labels=("Van",))})
+    tracks = track_drive(seen)
+    assert [track.label for track in tracks] == ["Car"]
+    assert len(tracks[0]) == 12
+
+
+def test_a_person_beside_a_car_is_not_taken_for_it(street, actor):
+    drive = street([actor(straight(1.0, y=2.0)), actor(straight(1.0, y=2.9), "Pedestrian")])
+    tracks = track_drive(drive.observe(TIMES[:15]))
+    assert sorted(track.label for track in tracks) == ["Car", "Pedestrian"]
+
+
 @pytest.mark.parametrize("column", ["centers", "sizes_lwh", "yaws", "scores", "center_covariances"])
 def test_boxes_that_are_no_numbers_are_left_out(street, actor, column):
     seen = street([actor(straight(4.0)), actor(straight(4.0, y=6.0))]).observe(TIMES[:10])
@@ -191,9 +212,10 @@ def test_time_that_goes_back_or_leaps_ends_all_objects(street, actor):
     assert tracker.step(later).ids.tolist() not in (first, [])
 
 
-def test_one_moment_told_twice_counts_as_one_state(street, actor):
+@pytest.mark.parametrize("offline", [False, True])
+def test_one_moment_told_twice_counts_as_one_state(street, actor, offline):
     seen = street([actor(straight(2.0))]).observe([0.0, 0.1, 0.1, 0.2])
-    assert track_drive(seen)[0].timestamps_ns.tolist() == [0, round(0.1e9), round(0.2e9)]
+    assert track_drive(seen, offline=offline)[0].timestamps_ns.tolist() == [0, round(0.1e9), round(0.2e9)]
 
 
 def test_thousands_of_boxes_of_one_object_are_one_object(street, actor):

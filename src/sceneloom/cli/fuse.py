@@ -1,7 +1,7 @@
 """`sceneloom fuse`."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -9,6 +9,9 @@ from sceneloom.cli import detection_options, options
 from sceneloom.cli.fuse_detections import fuse_found
 from sceneloom.cli.fusion_summary import print_fusion
 from sceneloom.cli.printing import print_json, progress_bar
+
+if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
+    from sceneloom.fusion import FusionConfiguration
 
 
 @click.command()
@@ -100,9 +103,7 @@ def _fuse_sensor_data(
         raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
     _refuse_idle("--depth-form", depth_form, "--depth", depth)
     _refuse_idle("--pictures-every", pictures_every, "--pictures", pictures)
-    from sceneloom.colouring import VisibilitySettings
     from sceneloom.formats import open_scene
-    from sceneloom.fusion import FusionConfiguration
     from sceneloom.pipeline import FusionOutputs
     from sceneloom.pipeline import fuse as fuse_scene
 
@@ -125,10 +126,7 @@ def _fuse_sensor_data(
             start=start,
             stop=stop,
             outputs=outputs,
-            configuration=FusionConfiguration(
-                visibility=VisibilitySettings(**options.said(threads=threads)),
-                **options.said(fusion_algorithm=algorithm),
-            ),
+            configuration=_configuration(algorithm, threads),
             lenient=reading["lenient"],
             progress=progress,
         )
@@ -136,6 +134,14 @@ def _fuse_sensor_data(
         print_json(report)
     else:
         print_fusion(report, outputs, quiet=quiet, verbose=verbose)
+
+
+def _configuration(algorithm: str | None, threads: int | None) -> "FusionConfiguration":
+    from sceneloom.colouring import VisibilitySettings
+    from sceneloom.fusion import FusionConfiguration
+
+    visibility = VisibilitySettings(**options.said(threads=threads))
+    return FusionConfiguration(visibility=visibility, **options.said(fusion_algorithm=algorithm))
 
 
 def _refuse_idle(option: str, value: object, needed: str, folder: Path | None) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sceneloom.detections.detector_files import find_detectors
 from sceneloom.detections.existence import existence_table
 from sceneloom.detections.independent import independent_detectors
 from sceneloom.kernels import existence_odds
@@ -77,3 +78,55 @@ def test_a_score_that_is_no_number_leaves_what_the_other_detector_says(form):
 @pytest.mark.parametrize(("one", "other"), [(0.0, 1.0), (1.0, 1.0), (np.inf, 0.0), (-5.0, 7.0)])
 def test_the_surest_scores_give_a_probability(one, other):
     assert 0.0 <= exists(told(one), told(other)) <= 1.0
+
+
+FITTED = find_detectors("simulated")
+CAR_NUMBERS = FITTED.classes["car"]
+FITTED_TABLE = existence_table(FITTED)
+
+
+def logistic(odds):
+    return 1 / (1 + np.exp(-odds))
+
+
+def scores_without_boxes(count):
+    """How likely sure objects of a sweep are, of which so many have no box in the picture, all of them plain to see."""
+    kinds = np.zeros(count, np.int64)
+    told_3d, odds, _ = existence_odds.told_odds(
+        np.full(count, 5.0), np.arange(count), True, False, kinds, FITTED_TABLE
+    )
+    outlines, none = np.tile(OUTLINE, (count, 1)), np.zeros((0, 4))
+    return existence_odds.scores_of_sweep(
+        outlines, np.ones(count), kinds - 1, told_3d, odds, none, np.zeros(0), kinds, FITTED_TABLE
+    )
+
+
+def test_a_fitted_pair_has_the_odds_that_the_formula_says():
+    score_3d, score_2d, (low, high) = 1.5, 0.8, (CAR_NUMBERS.picture.low, CAR_NUMBERS.picture.high)
+    told_3d = existence_odds.told_odds(np.array([score_3d]), CAR, True, False, CAR, FITTED_TABLE)
+    told_2d = existence_odds.told_odds(np.array([score_2d]), CAR, False, True, CAR, FITTED_TABLE)
+    # half as wide as the outline: an overlap of one half
+    partner = OUTLINE - np.array([[0.0, 0, 50, 0]])
+    found = existence_odds.scores_of_sweep(
+        OUTLINE, np.ones(1), CAR, told_3d[0], told_3d[1], partner, told_2d[0], CAR, FITTED_TABLE
+    )
+    both = CAR_NUMBERS.both
+    of_picture = np.clip(np.log(score_2d / (1 - score_2d)), low, high)
+    odds = both.base + both.sweep * score_3d + both.picture * of_picture + both.overlap * (0.5 - 0.7)
+    assert found[0] == pytest.approx(logistic(odds), rel=1e-9)
+
+
+def test_a_single_box_that_the_picture_lacks_has_the_odds_of_a_camera_that_is_good_or_poor():
+    told, sight = CAR_NUMBERS.sweep, CAR_NUMBERS.sight
+    recall = (1 - sight.weak_share) * sight.recall_2d + sight.weak_share * sight.weak_recall_2d
+    odds = told.base + told.slope * 5.0 + np.log(1 - recall)
+    assert scores_without_boxes(1)[0] == pytest.approx(logistic(odds), rel=1e-9)
+
+
+def test_a_picture_that_lacks_all_sure_objects_is_believed_less():
+    alone, together = scores_without_boxes(1)[0], scores_without_boxes(6)
+    assert (together > alone).all()
+    told, sight = CAR_NUMBERS.sweep, CAR_NUMBERS.sight
+    # it is as good as certain that such a camera is the poor one
+    poor = logistic(told.base + told.slope * 5.0 + np.log(1 - sight.weak_recall_2d))
+    assert together[0] == pytest.approx(poor, abs=0.02)

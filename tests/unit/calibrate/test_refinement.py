@@ -1,5 +1,6 @@
 """Refinement of a calibration on simulated drives, whose truth is exact."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -60,14 +61,49 @@ def test_the_right_calibration_stays_what_it_is_within_what_is_known(
     assert np.degrees(np.linalg.norm(step[:3])) < 0.1
 
 
-def test_black_pictures_tell_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
-    black = tuple(
-        replace(frame, grey=np.zeros_like(frame.grey), rgb=np.zeros_like(frame.rgb)) for frame in frames
-    )
-    found = refine(black)
+@pytest.mark.parametrize(
+    "paint",
+    [np.zeros_like, lambda grey: np.full_like(grey, 120.0)],
+    ids=["black", "covered"],
+)
+def test_pictures_that_show_nothing_tell_nothing(
+    frames: tuple[CalibrationFrame, ...], paint: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    found = refine(tuple(replace(frame, grey=paint(frame.grey)) for frame in frames))
     assert found.verdict is RefinementVerdict.CANNOT_TELL
     assert "show next to nothing" in found.reason
-    assert found.camera_from_lidar is black[0].camera_from_lidar
+    assert found.camera_from_lidar is frames[0].camera_from_lidar
+
+
+def test_a_right_calibration_is_not_repaired_by_pictures_of_the_night(
+    frames: tuple[CalibrationFrame, ...],
+) -> None:
+    """Of 256 levels four are left."""
+    night = tuple(replace(frame, grey=np.floor(frame.grey / 64.0)) for frame in frames)
+    found = refine(night, parameters=("rotation",))
+    step = step_between(frames[0].camera_from_lidar, found.camera_from_lidar)
+    assert np.degrees(np.linalg.norm(step[:3])) < 0.1
+
+
+def test_pictures_seconds_late_are_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:
+    """The clock of the camera is off by half of the drive."""
+    half = len(frames) // 2
+    late = tuple(replace(frame, grey=frames[(k + half) % len(frames)].grey) for k, frame in enumerate(frames))
+    found = refine(late, parameters=("rotation",))
+    assert found.verdict is not RefinementVerdict.REFINED
+
+
+def test_something_that_fills_the_view_tells_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
+    """A lorry's flat side of one colour, three metres ahead in each frame."""
+    filled = []
+    for frame in frames:
+        points = frame.camera_from_lidar.apply(frame.points_lidar)
+        ahead = points[:, 2] > 3.0
+        points[ahead] *= 3.0 / points[ahead, 2:]
+        moved = frame.camera_from_lidar.inverse().apply(points)
+        grey = np.full_like(frame.grey, 90.0)
+        filled.append(replace(frame, points_lidar=moved, grey=grey, scan=None))
+    assert refine(filled).verdict is RefinementVerdict.CANNOT_TELL
 
 
 def test_an_extrinsic_upside_down_is_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:

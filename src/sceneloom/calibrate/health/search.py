@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.calibrate.health.objective import FINE, WIDE, Objective
-from sceneloom.calibrate.health.surface import Surface, coefficients
+from sceneloom.calibrate.health.surface import Surface, coefficients, in_ball
 from sceneloom.calibrate.measures.agreement import Score
 from sceneloom.calibrate.measures.candidate import COUNT, ROTATION, TRANSLATION, UNITS, Change, Parameter
 
@@ -15,6 +15,8 @@ _WIDE_RADII = (20.0, 11.0, 6.0, 3.5)
 _FINE_RADII = (2.4, 1.6)
 """Balls of rotations that are looked at, one after another [units of a quarter degree]."""
 _NEAR_RADII, _FAR_RADII = (4.0, 2.0), (10.0, 5.0, 2.0)
+_MANY, _MANY_RADIUS, _PROMISING = 150, 7.0, 3
+"""So many turns up to so far are looked at, and so many followed up: hills are narrower than wide balls tell."""
 _FINE_FROM = 4.0
 _ROUGH_FROM = 3.0
 """In wider balls some of the features tell where to look next."""
@@ -58,15 +60,33 @@ class Top:
 
 
 def find_rotation(objective: Objective) -> Top:
-    """Find the best rotation: from far to near, and near the stated one; the higher of both counts."""
+    """Find the best rotation: from far to near, near the stated one, and near some that agree; the highest counts."""
     begun = np.zeros(COUNT)
     wide = begun
     for radius in _WIDE_RADII:
         wide = _climb(objective, wide, ROTATION, radius, WIDE)
         wide = _bounded(wide)
-    places = [_climb(objective, start, ROTATION, _FINE_RADII[0], FINE) for start in (wide, begun)]
+    starts = (wide, begun, *_promising(objective))
+    places = [_climb(objective, start, ROTATION, _FINE_RADII[0], FINE) for start in starts]
     highest = _highest(objective, places)
     return _top_around(objective, highest, highest, ROTATION, _FINE_RADII[1])
+
+
+def _promising(objective: Objective) -> list[Float64Array]:
+    """Some of many turns, (8,), around the stated calibration that agree best, none near another."""
+    columns = list(ROTATION)
+    turns = in_ball(_MANY, len(columns), objective.generator) * _MANY_RADIUS
+    places = np.zeros((_MANY, COUNT))
+    places[:, columns] = turns * UNITS[columns]
+    scores = [objective.agreement.score(Change.of(place), WIDE, rough=True) for place in places]
+    heights = np.array([objective.standing(score, WIDE)[0] for score in scores])
+    found: list[int] = []
+    for row in np.argsort(-heights).tolist():
+        if all(np.linalg.norm(turns[row] - turns[other]) > _FINE_RADII[0] for other in found):
+            found.append(row)
+        if len(found) == _PROMISING:
+            break
+    return [places[row] for row in found]
 
 
 def find_group(objective: Objective, start: Float64Array, parameters: Sequence[Parameter]) -> Top:
@@ -119,12 +139,18 @@ def _climb(
     radius: float,
     measures: Sequence[str],
 ) -> Float64Array:
-    """Go to the top of the quadratic through looks at a ball, (8,)."""
+    """Go to the top of the quadratic through looks at a ball, (8,), or to the best look where that is higher."""
     columns = list(parameters)
-    surface, scores = _looks(objective, middle, columns, radius, measures, rough=radius > _ROUGH_FROM)
+    rough = radius > _ROUGH_FROM
+    surface, scores = _looks(objective, middle, columns, radius, measures, rough=rough)
     values = np.array([objective.standing(score, measures) for score in scores]).T
+    top = middle.copy()
+    top[columns] += radius * UNITS[columns] * surface.tops(values)[0]
+    at_top = objective.agreement.score(Change.of(top), measures, rough=rough)
+    if rough or objective.standing(at_top, measures)[0] >= values.max():
+        return top
     found = middle.copy()
-    found[columns] += radius * UNITS[columns] * surface.tops(values)[0]
+    found[columns] += radius * UNITS[columns] * surface.places[np.argmax(values[0])]
     return found
 
 

@@ -31,9 +31,9 @@ class Surface:
     @classmethod
     def of(cls, count: int, dimensions: int, generator: np.random.Generator) -> "Surface":
         """Choose places."""
-        places = _in_ball(count, dimensions, generator)
+        places = in_ball(count, dimensions, generator)
         places[0] = 0.0
-        probes = _in_ball(_PROBES, dimensions, generator)
+        probes = in_ball(_PROBES, dimensions, generator)
         return cls(places, np.asarray(np.linalg.pinv(_terms(places)), np.float64), probes, _terms(probes))
 
     def tops(self, values: Float64Array) -> Float64Array:
@@ -53,7 +53,8 @@ def _terms(places: Float64Array) -> Float64Array:
     return np.hstack([np.ones((len(places), 1)), places, places[:, rows] * places[:, columns]])
 
 
-def _in_ball(count: int, dimensions: int, generator: np.random.Generator) -> Float64Array:
+def in_ball(count: int, dimensions: int, generator: np.random.Generator) -> Float64Array:
+    """Draw places evenly from the unit ball, (count, dimensions)."""
     directions = generator.normal(size=(count, dimensions))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     radii = generator.random((count, 1)) ** (1.0 / dimensions)

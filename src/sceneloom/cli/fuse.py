@@ -13,9 +13,6 @@ from sceneloom.cli.printing import print_json, progress_bar
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.fusion import FusionConfiguration
 
-if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.fusion import FusionConfiguration
-
 
 @click.command()
 @click.argument("path", type=options.place)
@@ -137,14 +134,6 @@ def _fuse_sensor_data(
         print_json(report)
     else:
         print_fusion(report, outputs, quiet=quiet, verbose=verbose)
-
-
-def _configuration(algorithm: str | None, threads: int | None) -> "FusionConfiguration":
-    from sceneloom.colouring import VisibilitySettings
-    from sceneloom.fusion import FusionConfiguration
-
-    visibility = VisibilitySettings(**options.said(threads=threads))
-    return FusionConfiguration(visibility=visibility, **options.said(fusion_algorithm=algorithm))
 
 
 def _configuration(algorithm: str | None, threads: int | None) -> "FusionConfiguration":

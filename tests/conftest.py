@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,27 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("default")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let each worker of a run of all tests compile other kernels.
+
+    All workers collect the same modules in the same order, and where no kernel is kept on disk yet, each of them would
+    compile the same one at the same time, for minutes. The largest come first, so that all are done at about the same
+    time.
+    """
+    if not hasattr(config, "workerinput") or config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+        return
+    claims = Path(config.option.basetemp).parent / "kernels"
+    claims.mkdir(exist_ok=True)
+    package = Path(__file__).parents[1] / "src" / "sceneloom"
+    sources = [*package.glob("kernels/[a-z]*.py"), *package.glob("cameras/[a-z]*.py")]
+    for source in sorted(sources, key=lambda source: source.stat().st_size, reverse=True):
+        try:
+            (claims / f"{source.parent.name}.{source.stem}").touch(exist_ok=False)
+        except FileExistsError:
+            continue
+        import_module(f"sceneloom.{source.parent.name}.{source.stem}")
 
 
 @pytest.fixture(scope="session")

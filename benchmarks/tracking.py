@@ -22,8 +22,8 @@ from sceneloom.detections.fitting.examples import columns_of
 from sceneloom.detections.fitting.fit import FitSettings, fit_columns
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.formats.kitti import KittiTracking, open_tracking_folder
-from sceneloom.pipeline.tracked_files import track_folder
-from sceneloom.pipeline.tracking import TrackingSettings
+from sceneloom.pipeline.tracking.files import track_folder
+from sceneloom.pipeline.tracking.job import TrackingSettings
 from sceneloom.tracking import PictureBox
 
 FITTED = ("0000", "0002", "0003", "0006", "0010")

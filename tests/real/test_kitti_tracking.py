@@ -10,8 +10,8 @@ from sceneloom.formats.kitti import open_tracking_folder, read_labels, write_lab
 from sceneloom.formats.kitti.camera_boxes import lidar_boxes
 from sceneloom.formats.rig.csv_files import read_table
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detected import calibration_notices, kitti_drive
-from sceneloom.pipeline.track_kitti import projected_boxes
+from sceneloom.pipeline.detections.detected import calibration_notices, kitti_drive
+from sceneloom.pipeline.tracking.kitti_results import projected_boxes
 
 PART = ("0012", "0014")
 """A car that stands, and one that drives, with another camera."""

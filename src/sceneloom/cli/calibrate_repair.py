@@ -12,7 +12,7 @@ from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.repairing import RepairReport
+    from sceneloom.pipeline.repairing.job import RepairReport
     from sceneloom.scene import Scene
 
 EXIT_CODES = {"refined": 0, "kept": 3, "cannot tell": 5}
@@ -142,7 +142,7 @@ def _repaired(
     overwrite: bool,
     progress: Any,
 ) -> "RepairReport":
-    from sceneloom.pipeline import repairing
+    from sceneloom.pipeline.repairing import job as repairing
 
     common: dict[str, Any] = {"form": asked.form, "overwrite": overwrite, "progress": progress}
     if asked.mode == "hand_eye":

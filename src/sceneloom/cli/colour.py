@@ -9,8 +9,8 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_lines, print_notices, print_table, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.colour_report import ColourReport
-    from sceneloom.pipeline.colour_settings import ColourOutputs
+    from sceneloom.pipeline.colouring.report import ColourReport
+    from sceneloom.pipeline.colouring.settings import ColourOutputs
 
 
 @click.command()

@@ -59,7 +59,7 @@ def convert(
     A TARGET without a suffix is a recording's folder, `.sfs` a scene file; `.tum`, `.kitti`, `.csv` (EuRoC) and
     `.jsonl` take one trajectory out of SOURCE, which may be such a file, too.
     """
-    from sceneloom.pipeline.conversion import convert as convert_scene
+    from sceneloom.pipeline.converting.job import convert as convert_scene
 
     with progress_bar("converting", quiet=quiet) as progress:
         report = convert_scene(

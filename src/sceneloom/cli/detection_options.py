@@ -84,7 +84,7 @@ def refuse(given: dict[str, Any], names: Sequence[str], why: str) -> None:
 
 def chosen(given: dict[str, Any]) -> "DetectionInput":
     """What of a path is fused or tracked."""
-    from sceneloom.pipeline.detected_scene import DetectionFiles
+    from sceneloom.pipeline.detections.detected_scene import DetectionFiles
     from sceneloom.pipeline.found_objects import DetectionInput
 
     return DetectionInput(

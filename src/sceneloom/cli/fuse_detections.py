@@ -9,7 +9,7 @@ from sceneloom.cli import detection_options, options
 from sceneloom.cli.printing import print_json, print_notices, print_table, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.detection_report import DetectionFusionReport
+    from sceneloom.pipeline.detections.report import DetectionFusionReport
 
 
 def fuse_found(

@@ -7,8 +7,8 @@ import click
 from sceneloom.cli.printing import print_lines, print_losses, print_notices, print_table, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.outputs import FusionOutputs
-    from sceneloom.pipeline.report import CameraReport, FusionReport
+    from sceneloom.pipeline.fusing.outputs import FusionOutputs
+    from sceneloom.pipeline.fusing.report import CameraReport, FusionReport
 
 
 def print_fusion(report: "FusionReport", outputs: "FusionOutputs", *, quiet: bool, verbose: bool) -> None:

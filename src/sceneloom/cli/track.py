@@ -9,7 +9,7 @@ from sceneloom.cli import detection_options, options
 from sceneloom.cli.printing import print_json, print_losses, print_notices, print_table, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.track_report import TrackReport
+    from sceneloom.pipeline.tracking.report import TrackReport
 
 
 @click.command()
@@ -61,7 +61,7 @@ def track(
     """
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.pipeline.found_objects import track_objects
-    from sceneloom.pipeline.tracking import TrackingSettings
+    from sceneloom.pipeline.tracking.job import TrackingSettings
     from sceneloom.tracking import PictureBox
 
     how: dict[str, Any] = {

@@ -8,22 +8,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.colour_report import ColourReport
-    from sceneloom.pipeline.colour_settings import ColourOutputs, ColourSettings
-    from sceneloom.pipeline.colouring import colour
-    from sceneloom.pipeline.conversion import ConversionReport, convert
+    from sceneloom.pipeline.colouring.job import colour
+    from sceneloom.pipeline.colouring.report import ColourReport
+    from sceneloom.pipeline.colouring.settings import ColourOutputs, ColourSettings
+    from sceneloom.pipeline.converting.job import ConversionReport, convert
     from sceneloom.pipeline.depth_images import DepthReport, write_depth_images
-    from sceneloom.pipeline.deskew_report import DeskewReport
-    from sceneloom.pipeline.deskewing import deskew, deskewed_scene
-    from sceneloom.pipeline.detected_scene import DetectionFiles
-    from sceneloom.pipeline.detection_report import DetectionFusionReport
+    from sceneloom.pipeline.deskewing.job import deskew, deskewed_scene
+    from sceneloom.pipeline.deskewing.report import DeskewReport
+    from sceneloom.pipeline.detections.detected_scene import DetectionFiles
+    from sceneloom.pipeline.detections.report import DetectionFusionReport
     from sceneloom.pipeline.found_objects import DetectionInput, fuse_detections, track_objects
-    from sceneloom.pipeline.fusing import fuse, iter_fused
-    from sceneloom.pipeline.outputs import FusionOutputs
-    from sceneloom.pipeline.report import CameraReport, FusionReport
+    from sceneloom.pipeline.fusing.job import fuse, iter_fused
+    from sceneloom.pipeline.fusing.outputs import FusionOutputs
+    from sceneloom.pipeline.fusing.report import CameraReport, FusionReport
     from sceneloom.pipeline.syncing import SyncReport, sync
-    from sceneloom.pipeline.track_report import TrackReport
-    from sceneloom.pipeline.tracking import TrackingSettings
+    from sceneloom.pipeline.tracking.job import TrackingSettings
+    from sceneloom.pipeline.tracking.report import TrackReport
 
 __all__ = [
     "CameraReport",
@@ -54,28 +54,28 @@ __all__ = [
 ]
 
 _ON_FIRST_USE = {
-    "CameraReport": "report",
-    "ColourOutputs": "colour_settings",
-    "ColourReport": "colour_report",
-    "ColourSettings": "colour_settings",
-    "ConversionReport": "conversion",
+    "CameraReport": "fusing.report",
+    "ColourOutputs": "colouring.settings",
+    "ColourReport": "colouring.report",
+    "ColourSettings": "colouring.settings",
+    "ConversionReport": "converting.job",
     "DepthReport": "depth_images",
-    "DeskewReport": "deskew_report",
-    "DetectionFiles": "detected_scene",
-    "DetectionFusionReport": "detection_report",
+    "DeskewReport": "deskewing.report",
+    "DetectionFiles": "detections.detected_scene",
+    "DetectionFusionReport": "detections.report",
     "DetectionInput": "found_objects",
-    "FusionOutputs": "outputs",
-    "FusionReport": "report",
+    "FusionOutputs": "fusing.outputs",
+    "FusionReport": "fusing.report",
     "SyncReport": "syncing",
-    "TrackReport": "track_report",
-    "TrackingSettings": "tracking",
-    "colour": "colouring",
-    "convert": "conversion",
-    "deskew": "deskewing",
-    "deskewed_scene": "deskewing",
-    "fuse": "fusing",
+    "TrackReport": "tracking.report",
+    "TrackingSettings": "tracking.job",
+    "colour": "colouring.job",
+    "convert": "converting.job",
+    "deskew": "deskewing.job",
+    "deskewed_scene": "deskewing.job",
+    "fuse": "fusing.job",
     "fuse_detections": "found_objects",
-    "iter_fused": "fusing",
+    "iter_fused": "fusing.job",
     "sync": "syncing",
     "track_objects": "found_objects",
     "write_depth_images": "depth_images",

@@ -16,9 +16,9 @@ from sceneloom.formats.depth_images import write_confidence_png, write_depth_npz
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.pictures.dense_depths import draw_dense_depth
+from sceneloom.pipeline.fusing.sinks import lidar_folders, names_of
 from sceneloom.pipeline.play import Skips, build_system, play, telling
-from sceneloom.pipeline.sinks import lidar_folders, names_of
-from sceneloom.pipeline.woven import Woven, weave
+from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene import CameraSensor, Identifier, Notice, Scene
 from sceneloom.scene.types import Progress, key_of
 

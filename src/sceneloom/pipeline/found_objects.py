@@ -9,11 +9,11 @@ from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene
 from sceneloom.formats.kitti import KittiTracking, open_tracking_folder
 from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
-from sceneloom.pipeline.detected_scene import DetectionFiles, scene_drive
-from sceneloom.pipeline.detection_report import DetectionFusionReport
-from sceneloom.pipeline.fused_files import fuse_drive_detections, fuse_folder_detections, fused_files
-from sceneloom.pipeline.track_report import TrackReport
-from sceneloom.pipeline.tracked_files import TrackableDrive, track_folder, track_into, track_many
+from sceneloom.pipeline.detections.detected_scene import DetectionFiles, scene_drive
+from sceneloom.pipeline.detections.files import fuse_drive_detections, fuse_folder_detections, fused_files
+from sceneloom.pipeline.detections.report import DetectionFusionReport
+from sceneloom.pipeline.tracking.files import TrackableDrive, track_folder, track_into, track_many
+from sceneloom.pipeline.tracking.report import TrackReport
 from sceneloom.scene import Identifier, Scene
 
 

@@ -14,7 +14,7 @@ import sceneloom
 from sceneloom.editing.odometry import EGO_ID
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
-from sceneloom.pipeline.woven import weave
+from sceneloom.pipeline.woven.scene import weave
 from sceneloom.scene import (
     GnssSensor,
     LazyFrames,

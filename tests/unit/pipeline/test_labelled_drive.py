@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.pipeline.detected import DetectedDrive
-from sceneloom.pipeline.labelled_drive import FOLLOWED, label_drive
+from sceneloom.pipeline.detections.detected import DetectedDrive
+from sceneloom.pipeline.tracking.labelled_drive import FOLLOWED, label_drive
 from sceneloom.scene import CuboidAnnotation, Support, Track, Tracks
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sensor_sources import sensor_source

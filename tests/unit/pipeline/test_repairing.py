@@ -13,7 +13,7 @@ from sceneloom.calibrate.frames import calibration_frames
 from sceneloom.calibrate.mounting_estimate import moved_by, step_between
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.fusion.messages.json_form import parse_json
-from sceneloom.pipeline.calibration_outputs import Repair, form_for, write_calibration
+from sceneloom.pipeline.repairing.outputs import Repair, form_for, write_calibration
 from sceneloom.scene import Scene
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 

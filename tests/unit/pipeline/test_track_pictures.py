@@ -7,10 +7,10 @@ import pytest
 from PIL import Image
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.pipeline.detected import DetectedCamera, DetectedDrive, moments
-from sceneloom.pipeline.sweep_points import SweepPoints
-from sceneloom.pipeline.track_pictures import save_tracking_pictures
-from sceneloom.pipeline.tracking import track
+from sceneloom.pipeline.detections.detected import DetectedCamera, DetectedDrive, moments
+from sceneloom.pipeline.detections.sweep_points import SweepPoints
+from sceneloom.pipeline.tracking.job import track
+from sceneloom.pipeline.tracking.pictures import save_tracking_pictures
 from sceneloom.scene import Boxes2D, Boxes3D, PointsFrame, Scene
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sensor_sources import sensor_source

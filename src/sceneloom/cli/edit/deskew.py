@@ -18,7 +18,7 @@ from sceneloom.cli.printing import (
 )
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.deskew_report import DeskewReport
+    from sceneloom.pipeline.deskewing.report import DeskewReport
 
 
 @click.command()

@@ -1,0 +1,311 @@
+"""A drive as coloured clouds: one map, sweeps by themselves, labels carried from pictures to points and back."""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray
+from sceneloom.colouring import VisibilitySettings
+from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
+from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.moving import MovingPoints, lags_for
+from sceneloom.colouring.moving_boxes import MovingBoxes
+from sceneloom.errors import DataError, PoseError
+from sceneloom.formats.label_folders import LabelFolder
+from sceneloom.fusion import FusionConfiguration, FusionSystem
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.ego_motion import placeable_lidars
+from sceneloom.pipeline.colouring.outputs import ColourSinks, open_colour_sinks
+from sceneloom.pipeline.colouring.report import ColourReport, ExposureReport, LabelReport
+from sceneloom.pipeline.colouring.settings import ColourOutputs, ColourSettings
+from sceneloom.pipeline.colouring.sweeps import ColouredSweep, SweepColouring
+from sceneloom.pipeline.fusing.report import CameraTally, FusionTally, told_once
+from sceneloom.pipeline.play import Skips, build_system, play, telling
+from sceneloom.pipeline.woven.scene import Woven, weave
+from sceneloom.scene import Identifier, LidarFrame, Notice, NoticeKind, Scene
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.sensor_sources import lidar_place
+from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Progress
+
+MOST_COMPARED = 300
+"""Sweeps by which exposures are told at most, spread over the drive."""
+
+
+def colour(
+    scene: Scene,
+    output: str | Path | None = None,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    settings: ColourSettings | None = None,
+    outputs: ColourOutputs | None = None,
+    lenient: bool = False,
+    progress: Progress | None = None,
+) -> ColourReport:
+    """Colour the points of a drive from all cameras that see them, and write them as one map, or sweep by sweep.
+
+    Memory depends on the sweeps in flight and on the tiles of the map around them, not on the length of the drive.
+
+    Args:
+        output: the map to write; the same as `outputs.map`.
+        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
+            None for the scene's default, which is found from the sweeps where the scene has none.
+        heading: "motion" to derive orientations where the trajectory has positions only.
+        start: seconds after the scene's first time stamp, None for the beginning.
+        stop: seconds after it, exclusive, None for the end.
+        settings: how to colour.
+        outputs: where to write what.
+        lenient: count sweeps and pictures that cannot be read, and go on.
+        progress: told after each sweep; those that exposures are told by count, too.
+
+    Returns:
+        What was done, in numbers.
+
+    Raises:
+        PoseError: the sensors' motion is not known, or at the time of no sweep.
+        DataError: there is no lidar, something cannot be read, or a label image does not fit its picture.
+        OutputError: an output exists, or cannot be written.
+        OptionError: a value is not one that can be followed.
+    """
+    begun, chosen = time.perf_counter(), settings or ColourSettings()
+    wanted = outputs or ColourOutputs()
+    wanted = wanted if output is None else replace(wanted, map=Path(output))
+    wanted.check()
+    if not scene.lidars:
+        raise DataError(scene.source, "", "no lidar in it; colouring needs one")
+    woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
+    job = _Job(woven, scene, chosen, Skips() if lenient else None, progress)
+    with telling(job.skips), ExitStack() as stack:
+        labels = None if chosen.labels is None else LabelFolder.of(chosen.labels, scene.cameras)
+        gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
+        colouring = SweepColouring(scene, chosen.blend, gains, labels)
+        rest = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sceneloom-map-")))
+        sinks = open_colour_sinks(woven, wanted, chosen, colouring, stack, rest)
+        job.run(colouring, sinks)
+        sinks.finish()
+    return _report(job, wanted, colouring, sinks, gains, seconds=time.perf_counter() - begun)
+
+
+@dataclass(slots=True)
+class _Job:
+    """One colouring under way."""
+
+    woven: Woven
+    source: Scene
+    settings: ColourSettings
+    skips: Skips | None
+    progress: Progress | None
+    tally: FusionTally = field(init=False)
+    boxes: MovingBoxes = field(init=False)
+    removed_in_boxes: int = 0
+    removed_by_rays: int = 0
+    unjudged: int = 0
+    guessed: int = 0
+    coloured: int = 0
+    labelled: int = 0
+    classes: set[int] = field(default_factory=set)
+    _done: int = 0
+    _ahead: int = 0
+
+    def __post_init__(self) -> None:
+        scene, ego = self.woven.scene, self.woven.ego
+        stands = ego is not None and ego.path.endless
+        moving = [] if stands else placeable_lidars(scene)
+        self.tally = FusionTally(
+            {camera.id: CameraTally(len(camera.pictures)) for camera in scene.cameras},
+            frozenset(lidar.id for lidar in moving),
+        )
+        self.boxes = MovingBoxes.of(scene)
+
+    def compare_exposures(self) -> ExposureGains:
+        """Look at the drive a first time, for what pictures show both."""
+        every = max(1, -(-self._sweeps // MOST_COMPARED))
+        scene = self.woven.scene
+        thinned = replace(
+            scene,
+            sensors=tuple(
+                replace(sensor, frames=sensor.frames[::every]) if sensor in scene.lidars else sensor
+                for sensor in scene.sensors
+            ),
+        )
+        self._ahead = sum(len(lidar.frames) for lidar in thinned.lidars)
+        index = {camera.id: k for k, camera in enumerate(scene.cameras)}
+        links = ExposureLinks()
+        for frame in play(thinned, self._system(), skips=self.skips):
+            if frame.views:
+                points_world = frame.views[0].points_world
+                links.add(points_world, frame.views, [index[view.camera_id] for view in frame.views])
+            self._step()
+        return links.solve()
+
+    def run(self, colouring: SweepColouring, sinks: ColourSinks) -> None:
+        """Colour every sweep and give it to the outputs."""
+        places = self._places() if self.settings.remove_moving else {}
+        finders: dict[Identifier, MovingPoints[ColouredSweep]] = {}
+        lags = {lidar.id: lags_for(len(lidar.frames)) for lidar in self.woven.scene.lidars}
+        for frame in play(self.woven.scene, self._system(), skips=self.skips):
+            self.tally.add(frame)
+            self._step()
+            if frame.unfused is not None:
+                continue
+            if sinks.projection is not None:
+                sinks.projection.add(frame)
+            sweep = colouring.colour(frame)
+            self._count(sweep)
+            if not self.settings.remove_moving:
+                self._give(sweep, np.ones(len(sweep.points), np.bool_), sinks)
+                continue
+            finder = finders.setdefault(frame.lidar_id, MovingPoints(lags[frame.lidar_id]))
+            self._give_judged(
+                finder.add(sweep, sweep.frame.points.positions, self._way(sweep, places)), sinks
+            )
+        for finder in finders.values():
+            self._give_judged(finder.flush(), sinks)
+        if self.tally.unfused and not self.tally.fused:
+            reasons = ", ".join(f"{reason} ({count} times)" for reason, count in self.tally.unfused.items())
+            raise PoseError(
+                f"{self.source.source}: none of {self.tally.frames} sweeps could be placed: {reasons}"
+            )
+
+    def _give_judged(self, judged: Iterator[tuple[ColouredSweep, BoolArray]], sinks: ColourSinks) -> None:
+        for sweep, moving in judged:
+            times, positions = sweep.points["time_ns"], sweep.points["position"]
+            in_boxes = self.boxes.inside(np.ascontiguousarray(positions), np.ascontiguousarray(times))
+            self.removed_in_boxes += int(in_boxes.sum())
+            self.removed_by_rays += int((moving & ~in_boxes).sum())
+            self._give(sweep, ~(moving | in_boxes), sinks)
+
+    def _give(self, sweep: ColouredSweep, kept: BoolArray, sinks: ColourSinks) -> None:
+        if self.settings.only_coloured:
+            kept = kept & (sweep.points["weight"] > 0)
+        for sink in sinks.all:
+            sink.add(sweep, kept)
+
+    def _count(self, sweep: ColouredSweep) -> None:
+        self.coloured += int((sweep.points["camera"] != 255).sum())
+        if self.settings.labels is not None:
+            said = sweep.points["label"][sweep.points["label"] != 65535]
+            self.labelled += len(said)
+            self.classes.update(np.unique(said).tolist())
+
+    def _way(self, sweep: ColouredSweep, places: dict[Identifier, PoseSource | None]) -> LidarWay | None:
+        place = places[sweep.frame.lidar_id]
+        frame = LidarFrame(sweep.frame.timestamp_ns, sweep.frame.points)
+        way = None if place is None else LidarWay.of(frame, place)
+        self.unjudged += way is None
+        return way
+
+    def _places(self) -> dict[Identifier, PoseSource | None]:
+        """From where the lidars measured; the middle of the cameras stands for one that is not known."""
+        scene, ego, reach_ns = self.woven.scene, self.woven.ego, scene_period_ns(self.woven.scene)
+        mounts = [camera.mount.translation for camera in scene.cameras if camera.mount is not None]
+        places = {lidar.id: lidar_place(scene, lidar, ego, reach_ns=reach_ns) for lidar in scene.lidars}
+        for lidar_id, place in places.items():
+            if place is None and ego is not None and mounts:
+                middle = RigidTransform(np.eye(3), np.mean(mounts, axis=0))
+                places[lidar_id] = PoseSource(ego.path, middle, reach_ns)
+                self.guessed += 1
+        return places
+
+    def _system(self) -> FusionSystem:
+        configuration = FusionConfiguration(visibility=VisibilitySettings(threads=self.settings.threads))
+        system = build_system(self.woven.scene, self.woven.ego, configuration)
+        if self.skips is not None:
+            system.on_unreadable = self.skips.add
+        return system
+
+    @property
+    def _sweeps(self) -> int:
+        return sum(len(lidar.frames) for lidar in self.woven.scene.lidars)
+
+    def _step(self) -> None:
+        self._done += 1
+        if self.progress is not None:
+            self.progress(self._done, self._ahead + self._sweeps)
+
+    def notices(self) -> tuple[Notice, ...]:
+        """What had to be assumed, beyond what the scene and the sweeps tell."""
+        told = told_once(self.woven.scene.notices, self.tally.notices())
+        found = (
+            (
+                "moving-points-unjudged",
+                self.unjudged,
+                (
+                    "sweeps of which it is not known from where they were measured; their moving points stay, but for "
+                    "those in annotated boxes"
+                ),
+            ),
+            (
+                "lidar-place-guessed",
+                self.guessed,
+                (
+                    "it is not known where a lidar is, whose points come in the ego's frame; the middle of the cameras "
+                    "stands for it where moving points are looked for"
+                ),
+            ),
+        )
+        place, kind = "sensors[]", NoticeKind.ASSUMED
+        return (
+            *told,
+            *(
+                Notice(kind=kind, code=code, place=place, message=message, count=count)
+                for code, count, message in found
+                if count
+            ),
+        )
+
+
+def _report(
+    job: _Job,
+    wanted: ColourOutputs,
+    colouring: SweepColouring,
+    sinks: ColourSinks,
+    gains: ExposureGains | None,
+    *,
+    seconds: float,
+) -> ColourReport:
+    tally, ego = job.tally, job.woven.ego
+    cameras = {k: camera.id for k, camera in enumerate(job.source.cameras)}
+    return ColourReport(
+        source=job.source.source,
+        output=None if wanted.map is None else str(wanted.map),
+        trajectory=None if ego is None else ego.name,
+        blend=job.settings.blend,
+        frames=tally.frames,
+        fused=tally.fused,
+        unfused=tally.unfused,
+        skipped=() if job.skips is None else tuple(job.skips.reasons),
+        points=tally.points,
+        coloured_percent=100.0 * job.coloured / tally.points if tally.points else 0.0,
+        removed_in_boxes=job.removed_in_boxes,
+        removed_by_rays=job.removed_by_rays,
+        unjudged=job.unjudged,
+        written=0 if sinks.map is None else sinks.map.written,
+        exposure=None if gains is None else ExposureReport.of(gains, cameras),
+        labels=_label_report(job, colouring, sinks),
+        cameras=tuple(camera.report(camera_id) for camera_id, camera in tally.cameras.items()),
+        files=sinks.files,
+        seconds=seconds,
+        notices=job.notices(),
+    )
+
+
+def _label_report(job: _Job, colouring: SweepColouring, sinks: ColourSinks) -> LabelReport | None:
+    painted, drawn = colouring.labels, sinks.projection
+    if painted is None and drawn is None:
+        return None
+    return LabelReport(
+        images=0 if painted is None else painted.used,
+        missing=0 if painted is None else painted.missing,
+        points=job.labelled,
+        drawn=0 if drawn is None else drawn.written,
+        classes=len(job.classes) if painted is not None or drawn is None else len(drawn.numbers),
+    )

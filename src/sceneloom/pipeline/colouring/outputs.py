@@ -1,0 +1,127 @@
+"""The opening of what a colouring writes."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from sceneloom.colouring.world_map import WorldMap
+from sceneloom.formats.clouds import open_cloud_writer
+from sceneloom.formats.output import filling
+from sceneloom.formats.sfs import SceneWriter
+from sceneloom.pictures.drive_cloud import MOST_SWEEPS, DriveCloud
+from sceneloom.pipeline.colouring.label_projection import LabelProjection
+from sceneloom.pipeline.colouring.map_scene import MapScene
+from sceneloom.pipeline.colouring.settings import SCENE_SUFFIX, ColourOutputs, ColourSettings
+from sceneloom.pipeline.colouring.sinks import (
+    CloudPictures,
+    ColourSink,
+    Columns,
+    MapSink,
+    SweepFiles,
+    SweepScene,
+)
+from sceneloom.pipeline.colouring.sweeps import SweepColouring
+from sceneloom.pipeline.fusing.outputs import FusionOutputs, open_scene_sink, spread
+from sceneloom.pipeline.fusing.sinks import lidar_folders, names_of
+from sceneloom.pipeline.woven.provenance import provenance
+from sceneloom.pipeline.woven.scene import Woven
+
+
+@dataclass(slots=True)
+class ColourSinks:
+    """The open outputs of a colouring."""
+
+    map: MapSink | None = None
+    sweeps: SweepFiles | None = None
+    scene: SweepScene | None = None
+    pictures: CloudPictures | None = None
+    projection: LabelProjection | None = None
+
+    @property
+    def all(self) -> list[ColourSink]:
+        """Those that take every coloured sweep."""
+        return [sink for sink in (self.map, self.sweeps, self.scene, self.pictures) if sink is not None]
+
+    @property
+    def files(self) -> dict[str, int]:
+        """How many files of which kind were written."""
+        kinds = {"sweeps": self.sweeps, "label images": self.projection, "pictures": self.pictures}
+        return {kind: sink.written for kind, sink in kinds.items() if sink is not None}
+
+    def finish(self) -> None:
+        """Complete them."""
+        for sink in (self.map, self.scene, self.pictures, self.projection):
+            if sink is not None:
+                sink.finish()
+
+
+def open_colour_sinks(
+    woven: Woven,
+    wanted: ColourOutputs,
+    settings: ColourSettings,
+    colouring: SweepColouring,
+    stack: ExitStack,
+    rest: Path,
+) -> ColourSinks:
+    """Open every wanted output; what goes wrong later takes all of them away again.
+
+    Args:
+        rest: an empty folder for what does not fit into the memory.
+
+    Raises:
+        OutputError: an output exists, or cannot be made.
+        DataError: labels are to be projected, and there are none.
+    """
+    x, y, z = woven.origin_world.tolist()
+    columns = Columns(settings.labels is not None, settings.provenance, (x, y, z))
+    sinks = ColourSinks()
+    if wanted.map is not None:
+        sinks.map = _open_map(woven, wanted.map, wanted, settings, colouring, stack, rest)
+    if wanted.per_sweep is not None and wanted.scene_of_sweeps:
+        sinks.scene = _open_scene(woven, wanted.per_sweep, wanted, colouring, stack)
+    elif wanted.per_sweep is not None:
+        folder = stack.enter_context(filling(wanted.per_sweep, overwrite=wanted.overwrite))
+        sinks.sweeps = SweepFiles(lidar_folders(folder, woven.scene), wanted.sweep_suffix, columns)
+    if wanted.pictures is not None:
+        folder = stack.enter_context(filling(wanted.pictures, overwrite=wanted.overwrite))
+        cloud = DriveCloud(spread(woven.scene, MOST_SWEEPS))
+        sinks.pictures = CloudPictures(folder, cloud, None if woven.ego is None else woven.ego.path)
+    if wanted.project_labels is not None:
+        folder = stack.enter_context(filling(wanted.project_labels, overwrite=wanted.overwrite))
+        names = names_of(woven.scene.cameras)
+        sinks.projection = LabelProjection(woven.scene, folder, names, colouring, settings.label_radius_px)
+    return sinks
+
+
+def _open_map(
+    woven: Woven,
+    target: Path,
+    wanted: ColourOutputs,
+    settings: ColourSettings,
+    colouring: SweepColouring,
+    stack: ExitStack,
+    rest: Path,
+) -> MapSink:
+    names = {} if colouring.labels is None else colouring.labels.names
+    labels = settings.labels is not None
+    cubes = None
+    if settings.voxel is not None:
+        (rest / "tiles").mkdir()
+        cubes = WorldMap(settings.voxel, rest / "tiles", mean=settings.blend == "weighted")
+    if target.suffix.lower() != SCENE_SUFFIX:
+        x, y, z = woven.origin_world.tolist()
+        writer = stack.enter_context(open_cloud_writer(target, overwrite=wanted.overwrite))
+        return MapSink(writer, Columns(labels, settings.provenance, (x, y, z)), cubes)
+    (rest / "columns").mkdir()
+    scene_writer = stack.enter_context(SceneWriter(target, overwrite=wanted.overwrite))
+    scene_writer.set_metadata(provenance(woven))
+    scene = MapScene(scene_writer, rest / "columns", names)
+    return MapSink(scene, Columns(labels, provenance=False), cubes, complete=scene.close)
+
+
+def _open_scene(
+    woven: Woven, target: Path, wanted: ColourOutputs, colouring: SweepColouring, stack: ExitStack
+) -> SweepScene:
+    names = {} if colouring.labels is None else colouring.labels.names
+    sink = open_scene_sink(woven, FusionOutputs(overwrite=wanted.overwrite), target, stack, None)
+    return SweepScene(sink, names, {annotation.id for annotation in woven.scene.annotations})

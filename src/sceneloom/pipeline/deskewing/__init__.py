@@ -1,0 +1,1 @@
+"""Deskewing as a step of its own."""

@@ -1,6 +1,0 @@
-"""What detectors wrote into files, whatever the form: lists of boxes in space and in pictures, by frame."""
-
-from sceneloom.pipeline.detection_lists.context import ListContext
-from sceneloom.pipeline.detection_lists.table import FORMS, form_of, read_boxes_2d, read_boxes_3d
-
-__all__ = ["FORMS", "ListContext", "form_of", "read_boxes_2d", "read_boxes_3d"]

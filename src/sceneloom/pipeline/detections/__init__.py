@@ -1,0 +1,1 @@
+"""Detection fusion of a drive: lists of boxes in, objects out."""

@@ -1,0 +1,1 @@
+"""The main job: one scene in, one fused scene out."""

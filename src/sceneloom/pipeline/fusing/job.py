@@ -1,0 +1,179 @@
+"""The main job: one scene in, one fused scene out."""
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from sceneloom.colouring.results import FusedFrame
+from sceneloom.errors import DataError, PoseError
+from sceneloom.formats.loss import LossReport
+from sceneloom.fusion import FusionConfiguration
+from sceneloom.motion.ego_motion import placeable_lidars
+from sceneloom.pipeline.fusing.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
+from sceneloom.pipeline.fusing.report import CameraTally, FusionReport, FusionTally, told_once
+from sceneloom.pipeline.play import Skips, build_system, play, telling
+from sceneloom.pipeline.woven.scene import Woven, weave
+from sceneloom.scene import Scene
+from sceneloom.scene.types import Progress
+
+
+def iter_fused(
+    scene: Scene,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    configuration: FusionConfiguration | None = None,
+) -> Iterator[FusedFrame]:
+    """Fuse a scene sweep by sweep without writing anything.
+
+    Args:
+        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
+            None for the scene's default, which is found from the sweeps where the scene has none.
+        heading: "motion" to derive orientations where the trajectory has positions only.
+        configuration: settings of the fusion system.
+
+    Yields:
+        One result per sweep: world points relative to the ego's first position, colours, views.
+
+    Raises:
+        PoseError: the sensors' motion is not known.
+        DataError: a sweep or a picture cannot be read.
+    """
+    woven = weave(scene, trajectory=trajectory, heading=heading)
+    yield from play(woven.scene, build_system(woven.scene, woven.ego, configuration or FusionConfiguration()))
+
+
+def fuse(
+    scene: Scene,
+    output: str | Path | None = None,
+    *,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    outputs: FusionOutputs | None = None,
+    configuration: FusionConfiguration | None = None,
+    lenient: bool = False,
+    progress: Progress | None = None,
+) -> FusionReport:
+    """Fuse lidar and cameras of a scene and write the fused scene, depth images and pictures.
+
+    Args:
+        output: the `.sfs` file to write; the same as `outputs.scene`.
+        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
+            None for the scene's default, which is found from the sweeps where the scene has none.
+        heading: "motion" to derive orientations where the trajectory has positions only.
+        start: seconds after the scene's first time stamp, None for the beginning.
+        stop: seconds after it, exclusive, None for the end.
+        outputs: where to write what, and how.
+        configuration: settings of the fusion system.
+        lenient: count sweeps and pictures that cannot be read, and go on.
+        progress: told after each sweep; each counts twice where the ego's way is found from the sweeps first.
+
+    Returns:
+        What was done, in numbers, with all losses and notices.
+
+    Raises:
+        PoseError: the sensors' motion is not known, or at the time of no sweep.
+        DataError: there is no lidar, or a sweep or a picture cannot be read.
+        OutputError: an output exists, or cannot be written.
+        OptionError: a value is not one that can be followed.
+    """
+    begun = time.perf_counter()
+    if not scene.lidars:
+        raise DataError(scene.source, "", "no lidar in it; fusing needs one")
+    wanted = checked_outputs(outputs or FusionOutputs(), output)
+    steps = _Steps(progress)
+    woven = weave(
+        scene,
+        trajectory=trajectory,
+        heading=heading,
+        start=start,
+        stop=stop,
+        lenient=lenient,
+        progress=steps.finding,
+    )
+    skips = Skips() if lenient else None
+    system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
+    if skips is not None:
+        system.on_unreadable = skips.add
+    tally = _tally(woven)
+    total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
+    with telling(skips), ExitStack() as stack:
+        sinks = open_sinks(woven, wanted, stack, skips)
+        for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
+            tally.add(frame)
+            for sink in sinks.all:
+                sink.add(frame)
+            steps.fusing(done, total)
+        _refuse_nothing_fused(scene, tally)
+        losses = sinks.finish()
+    seconds = time.perf_counter() - begun
+    return _report(woven, wanted, tally, sinks, skips, seconds=seconds, losses=losses)
+
+
+def _report(
+    woven: Woven,
+    wanted: FusionOutputs,
+    tally: FusionTally,
+    sinks: Sinks,
+    skips: Skips | None,
+    *,
+    seconds: float,
+    losses: LossReport,
+) -> FusionReport:
+    return FusionReport(
+        source=woven.scene.source,
+        output=None if wanted.scene is None else str(wanted.scene),
+        trajectory=None if woven.ego is None else woven.ego.name,
+        frames=tally.frames,
+        fused=tally.fused - (0 if sinks.scene is None else sinks.scene.left_out),
+        extrapolated=tally.extrapolated,
+        unfused=tally.unfused,
+        skipped=() if skips is None else tuple(skips.reasons),
+        points=tally.points,
+        coloured_percent=tally.coloured_percent,
+        cameras=tuple(camera.report(camera_id) for camera_id, camera in tally.cameras.items()),
+        files=sinks.files,
+        depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
+        seconds=seconds,
+        losses=losses,
+        notices=told_once(woven.scene.notices, tally.notices()),
+    )
+
+
+def _tally(woven: Woven) -> FusionTally:
+    stands = woven.ego is not None and woven.ego.path.endless
+    carried = [] if stands else placeable_lidars(woven.scene)
+    return FusionTally(
+        {camera.id: CameraTally(len(camera.pictures)) for camera in woven.scene.cameras},
+        frozenset(lidar.id for lidar in carried),
+    )
+
+
+def _refuse_nothing_fused(scene: Scene, tally: FusionTally) -> None:
+    if tally.unfused and not tally.fused:
+        reasons = ", ".join(f"{reason} ({count} times)" for reason, count in tally.unfused.items())
+        raise PoseError(
+            f"{scene.source}: none of {tally.frames} sweeps could be fused: {reasons}; expected a trajectory on the "
+            "clock of the sweeps; `sceneloom info` tells both spans, and `--trajectory lidar` needs none"
+        )
+
+
+@dataclass(slots=True)
+class _Steps:
+    """Tells of two passes over the sweeps as of one: finding the ego's way, where it must be found, and fusing."""
+
+    told: Progress | None
+    found: int = 0
+
+    def finding(self, done: int, total: int) -> None:
+        self.found = total
+        if self.told is not None:
+            self.told(done, 2 * total)
+
+    def fusing(self, done: int, total: int) -> None:
+        if self.told is not None:
+            self.told(self.found + done, self.found + total)

@@ -1,0 +1,188 @@
+"""What a fusion is asked to write, and the opening of it."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.loss import LossReport
+from sceneloom.formats.output import check_output, filling
+from sceneloom.formats.sfs import SceneWriter
+from sceneloom.pictures.drive_cloud import MOST_SWEEPS, DriveCloud
+from sceneloom.pipeline.fusing.sinks import DepthSink, PictureSink, SceneSink, Sink, lidar_folders, names_of
+from sceneloom.pipeline.play import Skips
+from sceneloom.pipeline.woven.provenance import provenance
+from sceneloom.pipeline.woven.scene import Woven, output_scene
+from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
+from sceneloom.scene.span import scene_period_ns, time_span
+
+PICTURES_PER_DRIVE = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusionOutputs:
+    """Where a fusion writes what; None: not at all.
+
+    Attributes:
+        scene: the `.sfs` file.
+        depth: folder of depth images, one per sweep and picture.
+        depth_form: "png" (16 bit, metres times 256) or "npz" (float32 metres).
+        pictures: folder of pictures for people.
+        pictures_every: draw every Nth sweep; None: eight spread over the drive.
+        profile: "sfs", or "scale" for a file that Scale's own library accepts.
+        time_unit: "microseconds" or "nanoseconds", of the scene file.
+        overwrite: whether outputs that exist may be replaced.
+    """
+
+    scene: Path | None = None
+    depth: Path | None = None
+    depth_form: str = "png"
+    pictures: Path | None = None
+    pictures_every: int | None = None
+    profile: str = "sfs"
+    time_unit: str = "microseconds"
+    overwrite: bool = False
+
+
+def checked_outputs(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs:
+    """Join the two ways to name the scene file, and refuse outputs that cannot be.
+
+    Raises:
+        OptionError: a value is not one that can be followed.
+        OutputError: an output exists, or its folder is missing.
+    """
+    wanted = outputs if output is None else replace(outputs, scene=Path(output))
+    if wanted.depth_form not in {"png", "npz"}:
+        raise OptionError(f"depth_form {wanted.depth_form!r}; expected 'png' or 'npz'")
+    if wanted.pictures_every is not None and wanted.pictures_every < 1:
+        raise OptionError(f"pictures_every {wanted.pictures_every}; expected 1 or more")
+    if wanted.scene is not None and wanted.scene.suffix.lower() != ".sfs":
+        raise OptionError(f"{wanted.scene}: fusing writes scene files; expected a name that ends in .sfs")
+    folders = [folder.absolute() for folder in (wanted.depth, wanted.pictures) if folder is not None]
+    if wanted.scene is not None and wanted.scene.absolute() in folders:
+        raise OptionError(f"{wanted.scene}: named for a file and for a folder; expected two names")
+    # the way of the ego may take long to find: an output that cannot be is told before
+    for place in (wanted.scene, wanted.depth, wanted.pictures):
+        if place is not None:
+            check_output(place, overwrite=wanted.overwrite)
+    return wanted
+
+
+@dataclass(slots=True)
+class Sinks:
+    """The open outputs of a fusion."""
+
+    scene: SceneSink | None = None
+    depth: DepthSink | None = None
+    pictures: PictureSink | None = None
+
+    @property
+    def all(self) -> list[Sink]:
+        """Those that take every result."""
+        return [sink for sink in (self.scene, self.depth, self.pictures) if sink is not None]
+
+    @property
+    def files(self) -> dict[str, int]:
+        """How many files of which kind were written."""
+        kinds = {"depth images": self.depth, "pictures": self.pictures}
+        return {kind: sink.written for kind, sink in kinds.items() if sink is not None}
+
+    def finish(self) -> LossReport:
+        """Complete them; give what the scene file could not hold."""
+        if self.pictures is not None:
+            self.pictures.finish()
+        return LossReport() if self.scene is None else self.scene.finish()
+
+
+def open_sinks(woven: Woven, wanted: FusionOutputs, stack: ExitStack, skips: Skips | None) -> Sinks:
+    """Open every wanted output; what goes wrong later takes all of them away again.
+
+    Raises:
+        OutputError: an output exists, or cannot be made.
+        DataError: something that goes into the scene file at once cannot be read.
+    """
+    sinks = Sinks()
+    if wanted.depth is not None:
+        folder = stack.enter_context(filling(wanted.depth, overwrite=wanted.overwrite))
+        sinks.depth = DepthSink(
+            lidar_folders(folder, woven.scene),
+            names_of(woven.scene.cameras),
+            wanted.depth_form,
+            folder / "index.jsonl",
+        )
+    if wanted.pictures is not None:
+        folder = stack.enter_context(filling(wanted.pictures, overwrite=wanted.overwrite))
+        sinks.pictures = PictureSink(
+            folder,
+            lidar_folders(folder, woven.scene),
+            _frames_to_draw(woven.scene, wanted.pictures_every),
+            DriveCloud(spread(woven.scene, MOST_SWEEPS)),
+            None if woven.ego is None else woven.ego.path,
+        )
+    if wanted.scene is not None:
+        sinks.scene = open_scene_sink(woven, wanted, wanted.scene, stack, skips)
+    return sinks
+
+
+def open_scene_sink(
+    woven: Woven, wanted: FusionOutputs, target: Path, stack: ExitStack, skips: Skips | None
+) -> SceneSink:
+    """Begin a scene file with everything of a drive but its sweeps, which follow."""
+    scene, sources = output_scene(woven, reach_ns=scene_period_ns(woven.scene))
+    spans_ns = [span_ns for span_ns in map(time_span, (woven.scene, scene)) if span_ns is not None]
+    writer = stack.enter_context(
+        SceneWriter(
+            target,
+            overwrite=wanted.overwrite,
+            profile=wanted.profile,
+            time_unit=wanted.time_unit,
+            first_ns=min((first_ns for first_ns, _ in spans_ns), default=None),
+            frame_count=sum(len(lidar.frames) for lidar in woven.scene.lidars),
+        )
+    )
+    if skips is None:
+        writer.add_scene(scene)
+    else:
+        _add_readable(writer, scene, skips)
+    writer.set_metadata(provenance(woven))
+    return SceneSink(writer, sources, wanted.time_unit, woven.scene.source, skips)
+
+
+def _add_readable(writer: SceneWriter, scene: Scene, skips: Skips) -> None:
+    """Add a scene, but pass over single pictures that cannot be read; a video is taken as it is."""
+    alone = [camera for camera in scene.cameras if camera.video is None]
+    none: LazyFrames[Picture] = LazyFrames.of([], [])
+    sensors = [
+        replace(sensor, pictures=none)
+        if isinstance(sensor, CameraSensor) and sensor.video is None
+        else sensor
+        for sensor in scene.sensors
+    ]
+    writer.add_scene(replace(scene, sensors=tuple(sensors)))
+    for camera in alone:
+        for index in range(len(camera.pictures)):
+            try:
+                writer.add_frame(camera.id, camera.pictures[index])
+            except DataError as error:
+                skips.add(error)
+
+
+def _frames_to_draw(scene: Scene, every: int | None) -> frozenset[int]:
+    """Numbers of the sweeps to draw: every Nth, or some spread over the drive."""
+    return (
+        spread(scene, PICTURES_PER_DRIVE)
+        if every is None
+        else frozenset(range(0, _most_sweeps(scene), every))
+    )
+
+
+def spread(scene: Scene, most: int) -> frozenset[int]:
+    """Numbers of at most so many sweeps, spread over the drive."""
+    count = _most_sweeps(scene)
+    return frozenset(np.linspace(0, count - 1, min(most, count)).astype(int).tolist())
+
+
+def _most_sweeps(scene: Scene) -> int:
+    return max((len(lidar.frames) for lidar in scene.lidars), default=0)

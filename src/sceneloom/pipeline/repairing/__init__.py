@@ -1,0 +1,1 @@
+"""Repairing the calibration of a drive, and writing what came of it."""

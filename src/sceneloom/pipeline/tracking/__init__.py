@@ -1,0 +1,1 @@
+"""Tracking of a drive: detections in, objects followed through time out."""

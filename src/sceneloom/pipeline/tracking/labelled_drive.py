@@ -1,0 +1,45 @@
+"""A scene whose labels lie where its drive was tracked: along the way of the ego that was followed."""
+
+from dataclasses import replace
+from types import MappingProxyType
+
+from sceneloom.pipeline.detections.detected import DetectedDrive
+from sceneloom.scene import PosePath, Scene, Tracks, Trajectory
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.poses import same_way
+from sceneloom.scene.sensor_sources import needs_ego
+from sceneloom.tracking.labels import Labelled, label_tracks
+
+FOLLOWED = "tracking"
+"""Name of a way of the ego that the scene does not have itself, but tracking went by."""
+
+
+def label_drive(scene: Scene, drive: DetectedDrive, tracks: Tracks) -> Labelled:
+    """Put the tracks of a drive into its scene.
+
+    The way that tracking went by becomes the scene's default one: one of its own, or the one that was found from
+    sweeps or satellites. So the labels are in the world of the file that is written.
+
+    Args:
+        scene: the drive's.
+        drive: as it was tracked.
+        tracks: in its world.
+
+    Raises:
+        OptionError: the scene's annotations are in the ego's frame, or have the ids of labels.
+        DataError: a sensor's frame cannot be read.
+    """
+    if not needs_ego(scene) or drive.source.own:
+        return label_tracks(scene, tracks)
+    ego = EgoMotion(FOLLOWED, drive.source.path)
+    return label_tracks(_following(scene, ego.path), tracks, trajectory=ego)
+
+
+def _following(scene: Scene, path: PosePath) -> Scene:
+    """The scene with this way of the ego as its default one; an ego that stands still has none."""
+    if path.endless:
+        return scene
+    known = next((name for name, way in scene.trajectories.items() if same_way(way, path)), None)
+    followed = Trajectory(FOLLOWED, path.timestamps_ns, path.positions, path.quaternions_xyzw)
+    first = {FOLLOWED: followed} if known is None else {known: scene.trajectories[known]}
+    return replace(scene, trajectories=MappingProxyType({**first, **scene.trajectories}))

@@ -1,0 +1,1 @@
+"""The scene that a fusion writes, and what it says of how it came about."""

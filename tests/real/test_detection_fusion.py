@@ -196,5 +196,7 @@ def test_far_cars_are_nearer_to_the_truth_across_the_line_of_sight_after_fusion(
     assert len(errors) > 100
     assert rms[1] < 0.9 * rms[0]
     assert rms[3] < 0.9 * rms[2]
-    # the detector was trained on these drives: covariances are meant for others
-    assert 0.3 < np.mean(squares) < 3.5
+    # the detector was trained on these drives: covariances are meant for others. The region is Student's, whose squares
+    # have the mean 3 ν / (ν - 2); where they are fewer than these, it is too wide, and never much too narrow
+    freedom = fused.degrees_of_freedom
+    assert 0.3 < np.mean(squares) < 3.0 * freedom / (freedom - 2.0)

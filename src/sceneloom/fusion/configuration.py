@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from sceneloom.colouring import VisibilitySettings
+from sceneloom.detections.detector_files import DEFAULT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,6 +16,8 @@ class FusionConfiguration:
         lateness_ns: how much later than its time a picture may arrive and still be waited for.
         visibility: what counts as hidden behind a nearer surface.
         detection_algorithm: the same for detections.
+        detectors: how sure and how exact detectors are taken to be by the algorithm `projection`: a name out of
+            `detections.detector_files.detector_names()`, or the path of a file.
         most_waiting: sweeps, and pictures of each camera, that may wait for one another; None for as many as come.
         stand_beyond_way: whether a sweep beyond the ego's way is fused as if the ego had not moved; else it says why
             it was not fused.
@@ -31,6 +34,7 @@ class FusionConfiguration:
     lateness_ns: int = 0
     visibility: VisibilitySettings = field(default_factory=VisibilitySettings)
     detection_algorithm: str = "projection"
+    detectors: str = DEFAULT
     most_waiting: int | None = None
     stand_beyond_way: bool = False
     motion_compensation: bool = True

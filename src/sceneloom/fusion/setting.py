@@ -119,6 +119,7 @@ class Setting:
         return FusionConfiguration(
             fusion_algorithm=sensor_data,
             detection_algorithm=detections,
+            detectors=self.properties["detectors"],
             pairing_tolerance_ns=self.tolerance_ns,
             lateness_ns=self.timeout_ns,
             most_waiting=self.properties["queue_length"],

@@ -4,10 +4,13 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.detections import DetectionAlgorithm
+from sceneloom.detections.detector_files import DEFAULT
+from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.fusion.configuration import FusionConfiguration
@@ -221,7 +224,7 @@ class FusionSystem:
             boxes,
             boxes.timestamp_ns,
             self._tolerance_ns(lidar),
-            self.detect or self._algorithm(FusionType.DETECTIONS, self.configuration.detection_algorithm),
+            self.detect or self._detection_algorithm(),
             self.configuration,
             extras,
         )
@@ -251,6 +254,14 @@ class FusionSystem:
                 raise
             self.on_failed(waiting.extras, error)
         self.on_left(waiting.extras, Leave.DONE)
+
+    def _detection_algorithm(self) -> DetectionAlgorithm:
+        """Find the algorithm of detection fusion; our own takes the detectors for what they are said to be."""
+        name, detectors = self.configuration.detection_algorithm, self.configuration.detectors
+        found = self._algorithm(FusionType.DETECTIONS, name)
+        if name != "projection" or detectors == DEFAULT:
+            return cast("DetectionAlgorithm", found)
+        return partial(found, settings=ProjectionSettings(detectors=detectors))
 
     def _algorithm(self, fusion_type: FusionType, name: str) -> Any:
         """Find an algorithm when it is first needed: few drives have boxes."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from sceneloom.detections.detector_files import DEFAULT, detector_names
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.fusion.calibration.axes import DeclaredAxes
 from sceneloom.fusion.calibration.entries import parse_calibrations
@@ -70,6 +71,10 @@ def _words(value: str) -> None:
 def _filled(value: str) -> None:
     if not value.strip():
         raise DataError("", "", "an empty name; expected the name of an algorithm")
+
+
+def _detectors(value: str) -> None:
+    _one_of(*detector_names())(value)
 
 
 PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
@@ -216,6 +221,14 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
                 "uint32",
                 32,
                 check=_at_least(1),
+            ),
+            PredefinedProperty(
+                "detectors",
+                "how sure and how exact the detectors are taken to be, by the name of a set that comes with the "
+                "package; of the algorithm projection of detections",
+                "string",
+                DEFAULT,
+                check=_detectors,
             ),
         )
     }

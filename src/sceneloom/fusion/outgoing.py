@@ -110,7 +110,7 @@ def fused_detections_record(
     Source: DB34/T 4101-2022, table 10.
     """
     fused = frame.fused
-    columns, sound = _declared_columns(fused, setting, camera)
+    columns, sound = declared_columns(fused, setting.declared_from_standard, camera)
     fields: dict[str, Any] = {
         "timestamp": boxes_3d.timestamp,
         "image_seq": boxes_2d.seq,
@@ -142,14 +142,21 @@ def tracked_detections_record(
         setting: the configuration of the sweep.
         camera: the lens of the picture, to whose size boxes are cut.
     """
-    columns, _ = _declared_columns(fused, setting, camera)
+    columns, _ = declared_columns(fused, setting.declared_from_standard, camera)
     none: tuple[None, ...] = (None,) * len(fused)
     numbers = (fused.ids & _LARGEST_ID).astype(np.int32)
     return replace(record, id=numbers, class_names=fused.labels, box_3d_ids=none, box_2d_ids=none, **columns)
 
 
-def _declared_columns(fused: FusedBoxes, setting: Setting, camera: Camera) -> tuple[dict[str, Any], bool]:
-    """Columns of numbers of the objects in the declared axes, and whether all of them make sense."""
+def declared_columns(
+    fused: FusedBoxes, declared_from_standard: Float64Array, camera: Camera
+) -> tuple[dict[str, Any], bool]:
+    """Give the columns of numbers of objects as records of table 10 have them, and whether all of them make sense.
+
+    Args:
+        declared_from_standard: (3, 3) float64, read-only: takes the standard axes of the lidar into those of the record.
+        camera: the lens of the picture, to whose size boxes are cut.
+    """
     velocities = fused.velocities
     found = declare_objects(
         fused.scores,
@@ -161,7 +168,7 @@ def _declared_columns(fused: FusedBoxes, setting: Setting, camera: Camera) -> tu
         np.zeros((len(fused), 3)) if velocities is None else velocities,
         fused.corners_xyxy,
         fused.rows_3d,
-        setting.declared_from_standard,
+        declared_from_standard,
         np.array([camera.width, camera.height], np.float64),
     )
     columns: dict[str, Any] = dict(zip(_COLUMNS, found[:-1], strict=True))

@@ -4,11 +4,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from heapq import merge
-from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionAlgorithm, DetectionPair
 from sceneloom.detections.projection import fuse_by_projection
@@ -19,7 +18,7 @@ from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.timestamps import Timestamp
-from sceneloom.kernels.declared_objects import declare_objects
+from sceneloom.fusion.outgoing import declared_columns
 from sceneloom.pipeline.detections.coverage import fusion_for
 from sceneloom.pipeline.detections.detected import DetectedDrive, projection_settings
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
@@ -110,23 +109,7 @@ def detections_record(
         DataError: a time cannot stand in the record.
     """
     fused = frame.fused
-    velocities = fused.velocities
-    found = declare_objects(
-        fused.scores,
-        fused.centers,
-        fused.center_covariances,
-        fused.sizes_lwh,
-        fused.size_covariances,
-        fused.yaws,
-        np.zeros((len(fused), 3)) if velocities is None else velocities,
-        fused.corners_xyxy,
-        fused.rows_3d,
-        np.eye(3),
-        np.array([lens.width, lens.height], np.float64),
-    )
-    columns: dict[str, Any] = dict(zip(_COLUMNS, found[:-1], strict=True))
-    if velocities is None:
-        columns["velocity_vectors"] = None
+    columns, _ = declared_columns(fused, _AS_IN_THE_SCENE, lens)
     return FusedDetections(
         timestamp=Timestamp.of(frame.timestamp_ns),
         image_seq=int(frame.picture_extras["seq"]),
@@ -143,11 +126,7 @@ def detections_record(
     )
 
 
-_COLUMNS = (
-    *("confidence", "centers", "center_covs", "sizes_lwh", "size_covs"),
-    *("directions", "velocities", "velocity_vectors", "corners_xyxy"),
-)
-"""What `declare_objects` gives, in its order."""
+_AS_IN_THE_SCENE = read_only(np.eye(3))
 
 
 def _numbers(rows: list[int]) -> tuple[int | None, ...]:

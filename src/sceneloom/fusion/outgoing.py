@@ -154,7 +154,7 @@ def declared_columns(
     """Give the columns of numbers of objects as records of table 10 have them, and whether all of them make sense.
 
     Args:
-        declared_from_standard: (3, 3) float64, read-only: takes the standard axes of the lidar into those of the record.
+        declared_from_standard: (3, 3) float64, read-only: from the standard axes of the lidar to those of the record.
         camera: the lens of the picture, to whose size boxes are cut.
     """
     velocities = fused.velocities

@@ -5,8 +5,8 @@ from typing import Any
 
 import click
 
-from sceneloom.cli import options
-from sceneloom.cli.calibrate_check import check_health
+from sceneloom.cli import detection_options, options
+from sceneloom.cli.calibrate_check import BOXES, box_options, check_health
 from sceneloom.cli.calibrate_conventions import check_conventions
 from sceneloom.cli.calibrate_repair import asked_repair, repair_calibration, repair_options
 
@@ -40,6 +40,7 @@ from sceneloom.cli.calibrate_repair import asked_repair, repair_calibration, rep
     "--pictures", type=options.target, metavar="DIR", help="Draw points and edges over pictures into DIR."
 )
 @click.option("--overwrite", is_flag=True, help="Replace DIR if it exists.")
+@box_options
 @options.part
 @options.reading
 @options.printing
@@ -68,10 +69,13 @@ def calibrate(
     Exit 0 where the calibration is good, 3 where it is drifting, 4 where it is wrong, 5 where the drive cannot tell.
     """
     asked = asked_repair(reading)
+    boxes = {name: reading.pop(name) for name in BOXES}
     if check + conventions + (asked is not None) > 1:
         raise click.UsageError("--check, --conventions and a repair: say one of them")
     if drive is not None and not conventions:
         raise click.UsageError("--drive DRIVE does nothing without --conventions")
+    if conventions or asked is not None:
+        detection_options.refuse(boxes, BOXES, "boxes of detectors are looked at by --check")
     if conventions:
         code = check_conventions(
             path, drive, camera_id=camera_id, lidar_id=lidar_id, as_json=as_json, quiet=quiet, reading=reading
@@ -85,6 +89,6 @@ def calibrate(
         context.exit(code)
     code = check_health(
         path, camera_id=camera_id, lidar_id=lidar_id, most=most, start=start, stop=stop,
-        pictures=pictures, overwrite=overwrite, as_json=as_json, verbose=verbose, reading=reading,
+        pictures=pictures, overwrite=overwrite, as_json=as_json, verbose=verbose, boxes=boxes, reading=reading,
     )  # fmt: skip
     context.exit(code)

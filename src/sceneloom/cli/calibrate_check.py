@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli import options
+from sceneloom.cli import detection_options, options
 from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import print_json, print_table, several
 
@@ -17,6 +17,17 @@ if TYPE_CHECKING:
 
 EXIT_CODES = MappingProxyType({"good": 0, "drifting": 3, "wrong": 4, "cannot tell": 5})
 """What each verdict means to the shell."""
+
+
+BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences")
+"""The names of the arguments of boxes."""
+
+
+def box_options(command: Any) -> Any:
+    """Add lists of boxes, and the choices in a folder of KITTI's sequences, to a command."""
+    for option in reversed((*detection_options.FILES[:2], *detection_options.FOLDERS)):
+        command = option(command)
+    return command
 
 
 def check_health(
@@ -31,47 +42,83 @@ def check_health(
     overwrite: bool,
     as_json: bool,
     verbose: bool,
+    boxes: Mapping[str, Any],
     reading: Mapping[str, Any],
 ) -> int:
     """Check a calibration, print what came out, draw pictures where these are asked for; give the exit code."""
-    from sceneloom.calibrate.frames import calibration_frames
-    from sceneloom.calibrate.health.check import check_frames
     from sceneloom.formats import open_scene
+    from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
     from sceneloom.formats.output import check_output
     from sceneloom.pictures.calibration import save_calibration_pictures
-    from sceneloom.scene.part import cut_scene
+    from sceneloom.pipeline.checked_calibration import check_drive
 
+    if not (boxes["boxes3d"] or boxes["boxes2d"]) and is_tracking_folder(Path(path)):
+        useless = {
+            "camera": camera_id, "lidar": lidar_id, "start": start is not None, "stop": stop is not None,
+            "pictures": pictures,
+        }  # fmt: skip
+        detection_options.refuse(
+            useless, tuple(useless), "a folder of KITTI's sequences is judged by its boxes"
+        )
+        return _check_folder(path, boxes, lenient=reading["lenient"], as_json=as_json, verbose=verbose)
+    detection_options.refuse(
+        dict(boxes), BOXES[2:], f"{path} is no folder of KITTI's sequences, or has lists beside it"
+    )
     if pictures is not None:
         is_empty = pictures.is_dir() and not any(pictures.iterdir())
         check_output(pictures, overwrite=overwrite or is_empty)
     with open_scene(path, **options.said(**reading)) as scene:
-        part = cut_scene(scene, start=start, stop=stop)
-        frames = calibration_frames(
-            part,
-            known_id_or_none(part, camera_id),
-            known_id_or_none(part, lidar_id),
-            most,
-        )
-        health = check_frames(frames, source=scene.source)
+        found = check_drive(
+            scene, known_id_or_none(scene, camera_id), known_id_or_none(scene, lidar_id), most=most, start=start,
+            stop=stop, boxes_3d=boxes["boxes3d"], boxes_2d=boxes["boxes2d"], lenient=reading["lenient"],
+        )  # fmt: skip
     if pictures is not None:
-        save_calibration_pictures(frames, health, pictures, overwrite=overwrite)
+        save_calibration_pictures(found.frames, found.health, pictures, overwrite=overwrite)
     if as_json:
-        print_json(health)
+        print_json(found.health)
     else:
-        _print_health(health, verbose=verbose)
+        _print_health(found.health, verbose=verbose)
         if pictures is not None:
             click.echo(f"pictures: {pictures}")
-    return EXIT_CODES[health.verdict]
+    return EXIT_CODES[found.health.verdict]
+
+
+def _check_folder(
+    path: Path | str, boxes: Mapping[str, Any], *, lenient: bool, as_json: bool, verbose: bool
+) -> int:
+    """Check each sequence of a folder by its boxes; the worst gives the exit code."""
+    from sceneloom.formats.kitti import open_tracking_folder
+    from sceneloom.pipeline.checked_calibration import check_sequences
+
+    tracking = open_tracking_folder(
+        path, detector_2d=boxes["det2d"], detector_3d=boxes["det3d"], lenient=lenient
+    )
+    found = check_sequences(tracking, boxes["sequences"])
+    if as_json:
+        print_json(found)
+    else:
+        for health in found:
+            _print_health(health, verbose=verbose)
+    verdicts = {str(health.verdict) for health in found}
+    return EXIT_CODES[next(verdict for verdict in _WORST_FIRST if verdict in verdicts)]
+
+
+_WORST_FIRST = ("wrong", "drifting", "cannot tell", "good")
 
 
 def _print_health(health: "CalibrationHealth", *, verbose: bool) -> None:
-    looked = f"{several(health.frames, 'picture')} of {several(health.views, 'view')}"
+    looked = several(health.frames, "picture")
+    if health.views:
+        looked += f" of {several(health.views, 'view')}"
     click.echo(f"{health.source}: {health.camera_id} to {health.lidar_id}: {health.verdict} ({looked})")
     reasons = {item.reason for item in health.items}
     if len(reasons) == 1 and reasons != {""}:
         click.echo(f"nothing can be told: {reasons.pop()}")
     else:
-        print_table([("part", "verdict", "to be changed by", "why"), *map(_row, health.items)])
+        told = [item for item in health.items if health.views or item.name.startswith("boxes")]
+        print_table([("part", "verdict", "to be changed by", "why"), *map(_row, told)])
+    if not health.views:
+        return
     stated, best = health.stated_distinctness, health.distinctness
     click.echo(f"agreement above chance: {stated:.1f} deviations as stated, {best:.1f} at best")
     if verbose:

@@ -2,45 +2,42 @@
 
 Of each picture all couples of boxes are kept that may be one object: of one class and about as high. Most of them are
 not one object, and their offsets are anywhere; those that are have the offset that errors of boxes and the calibration
-leave. A turn ω of what the lidar sees moves a ray r by ω × r, in tangents (x, y) of the angles
-
-    Δx = ω₂ (1 + x²) - ω₁ x y - ω₃ y,    Δy = ω₂ x y - ω₁ (1 + y²) + ω₃ x.
-
-Votes find the turn about which most couples agree, coarsely; least squares over those make it exact.
-
-Source: votes for parameters: Duda and Hart 1972, "Use of the Hough Transformation to Detect Lines and Curves in
-Pictures"; motion of the picture under a turn: Longuet-Higgins and Prazdny 1980, eq. 2.
+leave.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import unproject
 from sceneloom.detections.classes import numbers_of
+from sceneloom.detections.common_turn import (
+    LEAST_AGREEING,
+    NO_TURN,
+    agreeing_with,
+    chance_agreement,
+    refined_turn,
+    turn_covariance,
+    turn_slopes,
+    voted_turn,
+)
 from sceneloom.detections.outlines import project_outlines
 from sceneloom.detections.results import DetectionPair
 from sceneloom.kernels import sound_boxes
 from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
-LARGEST_DEG = 5.0
-"""Turns beyond are not looked for [°]."""
 WORTH_TELLING_DEG = 1.0
 """Turns below may be those of boxes and of motion between sweep and picture [°]."""
-LEAST_AGREEING = 20
-"""So many couples must agree."""
 MOST_COUPLES = 4000
 """No more couples are kept."""
-_STEP_DEG = 0.5
 _ALIKE = 1.3
 """Boxes of one object are this much higher than one another at the most."""
 _LEAST_PX, _BORDER_PX = 25.0, 3.0
 _LEAST_DEPTH = 0.3
 """Cosine of the angle to the optical axis from which on tangents are of use."""
-_ROUNDS = 10
 _BETTER = 1.2
 """So many times more couples must agree about a turn than about none."""
 
@@ -74,6 +71,25 @@ class Misalignment:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxTurn:
+    """The turn about which boxes of pictures and sweeps agree, and how sure that is.
+
+    Attributes:
+        rotation: (3,) rotation vector in the camera's frame; `camera_from_lidar` after this turn fits best [rad].
+        covariance: (3, 3), of it, by chance alone: what boxes of one detector have in common is not in it [rad²].
+        agreeing: couples of boxes that fit after it.
+        by_chance: couples that fit after the best of many other turns.
+        pictures: that show couples which fit.
+    """
+
+    rotation: Float64Array
+    covariance: Float64Array
+    agreeing: int
+    by_chance: int
+    pictures: int
+
+
 class BoxResiduals:
     """Collects couples of boxes over the pictures of one camera."""
 
@@ -98,11 +114,30 @@ class BoxResiduals:
         if self._count < LEAST_AGREEING:
             return None
         couples = np.concatenate(self._couples)
-        jacobian = _jacobian(couples)
-        turn = _refined(couples, jacobian, _voted(couples, jacobian))
-        agreeing = _agreeing(couples, jacobian, turn)
+        jacobian = turn_slopes(couples)
+        turn = refined_turn(couples, jacobian, voted_turn(couples, jacobian))
+        agreeing = agreeing_with(couples, jacobian, turn)
         x, y, z = np.degrees(turn).tolist()
-        return Misalignment((x, y, z), int(agreeing.sum()), int(_agreeing(couples, jacobian, _NO_TURN).sum()))
+        return Misalignment(
+            (x, y, z), int(agreeing.sum()), int(agreeing_with(couples, jacobian, NO_TURN).sum())
+        )
+
+    def turn(self) -> BoxTurn | None:
+        """Find the turn about which most couples agree, and how sure it is; None where there are too few."""
+        if self._count < LEAST_AGREEING:
+            return None
+        couples = np.concatenate(self._couples)
+        pictures = np.repeat(np.arange(len(self._couples)), [len(found) for found in self._couples])
+        jacobian = turn_slopes(couples)
+        turn = refined_turn(couples, jacobian, voted_turn(couples, jacobian))
+        agreeing = agreeing_with(couples, jacobian, turn)
+        return BoxTurn(
+            turn,
+            turn_covariance(couples, jacobian, turn, pictures),
+            int(agreeing.sum()),
+            int(chance_agreement(couples, jacobian, turn)),
+            len(np.unique(pictures[agreeing])),
+        )
 
     def notices(self, camera_id: str) -> list[Notice]:
         """What there is to say of a camera's calibration."""
@@ -120,9 +155,6 @@ class BoxResiduals:
                 f"{found.agreeing_now} now",
             )
         ]
-
-
-_NO_TURN = np.zeros(3)
 
 
 def _couples(pair: DetectionPair) -> Float64Array:
@@ -161,49 +193,3 @@ def _tangents(camera: Camera, corners: Float64Array) -> Float64Array:
     depths = np.where(rays[:, 2] > _LEAST_DEPTH, rays[:, 2], np.nan)
     tangents: Float64Array = rays[:, :2] / depths[:, None]
     return tangents
-
-
-def _jacobian(couples: Float64Array) -> Float64Array:
-    """How a turn moves tangents, (C, 2, 3)."""
-    x, y = couples[:, 0], couples[:, 1]
-    across = np.column_stack([-x * y, 1.0 + x * x, -y])
-    down = np.column_stack([-(1.0 + y * y), x * y, x])
-    return np.stack([across, down], axis=1)
-
-
-def _agreeing(couples: Float64Array, jacobian: Float64Array, turn: Float64Array) -> BoolArray:
-    left = couples[:, 2:4] - jacobian @ turn
-    found: BoolArray = np.hypot(left[:, 0], left[:, 1]) < couples[:, 4]
-    return found
-
-
-def _voted(couples: Float64Array, jacobian: Float64Array) -> Float64Array:
-    """The turn of a grid about which most couples agree; of equal ones the smallest."""
-    angles = np.radians(np.arange(-LARGEST_DEG, LARGEST_DEG + _STEP_DEG / 2, _STEP_DEG))
-    edges = np.append(angles - np.radians(_STEP_DEG) / 2, angles[-1] + np.radians(_STEP_DEG) / 2)
-    best, found = -np.inf, _NO_TURN
-    for roll in angles.tolist():
-        left = couples[:, 2:4] - jacobian[:, :, 2] * roll
-        votes = np.histogram2d(left[:, 0], -left[:, 1], bins=(edges, edges))[0]
-        spread = votes.copy()
-        spread[1:] += votes[:-1]
-        spread[:-1] += votes[1:]
-        spread[:, 1:], spread[:, :-1] = spread[:, 1:] + votes[:, :-1], spread[:, :-1] + votes[:, 1:]
-        yaw, pitch = np.unravel_index(int(spread.argmax()), spread.shape)
-        worth = float(spread[yaw, pitch]) - 1e-3 * abs(roll)
-        if worth > best:
-            best, found = worth, np.array([angles[pitch], angles[yaw], roll])
-    return found
-
-
-def _refined(couples: Float64Array, jacobian: Float64Array, turn: Float64Array) -> Float64Array:
-    """Least squares over the couples that agree, again and again."""
-    for _ in range(_ROUNDS):
-        rows = _agreeing(couples, jacobian, turn)
-        if rows.sum() < LEAST_AGREEING:
-            return turn
-        weights = 1.0 / couples[rows, 4]
-        slopes = (jacobian[rows] * weights[:, None, None]).reshape(-1, 3)
-        offsets = (couples[rows, 2:4] * weights[:, None]).ravel()
-        turn = np.linalg.lstsq(slopes, offsets, rcond=None)[0]
-    return turn

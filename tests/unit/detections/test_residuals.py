@@ -29,9 +29,9 @@ def shown(center):
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
-def pairs(turn_deg, *, count=40):
+def pairs(turn_deg, *, count=40, seed=3):
     """Pictures of cars whose sweeps are taken with a camera that is turned from where it is said to be."""
-    generator = np.random.default_rng(3)
+    generator = np.random.default_rng(seed)
     turn = RigidTransform(cv2.Rodrigues(np.radians(turn_deg))[0], np.zeros(3))
     for _ in range(count):
         ahead = generator.uniform(12.0, 40.0, 5)
@@ -83,3 +83,23 @@ def test_empty_lists_and_other_classes_say_nothing():
         residuals.add(replace(pair, boxes_2d=Boxes2D.empty(0)))
         residuals.add(replace(pair, boxes_2d=replace(two, labels=("pedestrian",) * len(two))))
     assert residuals.misalignment() is None
+
+
+def test_what_is_said_of_its_uncertainty_is_how_turns_scatter():
+    turns = [told((0.5, -0.5, 1.0), count=20, seed=seed).turn() for seed in range(12)]
+    planted = -np.radians([0.5, -0.5, 1.0])
+    errors = np.array([found.rotation - planted for found in turns])
+    # what bounded boxes have in common is not chance, and not in the covariance
+    errors -= errors.mean(axis=0)
+    said = np.sqrt(np.mean([np.diag(found.covariance) for found in turns], axis=0))
+    # twelve drives tell a deviation to a fifth, and twenty blocks another fifth
+    assert (np.abs(np.log(errors.std(axis=0) / said)) < np.log(2.0)).all()
+    assert all(found.agreeing > 5 * found.by_chance and found.pictures == 20 for found in turns)
+
+
+def test_boxes_of_other_pictures_agree_about_no_turn():
+    residuals, shown = BoxResiduals(), list(pairs(np.zeros(3)))
+    for pair, other in zip(shown, shown[20:] + shown[:20], strict=True):
+        residuals.add(replace(pair, boxes_2d=other.boxes_2d))
+    found = residuals.turn()
+    assert found is None or found.agreeing < max(40, 2 * found.by_chance)

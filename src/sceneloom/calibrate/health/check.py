@@ -19,6 +19,9 @@ from sceneloom.scene import Identifier, Scene
 DISTINCT = 4.5
 """Deviations above chance from which on pictures and sweeps agree; the best of some hundred chances reaches 3.3."""
 
+PARTS = ("rotation", "translation", "focal_length", "principal_point", "time_offset")
+"""What pictures and points are asked about, in the order of the items."""
+
 _OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
 _PLAIN = 0.9
@@ -40,7 +43,7 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
         camera_id, lidar_id: whose calibration.
         verdict: of all of it: that of the worst part. Cannot tell where the rotation cannot be told, or where another
             part seems to be off but that may be chance, or where the stated one agrees clearly less than the best one.
-        items: by part.
+        items: by part; with boxes of detectors two more, of the turn that these show.
         frames: pictures that were looked at.
         views: how many different views they show.
         distinctness: how far the best calibration around stands above chance, in chance's own deviations.
@@ -65,6 +68,11 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
     def item(self, name: str) -> Item:
         """The part of that name."""
         return next(item for item in self.items if item.name == name)
+
+    @property
+    def doubted(self) -> bool:
+        """Whether pictures and points agree much better elsewhere, where they tell of the rotation at all."""
+        return bool(self.item("rotation").values) and self.stated_distinctness < _ALIKE * self.distinctness
 
 
 def check_calibration(
@@ -246,7 +254,6 @@ def _untold(
     objective: Objective | None = None,
     top: Top | None = None,
 ) -> CalibrationHealth:
-    names = ("rotation", "translation", "focal_length", "principal_point", "time_offset")
     told = _Standings(0.0, 0.0, {})
     if objective is not None and top is not None:
         told = replace(_standings(objective, top), change=(0.0,) * COUNT)
@@ -255,7 +262,7 @@ def _untold(
         camera_id=frames[0].camera_id,
         lidar_id=frames[0].lidar_id,
         verdict=Verdict.CANNOT_TELL,
-        items=tuple(Item.unknown(name, reason) for name in names),
+        items=tuple(Item.unknown(name, reason) for name in PARTS),
         frames=len(frames),
         views=int(views.max()) + 1,
         **asdict(told),

@@ -26,7 +26,7 @@ class Item(msgspec.Struct, frozen=True, kw_only=True):
     """One part of a calibration.
 
     Attributes:
-        name: "rotation", "translation", "focal_length", "principal_point" or "time_offset".
+        name: "rotation", "translation", "focal_length", "principal_point" or "time_offset"; "boxes" and "boxes_roll".
         verdict: what is to be said of it.
         reason: why, where it is not good.
         unit: of the numbers.
@@ -66,6 +66,7 @@ class Limits:
         wrong: beyond this it is wrong.
         floor: what the measures get wrong by themselves, on each axis.
         vague: with a larger standard deviation on any axis nothing is said.
+        what: agrees.
     """
 
     name: str
@@ -75,8 +76,10 @@ class Limits:
     wrong: float
     floor: float
     vague: float
+    what: str = "pictures and sweeps agree"
 
 
+_BOXES = "boxes of pictures and sweeps come together"
 LIMITS = {
     limits.name: limits
     for limits in (
@@ -84,6 +87,8 @@ LIMITS = {
         Limits("translation", "m", 1.0, 0.1, 0.3, 0.04, 0.06),
         Limits("focal_length", "%", 100.0, 1.0, 3.0, 0.4, 0.8),
         Limits("time_offset", "ms", 1e3, 15.0, 60.0, 4.0, 9.0),
+        Limits("boxes", "deg", 180.0 / np.pi, 0.4, 1.0, 0.12, 0.35, _BOXES),
+        Limits("boxes_roll", "deg", 180.0 / np.pi, 1.0, 2.0, 0.4, 0.6, _BOXES),
     )
 }
 SIGNIFICANT = 16.0
@@ -112,7 +117,7 @@ def judge(name: str, values: Float64Array, covariance: Float64Array) -> Item:
         reason = f"{size:.2g} {limits.unit} may be chance"
     elif size > limits.good:
         verdict = Verdict.WRONG if size > limits.wrong else Verdict.DRIFTING
-        reason = f"pictures and sweeps agree best {size:.2g} {limits.unit} away from it"
+        reason = f"{limits.what} best {size:.2g} {limits.unit} away from it"
     return Item(
         name=name,
         verdict=verdict,

@@ -1,0 +1,77 @@
+"""The check of a drive whose pictures tell nothing, by boxes of made-up cars."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.calibrate.health.verdicts import Verdict
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import OptionError
+from sceneloom.fusion.messages.json_form import format_json
+from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.geometry.boxes import CORNER_SIGNS
+from sceneloom.pipeline.checked_calibration import check_drive
+from sceneloom.pipeline.detections.detected import poses_at
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+LENS = Camera("pinhole", 640, 320, 360.0, 360.0, 319.5, 159.5)
+SIZE = np.array([4.2, 1.8, 1.5])
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """A lidar of few beams and a camera, whose pictures are of another lens than the one that boxes are made for."""
+    return simulate_street(2, frames=14, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(LENS),))
+
+
+def lists(scene, folder, turn_deg):
+    """Boxes of five cars in each sweep and picture; the camera really is turned from where it is said to be."""
+    lidar, camera = scene.lidars[0], scene.cameras[0]
+    times = [frame.reference_ns for frame in lidar.frames]
+    stamps = camera.pictures.timestamps_ns.tolist()
+    sources = [sensor_source(scene, sensor, None, reach_ns=10**9) for sensor in (lidar, camera)]
+    places = poses_at(sources[0], np.array(times)), poses_at(sources[1], np.array(stamps))
+    generator, turn = np.random.default_rng(5), Rotation.from_rotvec(turn_deg, degrees=True)
+    lines = {"boxes3d": [], "boxes2d": []}
+    for k, (time, stamp) in enumerate(zip(times, stamps, strict=True)):
+        ahead = generator.uniform(12.0, 30.0, 5)
+        centers = np.column_stack(
+            [ahead, ahead * generator.uniform(-0.5, 0.5, 5), generator.uniform(-1, 0, 5)]
+        )
+        corners = centers[:, None] + CORNER_SIGNS * SIZE / 2
+        seen = turn.apply((places[1][k].inverse() @ places[0][k]).apply(corners.reshape(-1, 3)))
+        pixels = (seen[:, :2] / seen[:, 2:] * 360.0 + [319.5, 159.5]).reshape(5, 8, 2) + 0.5
+        boxes = np.hstack([pixels.min(axis=1), pixels.max(axis=1)])
+        three = Boxes3D(time, centers, np.tile(SIZE, (5, 1)), np.zeros(5), np.ones(5), ("Car",) * 5)
+        two = Boxes2D(stamp, boxes, np.ones(5), ("Car",) * 5)
+        lines["boxes3d"].append(format_json(boxes_3d_record(three, sensor_id=0, seq=k)))
+        lines["boxes2d"].append(format_json(boxes_2d_record(two, sensor_id=0, seq=k)))
+    for name, texts in lines.items():
+        (folder / f"{name}.jsonl").write_text("\n".join(texts))
+    return {"boxes_3d": [folder / "boxes3d.jsonl"], "boxes_2d": [folder / "boxes2d.jsonl"]}
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "verdict"), [((0.0, 0.0, 0.0), Verdict.GOOD), ((2.0, -1.0, 0.0), Verdict.WRONG)]
+)
+def test_boxes_tell_what_pictures_cannot(drive, tmp_path, turn_deg, verdict):
+    health = check_drive(drive.scene, most=2, **lists(drive.scene, tmp_path, turn_deg)).health
+    assert health.item("rotation").verdict is Verdict.CANNOT_TELL
+    assert health.verdict is verdict
+    # boxes of whole pixels, at 6 pixels a degree; a sigma is 0.12
+    np.testing.assert_allclose(health.item("boxes").values, turn_deg[:2], atol=0.2)
+
+
+def test_a_part_of_the_drive_is_judged_by_its_own_boxes(drive, tmp_path):
+    found = lists(drive.scene, tmp_path, (2.0, -1.0, 0.0))
+    health = check_drive(drive.scene, most=2, stop=0.5, **found).health
+    # five pictures are too few
+    assert health.item("boxes").verdict is Verdict.CANNOT_TELL
+
+
+def test_boxes_of_one_kind_are_refused(drive, tmp_path):
+    found = lists(drive.scene, tmp_path, (0.0, 0.0, 0.0))
+    with pytest.raises(OptionError, match="boxes of pictures alone"):
+        check_drive(drive.scene, boxes_2d=found["boxes_2d"])

@@ -1,9 +1,10 @@
 """Fixtures that all tests share, and how hard Hypothesis tries."""
 
+import gc
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,17 @@ def pytest_configure(config: pytest.Config) -> None:
         except FileExistsError:
             continue
         import_module(f"sceneloom.{source.parent.name}.{source.stem}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Keep the garbage collector away from what is collected: it would walk through all tests again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")

@@ -36,9 +36,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     metavar="DIR",
     help="Draw a dozen moments: over photographs and from above.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@options.reading
-@options.printing
+@options.rewriting
 def track(
     path: Path | str,
     output: Path,
@@ -49,6 +47,8 @@ def track(
     algorithm: str | None,
     pictures: Path | None,
     overwrite: bool,
+    profile: str | None,
+    time_unit: str | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -73,6 +73,7 @@ def track(
             **options.said(algorithm=algorithm),
         ),
         "overwrite": overwrite,
+        "scene_options": options.said(profile=profile, time_unit=time_unit),
         **({} if box2d is None else {"box2d": PictureBox(box2d)}),
     }
     with progress_bar("tracking", quiet=quiet) as progress:

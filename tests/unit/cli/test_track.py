@@ -174,6 +174,29 @@ def test_a_sequence_can_be_chosen_and_must_be_there(call, folder, tmp_path):
     assert "sequence 0001: is not there" in outcome.err
 
 
+def test_scenes_are_written_for_scales_library_on_request(call, folder, tmp_path):
+    out = tmp_path / "labels"
+    outcome = call("track", folder, "-o", out, "--format", "sfs", "--profile", "scale")
+    assert outcome.code == 0, outcome.err
+    # Scale's validator knows no such sensor, so a scene of this profile keeps it aside
+    assert "sensors[ego]: Scale's validator knows no such sensor" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("-o", "x", "--profile", "scale"), "--profile: only of scenes, but 'kitti' is written"),
+        (("-o", "x.sfs"), "x.sfs: a folder is written, a file for each drive"),
+        (("-o", "x.txt", "--format", "jsonl"), "expected a name without '.txt'"),
+    ],
+)
+def test_what_does_not_go_with_the_form_is_refused(call, folder, tmp_path, monkeypatch, words, told):
+    monkeypatch.chdir(tmp_path)
+    outcome = call("track", folder, *words)
+    assert (outcome.code, told in outcome.err) == (2, True), outcome.err
+    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+
+
 def test_an_output_is_not_overwritten_unasked(call, folder, tmp_path):
     assert call("track", folder, "-o", tmp_path / "out").code == 0
     outcome = call("track", folder, "-o", tmp_path / "out")

@@ -133,7 +133,7 @@ def _checked_label(line: Line, row: Sequence[float], label: str | None) -> str:
         return known
     if known is not None and label not in CLASSES:  # a folder of any name: the line says more
         return known
-    if known is not None and label in TYPES.values() and known != label:
+    if label in TYPES.values() and known != label:
         raise line.fault(f"type {row[1]:g} in the folder {label}; the types are {listed}")
     return label
 

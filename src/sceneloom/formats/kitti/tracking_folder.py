@@ -140,7 +140,7 @@ def open_tracking_folder(
         lenient: leave out faulty lines of lists and count them.
 
     Raises:
-        DataError: it has no calibration.
+        DataError: it has no calibration, or no detector at all.
         OptionError: there are several detectors and none was chosen, or the chosen one is not there.
     """
     folder = Path(path)
@@ -156,6 +156,12 @@ def open_tracking_folder(
         prefix: find_detector(folder, prefix, chosen)
         for prefix, chosen in (("det2d_", detector_2d), ("det3d_", detector_3d))
     }
+    if not any(found.values()):
+        raise DataError(
+            folder,
+            "",
+            "no folder det2d_NAME or det3d_NAME; expected one with the boxes of a detector at least",
+        )
     for prefix, detector in found.items():
         if detector is None:
             kind = {"det2d_": "boxes of pictures", "det3d_": "boxes of sweeps"}[prefix]
@@ -188,6 +194,7 @@ def _read_sequence(tracking: KittiTracking, name: str, ledger: Ledger) -> KittiS
         )
     boxes_2d = _detections(tracking.detector_2d, name, COLUMNS_2D, read_boxes_2d_list, ledger)
     boxes_3d = _detections(tracking.detector_3d, name, COLUMNS_3D, read_boxes_3d_list, ledger)
+    _note_lonely_classes(tracking, name, (boxes_2d, boxes_3d), ledger)
     frame_count, poses = _frame_count(folder, name, (boxes_2d, boxes_3d), ledger)
     times = _times(folder, name, frame_count)
     oxts = folder / "oxts" / f"{name}.txt"
@@ -244,6 +251,23 @@ def _detections(
             "no folders named after classes in it: goes without its boxes",
         )
     return joined(lists, columns) if lists else None
+
+
+def _note_lonely_classes(
+    tracking: KittiTracking, name: str, found: Sequence[DetectionList | None], ledger: Ledger
+) -> None:
+    """Tell of classes for which one of both detectors has no folder; of a missing list in one it was told before."""
+    boxes_2d, boxes_3d = found
+    if boxes_2d is None or boxes_3d is None or tracking.detector_2d is None or tracking.detector_3d is None:
+        return
+    for own, other, folder, kind in (
+        (boxes_2d, boxes_3d, tracking.detector_3d, "pictures"),
+        (boxes_3d, boxes_2d, tracking.detector_2d, "sweeps"),
+    ):
+        folders = {class_word(child.name) for child in folder.iterdir()}
+        for label in sorted(own.classes - other.classes - folders):
+            message = f"{label} has a list of boxes of {kind} only: followed by these alone"
+            ledger.note(NoticeKind.SKIPPED, "one-detector", f"{name}: {label}", message)
 
 
 def _frame_count(

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -63,10 +64,17 @@ class TrackableDrive:
         return cls(kitti_drive(sequence), scene, sequence.rectified_from_lidar)
 
 
-Write = Callable[[TrackedDrive, TrackableDrive, Path, PictureBox], LossReport]
+Write = Callable[[TrackedDrive, TrackableDrive, Path, PictureBox, Mapping[str, Any]], LossReport]
 
 
-def _write_kitti(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2d: PictureBox) -> LossReport:
+def _write_kitti(
+    tracked: TrackedDrive,
+    source: TrackableDrive,
+    path: Path,
+    box2d: PictureBox,
+    scene_options: Mapping[str, Any],
+) -> LossReport:
+    del scene_options
     cameras = list(source.drive.cameras)
     if len(cameras) != 1:
         raise OptionError(
@@ -90,16 +98,29 @@ def _camera_from_lidar(drive: DetectedDrive, camera_id: Identifier) -> RigidTran
     return world_from_camera.inverse() @ world_from_lidar
 
 
-def _write_lines(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2d: PictureBox) -> LossReport:
-    del source, box2d
+def _write_lines(
+    tracked: TrackedDrive,
+    source: TrackableDrive,
+    path: Path,
+    box2d: PictureBox,
+    scene_options: Mapping[str, Any],
+) -> LossReport:
+    del source, box2d, scene_options
     with path.open("wb") as file:
         file.writelines(line + b"\n" for line in track_lines(tracked.moments))
     return LossReport()
 
 
-def _write_scene(tracked: TrackedDrive, source: TrackableDrive, path: Path, box2d: PictureBox) -> LossReport:
+def _write_scene(
+    tracked: TrackedDrive,
+    source: TrackableDrive,
+    path: Path,
+    box2d: PictureBox,
+    scene_options: Mapping[str, Any],
+) -> LossReport:
     del box2d
-    return write_scene(label_drive(source.scene, source.drive, tracked.tracks).scene, path, format="sfs")
+    labelled = label_drive(source.scene, source.drive, tracked.tracks)
+    return write_scene(labelled.scene, path, format="sfs", **scene_options)
 
 
 FORMS: Mapping[str, tuple[str, Write]] = MappingProxyType(
@@ -129,6 +150,32 @@ def form_of(output: Path, form: str | None) -> str:
     return found
 
 
+def _scene_options(said: Mapping[str, Any] | None, form: str) -> Mapping[str, Any]:
+    """How scenes are written; refused where none is.
+
+    Raises:
+        OptionError: something was said of scenes, but another form is written.
+    """
+    if said and form != "sfs":
+        flags = " and ".join(f"--{name.replace('_', '-')}" for name in said)
+        raise OptionError(f"{flags}: only of scenes, but {form!r} is written; say --format sfs with it")
+    return said or {}
+
+
+def _check_folder(output: Path, form: str | None) -> None:
+    """Refuse a folder called like a file of another form, which a reader would take for that file.
+
+    Raises:
+        OptionError: the name has the suffix of a form.
+    """
+    known = next((name for name, (suffix, _) in FORMS.items() if suffix == output.suffix.lower()), None)
+    if known is not None and known != form:
+        raise OptionError(
+            f"{output}: a folder is written, a file for each drive; expected a name without {output.suffix!r}, and "
+            f"--format {known} for such files"
+        )
+
+
 def track_folder(
     tracking: KittiTracking,
     output: str | Path,
@@ -139,6 +186,7 @@ def track_folder(
     settings: TrackingSettings | None = None,
     pictures: Path | None = None,
     overwrite: bool = False,
+    scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> TrackReport:
     """Track the sequences of a folder laid out like KITTI's tracking benchmark; a file each, named after it.
@@ -154,6 +202,7 @@ def track_folder(
         settings: how.
         pictures: folder into which some moments are drawn, one in it for each sequence; None for none.
         overwrite: whether files that exist may be replaced.
+        scene_options: how scenes are written, `profile` and `time_unit` as of `write_scene`; of "sfs" only.
         progress: told after each sweep.
 
     Raises:
@@ -176,6 +225,7 @@ def track_folder(
         settings=settings,
         pictures=pictures,
         overwrite=overwrite,
+        scene_options=scene_options,
         progress=progress,
     )
     return msgspec.structs.replace(report, notices=(*tracking.notices, *report.notices))
@@ -192,6 +242,7 @@ def track_many(
     settings: TrackingSettings | None = None,
     pictures: Path | None = None,
     overwrite: bool = False,
+    scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> TrackReport:
     """Track several drives, a file each, named after it.
@@ -201,7 +252,7 @@ def track_many(
         count: how many there are.
         output: the folder to write.
         source: what is read, for the report.
-        form, box2d, settings, pictures, overwrite, progress: as of `track_folder`.
+        form, box2d, settings, pictures, overwrite, scene_options, progress: as of `track_folder`.
 
     Raises:
         OutputError: the folder has something in it, or cannot be written.
@@ -210,6 +261,8 @@ def track_many(
     begun = time.perf_counter()
     output, wanted = Path(output), form or "kitti"
     form_of(output, wanted)
+    _check_folder(output, form)
+    told = _scene_options(scene_options, wanted)
     reports, losses = [], LossReport()
     with ExitStack() as stack:
         folder = stack.enter_context(filling(output, overwrite=overwrite))
@@ -218,7 +271,9 @@ def track_many(
             steps = None if progress is None else _of_many(progress, k, count)
             one = read(k)
             own = None if drawn is None else drawn / one.drive.name
-            report, loss = _track_into(folder, output, one, wanted, box2d, settings, steps, pictures=own)
+            report, loss = _track_into(
+                folder, output, one, wanted, box2d, settings, told, steps, pictures=own
+            )
             reports.append(report)
             losses = LossReport.of([*losses, *loss])
     return _report(source, output, wanted, reports, (), begun, losses)
@@ -233,6 +288,7 @@ def track_into(
     settings: TrackingSettings | None = None,
     pictures: Path | None = None,
     overwrite: bool = False,
+    scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> TrackReport:
     """Track one drive into a file.
@@ -240,7 +296,7 @@ def track_into(
     Args:
         source: the drive.
         output: the file; its suffix tells the form where `form` does not.
-        form, box2d, settings, pictures, overwrite, progress: as of `track_folder`.
+        form, box2d, settings, pictures, overwrite, scene_options, progress: as of `track_folder`.
 
     Raises:
         OutputError: the file exists, or cannot be written.
@@ -249,12 +305,15 @@ def track_into(
     begun = time.perf_counter()
     output = Path(output)
     wanted = form_of(output, form)
+    told = _scene_options(scene_options, wanted)
     check_output(output, overwrite=overwrite)
     with ExitStack() as stack:
         draft = stack.enter_context(replacing(output, overwrite=overwrite))
         drawn = None if pictures is None else stack.enter_context(filling(pictures, overwrite=overwrite))
         report, loss = _track_into(
-            draft.parent, output, source, wanted, box2d, settings, progress, name=draft.name, pictures=drawn
+            *(draft.parent, output, source, wanted, box2d, settings, told, progress),
+            name=draft.name,
+            pictures=drawn,
         )
     return _report(source.scene.source, output, wanted, [report], (), begun, loss)
 
@@ -266,6 +325,7 @@ def _track_into(
     form: str,
     box2d: PictureBox,
     settings: TrackingSettings | None,
+    scene_options: Mapping[str, Any],
     progress: Progress | None,
     *,
     name: str | None = None,
@@ -279,7 +339,7 @@ def _track_into(
         tracked = track_observations(source.drive, source.observations, settings=chosen, progress=progress)
     suffix, write = FORMS[form]
     place = folder / (name or f"{source.drive.name}{suffix}")
-    losses = write(tracked, source, place, box2d)
+    losses = write(tracked, source, place, box2d, scene_options)
     if pictures is not None:
         save_tracking_pictures(source.scene, source.drive, tracked.moments, pictures)
     labels = {

@@ -101,6 +101,22 @@ def test_without_any_detector_of_pictures_there_are_none(tracking_folder):
     assert len(tracking.sequence("0007").boxes_2d(0)) == 0
 
 
+def test_a_folder_without_any_detector_is_refused(tracking_folder):
+    folder = tracking_folder(
+        det2d_a__Car__0007=None,
+        det2d_a__Pedestrian__0007=None,
+        det3d_b__Car__0007=None,
+        det3d_b__Pedestrian__0007=None,
+    )
+    with pytest.raises(DataError, match="no folder det2d_NAME or det3d_NAME; expected one"):
+        open_tracking_folder(folder)
+
+
+def test_a_class_that_one_detector_has_no_folder_for_is_told(tracking_folder):
+    found = sequence(tracking_folder(det2d_a__Pedestrian__0007=None))
+    assert [(notice.code, notice.place) for notice in found.notices] == [("one-detector", "0007: Pedestrian")]
+
+
 def test_frames_beyond_the_way_are_told(tracking_folder):
     found = sequence(tracking_folder(det2d_a__Car__0007="9,10,20,110,220,0.75\n"))
     assert found.frame_count == 10
@@ -132,6 +148,7 @@ GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
 @pytest.mark.parametrize(
     ("file", "text", "told"),
     [
+        ("det3d_b__Car__0007", f"2,9{GOOD_3D[3:]}\n", "line 1: type 9 in the folder Car; the types are"),
         ("det2d_a__Car__0007", "0,10,20,110,220\n", "line 1: 5 values; expected 6: frame,x1,y1,x2,y2,score"),
         ("det2d_a__Car__0007", "0,1,1,2,2,0.5\n0,10,2", "line 2: 3 values"),
         ("det2d_a__Car__0007", "0,1,1,2,2,0.5\n0,car,2,3,4,0.5\n", "line 2: x1 'car'; expected a number"),

@@ -4,7 +4,7 @@ import ast
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -89,13 +89,22 @@ def tracked_files() -> list[Path]:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a guard once per module where it asks for one, so that a failure names the module."""
-    if "module" in metafunc.fixturenames:
-        modules = source_modules()
-        metafunc.parametrize("module", modules, ids=[module.name for module in modules])
-    if "package" in metafunc.fixturenames:
+    """Run a guard once per room where it asks for one, so that a failure names the room, and its message the module.
+
+    Once per module would be half of all tests of the project, and most of the time they take goes to their bookkeeping.
+    """
+    if "modules_of_room" in metafunc.fixturenames:
+        _parametrize_by_room(metafunc, "modules_of_room", source_modules())
+    if "packages_of_room" in metafunc.fixturenames:
         packages = [module for module in source_modules() if module.is_package]
-        metafunc.parametrize("package", packages, ids=[module.name for module in packages])
+        _parametrize_by_room(metafunc, "packages_of_room", packages)
+
+
+def _parametrize_by_room(metafunc: pytest.Metafunc, name: str, modules: Iterable[SourceModule]) -> None:
+    rooms: dict[str, list[SourceModule]] = {}
+    for module in modules:
+        rooms.setdefault(".".join(module.name.split(".")[:2]), []).append(module)
+    metafunc.parametrize(name, list(rooms.values()), ids=list(rooms))
 
 
 @pytest.fixture(scope="session")

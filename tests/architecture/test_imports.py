@@ -79,25 +79,27 @@ def test_every_room_has_its_row(modules):
     assert not unknown, f"rooms without a row: {unknown}; add them to ROWS and to docs/ARCHITECTURE.md"
 
 
-def test_a_module_imports_only_from_rows_below_its_own(module):
-    room = room_of(module.name)
-    wrong = [
-        f"line {line}: {name}"
-        for name, line in module.imports
-        if name.split(".")[0] == "sceneloom" and not may_import(room, room_of(name))
-    ]
-    assert not wrong, f"{module.name} imports from its own row or above: {wrong}"
+def test_a_module_imports_only_from_rows_below_its_own(modules_of_room):
+    for module in modules_of_room:
+        room = room_of(module.name)
+        wrong = [
+            f"line {line}: {name}"
+            for name, line in module.imports
+            if name.split(".")[0] == "sceneloom" and not may_import(room, room_of(name))
+        ]
+        assert not wrong, f"{module.name} imports from its own row or above: {wrong}"
 
 
-def test_a_third_party_is_imported_only_in_the_rooms_that_wrap_it(module):
-    room = room_of(module.name)
-    foreign = [
-        (name.split(".")[0], line)
-        for name, line in module.imports
-        if name.split(".")[0] not in sys.stdlib_module_names and name.split(".")[0] != "sceneloom"
-    ]
-    wrong = [f"line {line}: {name}" for name, line in foreign if room not in WRAPPERS.get(name, set())]
-    assert not wrong, f"{module.name}: {wrong}; WRAPPERS says who wraps what"
+def test_a_third_party_is_imported_only_in_the_rooms_that_wrap_it(modules_of_room):
+    for module in modules_of_room:
+        room = room_of(module.name)
+        foreign = [
+            (name.split(".")[0], line)
+            for name, line in module.imports
+            if name.split(".")[0] not in sys.stdlib_module_names and name.split(".")[0] != "sceneloom"
+        ]
+        wrong = [f"line {line}: {name}" for name, line in foreign if room not in WRAPPERS.get(name, set())]
+        assert not wrong, f"{module.name}: {wrong}; WRAPPERS says who wraps what"
 
 
 def test_every_third_party_that_is_imported_is_declared(modules, project):

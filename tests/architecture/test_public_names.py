@@ -41,35 +41,39 @@ def by_kind_and_name(name: str) -> tuple[int, list[tuple[bool, int, str]]]:
     return kind, [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in digits]
 
 
-def test_a_package_offers_exactly_what_it_binds(package):
-    offered, bound = offered_names(package.tree), public_bindings(package.tree)
-    lazy = {"__getattr__"} <= {n.name for n in package.tree.body if isinstance(n, ast.FunctionDef)}
-    missing = bound - set(offered or ())
-    assert not missing, f"{package.name}.__all__ lacks {sorted(missing)}"
-    ghosts = {name for name in set(offered or ()) - bound if not name.startswith("__")}
-    assert lazy or not ghosts, f"{package.name}.__all__ names {sorted(ghosts)}, which it does not bind"
+def test_a_package_offers_exactly_what_it_binds(packages_of_room):
+    for package in packages_of_room:
+        offered, bound = offered_names(package.tree), public_bindings(package.tree)
+        lazy = {"__getattr__"} <= {n.name for n in package.tree.body if isinstance(n, ast.FunctionDef)}
+        missing = bound - set(offered or ())
+        assert not missing, f"{package.name}.__all__ lacks {sorted(missing)}"
+        ghosts = {name for name in set(offered or ()) - bound if not name.startswith("__")}
+        assert lazy or not ghosts, f"{package.name}.__all__ names {sorted(ghosts)}, which it does not bind"
 
 
-def test_every_offered_name_exists(package):
-    offered = offered_names(package.tree) or []
-    loaded = import_module(package.name)
-    absent = [name for name in offered if not hasattr(loaded, name)]
-    assert not absent
-    assert len(offered) == len(set(offered))
+def test_every_offered_name_exists(packages_of_room):
+    for package in packages_of_room:
+        offered = offered_names(package.tree) or []
+        loaded = import_module(package.name)
+        absent = [name for name in offered if not hasattr(loaded, name)]
+        assert not absent, f"{package.name}.__all__ names {absent}, which are not there"
+        assert len(offered) == len(set(offered)), package.name
 
 
-def test_offered_names_are_in_order(package):
-    offered = offered_names(package.tree) or []
-    assert offered == sorted(offered, key=by_kind_and_name)
+def test_offered_names_are_in_order(packages_of_room):
+    for package in packages_of_room:
+        offered = offered_names(package.tree) or []
+        assert offered == sorted(offered, key=by_kind_and_name), package.name
 
 
-def test_a_package_has_only_a_docstring_imports_and_its_names(package):
-    allowed: tuple[type[ast.stmt], ...] = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr)
-    lazy = {"sceneloom", "sceneloom.pipeline", "sceneloom.formats.recording"}
-    if package.name in lazy:  # they fetch their heavier names on first use
-        allowed = (*allowed, ast.FunctionDef, ast.If)
-    strange = [f"line {node.lineno}" for node in package.tree.body if not isinstance(node, allowed)]
-    assert not strange, f"{package.name} defines things in its __init__: {strange}"
+def test_a_package_has_only_a_docstring_imports_and_its_names(packages_of_room):
+    for package in packages_of_room:
+        allowed: tuple[type[ast.stmt], ...] = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr)
+        lazy = {"sceneloom", "sceneloom.pipeline", "sceneloom.formats.recording"}
+        if package.name in lazy:  # they fetch their heavier names on first use
+            allowed = (*allowed, ast.FunctionDef, ast.If)
+        strange = [f"line {node.lineno}" for node in package.tree.body if not isinstance(node, allowed)]
+        assert not strange, f"{package.name} defines things in its __init__: {strange}"
 
 
 def public_classes(tree: ast.Module) -> list[ast.ClassDef]:
@@ -77,19 +81,20 @@ def public_classes(tree: ast.Module) -> list[ast.ClassDef]:
     return [node for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
 
 
-def test_public_things_are_explained(module):
-    explained = ast.get_docstring(module.tree)
-    assert explained, f"{module.name} has no docstring"
-    silent = [
-        f"{node.name} (line {node.lineno})"
-        for scope in (module.tree, *public_classes(module.tree))
-        for node in scope.body
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
-        and not node.name.startswith("_")
-        and not ast.get_docstring(node)
-        and not any(ast.unparse(mark).endswith("overload") for mark in node.decorator_list)
-    ]
-    assert not silent, f"{module.name}: without docstring: {silent}"
+def test_public_things_are_explained(modules_of_room):
+    for module in modules_of_room:
+        explained = ast.get_docstring(module.tree)
+        assert explained, f"{module.name} has no docstring"
+        silent = [
+            f"{node.name} (line {node.lineno})"
+            for scope in (module.tree, *public_classes(module.tree))
+            for node in scope.body
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+            and not node.name.startswith("_")
+            and not ast.get_docstring(node)
+            and not any(ast.unparse(mark).endswith("overload") for mark in node.decorator_list)
+        ]
+        assert not silent, f"{module.name}: without docstring: {silent}"
 
 
 @pytest.mark.parametrize("name", FORMATS)

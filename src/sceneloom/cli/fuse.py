@@ -25,6 +25,12 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     type=click.Choice(["sensor", "detection"]),
     help="Fuse clouds and pictures, or what detectors found in them. [default: sensor]",
 )
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["jsonl", "kitti"]),
+    help="Of detections: lines of JSON, or for KITTI's folders its text, without tracks. [default: jsonl]",
+)
 @detection_options.takes
 @options.way(further="`identity`: it stood still")
 @click.option(
@@ -50,7 +56,12 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @options.part
 @options.rewriting
 def fuse(
-    path: Path | str, output: Path | None, fusion_type: str | None, algorithm: str | None, **given: Any
+    path: Path | str,
+    output: Path | None,
+    fusion_type: str | None,
+    form: str | None,
+    algorithm: str | None,
+    **given: Any,
 ) -> None:
     """Fuse lidar and cameras of a drive: coloured clouds in one world, depth images, one scene file.
 
@@ -62,9 +73,11 @@ def fuse(
         detection_options.refuse(given, _OF_SENSOR_DATA, "detections are fused into lines of JSON")
         found = {name: given.pop(name) for name in (*detection_options.NAMES, *_WAY)}
         kept = {name: value for name, value in given.items() if name not in _OF_SENSOR_DATA}
-        fuse_found(path, output, found, algorithm=algorithm, **kept)
+        fuse_found(path, output, found, algorithm=algorithm, form=form, **kept)
         return
-    detection_options.refuse(given, detection_options.NAMES, "say --type detection with it")
+    detection_options.refuse(
+        {"format": form, **given}, ("format", *detection_options.NAMES), "say --type detection with it"
+    )
     kept = {name: value for name, value in given.items() if name not in detection_options.NAMES}
     _fuse_sensor_data(path, output, algorithm=algorithm, **kept)
 

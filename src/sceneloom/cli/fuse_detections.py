@@ -18,6 +18,7 @@ def fuse_found(
     given: dict[str, Any],
     *,
     algorithm: str | None,
+    form: str | None,
     overwrite: bool,
     as_json: bool,
     quiet: bool,
@@ -43,6 +44,7 @@ def fuse_found(
     how: dict[str, Any] = {
         "configuration": FusionConfiguration(**options.said(detection_algorithm=algorithm)),
         "overwrite": overwrite,
+        **options.said(form=form),
         "settings": None if given["detectors"] is None else ProjectionSettings(detectors=given["detectors"]),
     }
     with progress_bar("fusing", quiet=quiet) as progress:

@@ -43,6 +43,7 @@ def fuse_detections(
     output: str | Path,
     *,
     chosen: DetectionInput | None = None,
+    form: str = "jsonl",
     lenient: bool = False,
     reading: Mapping[str, Any] | None = None,
     **how: Any,
@@ -53,6 +54,7 @@ def fuse_detections(
         path: a folder laid out like KITTI's tracking benchmark, or a drive.
         output: the folder of files, or the file of lines of JSON.
         chosen: what of it.
+        form: "jsonl", or of KITTI's folders "kitti" for its text.
         lenient: leave out what is faulty, and count it.
         reading: further options of opening a drive.
         how: `configuration`, `settings`, `overwrite`, `progress` as of `fuse_drive_detections`.
@@ -66,9 +68,13 @@ def fuse_detections(
     wanted = chosen or DetectionInput()
     if _is_kitti(path, wanted):
         return fuse_folder_detections(
-            _kitti(path, wanted, lenient=lenient), output, sequences=wanted.sequences, **how
+            _kitti(path, wanted, lenient=lenient), output, sequences=wanted.sequences, form=form, **how
         )
     _refuse_kitti(path, wanted)
+    if form != "jsonl":
+        raise OptionError(
+            f"format {form!r} is written for folders laid out like KITTI's only; expected 'jsonl' for {path}"
+        )
     with open_scene(path, **_opening(reading, lenient=lenient)) as scene:
         drive = scene_drive(scene, with_known_ids(scene, wanted.files), lenient=lenient)
         return fuse_drive_detections(drive, output, **how)

@@ -7,6 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.formats.kitti import read_labels
 from sceneloom.fusion.messages.json_form import format_json, parse_json
 from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, detect_2d, detect_3d, simulate_street
@@ -117,6 +118,41 @@ def test_a_folder_of_kittis_sequences_gives_two_files_each(call, tmp_path, track
     # the box of the sweep that no picture's detector looked for keeps its probability: 1 / (1 + exp(-2))
     assert record.class_names == ("Pedestrian",)
     assert call("track", tmp_path / "out", "-o", tmp_path / "tracked").code == 0
+
+
+def test_fused_objects_are_kittis_text_on_request(call, tmp_path, tracking_texts):
+    for name, text in tracking_texts.items():
+        (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "kitti" / name).write_text(text)
+    command = ("fuse", tmp_path / "kitti", "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
+    outcome = call(*command)
+    assert outcome.code == 0, outcome.err
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["0001.txt"]
+    found = read_labels(tmp_path / "out" / "0001.txt")
+    assert found.frames.tolist() == [0, 1]
+    assert found.types == ("Pedestrian", "Car")
+    # what one detector alone found stays as it told it
+    np.testing.assert_allclose(found.sizes_hwl[0], [1.8, 0.6, 0.8], atol=1e-6)
+    np.testing.assert_allclose(found.bottoms[0], [-1.0, 1.5, 8.0], atol=1e-6)
+    assert found.rotations_y[0] == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(found.corners_xyxy[1], [10, 20, 110, 220], atol=1e-6)
+    assert found.track_ids.tolist() == [-1, -1]
+
+
+def test_kittis_text_is_not_written_of_other_drives(call, drive, tmp_path):
+    folder, _, _ = drive
+    command = (
+        "fuse",
+        folder / "recording",
+        "--type",
+        "detection",
+        "--format",
+        "kitti",
+        "-o",
+        tmp_path / "out",
+    )
+    outcome = call(*command)
+    assert (outcome.code, "for folders laid out like KITTI's only" in outcome.err) == (2, True), outcome.err
 
 
 @pytest.fixture

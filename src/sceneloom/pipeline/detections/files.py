@@ -11,9 +11,9 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.errors import DataError, SceneloomError
+from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.clouds.cloud import file_faults
-from sceneloom.formats.kitti import KittiTracking
+from sceneloom.formats.kitti import KittiTracking, write_labels
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.formats.rig.csv_files import read_lines
@@ -30,6 +30,7 @@ from sceneloom.pipeline.detections.detected import (
     poses_at,
 )
 from sceneloom.pipeline.detections.fused import detections_record, fused_boxes_of, iter_fused_detections
+from sceneloom.pipeline.detections.kitti_objects import kitti_objects
 from sceneloom.pipeline.detections.report import DetectionFusionReport, DetectionTally, FusedDriveReport
 from sceneloom.scene import Boxes3D, Identifier, Notice, PosePath
 from sceneloom.scene.pose_source import PoseSource
@@ -48,6 +49,7 @@ def fuse_folder_detections(
     sequences: Iterable[str] = (),
     configuration: FusionConfiguration | None = None,
     settings: ProjectionSettings | None = None,
+    form: str = "jsonl",
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> DetectionFusionReport:
@@ -59,6 +61,7 @@ def fuse_folder_detections(
         sequences: which ones; none for all.
         configuration: settings of the fusion system.
         settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
+        form: "jsonl", or "kitti" for one file of KITTI's text, `NNNN.txt`, without tracks.
         overwrite: whether files that exist may be replaced.
         progress: told after each pair.
 
@@ -68,14 +71,25 @@ def fuse_folder_detections(
         OptionError: a value is not one that can be followed.
     """
     begun = time.perf_counter()
+    if form not in {"jsonl", "kitti"}:
+        raise OptionError(f"format {form!r}; expected 'jsonl' or 'kitti'")
     output, names = Path(output), tuple(sequences) or tracking.sequences
     reports = []
     with filling(output, overwrite=overwrite) as folder:
         for k, name in enumerate(names):
-            drive = kitti_drive(tracking.sequence(name))
-            draft = folder / f"{name}.jsonl"
-            report = _fuse_into(drive, draft, side_file(draft), output / draft.name, configuration, settings)
-            reports.append(report)
+            sequence = tracking.sequence(name)
+            drive = kitti_drive(sequence)
+            if form == "kitti":
+                file = folder / f"{name}.txt"
+                fused = list(iter_fused_detections(drive, configuration=configuration, settings=settings))
+                write_labels(kitti_objects(fused, sequence.rectified_from_lidar), file)
+                reports.append(_drive_report(drive, output / file.name, DetectionTally.of(fused)))
+            else:
+                draft = folder / f"{name}.jsonl"
+                report = _fuse_into(
+                    drive, draft, side_file(draft), output / draft.name, configuration, settings
+                )
+                reports.append(report)
             if progress is not None:
                 progress(k + 1, len(names))
     return _report(str(tracking.path), output, reports, tracking.notices, begun)
@@ -142,6 +156,10 @@ def _fuse_into(
             record = detections_record(frame, lens, camera_number=numbers[frame.camera_id])
             lines.write(f"{format_json(record)}\n")
             sides.write(msgspec.json.encode(_side(drive, frame, lens)) + b"\n")
+    return _drive_report(drive, output, tally)
+
+
+def _drive_report(drive: DetectedDrive, output: Path, tally: DetectionTally) -> FusedDriveReport:
     return FusedDriveReport(
         name=drive.name,
         file=str(output),

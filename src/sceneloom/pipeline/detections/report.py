@@ -1,7 +1,7 @@
 """What detection fusion did, in numbers."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import msgspec
@@ -73,6 +73,14 @@ class DetectionTally:
     pictures_only: int = 0
     by_class: Counter[str] = field(default_factory=Counter)
     _sweep: int = -1
+
+    @classmethod
+    def of(cls, frames: Iterable[FusedDetectionFrame]) -> "DetectionTally":
+        """Count the objects of all pairs."""
+        tally = cls()
+        for frame in frames:
+            tally.add(frame)
+        return tally
 
     def add(self, frame: FusedDetectionFrame) -> None:
         """Count the objects of a pair."""

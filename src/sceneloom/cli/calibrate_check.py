@@ -19,13 +19,18 @@ EXIT_CODES = MappingProxyType({"good": 0, "drifting": 3, "wrong": 4, "cannot tel
 """What each verdict means to the shell."""
 
 
-BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences")
-"""The names of the arguments of boxes."""
+BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")
+"""The names of the arguments of boxes and of motion."""
+
+
+_MOTION = click.option(
+    "--motion", is_flag=True, help="With --check: compare how camera and lidar turn, too; takes longer."
+)
 
 
 def box_options(command: Any) -> Any:
     """Add lists of boxes, and the choices in a folder of KITTI's sequences, to a command."""
-    for option in reversed((*detection_options.FILES[:2], *detection_options.FOLDERS)):
+    for option in reversed((*detection_options.FILES[:2], *detection_options.FOLDERS, _MOTION)):
         command = option(command)
     return command
 
@@ -55,14 +60,14 @@ def check_health(
     if not (boxes["boxes3d"] or boxes["boxes2d"]) and is_tracking_folder(Path(path)):
         useless = {
             "camera": camera_id, "lidar": lidar_id, "start": start is not None, "stop": stop is not None,
-            "pictures": pictures,
+            "pictures": pictures, "motion": boxes["motion"],
         }  # fmt: skip
         detection_options.refuse(
             useless, tuple(useless), "a folder of KITTI's sequences is judged by its boxes"
         )
         return _check_folder(path, boxes, lenient=reading["lenient"], as_json=as_json, verbose=verbose)
     detection_options.refuse(
-        dict(boxes), BOXES[2:], f"{path} is no folder of KITTI's sequences, or has lists beside it"
+        dict(boxes), BOXES[2:5], f"{path} is no folder of KITTI's sequences, or has lists beside it"
     )
     if pictures is not None:
         is_empty = pictures.is_dir() and not any(pictures.iterdir())
@@ -70,7 +75,8 @@ def check_health(
     with open_scene(path, **options.said(**reading)) as scene:
         found = check_drive(
             scene, known_id_or_none(scene, camera_id), known_id_or_none(scene, lidar_id), most=most, start=start,
-            stop=stop, boxes_3d=boxes["boxes3d"], boxes_2d=boxes["boxes2d"], lenient=reading["lenient"],
+            stop=stop, boxes_3d=boxes["boxes3d"], boxes_2d=boxes["boxes2d"],
+            motion=boxes["motion"], lenient=reading["lenient"],
         )  # fmt: skip
     if pictures is not None:
         save_calibration_pictures(found.frames, found.health, pictures, overwrite=overwrite)

@@ -4,17 +4,41 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.calibrate.frames import (
+    MOST,
+    CalibrationFrame,
+    calibration_frames,
+    chosen_camera,
+    chosen_lidar,
+)
 from sceneloom.calibrate.health.boxes import health_of_boxes, with_boxes
 from sceneloom.calibrate.health.check import CalibrationHealth, check_frames
+from sceneloom.calibrate.health.motion import MOTION, judge_motion, with_motion
+from sceneloom.calibrate.health.verdicts import Item
 from sceneloom.detections.residuals import BoxResiduals, BoxTurn
 from sceneloom.errors import OptionError
 from sceneloom.formats.kitti import KittiTracking
+from sceneloom.geometry.interpolation import OUT_OF_REACH
+from sceneloom.geometry.rotations import (
+    conjugate_quaternion,
+    matrix_from_quaternion,
+    multiply_quaternions,
+    rotation_vector_from_quaternion,
+)
+from sceneloom.motion.clock.camera_turning import camera_turning
+from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.pipeline.detections.detected import DetectedDrive, kitti_drive, moments
 from sceneloom.pipeline.detections.detected_scene import DetectionFiles, scene_drive
 from sceneloom.scene import Identifier, Scene
 from sceneloom.scene.part import cut_scene
+from sceneloom.scene.sensor_sources import needs_ego, sensor_source
+from sceneloom.scene.span import scene_period_ns
 
+_MOST_TURNS = 100
+"""Pictures whose turning is followed, at most."""
 _MOST_PICTURES = 200
 """Boxes of more pictures tell hardly more."""
 
@@ -42,6 +66,7 @@ def check_drive(
     stop: float | None = None,
     boxes_3d: Sequence[Path] = (),
     boxes_2d: Sequence[Path] = (),
+    motion: bool = False,
     lenient: bool = False,
 ) -> CheckedCalibration:
     """Check a calibration by pictures and points, and by lists of boxes where there are any.
@@ -51,6 +76,7 @@ def check_drive(
         most: pictures to look at, at most; boxes of more pictures count.
         start, stop: seconds after the first time stamp between which pictures count.
         boxes_3d, boxes_2d: lists of boxes, as for `fuse_detections`.
+        motion: compare how both turn, too; it looks at all pictures, up to 100 in the middle of the part.
         lenient: leave out boxes that are faulty.
 
     Raises:
@@ -74,7 +100,40 @@ def check_drive(
     health = check_frames(frames, source=scene.source)
     if drive is not None:
         health = with_boxes(health, turn_of_boxes(drive, camera))
+    if motion:
+        health = with_motion(health, _judged_motion(part, camera, lidar))
     return CheckedCalibration(health, frames)
+
+
+def _judged_motion(part: Scene, camera_id: Identifier, lidar_id: Identifier) -> Item:
+    """Compare how a camera turns from picture to picture with how the lidar does by the ego's way."""
+    camera, lidar = chosen_camera(part, camera_id), chosen_lidar(part, lidar_id)
+    count = len(camera.pictures)
+    first = max((count - _MOST_TURNS) // 2, 0)
+    turning = camera_turning(replace(camera, pictures=camera.pictures[first : first + _MOST_TURNS]))
+    times = turning.timestamps_ns
+    if len(times) < 2:
+        return Item.unknown(MOTION, "there are no two pictures")
+    ego = find_ego_motion(part) if needs_ego(part) else None
+    reach_ns = scene_period_ns(part)
+    ways = [sensor_source(part, sensor, ego, reach_ns=reach_ns).at(times) for sensor in (camera, lidar)]
+    steps = _steps(turning.quaternions_xyzw)
+    steps[np.diff(turning.pieces) != 0] = np.nan
+    said = _steps(ways[1].quaternions_xyzw)
+    there = (ways[0].coverage != OUT_OF_REACH) & (ways[1].coverage != OUT_OF_REACH)
+    said[~(there[1:] & there[:-1])] = np.nan
+    row = int(np.argmax(there))
+    stated = multiply_quaternions(
+        conjugate_quaternion(ways[0].quaternions_xyzw[row]), ways[1].quaternions_xyzw[row]
+    )
+    return judge_motion(steps, said, matrix_from_quaternion(stated))
+
+
+def _steps(quaternions_xyzw: Float64Array) -> Float64Array:
+    """Rotation vectors, (N - 1, 3), from each of (N, 4) orientations to the next, in the body's axes."""
+    return rotation_vector_from_quaternion(
+        multiply_quaternions(conjugate_quaternion(quaternions_xyzw[:-1]), quaternions_xyzw[1:])
+    )
 
 
 def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> list[CalibrationHealth]:

@@ -1,4 +1,6 @@
-"""The check of a drive whose pictures tell nothing, by boxes of made-up cars."""
+"""The check of a drive whose pictures tell nothing, by boxes of made-up cars, and by how camera and lidar turn."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.json_form import format_json
 from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
 from sceneloom.geometry.boxes import CORNER_SIGNS
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.checked_calibration import check_drive
 from sceneloom.pipeline.detections.detected import poses_at
 from sceneloom.scene.detections import Boxes2D, Boxes3D
@@ -75,3 +78,19 @@ def test_boxes_of_one_kind_are_refused(drive, tmp_path):
     found = lists(drive.scene, tmp_path, (0.0, 0.0, 0.0))
     with pytest.raises(OptionError, match="boxes of pictures alone"):
         check_drive(drive.scene, boxes_2d=found["boxes_2d"])
+
+
+@pytest.mark.parametrize(("tilt_deg", "verdict"), [(0.0, Verdict.GOOD), (8.0, Verdict.WRONG)])
+def test_a_drive_that_turns_tells_of_a_camera_that_is_tilted(tilt_deg, verdict):
+    lens = Camera("pinhole", 320, 120, 180.0, 180.0, 159.5, 59.5)
+    scene = simulate_street(
+        2, frames=30, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(lens),)
+    ).scene
+    (camera,) = scene.cameras
+    tilt = RigidTransform(Rotation.from_euler("x", tilt_deg, degrees=True).as_matrix(), np.zeros(3))
+    tilted = replace(camera, mount=camera.mount @ tilt)
+    scene = replace(scene, sensors=tuple(tilted if one is camera else one for one in scene.sensors))
+    item = check_drive(scene, most=1, motion=True).health.item("motion")
+    assert item.verdict is verdict
+    # twice what the measure gets wrong by itself, the sign that of the change that puts it right
+    np.testing.assert_allclose(item.values, [tilt_deg, 0.0], atol=1.0)

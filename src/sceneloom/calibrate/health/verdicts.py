@@ -26,7 +26,8 @@ class Item(msgspec.Struct, frozen=True, kw_only=True):
     """One part of a calibration.
 
     Attributes:
-        name: "rotation", "translation", "focal_length", "principal_point" or "time_offset"; "boxes" and "boxes_roll".
+        name: "rotation", "translation", "focal_length", "principal_point" or "time_offset"; "boxes",
+            "boxes_roll" and "motion".
         verdict: what is to be said of it.
         reason: why, where it is not good.
         unit: of the numbers.
@@ -89,6 +90,7 @@ LIMITS = {
         Limits("time_offset", "ms", 1e3, 15.0, 60.0, 4.0, 9.0),
         Limits("boxes", "deg", 180.0 / np.pi, 0.4, 1.0, 0.12, 0.35, _BOXES),
         Limits("boxes_roll", "deg", 180.0 / np.pi, 1.0, 2.0, 0.4, 0.6, _BOXES),
+        Limits("motion", "deg", 180.0 / np.pi, 1.5, 3.0, 0.5, 0.8, "camera and lidar turn alike"),
     )
 }
 SIGNIFICANT = 16.0

@@ -172,12 +172,17 @@ def open_tracking_folder(
 
 
 def is_tracking_folder(path: Path) -> bool:
-    """Whether a folder looks like one of KITTI's tracking benchmark, with or without detections."""
+    """Whether a folder looks like one of KITTI's tracking benchmark, with or without detections.
+
+    One with detections and no calibration does, too, so that opening it tells what is missing.
+    """
     return any(
-        (folder / "calib").is_dir()
-        and any(
+        any(
             child.is_dir()
-            and (child.name.startswith(("det2d_", "det3d_")) or child.name in ("oxts", "label_02"))
+            and (
+                child.name.startswith(("det2d_", "det3d_"))
+                or (child.name in ("oxts", "label_02") and (folder / "calib").is_dir())
+            )
             for child in folder.iterdir()
         )
         for folder in (path, path / "training")

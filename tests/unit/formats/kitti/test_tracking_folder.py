@@ -7,6 +7,7 @@ import pytest
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.kitti import open_tracking_folder
+from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
 from sceneloom.scene import ScoreForm
 
 
@@ -109,6 +110,13 @@ def test_a_folder_without_any_detector_is_refused(tracking_folder):
         det3d_b__Pedestrian__0007=None,
     )
     with pytest.raises(DataError, match="no folder det2d_NAME or det3d_NAME; expected one"):
+        open_tracking_folder(folder)
+
+
+def test_detections_without_a_calibration_are_a_tracking_folder_that_lacks_it(tracking_folder):
+    folder = tracking_folder(calib__0007=None)
+    assert is_tracking_folder(folder)
+    with pytest.raises(DataError, match=r"calib: holds no \*.txt; expected a calibration for each sequence"):
         open_tracking_folder(folder)
 
 

@@ -20,8 +20,8 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.video import PngFolder, VideoReader, open_video
-from sceneloom.pipeline.deskewing import deskewed_scene
-from sceneloom.pipeline.origin import moved_scene
+from sceneloom.pipeline.deskewing.job import deskewed_scene
+from sceneloom.pipeline.woven.origin import moved_scene
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Picture, PointsSensor, Scene
 from sceneloom.scene.part import cut_scene
 from sceneloom.simulate import (

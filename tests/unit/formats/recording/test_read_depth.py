@@ -12,7 +12,7 @@ from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_w
 from sceneloom.errors import DataError
 from sceneloom.formats.recording import FORMAT
 from sceneloom.formats.sfs import write_scene as write_sfs
-from sceneloom.pipeline.origin import moved_scene
+from sceneloom.pipeline.woven.origin import moved_scene
 from sceneloom.scene import DepthCameraSensor
 from sceneloom.scene.summary import summarise
 from sceneloom.scene.watched import watched

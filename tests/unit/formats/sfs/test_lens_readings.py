@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.formats.sfs import FORMAT, write_scene
-from sceneloom.pipeline.woven import weave
+from sceneloom.pipeline.woven.scene import weave
 from sceneloom.scene.assumed_lenses import assumed_models, check_lenses
 
 INTRINSICS = {"fx": 100, "fy": 101.5, "cx": 3.5, "cy": 2.0, "width": 8, "height": 6}

@@ -36,8 +36,6 @@ _TURN_DEG = 100.0
 _TURN_WITHIN_NS = 600_000_000
 """Nothing on wheels turns that far within this time."""
 
-_MOVED_M = 1e-9
-
 
 def _not_finite(subject: Subject) -> Iterator[Hit]:
     rows = cuboid_rows(subject)

@@ -1,12 +1,10 @@
 """What detection fusion found as rows of a table, with covariances, and KITTI's truth in the same lidar frame."""
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.detections import FusedBoxes
 from sceneloom.errors import DataError
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.formats.kitti import KittiLabels
@@ -26,35 +24,6 @@ def fused_files(path: Path) -> list[Path]:
 def _begins_with_detections(file: Path) -> bool:
     with file.open("rb") as stream:
         return stream.read(64).lstrip().startswith(b'{"detections"')
-
-
-def fused_table(frames: Iterable[int], fused: Iterable[FusedBoxes]) -> ObjectTable:
-    """Give fused objects as rows, in the lidar's frame, boxes in pictures by KITTI's count of pixels.
-
-    Variances of headings that nobody told are 0, and are not judged.
-
-    Args:
-        frames: number of the frame of each of them.
-        fused: the objects of each sweep.
-    """
-    tables = [_table(frame, boxes) for frame, boxes in zip(frames, fused, strict=True)]
-    return ObjectTable.joined(tables)
-
-
-def _table(frame: int, fused: FusedBoxes) -> ObjectTable:
-    covariances = np.zeros((len(fused), 7, 7))
-    covariances[:, :3, :3], covariances[:, 3:6, 3:6] = fused.center_covariances, fused.size_covariances
-    if fused.yaw_variances is not None:
-        covariances[:, 6, 6] = fused.yaw_variances
-    return ObjectTable(
-        np.full(len(fused), frame, np.int64),
-        np.full(len(fused), -1, np.int64),
-        fused.labels,
-        fused.corners_xyxy - CENTRE_TO_CORNER,
-        np.column_stack([fused.centers, fused.sizes_lwh, fused.yaws]),
-        scores=fused.scores,
-        covariances=covariances,
-    )
 
 
 def read_fused(path: Path) -> ObjectTable:

@@ -10,7 +10,6 @@ from sceneloom.detections.classes import KINDS, SAYS_NOTHING, kind_name
 
 _FAMILIES = {family: k for k, family in enumerate(dict.fromkeys(kind.family for kind in KINDS.values()))}
 _VEHICLES = _FAMILIES[KINDS["car"].family]
-_TWO_WHEELS = frozenset({"cyclist", "motorcyclist"})
 ANY = -1
 _numbers: dict[str, int] = {}
 
@@ -33,19 +32,3 @@ def is_vehicle(codes: Int64Array) -> BoolArray:
     """Which classes move along their heading as cars do, (N,) bool of (N, 2) codes."""
     vehicles: BoolArray = codes[:, 1] == _VEHICLES
     return vehicles
-
-
-def may_be_one(codes: Int64Array, others: Int64Array) -> BoolArray:
-    """Which classes of two lists may be one object: equal ones, those of one family, and words that say nothing.
-
-    Args:
-        codes, others: (N, 2) and (M, 2).
-
-    Returns:
-        (N, M) bool.
-    """
-    same = codes[:, None, 0] == others[None, :, 0]
-    family = (codes[:, None, 1] == others[None, :, 1]) & (codes[:, None, 1] != ANY)
-    open_word = (codes[:, None, 0] == ANY) | (others[None, :, 0] == ANY)
-    allowed: BoolArray = same | family | open_word
-    return allowed

@@ -76,7 +76,6 @@ def decide(
     return _told(extrinsic, left, _COUNTED[len(left) == 1], frames)
 
 
-_NOWHERE = "no way to read it puts an upright camera where it sees what the lidar sees"
 _COUNTED = {
     True: "all other ways put the camera on its side, upside down, too far away, or where it sees nothing",
     False: "several ways put an upright camera near the lidar, and nothing tells them apart",

@@ -19,7 +19,6 @@ _BESIDE = np.radians(6.0)
 """Points so far outside the picture may come into it [rad]."""
 _MOST_POINTS = 6000
 """Points of a frame whose intensity is compared, evenly drawn."""
-_STRIDE_SEED = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

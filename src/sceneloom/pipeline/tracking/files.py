@@ -17,7 +17,7 @@ from sceneloom.formats.kitti import KittiSequence, KittiTracking, sequence_scene
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detections.detected import DetectedDrive, calibration_notices, kitti_drive, poses_at
+from sceneloom.pipeline.detections.detected import DetectedDrive, calibration_notices, kitti_drive
 from sceneloom.pipeline.detections.files import read_fused
 from sceneloom.pipeline.tracking.job import TrackingSettings, track, track_observations
 from sceneloom.pipeline.tracking.kitti_results import kitti_results
@@ -26,7 +26,7 @@ from sceneloom.pipeline.tracking.lines import track_lines
 from sceneloom.pipeline.tracking.pictures import save_tracking_pictures
 from sceneloom.pipeline.tracking.report import TrackedReport, TrackReport
 from sceneloom.pipeline.tracking.tracked import TrackedDrive
-from sceneloom.scene import Identifier, Notice, Scene
+from sceneloom.scene import Notice, Scene
 from sceneloom.scene.types import Progress
 from sceneloom.tracking import Observation, PictureBox
 
@@ -88,14 +88,6 @@ def _write_kitti(
         )
     write_labels(kitti_results(tracked, cameras[0], rectified_from_lidar, box2d=box2d), path)
     return LossReport()
-
-
-def _camera_from_lidar(drive: DetectedDrive, camera_id: Identifier) -> RigidTransform:
-    """How a camera lies to the lidar, at the first sweep."""
-    times = drive.timestamps_ns[:1] if len(drive.boxes) else np.zeros(1, np.int64)
-    (world_from_camera,) = poses_at(drive.cameras[camera_id].source, times)
-    (world_from_lidar,) = poses_at(drive.source, times)
-    return world_from_camera.inverse() @ world_from_lidar
 
 
 def _write_lines(

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from sceneloom.cli import main
+from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.formats.kitti import open_tracking_folder, read_labels, write_labels
 from sceneloom.formats.kitti.camera_boxes import lidar_boxes
 from sceneloom.formats.rig.csv_files import read_table
+from sceneloom.fusion import FusionConfiguration
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.detected import calibration_notices, kitti_drive
+from sceneloom.pipeline.detections.fused import iter_fused_detections
 from sceneloom.pipeline.tracking.kitti_results import projected_boxes
 
 PART = ("0012", "0014")
@@ -128,3 +131,15 @@ def test_a_folder_without_labels_is_tracked(folder, tmp_path):
     keys = list(zip(found.frames.tolist(), found.track_ids.tolist(), strict=True))
     assert len(keys) == len(set(keys))  # evaluations refuse an id that stands twice in a frame
     assert (found.corners_xyxy[:, 2:] > found.corners_xyxy[:, :2]).all()
+
+
+def test_detectors_that_the_configuration_names_count_before_those_that_are_known_of_the_folder(tracking):
+    drive = kitti_drive(tracking.sequence("0012"))
+    settings = ProjectionSettings(detectors="independent")
+    named = next(
+        iter_fused_detections(drive, configuration=FusionConfiguration(detectors="independent"))
+    ).fused
+    said = next(iter_fused_detections(drive, settings=settings)).fused
+    known = next(iter_fused_detections(drive)).fused
+    np.testing.assert_array_equal(named.scores, said.scores)
+    assert not np.array_equal(named.scores, known.scores)

@@ -10,6 +10,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionAlgorithm, DetectionPair
+from sceneloom.detections.detector_files import DEFAULT
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
@@ -36,7 +37,8 @@ def iter_fused_detections(
     Args:
         drive: what they found.
         configuration: settings of the fusion system.
-        settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
+        settings: what fusion by projection takes for granted; None for the detectors that the configuration names, else
+            for what is known of the drive's.
 
     Yields:
         The objects of each sweep and each picture that belongs to it, in the order of the sweeps.
@@ -48,6 +50,8 @@ def iter_fused_detections(
     chosen = configuration or FusionConfiguration()
     detect: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, chosen.detection_algorithm)
     if chosen.detection_algorithm == "projection":
+        if settings is None and chosen.detectors != DEFAULT:
+            settings = ProjectionSettings(detectors=chosen.detectors)
         wanted, found = projection_settings(drive, settings), frozenset(drive.labels)
         detect = fusion_for(drive.classes_2d, drive.classes, found, wanted) or partial(
             fuse_by_projection, settings=wanted

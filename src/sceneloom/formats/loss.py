@@ -1,8 +1,52 @@
 """What a target format could not hold, field by field."""
 
 from collections.abc import Iterable, Iterator
+from enum import StrEnum
 
 import msgspec
+
+
+class Fate(StrEnum):
+    """What becomes of a field of the scene in a target."""
+
+    KEPT = "kept"
+    """Read back, it is the same."""
+    CONVERTED = "converted"
+    """Said in another way (other units, types, frames), with no more error than the rounding of that."""
+    APPROXIMATED = "approximated"
+    """Replaced by something near, such as another model of the lens or a compressed picture."""
+    DROPPED = "dropped"
+    """Not in the target."""
+
+
+class Holding(msgspec.Struct, frozen=True):
+    """What a format makes of one field of the scene, whatever the scene.
+
+    Attributes:
+        fate: what becomes of it.
+        how: how it is converted or approximated, or why it is dropped, for a person; empty if it is kept.
+    """
+
+    fate: Fate
+    how: str = ""
+
+
+KEPT = Holding(Fate.KEPT)
+
+
+def converted(how: str) -> Holding:
+    """A field that is said in another way."""
+    return Holding(Fate.CONVERTED, how)
+
+
+def approximated(how: str) -> Holding:
+    """A field that is replaced by something near."""
+    return Holding(Fate.APPROXIMATED, how)
+
+
+def dropped(why: str) -> Holding:
+    """A field that the format has no place for."""
+    return Holding(Fate.DROPPED, why)
 
 
 class Loss(msgspec.Struct, frozen=True, kw_only=True):
@@ -13,12 +57,16 @@ class Loss(msgspec.Struct, frozen=True, kw_only=True):
         what: what happened to it, for a person ("rounded to microseconds, at most 0.5 µs").
         count: how many values or objects it happened to.
         kept: where the exact value stands in the target all the same ("metadata.sceneloom.imu"), or None.
+        fate: what became of it.
+        largest_error: how far the worst value is off, in the unit that `what` names; None where that means nothing.
     """
 
     field: str
     what: str
     count: int = 1
     kept: str | None = None
+    fate: Fate = Fate.DROPPED
+    largest_error: float | None = None
 
 
 class LossReport(msgspec.Struct, frozen=True):
@@ -34,9 +82,17 @@ class LossReport(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, losses: Iterable[Loss]) -> "LossReport":
-        """Collect losses; those of one field and kind are added up."""
-        counts: dict[tuple[str, str, str | None], int] = {}
+        """Collect losses; those of one field and kind are added up, and the largest error of them is told."""
+        together: dict[tuple[str, str, str | None, Fate], Loss] = {}
         for loss in losses:
-            key = (loss.field, loss.what, loss.kept)
-            counts[key] = counts.get(key, 0) + loss.count
-        return cls(tuple(Loss(field=f, what=w, count=n, kept=k) for (f, w, k), n in counts.items()))
+            key = (loss.field, loss.what, loss.kept, loss.fate)
+            earlier = together.get(key)
+            together[key] = loss if earlier is None else _joined(earlier, loss)
+        return cls(tuple(together.values()))
+
+
+def _joined(first: Loss, second: Loss) -> Loss:
+    errors = [loss.largest_error for loss in (first, second) if loss.largest_error is not None]
+    return msgspec.structs.replace(
+        first, count=first.count + second.count, largest_error=max(errors, default=None)
+    )

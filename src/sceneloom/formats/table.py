@@ -8,7 +8,7 @@ from typing import Any, Protocol, cast
 from urllib.parse import urlsplit
 
 from sceneloom.errors import OptionError, UnknownFormatError
-from sceneloom.formats.loss import LossReport
+from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.urls import path_or_url
 from sceneloom.scene import Scene
@@ -24,12 +24,19 @@ FORMATS: Mapping[str, str] = MappingProxyType(
 
 
 class Format(Protocol):
-    """What a format module offers as `FORMAT`."""
+    """What a format module offers as `FORMAT`.
+
+    Further attributes are optional: `reads` and `writes`, false where it is only written or only read; `reads_urls`;
+    `near_miss(path)`, what a path that nearly is one lacks; `check_place(path)`, which refuses harmful outputs.
+    """
 
     name: str
     suffixes: tuple[str, ...]
     looks_like: str
     """What a person recognises it by ("a file that begins with its header")."""
+    holds: Mapping[str, Holding]
+    """What becomes of each field of a scene that is written, whatever the scene, by names of `MODEL_FIELDS` or
+    beginnings of them; what depends on the scene is told by the losses of `write`. Empty where it is only read."""
 
     def recognises(self, path: Path) -> bool:
         """Say whether the content of an existing path looks like this format."""
@@ -69,6 +76,16 @@ def format_named(name: str) -> Format:
         if point.name == name:
             return cast("Format", point.load())
     raise OptionError(f"no format {name!r}; there are {', '.join(format_names())}")
+
+
+def reads(form: Format) -> bool:
+    """Whether a format is read."""
+    return bool(getattr(form, "reads", True))
+
+
+def writes(form: Format) -> bool:
+    """Whether a format is written."""
+    return bool(getattr(form, "writes", True))
 
 
 def find_format(path: Path) -> Format:

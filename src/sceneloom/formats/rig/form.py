@@ -1,9 +1,11 @@
 """What the rig format offers to the table of formats."""
 
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from sceneloom.errors import OutputError, check_option_names
+from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.rig.manifest import looks_like_manifest
 from sceneloom.formats.rig.scene_from_rig import open_rig
@@ -20,6 +22,9 @@ class RigFormat:
     looks_like = (
         "a folder with a rig.toml, which `sceneloom formats --template rig.toml --from FOLDER` writes"
     )
+
+    writes = False
+    holds: Holds = MappingProxyType({})
 
     def recognises(self, path: Path) -> bool:
         """Say whether the path is a folder with a `rig.toml`, that file, or a TOML file with sensors in it."""

@@ -71,6 +71,16 @@ async def _serve_bare(result_bytes, detections_bytes):
             queues[kind].put_nowait(number.to_bytes(8, "little") + filling[kind])
         return done
 
+    async def send_stream(requests, context):
+        told, number = dict(context.invocation_metadata()), 0
+        async for _ in requests:
+            if told["sweeps"] == "1":
+                queues[int(told["kind"])].put_nowait(
+                    number.to_bytes(8, "little") + filling[int(told["kind"])]
+                )
+            number += 1
+        return fusion_pb2.SendSummary(accepted=number).SerializeToString()
+
     async def subscribe(request, context):
         queue = queues[fusion_pb2.SubscribeRequest.FromString(request).fusion_type]
         while True:
@@ -85,6 +95,7 @@ async def _serve_bare(result_bytes, detections_bytes):
     unary = grpc.unary_unary_rpc_method_handler
     handlers = {
         "Send": unary(send),
+        "SendStream": grpc.stream_unary_rpc_method_handler(send_stream),
         "Subscribe": grpc.unary_stream_rpc_method_handler(subscribe),
         "SetProperty": unary(status),
         "GetProperty": unary(get_property),
@@ -196,34 +207,46 @@ class Boxes:
         )
 
 
-def _send(port, maker, count, period_s, begun, sent, received, window, ready):
+def _send(port, maker, count, period_s, begun, sent, received, window, ready, *, streamed):
     """Send requests 0 to count - 1; by a clock, or as long as fewer than `window` results are due."""
     period_ns = round((period_s or 0.1) * 1e9)
+    due = _when_due(count, period_s, begun, sent, received, window)
     with connect(port) as channel:
-        send = stub(channel, "Send")
         upcoming = maker.request(0, period_ns)
         with ready.get_lock():
             ready.value += 1
-        while begun.value == 0.0:
-            time.sleep(0.001)
-        for number in range(count):
-            if period_s:
-                time.sleep(max(begun.value + number * period_s - time.monotonic(), 0.0))
-            else:
-                while number - received.value >= window:
-                    time.sleep(0.0002)
+        if streamed:
+            told = (("kind", str(maker.kind)), ("sweeps", str(int(maker.sweeps))))
+            requests = (maker.request(number, period_ns) for number in due)
+            stub(channel, "SendStream", "stream_unary")(requests, metadata=told)
+            return
+        send = stub(channel, "Send")
+        for number in due:
             # what our server finds in the message the bare one is told beside it
             told = (("kind", str(maker.kind)), *((("sweep", str(number)),) if maker.sweeps else ()))
-            sent[number] = time.monotonic()
             send(upcoming, metadata=told)
             upcoming = maker.request(number + 1, period_ns)
+
+
+def _when_due(count, period_s, begun, sent, received, window):
+    """Give the numbers 0 to count - 1, each when it may be sent."""
+    while begun.value == 0.0:
+        time.sleep(0.001)
+    for number in range(count):
+        if period_s:
+            time.sleep(max(begun.value + number * period_s - time.monotonic(), 0.0))
+        else:
+            while number - received.value >= window:
+                time.sleep(0.0002)
+        sent[number] = time.monotonic()
+        yield number
 
 
 class Exchange:
     """Two processes that send to a server, and this one that takes the results."""
 
-    def __init__(self, port, makers, number_of, *, count, period_s=0.0, window=4):
-        """Start the senders; `number_of` gives a reply's sweep."""
+    def __init__(self, port, makers, number_of, *, count, period_s=0.0, window=4, streamed=False):
+        """Start the senders; `number_of` gives a reply's sweep; `streamed`: by one call, not by one for each record."""
         context = multiprocessing.get_context("spawn")
         self.begun, self.received, ready = (
             context.Value("d", 0.0),
@@ -236,6 +259,7 @@ class Exchange:
             context.Process(
                 target=_send,
                 args=(port, maker, count, period_s, self.begun, times, self.received, window, ready),
+                kwargs={"streamed": streamed},
                 daemon=True,
             )
             for maker, times in zip(makers, self.sent, strict=True)

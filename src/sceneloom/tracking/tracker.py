@@ -9,6 +9,7 @@ from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.scene.tracks import Support, TrackedObjects
 from sceneloom.tracking import births, existence, motion, picture_boxes
 from sceneloom.tracking.association import gains, pair
+from sceneloom.tracking.headings import turn_round
 from sceneloom.tracking.observation import Observation
 from sceneloom.tracking.picture_boxes import has_area
 from sceneloom.tracking.population import ByCamera, Population, no_boxes
@@ -16,12 +17,6 @@ from sceneloom.tracking.settings import PictureBox, TrackerSettings
 from sceneloom.tracking.sightings import SUREST, Sightings, sight
 
 DEFAULTS = TrackerSettings()
-MOST_VOTES = 5.0
-"""So many looks at a heading are remembered."""
-MOVING = 1.5
-"""What is faster than this shows by its motion where it heads [m/s]."""
-SURE_HEADING = 1.0
-"""A heading with a larger variance than this says nothing [rad²]."""
 
 
 class Moment(NamedTuple):
@@ -117,7 +112,7 @@ class Tracker:
         for camera_id, corners in seen.corners_xyxy.items():
             objects.corners_xyxy[camera_id] = no_boxes(len(objects))
             objects.corners_xyxy[camera_id][rows] = corners[columns]
-        _turn_round(objects, rows, seen, columns)
+        turn_round(objects, rows, seen, columns)
 
     def _votes(self, seen: Sightings, rows: Int64Array) -> Float64Array:
         """How much boxes speak for each of the words, (K, words)."""
@@ -206,20 +201,6 @@ def _supports(seen: Sightings, rows: Int64Array) -> UInt8Array:
         shown |= has_area(corners[rows])
     supports = np.where(shown, Support.BOTH, Support.SWEEP)
     return np.where(seen.measured[rows], supports, Support.PICTURE).astype(np.uint8)
-
-
-def _turn_round(objects: Population, rows: Int64Array, seen: Sightings, columns: Int64Array) -> None:
-    """Let boxes and motion vote on headings, and turn those round that are outvoted."""
-    sure = seen.covariances[columns, 6, 6] < SURE_HEADING
-    rows, columns = rows[sure], columns[sure]
-    objects.heading_votes[rows] += np.cos(seen.measures[columns, 6] - objects.means[rows, 6])
-    headings = objects.means[:, motion.YAW]
-    forward = np.cos(headings) * objects.means[:, 7] + np.sin(headings) * objects.means[:, 8]
-    objects.heading_votes += np.sign(forward) * (np.abs(forward) > MOVING)
-    objects.heading_votes = np.clip(objects.heading_votes, -MOST_VOTES, MOST_VOTES)
-    wrong = objects.heading_votes < -1.0
-    objects.means[wrong, motion.YAW] = motion.wrapped(objects.means[wrong, motion.YAW] + np.pi)
-    objects.heading_votes[wrong] *= -1.0
 
 
 def _compare_with_outlines(objects: Population, observation: Observation) -> ByCamera:

@@ -77,6 +77,15 @@ def picture_size(content: bytes, form: str, *, owner: str = "picture", place: st
         raise DataError(owner, place, f"is no {form} file: {error}") from error
 
 
+def encode_png(rgb: UInt8Array) -> bytes:
+    """Encode (height, width, 3) uint8, red green blue, without loss."""
+    from PIL import Image
+
+    content = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(rgb)).save(content, "PNG", compress_level=1)
+    return content.getvalue()
+
+
 def _jpeg_size(content: bytes) -> tuple[int, int]:
     from simplejpeg import decode_jpeg_header
 

@@ -19,6 +19,7 @@ VERBS = MappingProxyType(
         "project": "See the cuboids with the cameras.",
         "simplify": "Keep only those stamps of paths that the others do not tell.",
         "apply": "Apply localization adjustments and camera calibrations.",
+        "blur": "Hide faces, plates and other places in pictures for good.",
         "undistort": "Resample pictures so that their lenses are pinholes.",
         "lens": "Tell the lenses by another model, as near as it comes.",
     }

@@ -101,9 +101,9 @@ def copy_packets(
         output = open_container(target, container, pictures=len(times.pts), header_bytes=header)
         try:
             with writing_faults(called):
-                stream = _same_stream(output, opened.stream, times.tick)
-            for position, packet in enumerate(_taken(_pictures(opened, name), taken)):
-                _set_times(packet, times, position, name)
+                stream = same_stream(output, opened.stream, times.tick)
+            for position, packet in enumerate(_taken(iter_picture_packets(opened, name), taken)):
+                set_times(packet, times, position, name)
                 packet.stream = stream
                 with writing_faults(called):
                     output.mux_one(packet)
@@ -116,7 +116,8 @@ def copy_packets(
         opened.close()
 
 
-def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction) -> VideoStream:
+def same_stream(output: OutputContainer, original: VideoStream, tick: Fraction) -> VideoStream:
+    """Add a stream like another one to a file, with ticks of its own."""
     stream = output.add_stream_from_template(original, opaque=True)
     stream.time_base = tick
     if "matroska" in output.format.name and original.average_rate:
@@ -128,7 +129,12 @@ def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction)
     return stream
 
 
-def _pictures(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
+def iter_picture_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
+    """Give the packets that hold a picture which is shown, in the order of storage.
+
+    Raises:
+        DataError: the container is damaged.
+    """
     packets = opened.container.demux(opened.stream)
     while True:
         with decoder_faults(name, ""):
@@ -148,7 +154,12 @@ def _taken(
     return (packet for k, packet in enumerate(packets) if k >= len(taken) or taken[k])
 
 
-def _set_times(packet: "Packet[VideoStream]", times: PacketTimes, position: int, name: str) -> None:
+def set_times(packet: "Packet[VideoStream]", times: PacketTimes, position: int, name: str) -> None:
+    """Set the times of the packet that is stored at a position.
+
+    Raises:
+        DataError: no time was found for it: the file is being changed.
+    """
     if position >= len(times.pts):
         raise DataError(name, f"packet {position}", "was not there before; the file changes while it is read")
     packet.time_base = times.tick

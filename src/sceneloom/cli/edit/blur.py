@@ -1,0 +1,109 @@
+"""`sceneloom edit blur`: faces, plates and whatever else nobody is to see, hidden in videos and pictures."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from msgspec import structs
+
+from sceneloom.cli import options
+from sceneloom.cli.edit.running import common, editing, print_edit
+from sceneloom.cli.printing import print_json, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from sceneloom.pipeline.sharing import BlurReport
+
+
+@click.command()
+@editing
+@click.option(
+    "--boxes",
+    "box_file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="CSV or JSON of what to hide: camera, number or time of the picture, x1, y1, x2, y2, track.",
+)
+@click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    metavar="LABEL",
+    help="Hide the drive's own boxes and outlines in pictures that bear this label.",
+)
+@click.option(
+    "--fill",
+    type=click.Choice(["blur", "pixelate", "black"]),
+    default="blur",
+    show_default=True,
+    help="What takes their place: at most 4 x 4 mean colours, smooth or in squares, or nothing.",
+)
+@click.option(
+    "--margin",
+    type=options.not_negative,
+    default=0.1,
+    show_default=True,
+    metavar="S",
+    help="Share of its width and height by which a box grows on each side.",
+)
+@click.option(
+    "--hold",
+    type=options.not_negative,
+    default=0.0,
+    metavar="S",
+    help="Hide tracks and annotations S seconds longer before their first and after their last picture.",
+)
+@click.option("--drop-colours", is_flag=True, help="Take the colours away that cameras gave to points.")
+@common
+def blur(
+    path: Path,
+    output: Path,
+    box_file: Path | None,
+    labels: tuple[str, ...],
+    fill: str,
+    margin: float,
+    hold: float,
+    drop_colours: bool,
+    overwrite: bool,
+    profile: str | None,
+    time_unit: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **reading: Any,
+) -> None:
+    """Hide faces, plates and other places in videos and pictures for good."""
+    from sceneloom.formats.picture_boxes import read_picture_boxes
+    from sceneloom.pipeline.sharing import blur_files
+
+    boxes = () if box_file is None else read_picture_boxes(box_file)
+    names = tuple(name for label in labels for name in label.split(",") if name)
+    with progress_bar("edit blur", quiet=quiet) as progress:
+        report = blur_files(
+            path,
+            output,
+            boxes=boxes,
+            labels=names,
+            fill=fill,
+            margin=margin,
+            hold=hold,
+            drop_colours=drop_colours,
+            reading=options.said(**reading),
+            progress=progress,
+            overwrite=overwrite,
+            **options.said(profile=profile, time_unit=time_unit),
+        )
+    if as_json:
+        print_json({**structs.asdict(report.edit), "fill": fill, "margin": margin, "cameras": report.cameras})
+        return
+    print_edit(report.edit, quiet=quiet, verbose=verbose)
+    _print_cameras(report)
+
+
+def _print_cameras(report: "BlurReport") -> None:
+    rows = [("camera", "boxes", "places hidden", "in pictures", "outside", "video")]
+    for one in report.cameras:
+        video = "" if one.encoded is None else f"{one.encoded} encoded anew, {one.copied} copied"
+        outside = str(one.outside + one.without_picture)
+        pictures = f"{one.pictures} of {one.of_pictures}"
+        rows.append((str(one.camera), str(one.boxes), str(one.hidden), pictures, outside, video))
+    print_table(rows)

@@ -1,0 +1,102 @@
+"""Copies of pictures in the free fields of a scene: they would show what is hidden in the pictures themselves."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
+
+_STARTS = (b"\xff\xd8\xff", b"\x89PNG\r\n", b"GIF8", b"II*\x00", b"MM\x00*", b"\x1a\x45\xdf\xa3")
+"""How JPEG, PNG, GIF, TIFF and Matroska files begin."""
+
+_LEAST_BYTES = 64
+"""No picture of anything is shorter."""
+
+_AS_TEXT = re.compile(r"^(data:(image|video)/|/9j/|iVBORw0KGgo|R0lGOD|UklGR)")
+"""How such files begin in base64, or as a link that holds them."""
+
+
+@dataclass(slots=True)
+class EmbeddedPictures:
+    """Takes copies of pictures out of free fields, and keeps where they were.
+
+    Attributes:
+        places: where.
+    """
+
+    places: list[str] = field(default_factory=list)
+
+    def scene(self, scene: Scene) -> Scene:
+        """Give the scene without copies in the fields of itself, its sensors and its annotations."""
+        sensors = [self._bare(sensor, f"sensors[{sensor.id}]") for sensor in scene.sensors]
+        annotations = [self._bare(one, f"annotations[{one.id}]") for one in scene.annotations]
+        return replace(
+            scene,
+            sensors=tuple(sensors),
+            annotations=tuple(annotations),
+            metadata=self.fields(scene.metadata, "metadata"),
+            extras=self.fields(scene.extras, "extras"),
+        )
+
+    def _bare(self, part: Any, place: str) -> Any:
+        """A sensor or an annotation without copies in its free fields."""
+        extras = getattr(part, "extras", None)
+        return replace(part, extras=self.fields(extras, place)) if extras else part
+
+    def fields(self, fields: Mapping[str, Any], place: str) -> Mapping[str, Any]:
+        """Give free fields without copies."""
+        kept = self._without(fields, place)
+        return fields if kept is fields else MappingProxyType(kept)
+
+    def _without(self, value: Any, place: str) -> Any:
+        """The value without what is a picture in it; itself where nothing is."""
+        if isinstance(value, Mapping):
+            pairs = {key: self._without(one, f"{place}.{key}") for key, one in value.items()}
+            changed = any(pairs[key] is not value[key] for key in value)
+            return {key: one for key, one in pairs.items() if one is not _GONE} if changed else value
+        if isinstance(value, list | tuple):
+            items = [self._without(one, f"{place}[{k}]") for k, one in enumerate(value)]
+            changed = any(new is not old for new, old in zip(items, value, strict=True))
+            return [one for one in items if one is not _GONE] if changed else value
+        if looks_like_picture(value):
+            self.places.append(place)
+            return _GONE
+        return value
+
+
+_GONE = object()
+
+
+def looks_like_picture(value: Any) -> bool:
+    """Whether a value holds the bytes of a picture or a video, plain or as text."""
+    if isinstance(value, str):
+        return len(value) >= _LEAST_BYTES and _AS_TEXT.match(value) is not None
+    if isinstance(value, np.ndarray):
+        if value.dtype != np.uint8 or value.ndim != 1:
+            return value.dtype == np.uint8 and value.ndim == 3 and value.shape[2] in {1, 3, 4}
+        value = value[:_LEAST_BYTES].tobytes()
+    if not isinstance(value, bytes | bytearray | memoryview):
+        return False
+    start = bytes(value[:_LEAST_BYTES])
+    others = start[4:8] == b"ftyp" or (start[:4] == b"RIFF" and start[8:12] in {b"WEBP", b"AVI "})
+    return len(start) >= _LEAST_BYTES and (start.startswith(_STARTS) or others)
+
+
+def pictures_without_embedded(camera: CameraSensor) -> CameraSensor:
+    """Give a camera whose pictures have no copies in their free fields, read when they are."""
+    pictures = camera.pictures
+    return replace(camera, pictures=LazyFrames(pictures.timestamps_ns, _Cleaned(pictures)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cleaned:
+    pictures: LazyFrames[Picture]
+
+    def __call__(self, k: int) -> Picture:
+        picture = self.pictures[k]
+        kept = EmbeddedPictures().fields(picture.extras, "pictures[]")
+        return picture if kept is picture.extras else replace(picture, extras=kept)

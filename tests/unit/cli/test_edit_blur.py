@@ -1,0 +1,65 @@
+"""`sceneloom edit blur`: from a list of boxes to a drive that can be shown."""
+
+import json
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """Three pictures each: a recording with a video, and a scene file with JPEGs."""
+    folder = tmp_path_factory.mktemp("drives")
+    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
+    drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(camera,))
+    sceneloom.write(drive.scene, folder / "recording")
+    sceneloom.write(drive.scene, folder / "scene.sfs")
+    (folder / "boxes.csv").write_text("number,x1,y1,x2,y2\n1,20,10,60,50\n2,200,10,260,50\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("source", "target"), [("recording", "out.sfs"), ("scene.sfs", "out.sfs"), ("scene.sfs", "out/")]
+)
+def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(call, drives, tmp_path, source, target):
+    outcome = call(
+        "edit", "blur", drives / source, "-o", f"{tmp_path}/{target}",
+        "--boxes", drives / "boxes.csv", "--fill", "black", "--margin", "0", "--json",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    (told,) = json.loads(outcome.out)["cameras"]
+    assert (told["boxes"], told["hidden"], told["pictures"], told["outside"]) == (2, 1, 1, 1)
+    with sceneloom.open(drives / source) as before, sceneloom.open(tmp_path / target) as after:
+        old, new = before.cameras[0].pictures, after.cameras[0].pictures
+        assert new[1].rgb[12:48, 22:58].max() < 40  # black, but for what a lossy codec brings in at the edges
+        assert np.array_equal(new.timestamps_ns, old.timestamps_ns)
+        assert np.abs(new[0].rgb.astype(int) - old[0].rgb).mean() < 8
+        assert np.abs(new[1].rgb[:, 64:].astype(int) - old[1].rgb[:, 64:]).mean() < 8
+
+
+def test_it_is_told_in_words_too_and_without_boxes_nothing_is_written(call, drives, tmp_path):
+    outcome = call(
+        "edit", "blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv"
+    )
+    assert outcome.code == 0
+    assert "1 of 3" in outcome.out
+    assert "boxes that lie outside of their pictures" in outcome.err
+    nothing = call("edit", "blur", drives / "recording", "-o", tmp_path / "n.sfs")
+    assert (nothing.code, "expected boxes" in nothing.err) == (2, True)
+    label = call("edit", "blur", drives / "recording", "-o", tmp_path / "n.sfs", "--label", "face")
+    assert (label.code, "no box or outline in a picture with label 'face'" in label.err) == (2, True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["o.sfs"]
+
+
+def test_pictures_that_are_not_touched_are_copied_without_what_they_say(call, drives, tmp_path):
+    call(
+        "edit", "blur", drives / "scene.sfs", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "-q"
+    )
+    with sceneloom.open(drives / "scene.sfs") as before, sceneloom.open(tmp_path / "o.sfs") as after:
+        old, new = before.cameras[0].pictures, after.cameras[0].pictures
+        assert new[0].encoded is None or new[0].encoded() == old[0].encoded()
+        assert np.array_equal(new[0].rgb, old[0].rgb)

@@ -1,0 +1,189 @@
+"""Places in pictures that are hidden: which, and that nothing of them is left."""
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.editing.hiding import PictureBox, filled, find_hidings, hidden_regions, hide_in_pictures
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    Box2DAnnotation,
+    CameraSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Picture,
+    Scene,
+    ShapeAnnotation,
+    VertexPath,
+)
+from sceneloom.scene.annotations import BoxPath, ShapeType
+
+CAMERA = Camera("pinhole", 64, 48, 50.0, 50.0, 31.5, 23.5)
+PERIOD_NS = 100_000_000
+EARLY = 1_700_000_000_000_000_000
+"""A time of today [ns]: float64 is 256 ns off there."""
+
+
+def scene_with(annotations=(), *, count=6, sensors=(), **fields):
+    rng = np.random.default_rng(3)
+    times = [EARLY + k * PERIOD_NS for k in range(count)]
+    pictures = [Picture.of(t, CAMERA, rng.integers(0, 256, (48, 64, 3), np.uint8)) for t in times]
+    camera = CameraSensor("front", CAMERA, LazyFrames.of(pictures, times))
+    return Scene((camera, *sensors), tuple(annotations), **fields)
+
+
+def hidings_of(scene, **how):
+    (hiding,) = find_hidings(scene, **how)
+    return {int(k): hiding.boxes[hiding.pictures == k].tolist() for k in np.unique(hiding.pictures)}, hiding
+
+
+def test_a_pixelated_box_has_sixteen_colours_at_most_and_each_is_the_mean_of_its_cell():
+    image = np.random.default_rng(0).integers(0, 256, (40, 40, 3), np.uint8)
+    hidden = filled(image, np.array([[4, 6, 36, 38]]), fill="pixelate")
+    inside = hidden[6:38, 4:36]
+    assert len(np.unique(inside.reshape(-1, 3), axis=0)) <= 16
+    np.testing.assert_allclose(inside[0, 0], image[6:14, 4:12].mean(axis=(0, 1)), atol=0.5)
+    outside = np.ones((40, 40), bool)
+    outside[6:38, 4:36] = False
+    assert np.array_equal(hidden[outside], image[outside])
+
+
+@pytest.mark.parametrize("fill", ["blur", "pixelate", "black"])
+def test_nothing_tells_two_pictures_with_equal_means_apart_once_they_are_hidden(fill):
+    image = np.random.default_rng(1).integers(0, 256, (32, 32, 3), np.uint8)
+    other = image.reshape(4, 8, 4, 8, 3)[:, ::-1, :, ::-1].reshape(32, 32, 3)
+    whole = np.array([[0, 0, 32, 32]])
+    assert not np.array_equal(image, other)
+    assert np.array_equal(filled(image, whole, fill=fill), filled(other, whole, fill=fill))
+
+
+def test_a_blurred_box_changes_smoothly_between_the_means_of_its_cells():
+    ramp = np.repeat(np.arange(0, 128, 4, dtype=np.uint8)[None], 32, axis=0)
+    hidden = filled(ramp, np.array([[0, 0, 32, 32]])).astype(int)
+    assert np.abs(np.diff(hidden[16])).max() <= 5
+    np.testing.assert_allclose(hidden[:, 3:29], ramp[:, 3:29], atol=3)  # a ramp's means lie on it
+
+
+def test_a_box_of_one_pixel_and_an_unknown_fill():
+    image = np.full((4, 4, 3), 9, np.uint8)
+    assert filled(image, np.array([[1, 1, 2, 2]]), fill="black")[1, 1].tolist() == [0, 0, 0]
+    with pytest.raises(OptionError, match="expected one of blur, pixelate, black"):
+        filled(image, np.array([[0, 0, 1, 1]]), fill="smear")
+
+
+def test_boxes_of_one_track_are_joined_by_straight_lines_in_time_and_others_are_not():
+    boxes = (
+        PictureBox((0, 0, 10, 10), number=1, track="a"),
+        PictureBox((30, 6, 40, 16), timestamp_ns=EARLY + 4 * PERIOD_NS, track="a"),
+        PictureBox((1, 2, 3, 4), number=5),
+    )
+    found, hiding = hidings_of(scene_with(), boxes=boxes)
+    assert found == {
+        1: [[0, 0, 10, 10]],
+        2: [[10, 2, 20, 12]],
+        3: [[20, 4, 30, 14]],
+        4: [[30, 6, 40, 16]],
+        5: [[1, 2, 3, 4]],
+    }
+    assert (hiding.given, hiding.unmatched) == (3, 0)
+
+
+def test_a_track_that_is_held_is_hidden_before_and_after_its_pictures():
+    boxes = (PictureBox((0, 0, 9, 9), number=2, track="a"), PictureBox((0, 0, 9, 9), number=3, track="a"))
+    assert sorted(hidings_of(scene_with(), boxes=boxes, hold=0.1)[0]) == [1, 2, 3, 4]
+
+
+def test_both_boxes_of_a_track_that_is_in_a_picture_twice_are_hidden():
+    boxes = (PictureBox((0, 0, 9, 9), number=2, track="a"), PictureBox((20, 0, 29, 9), number=2, track="a"))
+    found, _ = hidings_of(scene_with(), boxes=boxes)
+    assert sorted(found[2]) == [[0, 0, 9, 9], [20, 0, 29, 9]]
+
+
+def test_boxes_of_pictures_that_are_not_there_are_counted():
+    boxes = (
+        PictureBox((0, 0, 9, 9), number=6),
+        PictureBox((0, 0, 9, 9), timestamp_ns=EARLY + 560_000_000),
+        PictureBox((0, 0, 9, 9), timestamp_ns=EARLY + 249_000_000),
+    )
+    found, hiding = hidings_of(scene_with(), boxes=boxes)
+    assert (sorted(found), hiding.unmatched) == ([2], 2)
+
+
+def test_annotations_are_hidden_by_their_labels_while_they_last():
+    path = BoxPath(
+        np.array([EARLY + PERIOD_NS - 3_000, EARLY + 3 * PERIOD_NS - 3_000]),
+        np.array([[0.0, 0.0, 8.0, 8.0], [20.0, 0.0, 8.0, 8.0]]),
+    )
+    outline = VertexPath(np.array([EARLY]), (np.array([[5.0, 6.0], [9.0, 2.0], [7.0, 9.0]]),))
+    annotations = (
+        Box2DAnnotation("f", "front", path, label="face"),
+        ShapeAnnotation("p", ShapeType.POLYGON_2D, outline, "front", label="plate"),
+        Box2DAnnotation("c", "front", path, label="car"),
+    )
+    found, hiding = hidings_of(scene_with(annotations), labels=("face", "plate"))
+    assert (sorted(found), hiding.given) == ([0, 1, 2, 3], 3)
+    assert found[0] == [[5.0, 2.0, 9.0, 9.0]]
+    np.testing.assert_allclose(found[2], [[10.0, 0.0, 18.0, 8.0]], atol=1e-3)  # 3 µs of 0.2 s
+    with pytest.raises(OptionError, match="no box or outline in a picture with label 'nose'; there are car"):
+        find_hidings(scene_with(annotations), labels=("nose",))
+
+
+def test_what_stands_still_in_a_picture_is_hidden_in_all_of_them():
+    path = BoxPath(np.array([EARLY]), np.array([[1.0, 1.0, 8.0, 8.0]]))
+    bonnet = Box2DAnnotation("b", "front", path, label="bonnet", stationary=True)
+    assert sorted(hidings_of(scene_with((bonnet,)), labels=("bonnet",))[0]) == list(range(6))
+
+
+def test_a_camera_that_is_not_there_is_refused():
+    with pytest.raises(OptionError, match="camera 'rear'; its cameras are 'front'"):
+        find_hidings(scene_with(), boxes=(PictureBox((0, 0, 9, 9), camera="rear", number=0),))
+
+
+def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_picture():
+    boxes = (
+        PictureBox((11.0, 11.0, 21.0, 31.0), number=0),
+        PictureBox((60.0, -4.0, 70.0, 4.0), number=0),
+        PictureBox((64.0, 0.0, 80.0, 9.0), number=1),
+        PictureBox((5.0, 5.0, 5.0, 9.0), number=2),
+    )
+    _, hiding = hidings_of(scene_with(), boxes=boxes)
+    regions = hidden_regions(hiding, 64, 48, margin=0.1)
+    assert {k: rows.tolist() for k, rows in regions.pixels.items()} == {0: [[10, 8, 22, 34], [58, 0, 64, 6]]}
+    assert (regions.outside, regions.cut) == (2, 1)
+
+
+def test_pictures_of_a_scene_are_hidden_when_they_are_decoded_and_the_others_stay():
+    scene = scene_with()
+    hidden = hide_in_pictures(
+        scene, find_hidings(scene, boxes=(PictureBox((8, 8, 24, 24), number=2),)), fill="black", margin=0.0
+    )
+    before, after = scene.cameras[0].pictures, hidden.cameras[0].pictures
+    assert not after[2].rgb[8:24, 8:24].any()
+    assert np.array_equal(after[2].rgb[:, 24:], before[2].rgb[:, 24:])
+    assert np.array_equal(after[1].rgb, before[1].rgb)
+
+
+def test_boxes_none_of_which_is_in_a_picture_hide_nothing_and_are_refused():
+    scene = scene_with()
+    hidings = find_hidings(scene, boxes=(PictureBox((8, 8, 24, 24), number=60),))
+    with pytest.raises(OptionError, match="none of the 1 boxes lies in any picture"):
+        hide_in_pictures(scene, hidings)
+
+
+def test_copies_of_pictures_in_free_fields_go_and_colours_of_points_are_told_or_dropped():
+    points = LidarPoints(np.zeros((2, 3), np.float32), colors=np.full((2, 3), 7, np.uint8))
+    lidar = LidarSensor("lidar", LazyFrames.of([LidarFrame(EARLY, points)], [EARLY]))
+    thumbnail = np.frombuffer(b"\xff\xd8\xff" + bytes(200), np.uint8)
+    metadata = {"a": {"thumbnail": thumbnail, "b": [1, "data:image/png;base64," + "A" * 60]}, "name": "drive"}
+    scene = scene_with(sensors=(lidar,), metadata=metadata)
+    hidings = find_hidings(scene, boxes=(PictureBox((8, 8, 24, 24), number=2),))
+    hidden = hide_in_pictures(scene, hidings)
+    assert dict(hidden.metadata) == {"a": {"b": [1]}, "name": "drive"}
+    places = {n.place for n in hidden.notices if n.code == "embedded-picture"}
+    assert places == {"metadata.a.thumbnail", "metadata.a.b[1]"}
+    (told,) = (n for n in hidden.notices if n.code == "colours-of-points")
+    assert "came from pictures before anything was hidden" in told.message
+    assert hidden.lidars[0].frames[0].points.colors is not None
+    assert hide_in_pictures(scene, hidings, drop_colours=True).lidars[0].frames[0].points.colors is None

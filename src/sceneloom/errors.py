@@ -10,6 +10,7 @@ SceneloomError
 ├── OptionError           a value given by the caller is not one that can be followed
 │   └── UnknownOptionError    an option that the format at hand does not take
 ├── OutputError           an output exists already or cannot be written
+│   └── LossError             an output would lose something, and that was not to be
 └── MissingExtraError     an optional part of the package is not installed
 ```
 
@@ -89,6 +90,17 @@ def check_option_names(doing: str, given: Iterable[str], known: tuple[str, ...])
 
 class OutputError(SceneloomError):
     """An output exists already or cannot be written."""
+
+
+class LossError(OutputError):
+    """A target would not hold all of its source, and was to hold it; `report` says of every field what would be."""
+
+    def __init__(self, target: object, problem: str, report: Any) -> None:
+        super().__init__(str(target), problem, report)
+        self.target, self.problem, self.report = str(target), problem, report
+
+    def __str__(self) -> str:
+        return f"{self.target}: {self.problem}"
 
 
 class MissingExtraError(SceneloomError):

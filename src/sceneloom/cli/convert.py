@@ -1,12 +1,15 @@
 """`sceneloom convert`."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, print_losses, print_notices, progress_bar
+from sceneloom.cli.printing import SHOWN, print_json, print_notices, print_table, progress_bar, several
+
+if TYPE_CHECKING:
+    from sceneloom.pipeline.converting.report import ConversionReport
 
 
 @click.command()
@@ -26,7 +29,23 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices, prog
     metavar="NAME",
     help="Which trajectory to write to a file of its own; `lidar`, `gnss`: computed; `fixes`: as received.",
 )
-@click.option("--to", metavar="FORM", help="The form of that file, where its suffix should not decide.")
+@click.option(
+    "--to",
+    metavar="NAME",
+    help="The format, or the form of a file of a trajectory, where TARGET's suffix should not decide: a name out of "
+    "`sceneloom formats`.",
+)
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Refuse to lose anything; what is only said in another way, such as times in other units, passes.",
+)
+@click.option(
+    "--loss",
+    type=options.target,
+    metavar="FILE",
+    help="Write what becomes of every field to FILE: .json, .md or .txt.",
+)
 @click.option("--to-optical", is_flag=True, help="Write poses as a camera's: z forward, y down.")
 @click.option(
     "--origin",
@@ -47,6 +66,8 @@ def convert(
     pictures: str | None,
     trajectory: str | None,
     to: str | None,
+    strict: bool,
+    loss: Path | None,
     to_optical: bool,
     origin_lla: tuple[float, float, float] | None,
     as_json: bool,
@@ -60,6 +81,7 @@ def convert(
     `.jsonl` take one trajectory out of SOURCE, which may be such a file, too.
     """
     from sceneloom.pipeline.converting.job import convert as convert_scene
+    from sceneloom.pipeline.converting.report import headline
 
     with progress_bar("converting", quiet=quiet) as progress:
         report = convert_scene(
@@ -67,6 +89,8 @@ def convert(
             target,
             to=to,
             trajectory=trajectory,
+            strict=strict,
+            loss=loss,
             overwrite=overwrite,
             **options.said(
                 profile=profile,
@@ -81,7 +105,20 @@ def convert(
     if as_json:
         print_json(report)
         return
-    click.echo(f"{report.source} ({report.source_format}) → {report.target} ({report.target_format})")
+    click.echo(headline(report))
     if not quiet:
         print_notices(report.notices, verbose=verbose)
-        print_losses(report.losses, verbose=verbose)
+        _print_fates(report, verbose=verbose)
+
+
+def _print_fates(report: "ConversionReport", *, verbose: bool) -> None:
+    """Print what is not simply kept, grouped by what became of it; every field where that is asked for."""
+    from sceneloom.pipeline.converting.report import fate_groups, fate_rows, short_rows
+
+    for title, fields, worth_telling in fate_groups(report):
+        click.echo(f"  {title}: {several(len(fields), 'field')}", err=True)
+        if worth_telling or verbose:
+            rows = fate_rows(fields) if verbose else short_rows(fields)
+            print_table(rows if verbose else rows[:SHOWN], indent="    ", err=True)
+            if len(rows) > SHOWN and not verbose:
+                click.echo(f"    … and {len(rows) - SHOWN} more: say --verbose", err=True)

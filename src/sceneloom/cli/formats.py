@@ -1,13 +1,18 @@
 """`sceneloom formats`."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from sceneloom.cli.printing import print_json, print_table
 
+if TYPE_CHECKING:
+    from sceneloom.formats.listing import FormatListing
+
 
 @click.command()
+@click.argument("name", required=False)
 @click.option(
     "--template",
     type=click.Path(path_type=Path),
@@ -23,8 +28,13 @@ from sceneloom.cli.printing import print_json, print_table
 )
 @click.option("--overwrite", is_flag=True, help="Replace a template that exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def formats(template: Path | None, folder: Path | None, overwrite: bool, as_json: bool) -> None:
-    """List the formats that can be read and written, or begin a `rig.toml` for your own data."""
+def formats(
+    name: str | None, template: Path | None, folder: Path | None, overwrite: bool, as_json: bool
+) -> None:
+    """List the formats, say what one of them holds of a scene, or begin a `rig.toml` for your own data.
+
+    With NAME: what becomes of each field of a scene that is written in that format.
+    """
     if template is not None:
         _write_template(template, folder, overwrite=overwrite)
         return
@@ -32,21 +42,41 @@ def formats(template: Path | None, folder: Path | None, overwrite: bool, as_json
         raise click.UsageError(
             f"{'--from' if folder else '--overwrite'} does nothing without --template rig.toml"
         )
-    from sceneloom.formats.table import format_named, format_names
-    from sceneloom.formats.trajectories import TRAJECTORY_FORMS
+    if name is not None:
+        _print_holdings(name, as_json=as_json)
+        return
+    from sceneloom.formats.listing import list_formats
 
-    known = {name: list(format_named(name).suffixes) for name in format_names()}
+    known = list_formats()
     if as_json:
         print_json(known)
-    else:
-        print_table(
-            (name, " ".join(suffix or "a folder" for suffix in suffixes)) for name, suffixes in known.items()
-        )
-        click.echo("files of trajectories (`sceneloom convert`, `sceneloom eval trajectory`)")
-        print_table(
-            (name, " ".join(form.suffixes) or f"--to {name}", form.looks_like)
-            for name, form in TRAJECTORY_FORMS.items()
-        )
+        return
+    print_table(_row(form) for form in known if not form.trajectory)
+    click.echo("files of one trajectory")
+    print_table(_row(form) for form in known if form.trajectory)
+
+
+def _row(form: "FormatListing") -> tuple[str, str, str, str]:
+    both = "read, written" if form.reads and form.writes else "only read" if form.reads else "only written"
+    suffixes = " ".join(suffix or "folder" for suffix in form.suffixes) or f"--to {form.name}"
+    return form.name, both, suffixes, form.looks_like
+
+
+def _print_holdings(name: str, *, as_json: bool) -> None:
+    from sceneloom.formats.listing import list_holdings
+    from sceneloom.formats.loss import Fate
+
+    found = list_holdings(name)
+    if as_json:
+        print_json(found)
+        return
+    if not found:
+        click.echo(f"{name} is only read")
+    for fate in Fate:
+        rows = [(field, holding.how) for field, holding in found.items() if holding.fate == fate]
+        if rows:
+            click.echo(f"{fate} ({len(rows)})")
+            print_table(rows)
 
 
 def _write_template(path: Path, folder: Path | None, *, overwrite: bool) -> None:

@@ -70,6 +70,12 @@ def target(text: str) -> Path:
 
 
 reading = _stacked(
+    click.option(
+        "--read-as",
+        "format",
+        metavar="NAME",
+        help="The drive's format, where its content does not decide: a name out of `sceneloom formats`.",
+    ),
     click.option("--lenient", is_flag=True, help="Skip what is broken, count it, and go on."),
     click.option(
         "--points-frame",

@@ -60,15 +60,15 @@ def print_lines(lines: Sequence[str], *, verbose: bool) -> None:
         click.echo(f"… and {len(lines) - len(shown)} more: say --verbose", err=True)
 
 
-def print_table(rows: Iterable[Sequence[str]], *, indent: str = "  ") -> None:
-    """Print rows in columns: the first one to the left, the others to the right unless they are texts."""
+def print_table(rows: Iterable[Sequence[str]], *, indent: str = "  ", err: bool = False) -> None:
+    """Print rows in columns; `err`: as a remark, not as a result."""
     table = [list(row) for row in rows]
     if not table:
         return
     widths = [max(len(row[k]) for row in table if k < len(row)) for k in range(max(map(len, table)))]
     for row in table:
         cells = [cell.ljust(widths[k]) for k, cell in enumerate(row)]
-        click.echo((indent + "  ".join(cells)).rstrip())
+        click.echo((indent + "  ".join(cells)).rstrip(), err=err)
 
 
 @contextmanager

@@ -53,9 +53,9 @@ class Loss(msgspec.Struct, frozen=True, kw_only=True):
     """One kind of loss.
 
     Attributes:
-        field: name of the field out of `MODEL_FIELDS`, or a beginning of it where all below is meant; the id of the sensor
-            or annotation may stand in place of its kind (`sensors[top].frames[].points.intensities`), the name of a
-            trajectory and keys may be in it (`trajectories[vio].covariances`, `metadata.weather`).
+        field: name of the field out of `MODEL_FIELDS`, or a beginning of it where all below is meant; the id of the
+            sensor or annotation may stand in place of its kind (`sensors[top].frames[].points.intensities`), the name
+            of a trajectory and keys may be in it (`trajectories[vio].covariances`, `metadata.weather`).
         what: what happened to it, for a person ("rounded to microseconds, at most 0.5 µs").
         count: how many values or objects it happened to.
         kept: where the exact value stands in the target all the same ("metadata.sceneloom.imu"), or None.

@@ -4,7 +4,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -114,3 +114,30 @@ def filling(folder: Path, *, overwrite: bool) -> Iterator[Path]:
         for draft, place in places.items():
             place.parent.mkdir(parents=True, exist_ok=True)
             draft.replace(place)
+
+
+@contextmanager
+def on_trial(target: Path, *, overwrite: bool) -> Iterator[tuple[Path, Callable[[], bool]]]:
+    """Give a path to write an output to that may still be refused, and what puts it in the target's place.
+
+    The path has the target's name in a folder beside it; what else is written into that folder goes with it. The
+    function says false, and does nothing, where the target is a folder: only its format knows whether that may be
+    replaced, and has to write to it.
+
+    Raises:
+        OutputError: the target exists, or cannot be written.
+    """
+    check_output(target, overwrite=overwrite)
+    with _workplace(target) as workplace:
+
+        def accept() -> bool:
+            places = {draft: target.parent / draft.name for draft in sorted(workplace.iterdir())}
+            if any(place.is_dir() for place in places.values()):
+                return False
+            for place in places.values():
+                _check_still_free(place, overwrite=overwrite)
+            for draft, place in places.items():
+                draft.replace(place)
+            return True
+
+        yield workplace / target.name, accept

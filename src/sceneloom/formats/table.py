@@ -88,6 +88,16 @@ def writes(form: Format) -> bool:
     return bool(getattr(form, "writes", True))
 
 
+def written_formats() -> list[str]:
+    """Names of the formats that are written."""
+    return [name for name in format_names() if writes(format_named(name))]
+
+
+def claims_of(path: Path) -> list[Format]:
+    """The formats whose content test accepts an existing path."""
+    return [form for form in map(format_named, format_names()) if reads(form) and form.recognises(path)]
+
+
 def find_format(path: Path) -> Format:
     """Find the format whose content test accepts an existing path.
 
@@ -96,17 +106,51 @@ def find_format(path: Path) -> Format:
     """
     if not path.exists():
         raise UnknownFormatError(path, "", "no such file or folder")
-    claims = [form for form in map(format_named, format_names()) if form.recognises(path)]
+    claims = claims_of(path)
     if len(claims) == 1:
         return claims[0]
     if not claims:
-        known = "; ".join(f"{name}, {format_named(name).looks_like}" for name in format_names())
-        guesses = [guess for form in map(format_named, FORMATS) if (guess := _near_miss(form, path))]
-        raise UnknownFormatError(
-            path, "", "; ".join(["no reader knows this", *guesses, f"expected one of: {known}"])
-        )
-    names = ", ".join(form.name for form in claims)
-    raise UnknownFormatError(path, "", f"more than one reader claims this ({names}); name one with `format=`")
+        raise UnknownFormatError(path, "", "; ".join(["no reader knows this", *_guesses(path), _known()]))
+    names = "; ".join(f"{form.name}, {form.looks_like}" for form in claims)
+    raise UnknownFormatError(
+        path,
+        "",
+        f"more than one reader claims this: {names}; say which it is (`--read-as {claims[0].name}`, "
+        "format= in Python), or take them apart into folders of their own",
+    )
+
+
+def _guesses(path: Path) -> list[str]:
+    """What a person may have meant: what nearly is of a format, and what lies right inside of a folder."""
+    near = {form.name: _near_miss(form, path) for form in map(format_named, FORMATS) if reads(form)}
+    told = [f"{name}? {guess}" for name, guess in near.items() if guess]
+    return told or _inside(path)
+
+
+def _inside(path: Path) -> list[str]:
+    """Folders and scene files one level below a folder that is none itself."""
+    if not path.is_dir():
+        return []
+    try:
+        below = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))[:_LOOKED_AT]
+        found = [(entry, form.name) for entry in below for form in claims_of(entry)]
+    except OSError:
+        return []
+    if not found:
+        return []
+    more = f" and {len(found) - 3} more" if len(found) > 3 else ""
+    return ["inside are " + ", ".join(f"{entry} ({name})" for entry, name in found[:3]) + more]
+
+
+_LOOKED_AT = 20
+"""How many entries of an unknown folder are looked into."""
+
+
+def _known() -> str:
+    known = (
+        f"{name}, {format_named(name).looks_like}" for name in format_names() if reads(format_named(name))
+    )
+    return f"expected one of: {'; '.join(known)}"
 
 
 def _near_miss(form: Format, path: Path) -> str | None:
@@ -165,14 +209,31 @@ def format_and_place(path: str | Path, *, format: str | None = None) -> tuple[Fo
 
 
 def format_for_output(path: Path) -> Format:
-    """Find the format that a path to be written asks for: its suffix; a path without one is a recording folder."""
-    for form in map(format_named, format_names()):
-        if path.suffix.lower() in form.suffixes:
-            return form
+    """Find the format that a path to be written asks for: its suffix; a path without one is a recording folder.
+
+    Raises:
+        OptionError: no format, or more than one, that is written has that suffix.
+    """
+    suffix = path.suffix.lower()
+    if not suffix:
+        return format_named(_OF_FOLDERS)
+    found = [form for form in map(format_named, written_formats()) if suffix in form.suffixes]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        names = " or ".join(f"`--to {form.name}`" for form in found)
+        raise OptionError(f"{path}: suffix {path.suffix!r} belongs to several formats; say {names}")
     known = ", ".join(
-        f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})" for name in format_names()
+        f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})"
+        for name in written_formats()
     )
-    raise OptionError(f"{path}: suffix {path.suffix!r} belongs to no format; expected one of: {known}")
+    raise OptionError(
+        f"{path}: suffix {path.suffix!r} belongs to no format; expected one of: {known}, or name it with `--to`"
+    )
+
+
+_OF_FOLDERS = "recording"
+"""What a folder that is to be written becomes where nothing else is said."""
 
 
 def check_scene_output(path: Path, *, overwrite: bool) -> None:

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.colouring.job import colour
     from sceneloom.pipeline.colouring.report import ColourReport
     from sceneloom.pipeline.colouring.settings import ColourOutputs, ColourSettings
-    from sceneloom.pipeline.converting.job import ConversionReport, convert
+    from sceneloom.pipeline.converting.job import convert
+    from sceneloom.pipeline.converting.report import ConversionReport
     from sceneloom.pipeline.depth_images import DepthReport, write_depth_images
     from sceneloom.pipeline.deskewing.job import deskew, deskewed_scene
     from sceneloom.pipeline.deskewing.report import DeskewReport
@@ -58,7 +59,7 @@ _ON_FIRST_USE = {
     "ColourOutputs": "colouring.settings",
     "ColourReport": "colouring.report",
     "ColourSettings": "colouring.settings",
-    "ConversionReport": "converting.job",
+    "ConversionReport": "converting.report",
     "DepthReport": "depth_images",
     "DeskewReport": "deskewing.report",
     "DetectionFiles": "detections.detected_scene",

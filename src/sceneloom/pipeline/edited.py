@@ -15,6 +15,7 @@ from sceneloom.formats.table import check_scene_output, open_scene, write_scene
 from sceneloom.scene import (
     CameraSensor,
     DepthCameraSensor,
+    DepthFrame,
     Identifier,
     LidarSensor,
     Notice,
@@ -134,7 +135,7 @@ class _Tally:
         self.before[type(sensor_id), sensor_id, k] = points
 
     def add_after(self, sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
-        if isinstance(frame, Picture):
+        if isinstance(frame, Picture | DepthFrame):
             return
         self.after[type(sensor_id), sensor_id, k] = len(frame.points)
         if self.progress is not None:

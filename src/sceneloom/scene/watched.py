@@ -6,15 +6,16 @@ from typing import Generic, TypeVar
 
 from sceneloom.scene.cameras import CameraSensor, Picture
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier
 
-AnyFrame = LidarFrame | RadarFrame | Picture
+AnyFrame = LidarFrame | RadarFrame | Picture | DepthFrame
 Told = Callable[[Identifier, int, AnyFrame], None]
 """Is told the sensor's id, the frame's number, and the frame."""
 
-Framed = TypeVar("Framed", LidarFrame, RadarFrame, Picture)
+Framed = TypeVar("Framed", LidarFrame, RadarFrame, Picture, DepthFrame)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +33,7 @@ class _Watched(Generic[Framed]):
 
 
 def watched(scene: Scene, told: Told) -> Scene:
-    """Give the same scene, which tells of each sweep, radar cycle and picture when it is read."""
+    """Give the same scene, which tells of each sweep, radar cycle, picture and depth image when it is read."""
     return replace(scene, sensors=tuple(_watched_sensor(sensor, told) for sensor in scene.sensors))
 
 
@@ -47,4 +48,7 @@ def _watched_sensor(sensor: Sensor, told: Told) -> Sensor:
         pictures = sensor.pictures
         seen = LazyFrames(pictures.timestamps_ns, _Watched(pictures, sensor.id, told))
         return replace(sensor, pictures=seen)
+    if isinstance(sensor, DepthCameraSensor):
+        images = sensor.frames
+        return replace(sensor, frames=LazyFrames(images.timestamps_ns, _Watched(images, sensor.id, told)))
     return sensor

@@ -91,11 +91,19 @@ def test_convert_reads_and_writes_and_reads_again(call: Call, recording: Path, t
 
 
 def test_formats_lists_what_can_be_read_and_written(call: Call) -> None:
-    assert json.loads(call("formats", "--json").out) == {
-        "sfs": [".sfs"],
-        "recording": [""],
-        "rig": [".toml"],
-    }
+    known = {form["name"]: form for form in json.loads(call("formats", "--json").out)}
+    assert [known[name]["suffixes"] for name in ("sfs", "recording", "rig")] == [[".sfs"], [""], [".toml"]]
+    assert [known[name]["writes"] for name in ("sfs", "recording", "rig")] == [True, True, False]
+    assert known["tum"]["trajectory"]
+
+
+def test_formats_says_what_one_of_them_holds(call: Call) -> None:
+    held = json.loads(call("formats", "tum", "--json").out)
+    assert held["trajectories.positions"] == {"fate": "kept", "how": ""}
+    assert held["sensors.lidar.id"]["fate"] == "dropped"
+    assert "dropped (" in call("formats", "tum").out
+    unknown = call("formats", "nope")
+    assert (unknown.code, "no format or form 'nope'; there are sfs" in unknown.err) == (2, True)
 
 
 def test_demo_keeps_a_recording_a_scene_and_pictures(call: Call, tmp_path: Path) -> None:

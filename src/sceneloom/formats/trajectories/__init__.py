@@ -7,6 +7,7 @@ from sceneloom.formats.trajectories.table import (
     form_for_output,
     read_trajectory,
     read_trajectory_file,
+    split_name,
     write_trajectory,
 )
 
@@ -18,5 +19,6 @@ __all__ = [
     "form_for_output",
     "read_trajectory",
     "read_trajectory_file",
+    "split_name",
     "write_trajectory",
 ]

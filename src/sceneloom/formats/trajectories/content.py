@@ -5,8 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sceneloom.arrays import Float64Array
+from sceneloom.formats.holdings import Holds
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.trajectories.holdings import HOLDS, METRES
 from sceneloom.scene import GnssSensor, Notice, Trajectory
 from sceneloom.scene.types import NO_FIELDS
 
@@ -65,6 +67,8 @@ class TrajectoryForm:
         write: puts a content into a new file, and tells what that has no place for. It is given the path to write to
             and, for messages, the one that will be the file's in the end.
         beside: where a second file stands that is written with it, or None.
+        holds: what becomes of each field of a scene out of which a way is written.
+        fix_holds: the same where it is what a satellite receiver told.
     """
 
     name: str
@@ -74,3 +78,5 @@ class TrajectoryForm:
     read: Callable[[Path, Reading, Ledger], TrajectoryFile]
     write: Callable[[TrajectoryFile, Path, Path], Iterable[Loss]]
     beside: Callable[[Path], Path] | None = None
+    holds: Holds = field(default_factory=lambda: HOLDS)
+    fix_holds: Holds = field(default_factory=lambda: METRES)

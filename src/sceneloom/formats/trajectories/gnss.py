@@ -16,6 +16,7 @@ from sceneloom.formats.rig.csv_files import TIME_COLUMNS, Table, pick_columns, r
 from sceneloom.formats.rig.motion_sensors import GNSS_COLUMNS
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_names
+from sceneloom.formats.trajectories.holdings import FIXES, PLACES
 from sceneloom.formats.trajectories.rows import further_losses, ordered
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.scene import GnssSensor, NoticeKind, Trajectory
@@ -125,4 +126,6 @@ FORM = TrajectoryForm(
     _recognises,
     _read,
     _write,
+    holds=PLACES,
+    fix_holds=FIXES,
 )

@@ -26,6 +26,7 @@ from sceneloom.formats.recording.written_lines import NumberLines
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.formats.rig.stamps import StampError, parse_stamp
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
+from sceneloom.formats.trajectories.holdings import NAMED
 from sceneloom.formats.trajectories.rows import further_losses, ordered
 from sceneloom.scene import NoticeKind
 
@@ -164,4 +165,5 @@ FORM = TrajectoryForm(
     _recognises,
     _read,
     _write,
+    holds=NAMED,
 )

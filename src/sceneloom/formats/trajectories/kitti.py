@@ -21,6 +21,7 @@ from sceneloom.formats.rig.stamps import FARTHEST_NS
 from sceneloom.formats.rig.times import line_stamps
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_values
+from sceneloom.formats.trajectories.holdings import MATRICES
 from sceneloom.formats.trajectories.rows import further_losses, numbers_text, ordered, oriented
 from sceneloom.geometry.rotations import (
     GREATEST_ERROR,
@@ -121,5 +122,12 @@ def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
 
 
 FORM = TrajectoryForm(
-    "kitti", (".kitti",), "lines of 12 numbers: three rows of [R t]", _recognises, _read, _write, times_beside
+    "kitti",
+    (".kitti",),
+    "lines of 12 numbers: three rows of [R t]",
+    _recognises,
+    _read,
+    _write,
+    times_beside,
+    MATRICES,
 )

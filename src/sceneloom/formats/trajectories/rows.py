@@ -8,7 +8,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.poses import GREATEST_NORM_ERROR, Poses
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.trajectories.content import TrajectoryFile
@@ -113,5 +113,6 @@ def further_losses(content: TrajectoryFile, *, kept: Iterable[str] = ()) -> list
         losses.append(Loss(field=field, what="left out", count=len(way.covariances)))
     if content.fixes is not None:
         field, what = f"sensors[{content.fixes.id}]", "written as metres east, north and up of the first fix"
-        losses.append(Loss(field=field, what=what, count=len(content.fixes.timestamps_ns)))
+        told = Loss(field=field, what=what, count=len(content.fixes.timestamps_ns), fate=Fate.CONVERTED)
+        losses.append(told)
     return losses

@@ -1,44 +1,54 @@
 """From one format to another, through the scene."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from sceneloom.errors import OptionError
+from sceneloom.errors import LossError, OptionError
+from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import Format, format_and_place, format_for_output, format_named, format_names
-from sceneloom.formats.trajectories import TRAJECTORY_FORMS
+from sceneloom.formats.output import check_output
+from sceneloom.formats.table import (
+    Format,
+    format_for_output,
+    format_named,
+    format_names,
+    open_scene,
+    writes,
+    written_formats,
+)
+from sceneloom.formats.trajectories import TRAJECTORY_FORMS, form_for_output
+from sceneloom.pipeline.converting.fates import field_fates
+from sceneloom.pipeline.converting.field_names import kinds_by_id
+from sceneloom.pipeline.converting.report import ConversionReport, check_report_name, write_report
+from sceneloom.pipeline.converting.strictly import check_nothing_lost, write_strictly
 from sceneloom.pipeline.converting.trajectories import (
+    ChosenWay,
+    chosen_way,
+    drive_of,
     holds_trajectory_only,
     is_trajectory_file,
-    write_drive,
-    write_trajectory_file,
 )
-from sceneloom.scene import CameraSensor, Identifier, LidarSensor, Notice, RadarSensor, Scene
+from sceneloom.scene import CameraSensor, DepthFrame, Identifier, LidarSensor, RadarSensor, Scene
+from sceneloom.scene.counting import Counting
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Progress
 from sceneloom.scene.watched import AnyFrame, watched
 
 
-class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
-    """One conversion.
+@dataclass(frozen=True, slots=True)
+class _Target:
+    """Where and how the output is written."""
 
-    Attributes:
-        source, source_format: what was read, and as what.
-        target, target_format: what was written, and as what.
-        notices: what was assumed, repaired or left out on reading.
-        losses: what the target could not hold.
-    """
-
-    source: str
-    source_format: str
-    target: str
-    target_format: str
-    notices: tuple[Notice, ...]
-    losses: LossReport
+    place: Path
+    strict: bool
+    overwrite: bool
+    writing: Mapping[str, Any]
 
 
 def convert(
@@ -47,6 +57,8 @@ def convert(
     *,
     to: str | None = None,
     trajectory: str | None = None,
+    strict: bool = False,
+    loss: str | Path | None = None,
     overwrite: bool = False,
     reading: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
@@ -62,70 +74,149 @@ def convert(
         target: a file or folder; its suffix chooses the format unless `to` names it.
         to: name of the target's format, or form of trajectories.
         trajectory: name of the trajectory, where a file of trajectories is written or read.
+        strict: refuse to lose anything: what the format never holds before anything is written, what shows only while
+            writing so that nothing is left behind.
+        loss: a file for what becomes of every field: `.json`, `.md` or `.txt`; written also where `strict` refuses.
         overwrite: whether a target that exists may be replaced.
-        reading: reading options of the source's format.
+        reading: reading options of the source's format; `format`, its name, where the content does not decide.
         progress: told after each sweep, radar cycle and single picture that is written, how many are done of how many.
         writing: writing options of the target's format.
 
     Raises:
         UnknownFormatError: no format fits the source.
         DataError: the source is wrong.
-        OptionError: there is no format or form `to`, or `trajectory` is named where a whole drive is written.
+        OptionError: there is no format or form `to`, it is only read, several have the target's suffix, or
+            `trajectory` is named where a whole drive is written.
+        LossError: something would be lost, and `strict` was said.
         OutputError: the target exists, or cannot be written.
     """
-    place, options = Path(target), dict(reading or {})
-    if to in TRAJECTORY_FORMS or (to is None and is_trajectory_file(place)):
-        told = write_trajectory_file(
-            source,
-            place,
-            name=trajectory,
-            to=to,
-            overwrite=overwrite,
-            reading=options,
-            writing=writing,
-            progress=progress,
-        )
-        return _report(source, place, *told)
-    if to is not None and to not in format_names():
-        known = ", ".join((*format_names(), *TRAJECTORY_FORMS))
-        raise OptionError(f"no format or form {to!r}; there are {known}")
-    writer = format_for_output(place) if to is None else format_named(to)
-    if options.get("form") in TRAJECTORY_FORMS or holds_trajectory_only(source):
-        write = partial(_write, writer, place, overwrite=overwrite, **writing)
-        told = write_drive(source, write, name=trajectory, reading=options)
-        return _report(source, place, told[0], writer.name, *told[2:])
-    if trajectory is not None:
+    to_target = _Target(Path(target), strict, overwrite, writing)
+    listing = None if loss is None else _listing(Path(loss), overwrite=overwrite)
+    options = dict(reading or {})
+    try:
+        if to in TRAJECTORY_FORMS or (to is None and is_trajectory_file(to_target.place)):
+            if "format" in options:
+                options.setdefault("form", options.pop("format"))
+            way = chosen_way(source, trajectory, options, writing, progress)
+            report = _write_way(source, way, to, to_target)
+        else:
+            report = _write_drive(source, to_target, to, trajectory, options, progress)
+    except LossError as error:
+        if listing is not None:
+            listing(error.report)
+        raise
+    if listing is not None:
+        listing(report)
+    return report
+
+
+def _listing(path: Path, *, overwrite: bool) -> Callable[[ConversionReport], None]:
+    """What writes the list of losses; a name that it cannot have is refused before anything is read."""
+    check_report_name(path)
+    check_output(path, overwrite=overwrite)
+    return partial(write_report, path=path, overwrite=overwrite)
+
+
+def _write_way(source: str | Path, way: ChosenWay, to: str | None, target: _Target) -> ConversionReport:
+    form = form_for_output(target.place) if to is None else TRAJECTORY_FORMS[to]
+    holds = form.holds if way.content.fixes is None else form.fix_holds
+    blank = ConversionReport(
+        source=str(source),
+        source_format=way.content.form,
+        target=str(target.place),
+        target_format=form.name,
+        notices=way.content.notices,
+        losses=LossReport(),
+        fields=field_fates(way.contents, holds, way.losses, way.kinds),
+        written=False,
+    )
+
+    def judged(told: LossReport) -> ConversionReport:
+        losses = LossReport.of([*way.losses, *told])
+        fates = field_fates(way.contents, holds, losses, way.kinds)
+        return msgspec.structs.replace(blank, losses=losses, fields=fates, written=True)
+
+    return _written(partial(way.write, form=form.name), blank, judged, target)
+
+
+def _write_drive(
+    source: str | Path,
+    target: _Target,
+    to: str | None,
+    trajectory: str | None,
+    reading: dict[str, Any],
+    progress: Progress | None,
+) -> ConversionReport:
+    writer = _writer(target.place, to)
+    opened: AbstractContextManager[Scene]
+    if reading.get("form") in TRAJECTORY_FORMS or holds_trajectory_only(source):
+        opened = drive_of(source, trajectory, reading)
+    elif trajectory is not None:
         files = ", ".join(TRAJECTORY_FORMS)
         raise OptionError(
-            f"trajectory {trajectory!r}: {target} gets all that {source} holds; one of its trajectories is written to "
-            f"files of the forms {files}"
+            f"trajectory {trajectory!r}: {target.place} gets all that {source} holds; one of its trajectories is "
+            f"written to files of the forms {files}"
         )
-    reader, origin = format_and_place(source)
-    with reader.open(origin, **options) as scene:
-        losses = _write(writer, place, _telling(scene, progress), overwrite=overwrite, **writing)
-        return _report(source, place, reader.name, writer.name, scene.notices, losses)
+    else:
+        opened = open_scene(source, **reading)
+    with opened as scene:
+        return _write_scene(source, scene, writer, target, progress)
 
 
-def _write(writer: Format, place: Path, scene: Scene, **writing: Any) -> LossReport:
+def _write_scene(
+    source: str | Path, scene: Scene, writer: Format, target: _Target, progress: Progress | None
+) -> ConversionReport:
+    counting = Counting(_telling(scene, progress))
+    holds: Holds = getattr(writer, "holds", {})
+    blank = ConversionReport(
+        source=str(source),
+        source_format=scene.format,
+        target=str(target.place),
+        target_format=writer.name,
+        notices=scene.notices,
+        losses=LossReport(),
+        fields=field_fates(counting.counts(), holds, (), {}),
+        written=False,
+    )
+
+    def judged(losses: LossReport) -> ConversionReport:
+        fates = field_fates(counting.counts(), holds, losses, kinds_by_id(scene))
+        return msgspec.structs.replace(blank, losses=losses, fields=fates, written=True)
+
+    check_place = getattr(writer, "check_place", None)
+    if check_place is not None:
+        check_place(target.place)
+    return _written(partial(_written_scene, writer, counting.scene), blank, judged, target)
+
+
+def _written_scene(writer: Format, scene: Scene, place: Path, **writing: Any) -> LossReport:
     return writer.write(scene, place, **writing)
 
 
-def _report(
-    source: str | Path,
-    target: Path,
-    source_format: str,
-    target_format: str,
-    notices: tuple[Notice, ...],
-    losses: LossReport,
+def _written(
+    write: Callable[..., LossReport],
+    expected: ConversionReport,
+    judged: Callable[[LossReport], ConversionReport],
+    target: _Target,
 ) -> ConversionReport:
-    return ConversionReport(
-        source=str(source),
-        source_format=source_format,
-        target=str(target),
-        target_format=target_format,
-        notices=notices,
-        losses=losses,
-    )
+    written = partial(write, overwrite=target.overwrite, **target.writing)
+    if not target.strict:
+        return judged(written(target.place))
+    check_nothing_lost(expected)
+    return write_strictly(written, target.place, judged, overwrite=target.overwrite)
+
+
+def _writer(place: Path, to: str | None) -> Format:
+    if to is None:
+        return format_for_output(place)
+    if to not in format_names():
+        known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
+        raise OptionError(f"no format or form {to!r}; there are {known}")
+    form = format_named(to)
+    if not writes(form):
+        known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
+        raise OptionError(f"{place}: the format {to} is only read; written are {known}")
+    return form
 
 
 def _telling(scene: Scene, progress: Progress | None) -> Scene:
@@ -141,7 +232,8 @@ def _telling(scene: Scene, progress: Progress | None) -> Scene:
     read: set[tuple[type, Identifier, int]] = set()
 
     def told(sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
-        del frame
+        if isinstance(frame, DepthFrame):
+            return
         read.add((type(sensor_id), sensor_id, k))
         progress(min(len(read), total), total)
 

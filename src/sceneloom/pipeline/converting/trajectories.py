@@ -1,28 +1,30 @@
 """A trajectory from one file or scene to a file of its own, and a drive of nothing but a trajectory."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import UnknownFormatError, check_option_names
-from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import format_named, format_names
+from sceneloom.formats.loss import Loss, LossReport
+from sceneloom.formats.table import format_and_place, format_named, format_names, reads
 from sceneloom.formats.trajectories import (
     TRAJECTORY_FORMS,
     TrajectoryFile,
     find_form,
-    form_for_output,
     read_trajectory_file,
+    split_name,
     write_trajectory,
 )
 from sceneloom.formats.urls import is_url
-from sceneloom.scene import Notice, Scene
+from sceneloom.pipeline.converting.field_names import kinds_by_id
+from sceneloom.scene import Scene
+from sceneloom.scene.counting import contents_of
 from sceneloom.scene.types import Progress
 
 _WRITING = ("optical", "origin_lla")
-Told = tuple[str, str, tuple[Notice, ...], LossReport]
-"""Form of the source and of the target, notices of the reading, losses of the writing."""
+_OF_FILES = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical")
+"""Reading options that are about trajectories, not about scenes."""
 
 
 def is_trajectory_file(path: Path) -> bool:
@@ -39,54 +41,71 @@ def holds_trajectory_only(path: str | Path) -> bool:
     except UnknownFormatError:
         return False
     return form is not None and not any(
-        known.recognises(Path(path)) for known in map(format_named, format_names())
+        known.recognises(Path(path)) for known in filter(reads, map(format_named, format_names()))
     )
 
 
-def write_trajectory_file(
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenWay:
+    """A trajectory on its way to a file of its own.
+
+    Attributes:
+        content: what is written.
+        contents: how much of each field the source holds.
+        kinds: of the source's sensors and annotations, as `kinds_by_id` gives them.
+        losses: the source's other trajectories.
+    """
+
+    content: TrajectoryFile
+    contents: Mapping[str, int]
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    losses: tuple[Loss, ...] = ()
+
+    def write(self, place: Path, *, form: str, overwrite: bool, **writing: Any) -> LossReport:
+        """Write the file.
+
+        Raises:
+            OptionError: the trajectory lacks what the form needs.
+            OutputError: the file exists, or cannot be written.
+        """
+        return write_trajectory(self.content, place, form=form, overwrite=overwrite, **writing)
+
+
+def chosen_way(
     source: str | Path,
-    target: Path,
-    *,
     name: str | None,
-    to: str | None,
-    overwrite: bool,
     reading: Mapping[str, Any],
     writing: Mapping[str, Any],
-    progress: Progress | None = None,
-) -> Told:
-    """Take a trajectory out of a file or a scene and write it to a file of its own.
+    progress: Progress | None,
+) -> ChosenWay:
+    """Read the trajectory that is to be written, and see what else its source holds.
 
     Raises:
         OptionError: an option of writing is one of scenes, or there is no trajectory of that name.
         DataError: the source is wrong.
-        OutputError: the target exists, or cannot be written.
     """
     check_option_names("writing a trajectory", writing, _WRITING)
-    form = form_for_output(target).name if to is None else to
     content = read_trajectory_file(source, name=name, progress=progress, **reading)
-    losses = write_trajectory(content, target, form=form, overwrite=overwrite, **writing)
-    return content.form, form, content.notices, losses
+    if content.form in TRAJECTORY_FORMS:
+        return ChosenWay(content, contents_of(_drive(content, str(source), None)))
+    form, place = format_and_place(split_name(source)[0], format=content.form)
+    with form.open(place, **{key: value for key, value in reading.items() if key not in _OF_FILES}) as scene:
+        others = [way for way in scene.trajectories if way != content.trajectory.name]
+        what = f"not written: the file holds {content.trajectory.name!r}"
+        losses = tuple(Loss(field=f"trajectories[{way}]", what=what) for way in others)
+        return ChosenWay(content, contents_of(scene), kinds_by_id(scene), losses)
 
 
-def write_drive(
-    source: str | Path,
-    write: Callable[[Scene], LossReport],
-    *,
-    name: str | None,
-    reading: Mapping[str, Any],
-) -> Told:
-    """Write a scene that holds nothing but the trajectory of a file.
+def drive_of(source: str | Path, name: str | None, reading: Mapping[str, Any]) -> Scene:
+    """Make a scene that holds nothing but the trajectory of a file.
 
     Raises:
         DataError: the source is wrong.
-        OutputError: the target exists, or cannot be written.
     """
-    content = read_trajectory_file(source, name=name, **reading)
-    losses = write(_drive_of(content, str(source), name))
-    return content.form, "", content.notices, losses
+    return _drive(read_trajectory_file(source, name=name, **reading), str(source), name)
 
 
-def _drive_of(content: TrajectoryFile, source: str, name: str | None) -> Scene:
+def _drive(content: TrajectoryFile, source: str, name: str | None) -> Scene:
     if content.fixes is not None:
         fixes = replace(content.fixes, id="gnss")
         return Scene((fixes,), source=source, format=content.form, notices=content.notices)

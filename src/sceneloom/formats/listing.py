@@ -1,0 +1,85 @@
+"""What there is to say of each format, for people who choose one."""
+
+from collections.abc import Mapping
+
+import msgspec
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.holdings import Holds, holding_of
+from sceneloom.formats.loss import Holding
+from sceneloom.formats.table import Format, format_named, format_names, reads, writes
+from sceneloom.formats.trajectories import TRAJECTORY_FORMS, TrajectoryForm
+from sceneloom.scene.contents import MODEL_FIELDS
+
+
+class FormatListing(msgspec.Struct, frozen=True, kw_only=True):
+    """One format of scenes, or form of files of a trajectory.
+
+    Attributes:
+        name: by which it is chosen.
+        reads, writes: whether it is read, and written.
+        suffixes: of its files; "" for a folder.
+        looks_like: what it is recognised by.
+        trajectory: whether its files hold one trajectory and nothing else.
+    """
+
+    name: str
+    reads: bool
+    writes: bool
+    suffixes: tuple[str, ...]
+    looks_like: str
+    trajectory: bool = False
+
+
+def list_formats() -> tuple[FormatListing, ...]:
+    """Give all formats of scenes, then all forms of trajectories."""
+    return (
+        *(_of_format(format_named(name)) for name in format_names()),
+        *(_of_form(form) for form in TRAJECTORY_FORMS.values()),
+    )
+
+
+def list_holdings(name: str) -> dict[str, Holding]:
+    """Say what becomes of each field of the model in a format that is written; nothing for one that is only read.
+
+    Fields that the format says nothing of are left out; what depends on the scene shows in the report of a conversion.
+
+    Raises:
+        OptionError: there is no format or form of that name.
+    """
+    holds = _holds(name)
+    found = {field: holding_of(holds, field) for field in MODEL_FIELDS}
+    return {field: holding for field, holding in found.items() if holding is not None}
+
+
+def _holds(name: str) -> Holds:
+    # of a scene format and a form of trajectories that share a name, scenes come first
+    if name in format_names():
+        holds: Mapping[str, Holding] = getattr(format_named(name), "holds", {})
+        return holds
+    if name in TRAJECTORY_FORMS:
+        return TRAJECTORY_FORMS[name].holds
+    raise OptionError(
+        f"no format or form {name!r}; there are {', '.join((*format_names(), *TRAJECTORY_FORMS))}"
+    )
+
+
+def _of_format(form: Format) -> FormatListing:
+    return FormatListing(
+        name=form.name,
+        reads=reads(form),
+        writes=writes(form),
+        suffixes=tuple(form.suffixes),
+        looks_like=form.looks_like,
+    )
+
+
+def _of_form(form: TrajectoryForm) -> FormatListing:
+    return FormatListing(
+        name=form.name,
+        reads=True,
+        writes=True,
+        suffixes=form.suffixes,
+        looks_like=form.looks_like,
+        trajectory=True,
+    )

@@ -1,0 +1,56 @@
+"""What files of a trajectory hold of a scene: one way of the ego, and of that as much as the form has places for."""
+
+from types import MappingProxyType
+
+from sceneloom.formats.holdings import Holds
+from sceneloom.formats.loss import KEPT, Holding, converted, dropped
+
+_ELSE = dropped("the file holds one trajectory and nothing else")
+_WAY: dict[str, Holding] = {
+    "": _ELSE,
+    "trajectories": KEPT,
+    "trajectories.name": dropped("the form has no place for it"),
+    "trajectories.order": dropped("the file holds one trajectory"),
+    "trajectories.covariances": dropped("the form has no place for them"),
+    "trajectories.file_seconds": dropped("only the exact times are written"),
+}
+
+HOLDS: Holds = MappingProxyType(_WAY)
+"""Of forms that hold poses with times, number for number."""
+
+MATRICES: Holds = MappingProxyType(
+    {**_WAY, "trajectories.quaternions_xyzw": converted("as matrices of rotation, within 1e-14 rad")}
+)
+"""Of forms that hold poses as matrices."""
+
+NAMED: Holds = MappingProxyType({**_WAY, "trajectories.name": KEPT})
+"""Of forms that say how the way is called."""
+
+PLACES: Holds = MappingProxyType(
+    {
+        **_WAY,
+        "trajectories.positions": converted("as latitude, longitude and altitude"),
+        "trajectories.quaternions_xyzw": dropped("places on earth have no orientation"),
+    }
+)
+"""Of a way in a form of places on earth."""
+
+FIXES: Holds = MappingProxyType(
+    {
+        "": _ELSE,
+        "sensors.gnss.timestamps_ns": KEPT,
+        "sensors.gnss.positions_lla": KEPT,
+        "sensors.gnss.accuracies": KEPT,
+        "sensors.gnss.vertical_accuracies": KEPT,
+    }
+)
+"""Of what a satellite receiver told, in a form of places on earth."""
+
+METRES: Holds = MappingProxyType(
+    {
+        "": _ELSE,
+        "sensors.gnss.timestamps_ns": KEPT,
+        "sensors.gnss.positions_lla": converted("as metres east, north and up of the first fix"),
+    }
+)
+"""Of what a satellite receiver told, in a form of poses."""

@@ -1,0 +1,75 @@
+"""Which fields of the model a line of a loss report is about."""
+
+import re
+from collections.abc import Mapping
+
+from sceneloom.scene import Scene
+from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS
+
+_STAMPS = ("timestamp_ns", "timestamps_ns", "start_ns")
+_TOGETHER: Mapping[str, tuple[str, ...]] = {"timestamps": _STAMPS, "file_seconds": ("file_seconds",)}
+"""Words for the fields of one meaning in all sensors, trajectories and annotations, and their last parts."""
+
+_SEVERAL = re.compile(r"^(sensors|annotations)\[(.*?)\](?=\.|$)")
+_STREAM = re.compile(r"^(sensors\.imu\.streams)\.([^.]+)")
+_TRAJECTORY = re.compile(r"^trajectories(?:\[.*?\](?=\.|$)|\.([^.]+))")
+_INDEX = re.compile(r"\[[^\]]*\]")
+
+
+def kinds_by_id(scene: Scene) -> dict[str, str]:
+    """The kind of each sensor and annotation, by `sensors[ID]` or `annotations[ID]`."""
+    several = {"sensors": scene.sensors, "annotations": scene.annotations}
+    return {f"{name}[{item.id}]": KINDS[type(item)] for name, items in several.items() for item in items}
+
+
+def fields_meant(place: str, kinds: Mapping[str, str]) -> tuple[str, ...]:
+    """Give the fields of the model that a place in the scene is or holds; none if it is no such place.
+
+    Args:
+        place: the field of a loss, as a name of `MODEL_FIELDS`, the beginning of one, or with ids and indices in it.
+        kinds: of the scene, as `kinds_by_id` gives them.
+    """
+    if place in _TOGETHER:
+        return tuple(field for field in MODEL_FIELDS if field.rpartition(".")[2] in _TOGETHER[place])
+    found = (_fields_at(name) for name in _by_kind(place, kinds))
+    return tuple(dict.fromkeys(field for fields in found for field in fields))
+
+
+def _by_kind(place: str, kinds: Mapping[str, str]) -> list[str]:
+    """The place with a kind in place of the id; several where all of them are meant."""
+    owner = max((key for key in kinds if place == key or place.startswith(f"{key}.")), key=len, default=None)
+    if owner is not None:
+        return [_plain(kinds[owner] + place[len(owner) :])]
+    several = _SEVERAL.match(place)
+    if several is None:
+        return [_plain(place)]
+    return [
+        _plain(kind + place[several.end() :]) for kind in KINDS.values() if kind.startswith(several.group(1))
+    ]
+
+
+def _plain(place: str) -> str:
+    """The place without indices, names of trajectories and of streams that have no rows of their own."""
+    way = _TRAJECTORY.match(place)
+    if way is not None and f"trajectories.{way.group(1)}" not in MODEL_FIELDS:
+        place = "trajectories" + place[way.end() :]
+    place = _INDEX.sub("", place)
+    stream = _STREAM.match(place)
+    if stream is not None and stream.group(2) not in (*IMU_STREAMS, "other"):
+        place = f"{stream.group(1)}.other{place[stream.end() :]}"
+    return place
+
+
+def _fields_at(name: str) -> list[str]:
+    """The field of that name, those below it, or the one that it is a part of; further fields are `extras`."""
+    below = [field for field in MODEL_FIELDS if field == name or field.startswith(f"{name}.")]
+    if below:
+        return below
+    above = name.rpartition(".")[0]
+    while above:
+        if above in MODEL_FIELDS:
+            return [above]
+        if f"{above}.extras" in MODEL_FIELDS:
+            return [f"{above}.extras"]
+        above = above.rpartition(".")[0]
+    return []

@@ -75,7 +75,9 @@ def calibrate(
     if drive is not None and not conventions:
         raise click.UsageError("--drive DRIVE does nothing without --conventions")
     if conventions or asked is not None:
-        detection_options.refuse(boxes, BOXES, "--check looks at it")
+        own = [name for name in BOXES if name != "sequences"]
+        detection_options.refuse(boxes, own, "--check looks at it")
+        reading["sequence"] = detection_options.one_sequence(boxes["sequences"])
     if conventions:
         code = check_conventions(
             path, drive, camera_id=camera_id, lidar_id=lidar_id, as_json=as_json, quiet=quiet, reading=reading

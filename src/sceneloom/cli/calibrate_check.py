@@ -30,9 +30,9 @@ _MOTION = click.option(
 
 def box_options(command: Any) -> Any:
     """Add lists of boxes, and the choices in a folder of KITTI's sequences, to a command."""
-    for option in reversed((*detection_options.FILES[:2], *detection_options.FOLDERS, _MOTION)):
-        command = option(command)
-    return command
+    return detection_options.added(
+        command, (*detection_options.FILES[:2], *detection_options.FOLDERS, _MOTION)
+    )
 
 
 def check_health(
@@ -67,8 +67,9 @@ def check_health(
         )
         return _check_folder(path, boxes, lenient=reading["lenient"], as_json=as_json, verbose=verbose)
     detection_options.refuse(
-        dict(boxes), BOXES[2:5], f"{path} is no folder of KITTI's sequences, or has lists beside it"
+        dict(boxes), BOXES[2:4], f"{path} is no folder of KITTI's sequences, or has lists beside it"
     )
+    reading = {**reading, "sequence": detection_options.one_sequence(boxes["sequences"])}
     if pictures is not None:
         is_empty = pictures.is_dir() and not any(pictures.iterdir())
         check_output(pictures, overwrite=overwrite or is_empty)

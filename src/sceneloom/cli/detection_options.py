@@ -65,9 +65,29 @@ DETECTORS = click.option(
 
 def takes(command: Any) -> Any:
     """On every verb that takes detections."""
-    for option in reversed((*FILES, *FOLDERS, DETECTORS)):
+    return added(command, (*FILES, *FOLDERS, DETECTORS))
+
+
+def added(command: Any, options_of_detections: Sequence[Any]) -> Any:
+    """Add options to a verb that reads drives: `--sequence` may then be repeated."""
+    parameters = getattr(command, "__click_params__", [])
+    parameters[:] = [parameter for parameter in parameters if parameter.name != "sequence"]
+    for option in reversed(options_of_detections):
         command = option(command)
     return command
+
+
+def one_sequence(given: Sequence[str]) -> str | None:
+    """The sequence of a data set that is opened as one drive, where it was said.
+
+    Raises:
+        click.UsageError: several were.
+    """
+    if len(given) > 1:
+        raise click.UsageError(
+            f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; say one"
+        )
+    return given[0] if given else None
 
 
 def refuse(given: dict[str, Any], names: Sequence[str], why: str) -> None:

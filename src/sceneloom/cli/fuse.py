@@ -75,9 +75,9 @@ def fuse(
         kept = {name: value for name, value in given.items() if name not in _OF_SENSOR_DATA}
         fuse_found(path, output, found, algorithm=algorithm, form=form, **kept)
         return
-    detection_options.refuse(
-        {"format": form, **given}, ("format", *detection_options.NAMES), "say --type detection with it"
-    )
+    own = [name for name in detection_options.NAMES if name != "sequences"]
+    detection_options.refuse({"format": form, **given}, ("format", *own), "say --type detection with it")
+    given["sequence"] = detection_options.one_sequence(given["sequences"])
     kept = {name: value for name, value in given.items() if name not in detection_options.NAMES}
     _fuse_sensor_data(path, output, algorithm=algorithm, **kept)
 

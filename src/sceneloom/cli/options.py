@@ -114,6 +114,8 @@ reading = _stacked(
         help="What becomes of a recording's `imuToCameraShiftSeconds`: `apply` adds it to the times of the camera's "
         "pictures, `subtract` takes it off. [default: ignore]",
     ),
+    click.option("--sequence", metavar="NAME", help="Which drive of a data set that has several."),
+    click.option("--keyframes", is_flag=True, help="Of nuScenes, only what was taken at the samples."),
 )
 """On every verb that reads a drive."""
 

@@ -18,6 +18,7 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "sfs": "sceneloom.formats.sfs:FORMAT",
         "recording": "sceneloom.formats.recording:FORMAT",
         "rig": "sceneloom.formats.rig:FORMAT",
+        "nuscenes": "sceneloom.formats.nuscenes:FORMAT",
     }
 )
 """Name of each format and the `module:object` that implements it."""

@@ -1,0 +1,85 @@
+"""A data set in the nuScenes schema as a scene."""
+
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.nuscenes.cuboids import build_cuboids
+from sceneloom.formats.nuscenes.lidarseg import build_labelled_points
+from sceneloom.formats.nuscenes.place import find_place
+from sceneloom.formats.nuscenes.selection import SceneTables, select
+from sceneloom.formats.nuscenes.sensors import build_sensors, trajectory_of
+from sceneloom.geometry.euler import AngleUnit
+from sceneloom.scene import Annotation, NoticeKind, Scene
+
+_LEFT_OUT = (
+    ("map.json", "maps", "maps are left out"),
+    ("panoptic.json", "panoptic", "panoptic labels of points are left out"),
+)
+
+_EMPTY_TABLE = 4
+"""A file of so many bytes holds no row."""
+
+
+def open_nuscenes(
+    path: Path, *, sequence: str | None = None, keyframes: bool = False, lenient: bool = False
+) -> Scene:
+    """Open one scene; pictures and points are read when asked for, boxes and classes of points at once.
+
+    Args:
+        path: the folder of the data set, or that of its tables.
+        sequence: name or token of the scene, where the tables have several.
+        keyframes: leave out what was taken between the samples.
+        lenient: leave out what is at fault and count it.
+
+    Raises:
+        DataError: a table or a file is missing or wrong.
+        OptionError: there is no such scene, or none was chosen of several.
+    """
+    place = find_place(path)
+    ledger = Ledger(lenient=lenient)
+    with ledger.telling():
+        tables = select(place, sequence, ledger, keyframes=keyframes)
+        trajectory = trajectory_of(tables, ledger)
+        sensors = build_sensors(tables, ledger)
+        annotations: tuple[Annotation, ...] = (
+            *build_cuboids(tables, ledger),
+            *build_labelled_points(tables, ledger),
+        )
+        _note_left_out(tables, ledger)
+    return Scene(
+        sensors=sensors,
+        annotations=annotations,
+        trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
+        metadata=_about(tables),
+        source=str(path),
+        format="nuscenes",
+        notices=ledger.notices,
+    )
+
+
+def _note_left_out(tables: SceneTables, ledger: Ledger) -> None:
+    for name, code, message in _LEFT_OUT:
+        file = tables.place.tables / name
+        if file.is_file() and file.stat().st_size > _EMPTY_TABLE:
+            ledger.note(NoticeKind.SKIPPED, f"{code}-left-out", str(file), message)
+    if tables.others:
+        place = str(tables.place.tables / "scene.json")
+        ledger.note(
+            NoticeKind.SKIPPED, "other-scenes", place, "further scenes are left out", count=tables.others
+        )
+
+
+def _about(tables: SceneTables) -> MappingProxyType[str, Any]:
+    """What the tables say that the model has no other place for, and how the angles of the boxes are meant."""
+    rows = {"scene": tables.scene, "log": tables.log}
+    about: dict[str, Any] = {
+        "version": tables.place.tables.name,
+        **{name: msgspec.structs.asdict(row) for name, row in rows.items() if row is not None},
+        "samples": [[row.token, row.timestamp] for row in tables.samples.values()],
+    }
+    angles = {"euler_unit": str(AngleUnit.DEGREES), "euler_order": "xyz"}
+    return MappingProxyType({"nuscenes": about, "sceneloom": angles})

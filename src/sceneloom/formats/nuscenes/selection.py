@@ -1,0 +1,223 @@
+"""The rows of all tables that belong to one scene, joined by their tokens."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.nuscenes.place import Place
+from sceneloom.formats.nuscenes.tables import (
+    CalibratedSensorRow,
+    EgoPoseRow,
+    LogRow,
+    SampleDataRow,
+    SampleRow,
+    SceneRow,
+    SensorRow,
+    iter_rows,
+)
+
+_MOST_NAMES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class SensorData:
+    """All that one sensor took in a scene, in the order of time.
+
+    Attributes:
+        sensor: name and kind.
+        rows: pictures, sweeps or cycles.
+        poses: of the ego at each of them.
+        calibrations: of the sensor at each of them; usually one for all.
+    """
+
+    sensor: SensorRow
+    rows: tuple[SampleDataRow, ...]
+    poses: tuple[EgoPoseRow, ...]
+    calibrations: tuple[CalibratedSensorRow, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTables:
+    """What the tables say about one scene.
+
+    Attributes:
+        place: where they are.
+        scene: its row.
+        log: that of the recording, if there is one.
+        samples: by token, in the order of time.
+        sensors: by name.
+        others: how many further scenes the tables have.
+    """
+
+    place: Place
+    scene: SceneRow
+    log: LogRow | None
+    samples: Mapping[str, SampleRow]
+    sensors: tuple[SensorData, ...] = field(default_factory=tuple)
+    others: int = 0
+
+
+def select(place: Place, sequence: str | None, ledger: Ledger, *, keyframes: bool = False) -> SceneTables:
+    """Read the rows of one scene.
+
+    Args:
+        place: the data set.
+        sequence: name or token of the scene; None where there is one only.
+        ledger: takes what a lenient reading leaves out.
+        keyframes: leave out what was taken between the samples.
+
+    Raises:
+        DataError: a table is wrong, or a token leads nowhere.
+        OptionError: there is no such scene, or none was chosen of several.
+    """
+    scenes = list(iter_rows(place.tables, "scene"))
+    scene = _chosen(place, scenes, sequence)
+    found = [row for row in iter_rows(place.tables, "sample") if row.scene_token == scene.token]
+    samples = {row.token: row for row in sorted(found, key=lambda row: row.timestamp)}
+    if not samples:
+        raise DataError(place.tables / "sample.json", f"scene {scene.name}", "has no sample")
+    _check_count(place, scene, len(samples), ledger)
+    return SceneTables(
+        place,
+        scene,
+        _log(place, scene, ledger),
+        samples,
+        _sensors(place, samples, ledger, keyframes=keyframes),
+        len(scenes) - 1,
+    )
+
+
+def _chosen(place: Place, scenes: list[SceneRow], sequence: str | None) -> SceneRow:
+    names = [row.name for row in scenes]
+    shown = ", ".join(
+        [*names[:_MOST_NAMES], *([f"… ({len(names)} in all)"] if len(names) > _MOST_NAMES else [])]
+    )
+    if sequence is not None:
+        match = [row for row in scenes if sequence in (row.name, row.token)]
+        if len(match) != 1:
+            raise OptionError(f"{place.tables}: no scene {sequence!r}; it has {shown or 'none'}")
+        return match[0]
+    if not scenes:
+        raise DataError(place.tables / "scene.json", "", "no row; expected one scene at least")
+    if len(scenes) > 1:
+        raise OptionError(f"{place.tables}: {len(scenes)} scenes; choose one with `--sequence NAME`: {shown}")
+    return scenes[0]
+
+
+def _check_count(place: Place, scene: SceneRow, count: int, ledger: Ledger) -> None:
+    if scene.nbr_samples not in (0, count):
+        problem = f"{count} samples; scene.json says {scene.nbr_samples}: is the table cut off?"
+        ledger.fault(
+            "samples-missing", DataError(place.tables / "sample.json", f"scene {scene.name}", problem)
+        )
+
+
+def _log(place: Place, scene: SceneRow, ledger: Ledger) -> LogRow | None:
+    if not (place.tables / "log.json").is_file():
+        ledger.fault("table-missing", DataError(place.tables, "log.json", "missing"))
+        return None
+    log = next((row for row in iter_rows(place.tables, "log") if row.token == scene.log_token), None)
+    if log is None:
+        ledger.fault("dangling-tokens", dangling(place, "scene", scene.token, "log", scene.log_token))
+    return log
+
+
+def dangling(place: Place, table: str, token: str, other: str, wanted: str) -> DataError:
+    """The fault of a row that names a row of another table which is not there."""
+    problem = f"{other}_token {wanted!r} leads to no row of {other}.json"
+    return DataError(place.tables / f"{table}.json", f"row {token}", problem)
+
+
+def rows_by_token(place: Place, table: str, wanted: Iterable[str] | None = None) -> dict[str, Any]:
+    """The rows of a table with these tokens, or all of them."""
+    if wanted is None:
+        return {row.token: row for row in iter_rows(place.tables, table)}
+    tokens = set(wanted)
+    return {row.token: row for row in iter_rows(place.tables, table) if row.token in tokens}
+
+
+def _sensors(
+    place: Place, samples: Mapping[str, SampleRow], ledger: Ledger, *, keyframes: bool
+) -> tuple[SensorData, ...]:
+    rows = [
+        row
+        for row in iter_rows(place.tables, "sample_data")
+        if row.sample_token in samples and (row.is_key_frame or not keyframes)
+    ]
+    rows.sort(key=lambda row: row.timestamp)
+    poses = rows_by_token(place, "ego_pose", (row.ego_pose_token for row in rows))
+    calibrations = rows_by_token(place, "calibrated_sensor")
+    sensors = rows_by_token(place, "sensor")
+    by_channel: dict[str, list[SampleDataRow]] = {}
+    for row in rows:
+        sensor = _followed(place, row, poses, calibrations, sensors, ledger)
+        if sensor is not None and _is_there(place, row, ledger):
+            by_channel.setdefault(sensor.token, []).append(row)
+    return tuple(
+        SensorData(
+            sensors[token],
+            tuple(taken),
+            tuple(poses[row.ego_pose_token] for row in taken),
+            tuple(calibrations[row.calibrated_sensor_token] for row in taken),
+        )
+        for token, taken in sorted(by_channel.items(), key=lambda item: _order(sensors[item[0]]))
+    )
+
+
+def _followed(
+    place: Place,
+    row: SampleDataRow,
+    poses: Mapping[str, EgoPoseRow],
+    calibrations: Mapping[str, CalibratedSensorRow],
+    sensors: Mapping[str, SensorRow],
+    ledger: Ledger,
+) -> SensorRow | None:
+    """The sensor of a row; None where one of its tokens leads nowhere and the reading is lenient."""
+    calibration = calibrations.get(row.calibrated_sensor_token)
+    fault = None
+    if row.ego_pose_token not in poses:
+        fault = dangling(place, "sample_data", row.token, "ego_pose", row.ego_pose_token)
+    elif calibration is None:
+        wanted = row.calibrated_sensor_token
+        fault = dangling(place, "sample_data", row.token, "calibrated_sensor", wanted)
+    elif calibration.sensor_token not in sensors:
+        fault = dangling(place, "calibrated_sensor", calibration.token, "sensor", calibration.sensor_token)
+    if fault is not None or calibration is None:
+        ledger.fault("dangling-tokens", fault or SceneloomError())
+        return None
+    return sensors[calibration.sensor_token]
+
+
+def _is_there(place: Place, row: SampleDataRow, ledger: Ledger) -> bool:
+    file = file_of(place, "sample_data", row.token, row.filename)
+    if file.is_file():
+        return True
+    hint = (
+        "" if row.is_key_frame else "; without the folder sweeps/, open the key frames only (`--keyframes`)"
+    )
+    ledger.fault("files-missing", DataError(file, "", f"is not there; sample_data.json names it{hint}"))
+    return False
+
+
+def file_of(place: Place, table: str, token: str, name: str) -> Path:
+    """The path of a file that a table names.
+
+    Raises:
+        DataError: the name leads out of the data set.
+    """
+    parts = PurePosixPath(name).parts
+    if not parts or PurePosixPath(name).is_absolute() or ".." in parts:
+        problem = f"filename {name!r}; expected one inside the folder of the data set"
+        raise DataError(place.tables / f"{table}.json", f"row {token}", problem)
+    return place.root.joinpath(*parts)
+
+
+_KINDS = ("lidar", "radar", "camera")
+
+
+def _order(sensor: SensorRow) -> tuple[int, str]:
+    """Lidars first, then radars, then cameras; of other kinds there is nothing to read."""
+    return (_KINDS.index(sensor.modality) if sensor.modality in _KINDS else len(_KINDS)), sensor.channel

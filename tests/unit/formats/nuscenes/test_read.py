@@ -1,0 +1,307 @@
+"""Scenes in the nuScenes schema: what the tables say is in the scene, number for number."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.unit.formats.nuscenes.schema_folder import (
+    CAMERA_MOUNT,
+    CAR_SIZE_WLH,
+    FIRST_US,
+    SENSORS,
+    car_pose,
+    ego_pose,
+    lidar_rows,
+    radar_rows,
+    street,
+)
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.nuscenes import tables as row_tables
+from sceneloom.scene.angles import CuboidAngles
+
+NEAR = 1e-9
+"""Two ways of float64 through rotations, of numbers up to 1000."""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return sceneloom.open(street(tmp_path).write())
+
+
+def test_sensors_frames_and_times_are_those_of_the_tables(scene):
+    assert {sensor.id: sensor.type for sensor in scene.sensors} == {
+        "LIDAR_TOP": "lidar",
+        "RADAR_FRONT": "radar",
+        "CAM_FRONT": "camera",
+    }
+    stamps = [(FIRST_US + 250_000 * k) * 1000 for k in range(5)]
+    assert scene.sensor("LIDAR_TOP").frames.timestamps_ns.tolist() == stamps
+    camera = [stamp + 12_341_000 for stamp in stamps]
+    assert scene.sensor("CAM_FRONT").pictures.timestamps_ns.tolist() == camera
+    assert scene.format == "nuscenes"
+
+
+def test_points_of_a_lidar_are_the_rows_of_its_file(scene):
+    rows = lidar_rows(43, 3)
+    points = scene.lidars[0].frames[3].points
+    assert np.array_equal(points.positions, rows[:, :3])
+    assert points.intensities.tolist() == rows[:, 3].tolist()
+    assert points.rings.tolist() == rows[:, 4].tolist()
+    assert points.extras == {}
+
+
+def test_a_point_at_the_origin_stays_since_labels_count_rows(tmp_path):
+    tables = street(tmp_path)
+    rows = lidar_rows(4)
+    rows[2, :3] = 0
+    rows[1, 3] = 17.25
+    tables.file(tables.row("sample_data", "scene-0001-LIDAR_TOP-0")["filename"], rows.tobytes())
+    points = sceneloom.open(tables.write()).lidars[0].frames[0].points
+    assert len(points) == 4
+    assert points.intensities[1] == 17
+    assert points.extras["intensity"].tolist() == rows[:, 3].tolist()
+
+
+def test_a_radar_gives_what_it_measured_as_direction_and_speed(scene):
+    rows = radar_rows(7, 2)
+    points = scene.sensor("RADAR_FRONT").frames[2].points
+    velocities = points.directions * points.lengths[:, None]
+    assert np.allclose(velocities[:, 0], rows["vx"], atol=1e-5)  # float32 of up to 14 m/s
+    assert np.allclose(velocities[:, 1], rows["vy"], atol=1e-5)
+    assert np.array_equal(points.extras["vx_comp"], rows["vx_comp"])
+    assert np.array_equal(points.extras["id"], rows["id"])
+
+
+@pytest.mark.parametrize("channel", SENSORS)
+def test_a_sensor_is_where_the_pose_of_its_frame_and_its_mounting_say(scene, channel):
+    sensor = scene.sensor(channel)
+    _, translation, rotation, _ = SENSORS[channel]
+    assert np.allclose(sensor.mount.translation, translation)
+    assert np.allclose(sensor.mount.rotation, rotation.as_matrix())
+    for k, stamp in enumerate(sensor.poses.timestamps_ns.tolist()):
+        place, turn = ego_pose(stamp // 1000)
+        assert np.allclose(sensor.poses.positions[k], place + turn.apply(translation), atol=NEAR)
+        found = Rotation.from_quat(sensor.poses.quaternions_xyzw[k])
+        assert (found.inv() * turn * rotation).magnitude() < NEAR
+
+
+def test_the_way_of_the_ego_has_the_poses_of_all_frames(scene):
+    way = scene.trajectories["pose"]
+    assert len(way.timestamps_ns) == 15
+    for stamp, position in zip(way.timestamps_ns.tolist(), way.positions, strict=True):
+        assert np.allclose(position, ego_pose(stamp // 1000)[0], atol=NEAR)
+
+
+def test_pictures_decode_and_have_the_lens_of_the_table(scene):
+    camera = scene.cameras[0]
+    assert (camera.camera.model, camera.camera.fx, camera.camera.cy) == ("pinhole", 30.0, 23.5)
+    picture = camera.pictures[2]
+    assert picture.rgb.shape == (48, 64, 3)
+    assert picture.encoded()[:2] == b"\xff\xd8"
+    assert picture.extras["is_key_frame"]
+    assert not camera.pictures[1].extras["is_key_frame"]
+
+
+def test_boxes_become_one_cuboid_with_all_that_is_said_about_it(scene):
+    (car,) = scene.annotations
+    assert (car.id, car.label) == ("scene-0001-car", "vehicle.car")
+    width, length, height = CAR_SIZE_WLH
+    for k, row in enumerate(car.path.values):
+        place, turn = car_pose(k)
+        assert row[:6].tolist() == [length, width, height, *place]
+        assert (
+            Rotation.from_quat(CuboidAngles.of(scene).quaternions(row[6:])).inv() * turn
+        ).magnitude() < NEAR
+    said = {path.name: path.values for path in car.attributes}
+    assert said["attributes"] == (("vehicle.parked",), ("vehicle.moving",), ("vehicle.moving",))
+    assert said["num_lidar_pts"] == (3, 4, 5)
+    assert said["visibility"] == ("", "v80-100", "v80-100")
+    assert car.path.extras["tokens"][1] == "scene-0001-ann-1"
+
+
+def test_frames_go_to_other_processes(scene):
+    for frames in (scene.lidars[0].frames, scene.cameras[0].pictures):
+        assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
+
+
+def test_one_of_several_scenes_has_to_be_chosen(tmp_path):
+    root = street(tmp_path, scenes=("scene-0001", "scene-0002")).write()
+    with pytest.raises(
+        OptionError, match="2 scenes; choose one with `--sequence NAME`: scene-0001, scene-0002"
+    ):
+        sceneloom.open(root)
+    with pytest.raises(OptionError, match="no scene 'scene-0003'; it has scene-0001, scene-0002"):
+        sceneloom.open(root, sequence="scene-0003")
+    scene = sceneloom.open(root, sequence="scene-0002")
+    assert scene.lidars[0].frames.timestamps_ns[0] == (FIRST_US + 60_000_000) * 1000
+    assert [a.id for a in scene.annotations] == ["scene-0002-car"]
+    assert scene.metadata["nuscenes"]["scene"]["description"] == "The street of scene-0002"
+
+
+def test_key_frames_alone_open_without_the_folder_of_sweeps(tmp_path):
+    root = street(tmp_path).write()
+    for file in (root / "sweeps" / "LIDAR_TOP").iterdir():
+        file.unlink()
+    with pytest.raises(DataError, match=r"is not there.*open the key frames only"):
+        sceneloom.open(root)
+    assert len(sceneloom.open(root, keyframes=True).lidars[0].frames) == 3
+    lenient = sceneloom.open(root, lenient=True)
+    assert len(lenient.lidars[0].frames) == 3
+    assert {n.code: n.count for n in lenient.notices}["files-missing"] == 2
+
+
+def test_the_folder_of_the_tables_opens_where_there_are_several(tmp_path):
+    root = street(tmp_path).write()
+    other = street(tmp_path)
+    other.folder = tmp_path / "v1.0-other"
+    other.write()
+    with pytest.raises(OptionError, match="several sets of tables"):
+        sceneloom.open(root)
+    assert sceneloom.open(root / "v1.0-mini").metadata["nuscenes"]["version"] == "v1.0-mini"
+
+
+def test_classes_of_points_become_labelled_points(tmp_path):
+    tables = street(tmp_path)
+    for k in (0, 2):
+        token = f"scene-0001-LIDAR_TOP-{k}"
+        labels = np.zeros(40 + k, np.uint8)
+        labels[3 : 5 + k] = 17
+        name = tables.file(f"lidarseg/v1.0-mini/{token}_lidarseg.bin", labels.tobytes())
+        tables.add("lidarseg", token, sample_data_token=token, filename=name)
+    scene = sceneloom.open(tables.write())
+    noise, car = scene.annotations[1:]
+    assert (noise.label, car.label, car.is_instance) == ("noise", "vehicle.car", False)
+    assert [(p.sensor_id, p.sensor_frame) for p in car.labeled_points] == [("LIDAR_TOP", 0), ("LIDAR_TOP", 2)]
+    assert car.labeled_points[1].point_ids.tolist() == [3, 4, 5, 6]
+    assert noise.labeled_points[0].point_ids.tolist() == [0, 1, 2, *range(5, 40)]
+
+
+def test_large_tables_are_read_in_pieces_and_whole_ones_alike(tmp_path, monkeypatch):
+    tables = street(tmp_path)
+    tables.rows["log"][0]["location"] = "}, {"
+    root = tables.write()
+    whole = list(row_tables.iter_rows(tables.folder, "sample_data"))
+    monkeypatch.setattr(row_tables, "_PIECE", 700)
+    assert list(row_tables.iter_rows(tables.folder, "sample_data")) == whole
+    monkeypatch.setattr(row_tables, "_PIECE", 60)
+    assert [row.location for row in row_tables.iter_rows(tables.folder, "log")] == ["}, {"]
+    assert len(sceneloom.open(root).sensors) == 3
+
+
+def damaged(table, token, **fields):
+    def change(tables):
+        tables.row(table, token).update(fields)
+
+    return change
+
+
+FRAME = "scene-0001-LIDAR_TOP-1"
+FAULTS = {
+    "a table is missing": (lambda t: t.rows.pop("ego_pose"), r"ego_pose.json: missing"),
+    "a table of boxes is missing": (lambda t: t.rows.pop("visibility"), r"visibility.json: missing"),
+    "a pose is missing": (
+        damaged("sample_data", FRAME, ego_pose_token="gone"),
+        r"row scene-0001-LIDAR_TOP-1: ego_pose_token 'gone' leads to no row of ego_pose.json",
+    ),
+    "a calibration is missing": (
+        damaged("sample_data", FRAME, calibrated_sensor_token="gone"),
+        r"calibrated_sensor_token 'gone' leads to no row",
+    ),
+    "an attribute is missing": (
+        damaged("sample_annotation", "scene-0001-ann-1", attribute_tokens=["gone"]),
+        r"attribute_token 'gone' leads to no row of attribute.json",
+    ),
+    "a category is missing": (
+        damaged("instance", "scene-0001-car", category_token="gone"),
+        r"instance.json: row scene-0001-car: category_token 'gone'",
+    ),
+    "samples are missing": (lambda t: t.rows["sample"].pop(), r"2 samples; scene.json says 3"),
+    "a field is of another type": (
+        damaged("ego_pose", FRAME, translation=[1.0, 2.0]),
+        r"ego_pose.json: row 1.translation: Expected `array` of length 3",
+    ),
+    "a rotation is none": (
+        damaged("ego_pose", FRAME, rotation=[1.0, 1.0, 0.0, 0.0]),
+        r"row scene-0001-LIDAR_TOP-1: rotation \[1.0, 1.0, 0.0, 0.0\] has the length 1.4142",
+    ),
+    "a lens is none": (
+        damaged("calibrated_sensor", "c-CAM_FRONT", camera_intrinsic=[]),
+        r"row c-CAM_FRONT: camera_intrinsic \[\]; expected rows",
+    ),
+    "a box has no size": (
+        damaged("sample_annotation", "scene-0001-ann-1", size=[0.0, 1.0, 1.0]),
+        r"row scene-0001-ann-1: size \[0.0, 1.0, 1.0\]",
+    ),
+    "a file is elsewhere": (
+        damaged("sample_data", FRAME, filename="../secret.pcd.bin"),
+        r"filename '../secret.pcd.bin'; expected one inside the folder",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_the_tables_is_told_with_its_place(tmp_path, fault):
+    change, message = FAULTS[fault]
+    tables = street(tmp_path)
+    change(tables)
+    with pytest.raises(DataError, match=message):
+        sceneloom.open(tables.write())
+
+
+def test_a_table_that_is_cut_off_is_told_by_its_name(tmp_path):
+    root = street(tmp_path).write()
+    table = root / "v1.0-mini" / "sample_data.json"
+    table.write_bytes(table.read_bytes()[:-300])
+    with pytest.raises(DataError, match=r"sample_data.json: is no JSON"):
+        sceneloom.open(root)
+
+
+def test_a_cloud_that_is_cut_off_is_told_when_it_is_read(tmp_path):
+    tables = street(tmp_path)
+    tables.file(tables.row("sample_data", FRAME)["filename"], lidar_rows(3).tobytes()[:-7])
+    scene = sceneloom.open(tables.write())
+    with pytest.raises(DataError, match="53 bytes are 2 points of 20 bytes"):
+        scene.lidars[0].frames[1]
+
+
+def test_labels_of_another_number_than_the_points_are_told(tmp_path):
+    tables = street(tmp_path)
+    name = tables.file("lidarseg/short.bin", bytes(12))
+    tables.add("lidarseg", "l", sample_data_token="scene-0001-LIDAR_TOP-0", filename=name)
+    with pytest.raises(
+        DataError, match="12 labels; expected 40, one for each point of scene-0001-LIDAR_TOP-0"
+    ):
+        sceneloom.open(tables.write())
+
+
+def test_dangling_rows_are_left_out_and_counted_by_a_lenient_reading(tmp_path):
+    tables = street(tmp_path)
+    damaged("sample_data", FRAME, ego_pose_token="gone")(tables)
+    scene = sceneloom.open(tables.write(), lenient=True)
+    assert len(scene.lidars[0].frames) == 4
+    assert {n.code: n.count for n in scene.notices}["dangling-tokens"] == 1
+
+
+def test_a_folder_without_tables_is_told_what_it_lacks(tmp_path):
+    root = street(tmp_path).write()
+    for file in (root / "v1.0-mini").iterdir():
+        file.unlink()
+    with pytest.raises(DataError, match=r"samples/ as nuScenes has, but no folder of tables"):
+        sceneloom.open(root)
+
+
+def test_the_camera_looks_forward(scene):
+    assert np.allclose(CAMERA_MOUNT.apply([0, 0, 1]), [1, 0, 0])
+    assert np.allclose(scene.cameras[0].mount.rotation @ [0, 0, 1], [1, 0, 0])
+
+
+def test_boxes_and_frames_survive_a_scene_file(scene, tmp_path):
+    sceneloom.write(scene, tmp_path / "a.sfs", time_unit="nanoseconds")
+    with sceneloom.open(tmp_path / "a.sfs") as again:
+        assert np.array_equal(again.lidars[0].frames[2].points.positions, lidar_rows(42, 2)[:, :3])
+        assert np.allclose(again.annotations[0].path.values, scene.annotations[0].path.values)
+        assert json.dumps(again.metadata["nuscenes"]["log"])

@@ -46,6 +46,13 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Write what becomes of every field to FILE: .json, .md or .txt.",
 )
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="An option of TARGET's format, such as `frame=world` of clouds; each format's page lists its own.",
+)
 @click.option("--to-optical", is_flag=True, help="Write poses as a camera's: z forward, y down.")
 @click.option(
     "--origin",
@@ -68,6 +75,7 @@ def convert(
     to: str | None,
     strict: bool,
     loss: Path | None,
+    settings: tuple[str, ...],
     to_optical: bool,
     origin_lla: tuple[float, float, float] | None,
     as_json: bool,
@@ -99,6 +107,7 @@ def convert(
                 optical=to_optical,
                 origin_lla=origin_lla,
             ),
+            **options.settings("--set", settings),
             reading={name.removeprefix("from_"): value for name, value in options.said(**reading).items()},
             progress=progress,
         )

@@ -1,6 +1,6 @@
 """The options that many verbs share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import reduce, wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -253,6 +253,21 @@ def trajectories(side: str, path: str) -> Callable[[Command], Command]:
             help=f"{path} tells a camera's poses: turn z forward, y down to x forward, z up.",
         ),
     )
+
+
+def settings(flag: str, pairs: Iterable[str]) -> dict[str, str]:
+    """Options that are written as NAME=VALUE.
+
+    Raises:
+        OptionError: one is no such pair.
+    """
+    found = {}
+    for pair in pairs:
+        name, sign, value = pair.partition("=")
+        if not (name.isidentifier() and sign):
+            raise OptionError(f"{flag} {pair!r}; expected NAME=VALUE")
+        found[name] = value
+    return found
 
 
 def said(**values: Any) -> dict[str, Any]:

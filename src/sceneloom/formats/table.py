@@ -18,6 +18,13 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "sfs": "sceneloom.formats.sfs:FORMAT",
         "recording": "sceneloom.formats.recording:FORMAT",
         "rig": "sceneloom.formats.rig:FORMAT",
+        "pcd": "sceneloom.formats.clouds.form:PCD",
+        "ply": "sceneloom.formats.clouds.form:PLY",
+        "las": "sceneloom.formats.clouds.form:LAS",
+        "laz": "sceneloom.formats.clouds.form:LAZ",
+        "kitti-bin": "sceneloom.formats.clouds.form:KITTI_BIN",
+        "nuscenes-bin": "sceneloom.formats.clouds.form:NUSCENES_BIN",
+        "npz": "sceneloom.formats.clouds.form:NPZ",
         "nuscenes": "sceneloom.formats.nuscenes:FORMAT",
     }
 )

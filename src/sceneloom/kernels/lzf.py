@@ -1,6 +1,7 @@
 """LZF, the compression of `binary_compressed` PCD files."""
 
 import numba
+import numpy as np
 from numba import int64, types, uint8
 
 from sceneloom.arrays import UInt8Array
@@ -57,3 +58,64 @@ def unfold(packed: UInt8Array, unpacked: UInt8Array) -> int:
                 unpacked[target + k] = unpacked[back + k]
         target += length
     return target
+
+
+_FARTHEST_BACK = 1 << 13
+_LONGEST_COPY = 264
+_TABLE_BITS = 14
+
+
+def longest_fold(size: int) -> int:
+    """How many bytes the stream of so many bytes has at most: all literals, a control byte for each 32."""
+    return size + (size + _LITERALS - 1) // _LITERALS + 8
+
+
+@numba.njit(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
+def fold(plain: UInt8Array, packed: UInt8Array) -> int:
+    """Fold bytes into an LZF stream, which `unfold` describes: the last place of each three bytes is looked back to.
+
+    Args:
+        plain: what is packed.
+        packed: of at least `longest_fold(plain.size)` bytes.
+
+    Returns:
+        How many bytes the stream has.
+    """
+    places = np.full(1 << _TABLE_BITS, -1, np.int64)
+    source, target, literals = 0, 1, 0
+    while source < plain.size:
+        length, back = 0, 0
+        if source + 2 < plain.size:
+            three = (int(plain[source]) << 16) | (int(plain[source + 1]) << 8) | int(plain[source + 2])
+            row = ((three * 2654435761) >> 8) & ((1 << _TABLE_BITS) - 1)
+            before = places[row]
+            places[row] = source
+            back = source - before - 1
+            if before >= 0 and back < _FARTHEST_BACK:
+                longest = min(_LONGEST_COPY, plain.size - source)
+                while length < longest and plain[before + length] == plain[source + length]:
+                    length += 1
+        if length < 3:
+            packed[target] = plain[source]
+            source, target, literals = source + 1, target + 1, literals + 1
+            if literals == _LITERALS:
+                packed[target - literals - 1] = literals - 1
+                target, literals = target + 1, 0
+            continue
+        if literals:
+            packed[target - literals - 1] = literals - 1
+        else:
+            target -= 1
+        short = length - _SHORTEST
+        packed[target] = (min(short, _LONG) << 5) | (back >> 8)
+        target += 1
+        if short >= _LONG:
+            packed[target] = short - _LONG
+            target += 1
+        packed[target] = back & 255
+        # room for the control byte of the next literals
+        source, target, literals = source + length, target + 2, 0
+    if literals:
+        packed[target - literals - 1] = literals - 1
+        return target
+    return target - 1

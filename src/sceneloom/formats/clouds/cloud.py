@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +24,13 @@ class Cloud:
         file: where they come from, for messages.
         count: number of points N.
         columns: (N,) or (N, K) arrays by the file's own names, of the file's own dtypes in native byte order.
+        head: what else the file says, by the words of its kind.
     """
 
     file: Path
     count: int
     columns: Mapping[str, AnyArray]
+    head: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @contextmanager

@@ -4,6 +4,7 @@ Source: "LAS Specification 1.4 - R15", American Society for Photogrammetry and R
 """
 
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ _FULL_SCALE = 257
 _LARGEST_CLASS = 255
 _REACH = 2**31 - 1
 _PLACES = ("x", "y", "z")
+_KNOWN_RECORDS = (4, 22204)
+"""Numbers of the records that describe further dimensions and how LAZ is packed. Source: section 2.8, "Extra Bytes"."""
 
 
 class LasWriter:
@@ -119,14 +122,33 @@ def read_las(path: Path) -> Cloud:
             with laspy.open(stream, closefd=False) as file:
                 check_count(path, "header", int(file.header.point_count))
                 points = file.read()
-                columns = _columns(points)
+                columns, head = _columns(points), _head(file.header)
         except (DataError, OSError, MemoryError):
             raise
         except Exception as error:
             # laspy and what unpacks LAZ for it raise what they met, of any kind
             told = str(error) or type(error).__name__
             raise DataError(path, "", f"cannot be read: {told}; expected a LAS file") from error
-    return Cloud(path, len(columns["x"]), columns)
+    return Cloud(path, len(columns["x"]), columns, MappingProxyType(head))
+
+
+def _head(header: Any) -> dict[str, Any]:
+    """What the head says besides how the points are stored."""
+    head: dict[str, Any] = {"version": str(header.version), "point_format": int(header.point_format.id)}
+    for name in ("system_identifier", "generating_software"):
+        text = str(getattr(header, name) or "").strip("\0 ")
+        head.update({name: text} if text else {})
+    if header.creation_date is not None:
+        head["creation_date"] = header.creation_date.isoformat()
+    texts = [str(one.string) for one in header.vlrs if hasattr(one, "string")]
+    head.update({"coordinate_system": texts[0]} if texts else {})
+    records = [
+        {"user_id": str(one.user_id), "record_id": int(one.record_id), "description": str(one.description)}
+        for one in header.vlrs
+        if one.record_id not in _KNOWN_RECORDS and not hasattr(one, "string")
+    ]
+    head.update({"records_left_out": records} if records else {})
+    return head
 
 
 def _columns(points: Any) -> dict[str, AnyArray]:

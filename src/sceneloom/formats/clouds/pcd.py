@@ -3,8 +3,11 @@
 Source: "The PCD (Point Cloud Data) file format" of the Point Cloud Library's documentation, version 0.7.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +21,7 @@ _LETTERS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _MOST_VALUES = 1 << 16
+_NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +34,7 @@ class PcdHeader:
         data: "ascii", "binary" or "binary_compressed".
         start: byte at which the points begin.
         lines: lines of the head.
+        further: the viewpoint, and the width of rows where there are several, in the words of the head.
     """
 
     dtype: np.dtype[np.void]
@@ -37,6 +42,7 @@ class PcdHeader:
     data: str
     start: int
     lines: int
+    further: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def read_pcd(path: Path) -> Cloud:
@@ -48,8 +54,8 @@ def read_pcd(path: Path) -> Cloud:
     content = read_bytes(path)
     header = parse_header(path, content)
     if header.count == 0 or header.dtype.itemsize == 0:
-        return Cloud(path, header.count, columns_of(np.zeros(header.count, header.dtype)))
-    return Cloud(path, header.count, _READERS[header.data](path, content, header))
+        return Cloud(path, header.count, columns_of(np.zeros(header.count, header.dtype)), header.further)
+    return Cloud(path, header.count, _READERS[header.data](path, content, header), header.further)
 
 
 def parse_header(path: Path, content: bytes) -> PcdHeader:
@@ -75,7 +81,7 @@ def parse_header(path: Path, content: bytes) -> PcdHeader:
     data = " ".join(entries["DATA"]).lower()
     if data not in _READERS:
         raise DataError(path, "DATA", f"{data!r}; expected {', '.join(_READERS)}")
-    return PcdHeader(np.dtype(fields), _count(path, entries), data, start, lines)
+    return PcdHeader(np.dtype(fields), _count(path, entries), data, start, lines, _further(path, entries))
 
 
 def _entries(path: Path, content: bytes) -> tuple[dict[str, list[str]], int, int]:
@@ -136,6 +142,24 @@ def _count(path: Path, entries: dict[str, list[str]]) -> int:
         raise DataError(path, "POINTS", f"{count}; WIDTH times HEIGHT is {area}")
     check_count(path, "POINTS", count)
     return count
+
+
+def _further(path: Path, entries: dict[str, list[str]]) -> Mapping[str, Any]:
+    """What the head says besides: the pose of the sensor that is not the identity, and the order of the points."""
+    further: dict[str, Any] = {}
+    viewpoint = entries.get("VIEWPOINT", _NO_VIEWPOINT)
+    try:
+        numbers = [float(word) for word in viewpoint]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(_NO_VIEWPOINT):
+        problem = f"{' '.join(viewpoint)[:60]!r}; expected 7 numbers: x y z and a quaternion w x y z"
+        raise DataError(path, "VIEWPOINT", problem)
+    if numbers != [float(word) for word in _NO_VIEWPOINT]:
+        further["viewpoint"] = numbers
+    if "HEIGHT" in entries and _integer(path, "HEIGHT", " ".join(entries["HEIGHT"])) > 1:
+        further["width"] = _integer(path, "WIDTH", " ".join(entries.get("WIDTH", ["0"])))
+    return MappingProxyType(further)
 
 
 def _read_text(path: Path, content: bytes, header: PcdHeader) -> dict[str, AnyArray]:

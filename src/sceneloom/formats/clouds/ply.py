@@ -6,6 +6,8 @@ Source: Greg Turk, "The PLY Polygon File Format", 1994; the sized names of types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -60,12 +62,22 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    """The head of a PLY file: byte order ("" for text), elements in order, and where the rows begin."""
+    """The head of a PLY file: byte order ("" for text), elements in order, where the rows begin, and the comments."""
 
     order: str
     elements: tuple[Element, ...]
     start: int
     lines: int
+    comments: tuple[str, ...] = ()
+
+    @property
+    def further(self) -> dict[str, Any]:
+        """What the file says besides its vertices: comments, and how many there are of each other element."""
+        others = {one.name: one.count for one in self.elements if one.name != "vertex" and one.count}
+        return {
+            **({"comments": list(self.comments)} if self.comments else {}),
+            **({"elements_left_out": others} if others else {}),
+        }
 
 
 def read_ply(path: Path) -> Cloud:
@@ -78,7 +90,7 @@ def read_ply(path: Path) -> Cloud:
     header = parse_header(path, content)
     read = _read_binary if header.order else _read_text
     rows = read(path, content, header)
-    return Cloud(path, len(rows), columns_of(rows))
+    return Cloud(path, len(rows), columns_of(rows), MappingProxyType(header.further))
 
 
 def parse_header(path: Path, content: bytes) -> PlyHeader:
@@ -96,9 +108,11 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
     lines = content[:end].decode("latin-1").split("\n")
     order: str | None = None
     drafts: list[tuple[str, int, list[Property]]] = []
+    comments: list[str] = []
     for number, line in enumerate(lines[1:-1], 2):
         words, place = line.split(), f"line {number}"
         if not words or words[0] in {"comment", "obj_info"}:
+            comments += [" ".join(words[1:])] if words[1:] else []
             continue
         if words[0] == "format" and len(words) > 1 and words[1] in _ORDERS:
             order = _ORDERS[words[1]]
@@ -112,7 +126,7 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
         raise DataError(path, "", f"the head names no format; expected one of {', '.join(_ORDERS)}")
     elements = tuple(Element(name, count, tuple(properties)) for name, count, properties in drafts)
     _check_elements(path, elements)
-    return PlyHeader(order, elements, end + 1, len(lines))
+    return PlyHeader(order, elements, end + 1, len(lines), tuple(comments))
 
 
 def _property(path: Path, place: str, words: list[str]) -> Property:

@@ -1,0 +1,61 @@
+"""What the kinds of clouds offer to the table of formats."""
+
+from pathlib import Path
+from typing import Any
+
+from sceneloom.errors import check_option_names
+from sceneloom.formats.clouds.folder import holds_kind, near_miss
+from sceneloom.formats.clouds.holdings import holds_of
+from sceneloom.formats.clouds.kinds import KINDS
+from sceneloom.formats.clouds.opening import CloudReading, open_clouds
+from sceneloom.formats.clouds.saving import CloudSaving, write_clouds
+from sceneloom.formats.loss import LossReport
+from sceneloom.scene import Scene
+
+
+class CloudFormat:
+    """Files of points of one kind, a frame each."""
+
+    def __init__(self, name: str) -> None:
+        """Take the kind of that name."""
+        self._kind = KINDS[name]
+        self.name = name
+        self.suffixes: tuple[str, ...] = tuple(
+            ending for ending in self._kind.endings if ending.count(".") == 1
+        )
+        self.looks_like = f"{self._kind.told}: one, or a folder of them"
+        self.holds = holds_of(name)
+
+    def recognises(self, path: Path) -> bool:
+        """Say whether a path is such a file, or a folder of such files and nothing else."""
+        return holds_kind(path, self._kind)
+
+    def near_miss(self, path: Path) -> str | None:
+        """Say what keeps a path that has such files from being of this format."""
+        return near_miss(path, self._kind)
+
+    def open(self, path: Path, **options: Any) -> Scene:
+        """Open a file or a folder; the options are those of `CloudReading`.
+
+        Raises:
+            UnknownOptionError: an option is unknown.
+            DataError: files are missing or wrong.
+        """
+        given = {name: value for name, value in options.items() if value is not None}
+        check_option_names("opening clouds", given, tuple(CloudReading.__dataclass_fields__))
+        return open_clouds(Path(path), self._kind, CloudReading(**given))
+
+    def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
+        """Write the lidar frames of a scene; the options are those of `CloudSaving`.
+
+        Raises:
+            UnknownOptionError: an option is unknown.
+            OptionError: a path that is a file is given for several frames.
+            OutputError: the output exists, or cannot be written.
+        """
+        given = {name: value for name, value in options.items() if value is not None}
+        check_option_names("writing clouds", given, tuple(CloudSaving.__dataclass_fields__))
+        return write_clouds(scene, Path(path), self._kind, CloudSaving(**given), overwrite=overwrite)
+
+
+PCD, PLY, LAS, LAZ, KITTI_BIN, NUSCENES_BIN, NPZ = map(CloudFormat, KINDS)

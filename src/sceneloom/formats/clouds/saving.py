@@ -1,0 +1,250 @@
+"""The lidar frames of a scene written as files of points."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.editing.frames import to_ego, to_sensor, to_world
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.formats.clouds.columns import LossTaker, frame_columns, left_out
+from sceneloom.formats.clouds.folder import DEFAULT_ID, EGO_POSES, SENSOR_POSES
+from sceneloom.formats.clouds.frame_files import ENCODINGS, FRAME_WRITERS
+from sceneloom.formats.clouds.holdings import holds_of
+from sceneloom.formats.clouds.kinds import CloudKind
+from sceneloom.formats.clouds.names import name_of_time
+from sceneloom.formats.field_losses import field_losses
+from sceneloom.formats.file_names import file_stems
+from sceneloom.formats.holdings import Holds
+from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.output import replacing
+from sceneloom.scene import Coordinates, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.scene.span import scene_period_ns
+
+_MOVES: Mapping[PointsFrame, Callable[[Scene], Scene]] = MappingProxyType(
+    {PointsFrame.SENSOR: to_sensor, PointsFrame.EGO: to_ego, PointsFrame.WORLD: to_world}
+)
+_WRITTEN = {"file", "head", "dropped_points", "clipped_intensities"}
+"""Further fields of frames that only say from which file they were read, and how."""
+
+
+@dataclass(frozen=True, slots=True)
+class CloudSaving:
+    """How clouds are to be written.
+
+    Attributes:
+        frame: "sensor", "ego" or "world", the frame of the points; None: the one that they are in.
+        encoding: of PCD files: "binary", "ascii" or "binary_compressed".
+        lidar: id of the only lidar to be written, as text; None for all.
+    """
+
+    frame: str | None = None
+    encoding: str = ENCODINGS[0]
+    lidar: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.frame is not None and self.frame not in tuple(PointsFrame):
+            raise OptionError(f"frame {self.frame!r}; expected one of {', '.join(PointsFrame)}")
+        if self.encoding not in ENCODINGS:
+            raise OptionError(f"encoding {self.encoding!r}; expected one of {', '.join(ENCODINGS)}")
+
+
+def write_clouds(
+    scene: Scene, path: Path, kind: CloudKind, saving: CloudSaving, *, overwrite: bool = False
+) -> LossReport:
+    """Write each frame of each lidar to a file; a path with the kind's ending takes a scene of one frame.
+
+    Raises:
+        OptionError: there is no lidar of that id, no frame at all, or there are several for one file.
+        PoseError: the poses that another frame of the points needs are not known.
+        OutputError: the output exists, or cannot be written.
+    """
+    if saving.frame is not None and any(lidar.points_frame != saving.frame for lidar in scene.lidars):
+        scene = _MOVES[PointsFrame(saving.frame)](scene)
+    lidars = _chosen(scene, saving.lidar)
+    losses = list(field_losses(scene, _table(kind, scene)))
+    losses += [
+        Loss(field=f"sensors[{lidar.id}]", what="left out: another lidar was asked for")
+        for lidar in scene.lidars
+        if lidar not in lidars
+    ]
+    write = partial(_write_frame, kind=kind, saving=saving, tell=losses.append)
+    if kind.has_name(path.name):
+        _write_file(lidars, path, write, overwrite=overwrite, losses=losses)
+    else:
+        _write_folder(scene, lidars, path, kind, write, overwrite=overwrite, losses=losses)
+    return LossReport.of(losses)
+
+
+def _table(kind: CloudKind, scene: Scene) -> Holds:
+    """The table of the kind, without rows that only hold for some scenes: the writer tells these."""
+    quiet = ("id", "coordinates", "points_frame", "poses", "frames")
+    kept = dict(holds_of(kind.name))
+    for name in quiet:
+        kept.pop(f"sensors.lidar.{name}", None)
+    if all(set(lidar.extras) <= {"intensity_max"} for lidar in scene.lidars):
+        kept.pop("sensors.lidar.extras", None)
+    return kept
+
+
+def _chosen(scene: Scene, lidar: str | None) -> list[LidarSensor]:
+    found = [one for one in scene.lidars if lidar is None or str(one.id) == lidar]
+    if not found or not any(len(one.frames) for one in found):
+        known = ", ".join(repr(str(one.id)) for one in scene.lidars) or "none"
+        asked = "no frames of a lidar" if lidar is None else f"no frames of a lidar {lidar!r}"
+        raise OptionError(f"{scene.source}: {asked} to be written as points; its lidars: {known}")
+    return found
+
+
+FrameWriter = Callable[[LidarSensor, int, Path], None]
+
+
+def _write_file(
+    lidars: list[LidarSensor], path: Path, write: FrameWriter, *, overwrite: bool, losses: list[Loss]
+) -> None:
+    count = sum(len(lidar.frames) for lidar in lidars)
+    if count != 1:
+        raise OptionError(
+            f"{path}: one file for {count} frames; write a folder: a name without `{path.suffix}`, and the format"
+        )
+    lidar = next(one for one in lidars if len(one.frames))
+    with replacing(path, overwrite=overwrite) as draft:
+        write(lidar, 0, draft)
+    stamp_ns, place = int(lidar.frames.timestamps_ns[0]), f"sensors[{lidar.id}]"
+    if stamp_ns:
+        losses.append(
+            Loss(field=f"{place}.frames.timestamp_ns", what="left out: a single file has a name of its own")
+        )
+    if lidar.poses is not None:
+        losses.append(
+            Loss(field=f"{place}.poses", what="left out: a single file has no file of poses beside it")
+        )
+    losses += _of_names([lidar], alone=True)
+
+
+def _write_folder(
+    scene: Scene,
+    lidars: list[LidarSensor],
+    path: Path,
+    kind: CloudKind,
+    write: FrameWriter,
+    *,
+    overwrite: bool,
+    losses: list[Loss],
+) -> None:
+    written = [lidar for lidar in lidars if len(lidar.frames)]
+    losses += [
+        Loss(field=f"sensors[{one.id}]", what="left out: it has no frames")
+        for one in lidars
+        if one not in written
+    ]
+    losses += _of_names(written, alone=len(written) == 1)
+    with replacing(path, overwrite=overwrite, folder=True) as draft:
+        for lidar, stem in zip(written, file_stems(one.id for one in written), strict=True):
+            folder = draft if len(written) == 1 else draft / stem
+            folder.mkdir(exist_ok=True)
+            times = _distinct_times(lidar, losses)
+            for k, time_ns in enumerate(times.tolist()):
+                write(lidar, k, folder / f"{name_of_time(time_ns)}{kind.endings[0]}")
+            losses += _write_poses(scene, lidar, times, folder)
+
+
+def _of_names(lidars: list[LidarSensor], *, alone: bool) -> list[Loss]:
+    """The ids that reading gives differ from the scene's."""
+    return [
+        Loss(field=f"sensors[{one.id}].id", what=f"read back as {found!r}", fate=Fate.CONVERTED)
+        for one in lidars
+        if one.id != (found := DEFAULT_ID if alone else str(one.id))
+    ]
+
+
+def _distinct_times(lidar: LidarSensor, losses: list[Loss]) -> Int64Array:
+    """The times of the frames, which names can be made of: equal ones are put a nanosecond apart."""
+    times = lidar.frames.timestamps_ns
+    later = np.arange(len(times))
+    distinct = np.maximum.accumulate(times - later) + later
+    moved = np.flatnonzero(distinct != times)
+    if len(moved):
+        losses.append(
+            Loss(
+                field=f"sensors[{lidar.id}].frames.timestamp_ns",
+                what="frames of one time put 1 ns apart, which their names need",
+                count=len(moved),
+                fate=Fate.APPROXIMATED,
+                largest_error=float((distinct - times).max()),
+            )
+        )
+    return np.asarray(distinct, np.int64)
+
+
+def _write_frame(
+    lidar: LidarSensor, k: int, path: Path, *, kind: CloudKind, saving: CloudSaving, tell: LossTaker
+) -> None:
+    frame = lidar.frames[k]
+    told = replace(
+        frame, extras={name: value for name, value in frame.extras.items() if name not in _WRITTEN}
+    )
+    left_out(told, str(lidar.id), tell)
+    columns = frame_columns(frame, lidar.extras.get("intensity_max"))
+    options = {"encoding": saving.encoding} if kind.name == "pcd" else {}
+    FRAME_WRITERS[kind.name](path, columns, f"sensors[{lidar.id}].frames.points", tell, **options)
+
+
+def _write_poses(scene: Scene, lidar: LidarSensor, times: Int64Array, folder: Path) -> list[Loss]:
+    """Write where the frame of the points was in the world at the times of the frames, where that is known."""
+    field = f"sensors[{lidar.id}].poses"
+    if lidar.points_frame is PointsFrame.WORLD:
+        return (
+            [Loss(field=field, what="left out: the points are in the world")]
+            if lidar.poses is not None
+            else []
+        )
+    path = _path(scene, lidar)
+    if path is None:
+        return []
+    samples = path.interpolate(times, reach_ns=scene_period_ns(scene))
+    known = np.isfinite(samples.positions).all(axis=1)
+    name = EGO_POSES if lidar.points_frame is PointsFrame.EGO else SENSOR_POSES
+    if known.any():
+        _write_tum(
+            folder / name, PosePath(times[known], samples.positions[known], samples.quaternions_xyzw[known])
+        )
+    if path.endless or not np.array_equal(path.timestamps_ns, times[known]) or not known.all():
+        what = f"written in {name} at the times of the frames"
+        lost = int((~known).sum())
+        what = f"{what}; {lost} frames lie beyond them" if lost else what
+        return [Loss(field=field, what=what, count=len(path.timestamps_ns), fate=Fate.CONVERTED)]
+    return []
+
+
+def _path(scene: Scene, lidar: LidarSensor) -> PosePath | None:
+    """Where the frame of the points was over time; None where nothing says it."""
+    odometries = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
+    way = next((way for way in scene.trajectories.values() if way.quaternions_xyzw is not None), None)
+    if lidar.points_frame is PointsFrame.EGO:
+        return odometries[0].poses if odometries else None if way is None else way.poses
+    if lidar.poses is not None and lidar.coordinates is Coordinates.WORLD:
+        return lidar.poses
+    ego = None if way is None else EgoMotion.of(way)
+    try:
+        source = sensor_source(scene, lidar, ego, reach_ns=0)
+    except PoseError:
+        return None
+    times = source.path.timestamps_ns
+    samples = source.at(times)
+    return PosePath(times, samples.positions, samples.quaternions_xyzw, endless=source.path.endless)
+
+
+def _write_tum(path: Path, poses: PosePath) -> None:
+    from sceneloom.formats.trajectories.content import TrajectoryFile
+    from sceneloom.formats.trajectories.tum import FORM
+    from sceneloom.scene import Trajectory
+
+    way = Trajectory("poses", poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
+    list(FORM.write(TrajectoryFile(way), path, path))

@@ -1,0 +1,87 @@
+"""What becomes of the fields that a scene has, by a format's table: for writers whose targets hold only a part."""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+from sceneloom.formats.holdings import Holds, holding_of
+from sceneloom.formats.loss import Fate, Holding, Loss
+from sceneloom.scene import Coordinates, LazyFrames, Scene
+from sceneloom.scene.contents import KINDS, MODEL_FIELDS
+from sceneloom.scene.plain import PlainSensor
+
+_ROOT = ("attributes", "metadata", "time_offset_ns", "extras")
+_OF_THE_WAY = ("file_seconds", "covariances", "quaternions_xyzw", "positions", "timestamps_ns")
+
+
+def field_losses(scene: Scene, holds: Holds) -> Iterator[Loss]:
+    """Name the fields of a scene that the table does not call kept, as far as the scene has them.
+
+    What stands in frames, in annotations of a kind that is held, or in a sensor's lens is for the writer to tell.
+
+    Args:
+        scene: what is written.
+        holds: the table of the format.
+    """
+    for sensor in scene.sensors:
+        yield from _of_sensor(sensor, holds)
+    yield from _of_annotations(scene, holds)
+    yield from _of_trajectories(scene, holds)
+    for name in _ROOT:
+        value = getattr(scene, name)
+        if value:
+            yield from _told(name, holding_of(holds, name), 1 if isinstance(value, int) else len(value))
+
+
+def _of_sensor(sensor: Any, holds: Holds) -> Iterator[Loss]:
+    kind = KINDS[type(sensor)]
+    whole = _of_all(kind, holds)
+    if whole is not None:
+        yield from _told(f"sensors[{sensor.id}]", whole, 1)
+        return
+    if isinstance(sensor, PlainSensor):
+        return
+    for name in type(sensor).__dataclass_fields__:
+        field = f"{kind}.{name}"
+        if field in MODEL_FIELDS and _is_said(getattr(sensor, name)):
+            yield from _told(f"sensors[{sensor.id}].{name}", holding_of(holds, field), 1)
+
+
+def _of_annotations(scene: Scene, holds: Holds) -> Iterator[Loss]:
+    counts = Counter(KINDS[type(annotation)] for annotation in scene.annotations)
+    for kind, count in counts.items():
+        whole = _of_all(kind, holds)
+        if whole is not None:
+            yield from _told(kind, whole, count)
+
+
+def _of_trajectories(scene: Scene, holds: Holds) -> Iterator[Loss]:
+    whole = _of_all("trajectories", holds)
+    for name, way in scene.trajectories.items():
+        if whole is not None:
+            yield from _told(f"trajectories[{name}]", whole, len(way.timestamps_ns))
+            continue
+        for field in _OF_THE_WAY:
+            values = getattr(way, field)
+            if values is not None:
+                yield from _told(
+                    f"trajectories[{name}].{field}", holding_of(holds, f"trajectories.{field}"), len(values)
+                )
+
+
+def _of_all(kind: str, holds: Holds) -> Holding | None:
+    """What is said of all fields of a kind, where that is the same: it is dropped as a whole."""
+    found = {holding_of(holds, field) for field in MODEL_FIELDS if field.startswith(f"{kind}.")}
+    only = next(iter(found))
+    return only if len(found) == 1 and only is not None and only.fate is Fate.DROPPED else None
+
+
+def _is_said(value: Any) -> bool:
+    if value is None or value is Coordinates.WORLD:
+        return False
+    return not hasattr(value, "__len__") or len(value) > 0 or isinstance(value, LazyFrames)
+
+
+def _told(field: str, holding: Holding | None, count: int) -> Iterator[Loss]:
+    if holding is not None and holding.fate is not Fate.KEPT:
+        yield Loss(field=field, what=holding.how, count=count, fate=holding.fate)

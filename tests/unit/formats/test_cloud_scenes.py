@@ -1,0 +1,351 @@
+"""Files of points as scenes, and scenes as files of points."""
+
+import pickle
+import shutil
+from dataclasses import replace
+
+import laspy
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
+from sceneloom.formats.clouds.names import name_of_time, numbers_of_names, stem_of, times_of_names
+from sceneloom.formats.loss import Fate
+from sceneloom.formats.table import find_format, open_scene, write_scene
+from sceneloom.scene import (
+    CuboidAnnotation,
+    CuboidPath,
+    GnssSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    PointsFrame,
+    PosePath,
+    Scene,
+    Trajectory,
+)
+
+RNG = np.random.default_rng(11)
+COUNT = 400
+STAMPS = (1_700_000_000_000_000_001, 1_700_000_000_100_000_003)
+KINDS = ("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes-bin", "npz")
+ENDINGS = {"kitti-bin": ".bin", "nuscenes-bin": ".pcd.bin"}
+HOLD_ALL = ("pcd", "ply", "las", "laz", "npz")
+
+
+def points(stamp_ns, *, extras=None):
+    return LidarPoints(
+        positions=RNG.uniform(-80, 80, (COUNT, 3)).astype(np.float32),
+        intensities=RNG.integers(0, 256, COUNT).astype(np.uint8),
+        colors=RNG.integers(0, 256, (COUNT, 3)).astype(np.uint8),
+        timestamps_ns=stamp_ns + RNG.integers(0, 100_000_000, COUNT),
+        rings=RNG.integers(0, 128, COUNT).astype(np.uint16),
+        camera_index=RNG.integers(0, 3, COUNT).astype(np.uint8),
+        extras=extras or {},
+    )
+
+
+def scene_of(frames, **fields):
+    stamps = [frame.timestamp_ns for frame in frames]
+    lidar = LidarSensor(fields.pop("id", "lidar"), LazyFrames.of(frames, stamps), **fields)
+    return Scene((lidar,))
+
+
+@pytest.fixture
+def scene():
+    extras = {"range": RNG.uniform(0, 80, COUNT), "echo": RNG.integers(0, 3, COUNT).astype(np.int8)}
+    return scene_of([LidarFrame(stamp, points(stamp, extras=extras)) for stamp in STAMPS])
+
+
+def same(found, expected, *, tolerance=0.0):
+    np.testing.assert_allclose(found.positions, expected.positions, rtol=0, atol=tolerance)
+    for name in ("intensities", "colors", "timestamps_ns", "rings", "camera_index"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    for name, values in expected.extras.items():
+        assert found.extras[name].dtype == values.dtype
+        np.testing.assert_array_equal(found.extras[name], values)
+
+
+@pytest.mark.parametrize("kind", HOLD_ALL)
+def test_a_folder_of_clouds_gives_back_all_that_its_points_bear(tmp_path, scene, kind):
+    losses = write_scene(scene, tmp_path / "clouds", format=kind)
+    with open_scene(tmp_path / "clouds") as found:
+        assert found.format == kind
+        assert found.lidars[0].frames.timestamps_ns.tolist() == list(STAMPS)
+        for one, other in zip(found.lidars[0].frames, scene.lidars[0].frames, strict=True):
+            # LAS rounds to steps of 0.01 mm, and float32 of 80 m to 8 µm
+            same(one.points, other.points, tolerance=1.3e-5 if kind.startswith("la") else 0.0)
+    if kind.startswith("la"):
+        (loss,) = losses
+        assert loss.fate is Fate.APPROXIMATED
+        assert 0 < loss.largest_error <= 0.5e-5 + 1e-12
+    else:
+        assert not losses
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+def test_pcd_files_of_every_encoding_hold_the_same(tmp_path, scene, encoding):
+    write_scene(scene, tmp_path / "clouds", format="pcd", encoding=encoding)
+    found = open_scene(tmp_path / "clouds").lidars[0].frames[1].points
+    same(found, scene.lidars[0].frames[1].points)
+
+
+@pytest.mark.parametrize(("kind", "columns"), [("kitti-bin", 4), ("nuscenes-bin", 5)])
+def test_packed_files_hold_the_places_and_the_brightness_and_what_they_leave_out_is_told(
+    tmp_path, scene, kind, columns
+):
+    losses = write_scene(scene, tmp_path / "clouds", format=kind)
+    file = tmp_path / "clouds" / f"{STAMPS[0]}{ENDINGS[kind]}"
+    rows = np.fromfile(file, "<f4").reshape(-1, columns)
+    expected = scene.lidars[0].frames[0].points
+    np.testing.assert_array_equal(rows[:, :3], expected.positions)
+    # KITTI counts brightness from 0 to 1, nuScenes from 0 to 255
+    full = 1.0 if kind == "kitti-bin" else 255.0
+    np.testing.assert_allclose(rows[:, 3], expected.intensities * (full / 255.0), rtol=1e-6)
+    left = {"timestamps_ns", "colors", "camera_index", "extras.range", "extras.echo"}
+    if kind == "nuscenes-bin":
+        np.testing.assert_array_equal(rows[:, 4], expected.rings)
+    else:
+        left.add("rings")
+    assert {loss.field.removeprefix("sensors[lidar].frames.points.") for loss in losses} == left
+    assert all(loss.fate is Fate.DROPPED and loss.count == 2 for loss in losses)
+    found = open_scene(tmp_path / "clouds").lidars[0].frames[0].points
+    np.testing.assert_array_equal(found.positions, expected.positions)
+    np.testing.assert_array_equal(found.intensities, expected.intensities)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_scene_of_one_frame_is_written_to_a_file(tmp_path, kind):
+    one = scene_of([LidarFrame(0, replace(points(0), timestamps_ns=None))])
+    target = tmp_path / f"one{ENDINGS.get(kind, f'.{kind}')}"
+    write_scene(one, target, format=kind)
+    assert find_format(target).name == kind
+    found = open_scene(target).lidars[0].frames[0]
+    assert found.timestamp_ns == 0
+    np.testing.assert_allclose(found.points.positions, one.lidars[0].frames[0].points.positions, atol=1.3e-5)
+
+
+def test_several_frames_do_not_go_into_one_file(tmp_path, scene):
+    with pytest.raises(OptionError, match="one file for 2 frames"):
+        write_scene(scene, tmp_path / "one.pcd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_files_of_points_have_no_place_for_is_told(tmp_path, scene):
+    box = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.ones((1, 9))))
+    fix = GnssSensor("gps", np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(1), np.ones(1))
+    lidar = replace(scene.lidars[0], model="M1", id="top")
+    losses = write_scene(
+        Scene((lidar, fix), annotations=(box,), metadata={"city": "x"}), tmp_path / "o", format="ply"
+    )
+    told = {loss.field: loss for loss in losses}
+    assert {"sensors[gps]", "sensors[top].model", "annotations.cuboid", "metadata", "sensors[top].id"} == set(
+        told
+    )
+    assert told["sensors[top].id"].fate is Fate.CONVERTED
+
+
+def test_points_are_written_in_the_frame_that_is_asked_for(tmp_path):
+    # a quarter turn to the left at (10, 0, 0): what lies ahead of the sensor lies to the left in the world
+    half = np.sqrt(0.5)
+    stamps = np.array(STAMPS)
+    poses = PosePath(
+        stamps, np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]]), np.array([[0.0, 0.0, half, half]] * 2)
+    )
+    ahead = LidarPoints(np.array([[5.0, 0.0, 0.0]], np.float32))
+    one = scene_of([LidarFrame(stamp, ahead) for stamp in STAMPS], poses=poses)
+    write_scene(one, tmp_path / "world", format="ply", frame="world")
+    found = open_scene(tmp_path / "world", points_frame="world").lidars[0]
+    assert found.points_frame is PointsFrame.WORLD
+    np.testing.assert_allclose(
+        [frame.points.positions[0] for frame in found.frames], [[10, 5, 0], [20, 5, 0]], atol=1e-5
+    )
+    write_scene(one, tmp_path / "sensor", format="ply", frame="sensor")
+    back = open_scene(tmp_path / "sensor").lidars[0]
+    assert back.points_frame is PointsFrame.SENSOR
+    np.testing.assert_array_equal(back.poses.timestamps_ns, stamps)
+    np.testing.assert_array_equal(back.poses.positions, poses.positions)
+    # asked for at times of its own, a path gives its rotations normalised: the last digit may differ
+    np.testing.assert_allclose(back.poses.quaternions_xyzw, poses.quaternions_xyzw, rtol=0, atol=1e-15)
+
+
+def test_points_on_the_ego_bring_the_way_of_the_ego(tmp_path):
+    stamps = np.array(STAMPS)
+    way = Trajectory("vio", stamps, np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([[0.0, 0, 0, 1]] * 2))
+    one = scene_of(
+        [LidarFrame(stamp, points(stamp)) for stamp in STAMPS], points_frame=PointsFrame.EGO, poses=way.poses
+    )
+    write_scene(replace(one, trajectories={"vio": way}), tmp_path / "o", format="pcd")
+    with open_scene(tmp_path / "o") as found:
+        assert found.lidars[0].points_frame is PointsFrame.EGO
+        (trajectory,) = found.trajectories.values()
+        np.testing.assert_array_equal(trajectory.positions, way.positions)
+
+
+def test_several_lidars_are_folders_of_their_own(tmp_path):
+    lidars = [
+        LidarSensor(name, LazyFrames.of([LidarFrame(7, points(7))], [7])) for name in ("top left", "rear/1")
+    ]
+    losses = write_scene(Scene(tuple(lidars)), tmp_path / "o", format="npz")
+    assert not losses
+    found = {lidar.id: lidar.frames[0].points for lidar in open_scene(tmp_path / "o").lidars}
+    assert set(found) == {"top left", "rear/1"}
+    for lidar in lidars:
+        same(found[lidar.id], lidar.frames[0].points)
+
+
+def test_frames_of_one_time_keep_their_order_and_that_is_told(tmp_path):
+    frames = [LidarFrame(5, points(5)) for _ in range(3)]
+    (loss,) = write_scene(scene_of(frames), tmp_path / "o", format="pcd")
+    assert (loss.fate, loss.count, loss.largest_error) == (Fate.APPROXIMATED, 2, 2.0)
+    found = open_scene(tmp_path / "o").lidars[0].frames
+    for one, other in zip(found, frames, strict=True):
+        np.testing.assert_array_equal(one.points.positions, other.points.positions)
+
+
+def test_brightness_beyond_bytes_is_kept_beside_them_and_goes_on_to_other_kinds(tmp_path):
+    rows = RNG.uniform(0, 1, (COUNT, 4)).astype(np.float32)
+    (tmp_path / "in").mkdir()
+    rows.tofile(tmp_path / "in" / "000000.bin")
+    read = open_scene(tmp_path / "in")
+    frame = read.lidars[0].frames[0]
+    np.testing.assert_array_equal(frame.points.extras["intensity"], rows[:, 3])
+    np.testing.assert_array_equal(frame.points.intensities, np.rint(rows[:, 3].astype(np.float64) * 255))
+    write_scene(read, tmp_path / "out.ply")
+    found = open_scene(tmp_path / "out.ply").lidars[0].frames[0].points
+    np.testing.assert_array_equal(found.extras["intensity"], rows[:, 3])
+
+
+def test_large_coordinates_are_put_on_an_origin_near_them(tmp_path):
+    corner = np.array([500_000.0, 5_400_000.0, 200.0])
+    header = laspy.LasHeader(version="1.2", point_format=0)
+    header.offsets, header.scales = corner, np.full(3, 0.001)
+    file = laspy.LasData(header)
+    file.xyz = corner + np.rint(RNG.uniform(0, 100, (COUNT, 3)) * 1000) / 1000
+    file.write(str(tmp_path / "tile.las"))
+    with open_scene(tmp_path / "tile.las") as scene:
+        lidar = scene.lidars[0]
+        assert "cloud-origin" in {notice.code for notice in scene.notices}
+        world = lidar.frames[0].points.positions.astype(np.float64) + lidar.poses.positions[0]
+        # float32 of 50 m is exact to 4 µm
+        np.testing.assert_allclose(world, np.asarray(file.xyz), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("names", "times"),
+    [
+        (["1700000000000000001", "1700000000100000003"], list(STAMPS)),
+        (["-0000000000000000005", "0000000000000000007"], [-5, 7]),
+        (["1700000000.5", "1700000000.6"], [1_700_000_000_500_000_000, 1_700_000_000_600_000_000]),
+        (["1700000000_000000001", "1700000000_100000003"], list(STAMPS)),
+        (["a__LIDAR_TOP__1532402927647951"], [1_532_402_927_647_951_000]),
+        (["pc-1532402927647"], [1_532_402_927_647_000_000]),
+        (["0.1", "0.25"], [100_000_000, 250_000_000]),
+        (["000000", "000001"], None),
+        (["0000000005"], None),
+        (["cloud"], None),
+        (["1700000000", "cloud"], None),
+    ],
+)
+def test_names_that_are_times_are_told_from_numbers(names, times):
+    assert times_of_names(names) == times
+
+
+def test_numbers_and_endings_of_names():
+    assert numbers_of_names(["frame_000007", "frame_000009"]) == [7, 9]
+    assert numbers_of_names(["a_1", "b_1"]) is None
+    assert stem_of("x__1.pcd.bin") == "x__1"
+    assert times_of_names([name_of_time(-3)]) == [-3]
+
+
+def numbered(folder, numbers):
+    folder.mkdir()
+    for number in numbers:
+        RNG.uniform(0, 1, (4, 4)).astype("<f4").tofile(folder / f"{number:06d}.bin")
+    return folder
+
+
+def test_numbered_files_are_taken_at_ten_hertz_and_that_is_told(tmp_path):
+    folder = numbered(tmp_path / "v", (0, 1, 3))
+    scene = open_scene(folder)
+    assert scene.lidars[0].frames.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
+    assert {"cloud-times-assumed", "cloud-frame-assumed"} <= {notice.code for notice in scene.notices}
+    told = open_scene(folder, rate_hz=20.0)
+    assert told.lidars[0].frames.timestamps_ns.tolist() == [0, 50_000_000, 150_000_000]
+    assert "cloud-times-assumed" not in {notice.code for notice in told.notices}
+
+
+def test_a_list_of_times_beside_the_files_counts(tmp_path):
+    folder = numbered(tmp_path / "data", (0, 1))
+    (tmp_path / "timestamps.txt").write_text("2011-09-26 13:02:25.5\n2011-09-26 13:02:25.600000001\n")
+    times = open_scene(folder).lidars[0].frames.timestamps_ns
+    assert np.diff(times).tolist() == [100_000_001]
+    (tmp_path / "timestamps.txt").write_text("2011-09-26 13:02:25.5\n")
+    with pytest.raises(DataError, match="1 times for 2 files"):
+        open_scene(folder)
+    assert len(open_scene(folder, lenient=True).lidars[0].frames) == 1
+
+
+def test_two_files_of_one_time_are_refused(tmp_path):
+    folder = tmp_path / "v"
+    folder.mkdir()
+    for name in ("a_1.5.bin", "b_1.5.bin"):
+        np.ones((4, 4), "<f4").tofile(folder / name)
+    with pytest.raises(DataError, match="have the same time"):
+        open_scene(folder)
+
+
+def test_a_folder_with_other_files_is_told_what_keeps_it_from_being_clouds(tmp_path):
+    folder = numbered(tmp_path / "v", (0, 1))
+    (folder / "image.png").write_bytes(b"x")
+    with pytest.raises(UnknownFormatError, match=r"2 .*\.bin.* but 'image.png', too"):
+        open_scene(folder)
+    assert len(open_scene(folder, format="kitti-bin").lidars[0].frames) == 2
+
+
+def test_two_kinds_of_clouds_in_one_folder_are_named(tmp_path, scene):
+    write_scene(scene, tmp_path / "o", format="pcd")
+    write_scene(scene, tmp_path / "p", format="ply")
+    shutil.copy(next((tmp_path / "p").iterdir()), tmp_path / "o")
+    with pytest.raises(UnknownFormatError, match=r"more than one reader claims this: pcd, .*; ply, "):
+        open_scene(tmp_path / "o")
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00" * 17, np.arange(64, dtype="<i4").tobytes()])
+def test_other_bin_files_are_no_clouds(tmp_path, content):
+    (tmp_path / "a.bin").write_bytes(content)
+    with pytest.raises(UnknownFormatError, match="does not begin so"):
+        open_scene(tmp_path / "a.bin")
+
+
+def test_a_later_file_that_is_torn_is_named_when_it_is_read_and_left_out_leniently(tmp_path, scene):
+    write_scene(scene, tmp_path / "o", format="laz")
+    torn = tmp_path / "o" / f"{STAMPS[1]}.laz"
+    torn.write_bytes(torn.read_bytes()[:-200])
+    strict = open_scene(tmp_path / "o")
+    with pytest.raises(DataError, match=f"{STAMPS[1]}.laz: cannot be read"):
+        strict.lidars[0].frames[1]
+    lenient = open_scene(tmp_path / "o", lenient=True)
+    assert lenient.lidars[0].frames.timestamps_ns.tolist() == [STAMPS[0]]
+    assert [n.count for n in lenient.notices if n.code == "unreadable-files"] == [1]
+
+
+def test_options_that_do_not_count_are_refused(tmp_path, scene):
+    with pytest.raises(UnknownOptionError):
+        write_scene(scene, tmp_path / "o", format="pcd", profile="scale")
+    for options in ({"frame": "moon"}, {"encoding": "zip"}, {"lidar": "none"}):
+        with pytest.raises(OptionError):
+            write_scene(scene, tmp_path / "o", format="pcd", **options)
+    write_scene(scene, tmp_path / "o", format="pcd")
+    with pytest.raises(OutputError):
+        write_scene(scene, tmp_path / "o", format="pcd")
+    for options in ({"points_frame": "moon"}, {"rate_hz": 0.0}):
+        with pytest.raises(OptionError):
+            open_scene(tmp_path / "o", **options)
+
+
+def test_frames_of_clouds_go_to_other_processes(tmp_path, scene):
+    write_scene(scene, tmp_path / "o", format="npz")
+    frames = pickle.loads(pickle.dumps(open_scene(tmp_path / "o").lidars[0].frames))
+    same(frames[1].points, scene.lidars[0].frames[1].points)

@@ -98,7 +98,7 @@ def retimed_scene(
         if name not in scene.trajectories:
             raise OptionError(f"{scene.source}: no trajectory {name!r}")
     ways = {
-        name: _trajectory(way, trajectories[name]) if name in trajectories else way
+        name: retimed_trajectory(way, trajectories[name]) if name in trajectories else way
         for name, way in scene.trajectories.items()
     }
     moved = [
@@ -127,7 +127,15 @@ def _default_moved(scene: Scene, trajectories: Mapping[str, ClockCorrection]) ->
     return next(iter(scene.trajectories), None) in trajectories
 
 
-def _trajectory(way: Trajectory, correction: ClockCorrection) -> Trajectory:
+def retimed_sensor(sensor: Sensor, correction: ClockCorrection) -> Sensor:
+    """Give a sensor with the times of all that it measured moved; its poses are not among them."""
+    move = _RETIMED.get(type(sensor))
+    moved: Sensor = sensor if move is None else move(sensor, correction)
+    return moved
+
+
+def retimed_trajectory(way: Trajectory, correction: ClockCorrection) -> Trajectory:
+    """Give a trajectory with its times moved."""
     return replace(way, timestamps_ns=read_only(correction.right(way.timestamps_ns)), file_seconds=None)
 
 

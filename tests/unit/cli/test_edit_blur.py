@@ -1,4 +1,4 @@
-"""`sceneloom edit blur`: from a list of boxes to a drive that can be shown."""
+"""`sceneloom edit blur` and `relative`: from a drive to one that can be shown."""
 
 import json
 
@@ -63,3 +63,20 @@ def test_pictures_that_are_not_touched_are_copied_without_what_they_say(call, dr
         old, new = before.cameras[0].pictures, after.cameras[0].pictures
         assert new[0].encoded is None or new[0].encoded() == old[0].encoded()
         assert np.array_equal(new[0].rgb, old[0].rgb)
+
+
+def test_edit_relative_writes_a_drive_that_begins_at_zero(call, drives, tmp_path):
+    outcome = call(
+        "edit", "relative", drives / "recording", "-o", tmp_path / "r.sfs", "--dates", "shift", "--json"
+    )
+    assert outcome.code == 0, outcome.err
+    codes = {notice["code"] for notice in json.loads(outcome.out)["notices"]}
+    assert {"fixes-left-out", "tells-place"} <= codes
+    with sceneloom.open(tmp_path / "r.sfs") as scene:
+        way = next(iter(scene.trajectories.values()))
+        first = min(sensor.frames.timestamps_ns[0] for sensor in scene.lidars)
+        assert abs(int(first)) < 1_000_000_000
+        start = int(np.argmin(np.abs(way.timestamps_ns)))
+        assert (
+            np.linalg.norm(way.positions[start]) < 1.0
+        )  # where a pose is, a tenth of a second after the first

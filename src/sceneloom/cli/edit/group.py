@@ -20,6 +20,7 @@ VERBS = MappingProxyType(
         "simplify": "Keep only those stamps of paths that the others do not tell.",
         "apply": "Apply localization adjustments and camera calibrations.",
         "blur": "Hide faces, plates and other places in pictures for good.",
+        "relative": "Take out where a drive was, by whom, and on request when.",
         "undistort": "Resample pictures so that their lenses are pinholes.",
         "lens": "Tell the lenses by another model, as near as it comes.",
     }

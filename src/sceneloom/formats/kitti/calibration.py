@@ -1,7 +1,7 @@
 """KITTI's calibration files, in the spellings of the tracking and of the object benchmark."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
@@ -14,14 +14,23 @@ from sceneloom.formats.kitti.number_lines import Line, read_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import GREATEST_ERROR, nearest_rotation
 
+RECTIFIED_FROM_VELODYNE = "Tr"
+"""The odometry benchmark's entry: it leads into the rectified frame at once, so that no rotation stands beside it."""
+
 _SPELLINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "rectification": ("R_rect", "R0_rect", "R_rect_00", "R_rect_0"),
-        "camera_from_velodyne": ("Tr_velo_cam", "Tr_velo_to_cam"),
+        "camera_from_velodyne": ("Tr_velo_cam", "Tr_velo_to_cam", RECTIFIED_FROM_VELODYNE),
         "velodyne_from_imu": ("Tr_imu_velo", "Tr_imu_to_velo"),
     }
 )
-"""What the entries are called in the tracking benchmark, and elsewhere; with or without a colon behind."""
+"""What the entries are called in the tracking benchmark, in the object benchmark, and in that of odometry; with or
+without a colon behind."""
+
+OPTICAL_FROM_BODY = RigidTransform(
+    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3)
+)
+"""Takes a frame that looks forward, left and up into the camera's: right, down, forward."""
 
 PICTURE_SIZES: Mapping[float, tuple[int, int]] = MappingProxyType(
     {
@@ -46,11 +55,13 @@ class KittiCalibration:
         projections: (3, 4) float64 by number of the camera: from the rectified frame to pixels.
         rectified_from_lidar: into the rectified frame of camera 0, in which labels are.
         lidar_from_imu: None where the file does not have it.
+        entries: the file's numbers by their names, as far as they are finite numbers.
     """
 
     projections: Mapping[int, Float64Array]
     rectified_from_lidar: RigidTransform
     lidar_from_imu: RigidTransform | None
+    entries: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
     def camera(self, number: int, size_wh: tuple[int, int]) -> Camera:
         """The lens of a rectified camera.
@@ -77,8 +88,12 @@ class KittiCalibration:
         return next((size for known, size in PICTURE_SIZES.items() if abs(known - focal) < 1e-3), None)
 
 
-def read_calibration(path: Path) -> KittiCalibration:
+def read_calibration(path: Path, *, needs_lidar: bool = True) -> KittiCalibration:
     """Read a calibration file.
+
+    Args:
+        needs_lidar: refuse a file that does not say where the lidar is; else the lidar's frame is then that of
+            the rectified camera 0, turned forward, left and up.
 
     Raises:
         DataError: an entry is missing, there twice, or its numbers are no projection or no rigid transform.
@@ -94,19 +109,40 @@ def read_calibration(path: Path) -> KittiCalibration:
             raise line.fault(f"{name} stands in line {entries[name].number} already; expected it once")
         entries[name] = line
     projections = {
-        int(name[1:]): _projection(line)
+        int(name[1:]): projection_of(line)
         for name, line in entries.items()
         if len(name) == 2 and name[0] == "P" and name[1].isdigit()
     }
-    camera_from_velodyne = _rigid(_entry(path, entries, "camera_from_velodyne"))
-    line = _entry(path, entries, "rectification")
-    rectification = RigidTransform(_rotation(line, _numbers(line, 9).reshape(3, 3)), np.zeros(3))
     has_imu = any(name in entries for name in _SPELLINGS["velodyne_from_imu"])
     return KittiCalibration(
         MappingProxyType(projections),
-        rectification @ camera_from_velodyne,
+        _rectified_from_lidar(path, entries, needs_lidar=needs_lidar),
         _rigid(_entry(path, entries, "velodyne_from_imu")) if has_imu else None,
+        MappingProxyType(_finite_entries(entries)),
     )
+
+
+def _rectified_from_lidar(path: Path, entries: Mapping[str, Line], *, needs_lidar: bool) -> RigidTransform:
+    known = _SPELLINGS["camera_from_velodyne"]
+    if not needs_lidar and not any(name in entries for name in known):
+        return OPTICAL_FROM_BODY
+    line = _entry(path, entries, "camera_from_velodyne")
+    camera_from_velodyne = _rigid(line)
+    if line.words[0].rstrip(":") == RECTIFIED_FROM_VELODYNE:
+        return camera_from_velodyne
+    line = _entry(path, entries, "rectification")
+    rectification = RigidTransform(rotation_of(line, _numbers(line, 9).reshape(3, 3)), np.zeros(3))
+    return rectification @ camera_from_velodyne
+
+
+def _finite_entries(entries: Mapping[str, Line]) -> dict[str, tuple[float, ...]]:
+    found = {}
+    for name, line in entries.items():
+        try:
+            found[name] = tuple(line.floats(1, [name] * (len(line.words) - 1)))
+        except DataError:
+            continue  # such as a date: no number that a scene is made of
+    return found
 
 
 def _entry(path: Path, entries: Mapping[str, Line], meaning: str) -> Line:
@@ -124,7 +160,12 @@ def _numbers(line: Line, count: int) -> Float64Array:
     return np.array(line.floats(1, [f"{line.words[0].rstrip(':')}[{k}]" for k in range(count)]))
 
 
-def _projection(line: Line) -> Float64Array:
+def projection_of(line: Line) -> Float64Array:
+    """The (3, 4) matrix of a projection, K [I t].
+
+    Raises:
+        DataError: it is none.
+    """
     matrix = _numbers(line, 12).reshape(3, 4)
     k = matrix[:, :3]
     upright = np.array_equal(k[[1, 2, 2], [0, 0, 1]], np.zeros(3)) and k[2, 2] == 1 and k[0, 1] == 0
@@ -135,7 +176,12 @@ def _projection(line: Line) -> Float64Array:
     return matrix
 
 
-def _rotation(line: Line, matrix: Float64Array) -> Float64Array:
+def rotation_of(line: Line, matrix: Float64Array) -> Float64Array:
+    """The rotation nearest to a (3, 3) matrix of a line.
+
+    Raises:
+        DataError: the matrix is too far from one.
+    """
     small = np.abs(matrix).max() <= 2  # larger ones would overflow in the test
     rotation, error = nearest_rotation(matrix) if small else (matrix, float("inf"))
     if not error <= GREATEST_ERROR:
@@ -148,6 +194,6 @@ def _rotation(line: Line, matrix: Float64Array) -> Float64Array:
 def _rigid(line: Line) -> RigidTransform:
     matrix = _numbers(line, 12).reshape(3, 4)
     try:
-        return RigidTransform(_rotation(line, matrix[:, :3]), matrix[:, 3].copy())
+        return RigidTransform(rotation_of(line, matrix[:, :3]), matrix[:, 3].copy())
     except CalibrationError as error:
         raise line.fault(str(error)) from error

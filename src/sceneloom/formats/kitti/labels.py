@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array, read_only
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, read_only
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.kitti.number_lines import Line, as_table, read_lines
 from sceneloom.formats.output import filling, replacing
@@ -177,6 +177,18 @@ def _labels(heads: Sequence[tuple[int, int, str]], values: Float64Array) -> Kitt
         rotations_y=values[:, 13].copy(),
         scores=values[:, 14].copy() if values.shape[1] > len(NUMBERS) else None,
     )
+
+
+def joined_labels(parts: Sequence[KittiLabels]) -> KittiLabels:
+    """Put labels together, in the order of the parts; scores are kept where all of them have some."""
+    filled = [part for part in parts if len(part)]
+    columns: dict[str, Any] = {}
+    for name, (dtype, shape) in {"frames": (np.int64, ()), **_COLUMNS}.items():
+        values = [getattr(part, name) for part in filled]
+        known = all(value is not None for value in values) and (filled or name != "scores")
+        empty: AnyArray = np.zeros((0, *shape), dtype)
+        columns[name] = np.concatenate([empty, *values]) if known else None
+    return KittiLabels(types=tuple(word for part in filled for word in part.types), **columns)
 
 
 def write_labels(labels: KittiLabels, path: Path | str, *, overwrite: bool = False) -> None:

@@ -34,8 +34,13 @@ def read_oxts(path: Path, timestamps_ns: Int64Array | None = None) -> PosePath:
     """
     values = read_fields(path)
     times = np.arange(len(values), dtype=np.int64) * PERIOD_NS if timestamps_ns is None else timestamps_ns
+    return way_of(values, times[: len(values)].copy())
+
+
+def way_of(values: Float64Array, timestamps_ns: Int64Array) -> PosePath:
+    """The way of the unit, of lines (N, 30) in the order of `FIELDS` and their times (N,) [ns], as `read_oxts`."""
     positions = enu_from_geodetic(values[:, :3], values[0, :3])
-    return PosePath(times[: len(values)].copy(), positions, _quaternions(values[:, 3:6]))
+    return PosePath(timestamps_ns, positions, _quaternions(values[:, 3:6]))
 
 
 PERIOD_NS = 100_000_000

@@ -201,7 +201,7 @@ def _read_sequence(tracking: KittiTracking, name: str, ledger: Ledger) -> KittiS
     boxes_3d = _detections(tracking.detector_3d, name, COLUMNS_3D, read_boxes_3d_list, ledger)
     _note_lonely_classes(tracking, name, (boxes_2d, boxes_3d), ledger)
     frame_count, poses = _frame_count(folder, name, (boxes_2d, boxes_3d), ledger)
-    times = _times(folder, name, frame_count)
+    times = frame_times(folder, name, frame_count)
     oxts = folder / "oxts" / f"{name}.txt"
     way = None
     if poses and calibration.lidar_from_imu is not None:
@@ -213,7 +213,7 @@ def _read_sequence(tracking: KittiTracking, name: str, ledger: Ledger) -> KittiS
     return KittiSequence(
         name=name,
         frame_count=frame_count,
-        camera=calibration.camera(CAMERA, _picture_size(folder, name, calibration, ledger)),
+        camera=calibration.camera(CAMERA, picture_size(folder, name, calibration, ledger)),
         camera_from_lidar=calibration.camera_from_lidar(CAMERA),
         rectified_from_lidar=calibration.rectified_from_lidar,
         lidar_from_imu=calibration.lidar_from_imu,
@@ -296,8 +296,12 @@ PICTURES = "image_02"
 """The folder of the left colour camera's pictures, where it is there."""
 
 
-def _times(folder: Path, name: str, frame_count: int) -> Int64Array:
-    """Of a file of seconds, where there is one; else ten frames a second."""
+def frame_times(folder: Path, name: str, frame_count: int) -> Int64Array:
+    """When the frames of a sequence were, (N,) int64 [ns]: by a file of seconds, where there is one; else ten a second.
+
+    Raises:
+        DataError: the file has fewer times, or they do not rise.
+    """
     file = folder / "times" / f"{name}.txt"
     if not file.is_file():
         return np.arange(frame_count, dtype=np.int64) * PERIOD_NS
@@ -312,8 +316,8 @@ def _times(folder: Path, name: str, frame_count: int) -> Int64Array:
     return times[:frame_count].copy()
 
 
-def _picture_size(folder: Path, name: str, calibration: KittiCalibration, ledger: Ledger) -> tuple[int, int]:
-    """Width and height of the pictures: of the first one there is, else by the focal length, else by the lens."""
+def picture_size(folder: Path, name: str, calibration: KittiCalibration, ledger: Ledger) -> tuple[int, int]:
+    """Width and height of a sequence's pictures: of the first one, else by the focal length or the lens."""
     for picture in sorted((folder / PICTURES / name).glob("*.png"))[:1]:
         head = picture.read_bytes()[:24] if picture.stat().st_size >= 24 else b""
         if head[:8] == b"\x89PNG\r\n\x1a\n":

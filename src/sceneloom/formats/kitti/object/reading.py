@@ -1,0 +1,226 @@
+"""Frames of KITTI's object benchmark as a scene.
+
+The frames come from many drives: each has a calibration of its own, and nothing tells when it was or where. One scene
+holds them so: the ego is the lidar and stands still, so that every frame's world is its own lidar's frame; frame N is
+at N seconds; each picture has the lens and the mounting of its frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array, read_only
+from sceneloom.errors import DataError
+from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
+from sceneloom.formats.kitti.labels import KittiLabels, joined_labels, read_labels
+from sceneloom.formats.kitti.object.place import PICTURE_FOLDERS, find_frames
+from sceneloom.formats.kitti.scenes.boxes import LabelPlaces, label_annotations
+from sceneloom.formats.kitti.scenes.numbered import PICTURES, SWEEPS, TEXTS, NumberedFiles, numbered_files
+from sceneloom.formats.kitti.scenes.pictures import FramedPictures
+from sceneloom.formats.kitti.scenes.sensors import camera_id, kitti_metadata, lidar_sensor
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.rig.pictures import picture_size
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    Annotation,
+    CameraSensor,
+    LazyFrames,
+    NoticeKind,
+    Picture,
+    PosePath,
+    PoseSamples,
+    Scene,
+    Sensor,
+    Trajectory,
+)
+
+FRAME_NS = 1_000_000_000
+"""From frame to frame: so far that none is taken for its neighbour's moment."""
+
+WAY = "frames"
+"""The name of the way of an ego that stands still in each frame's own world."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameCalibrations:
+    """The calibrations of frames; most frames of a drive have the same one.
+
+    Attributes:
+        different: those that differ.
+        chosen: which of them a frame has, by its number.
+    """
+
+    different: tuple[KittiCalibration, ...]
+    chosen: dict[int, int]
+
+    @classmethod
+    def read(cls, files: NumberedFiles, ledger: Ledger) -> "FrameCalibrations":
+        """Read the files of all frames, each text once.
+
+        Raises:
+            DataError: one is faulty.
+        """
+        known: dict[bytes, int] = {}
+        different: list[KittiCalibration] = []
+        chosen = {}
+        for number, path in zip(files.numbers.tolist(), files.paths, strict=True):
+            text = read_bytes(path)
+            if text not in known:
+                try:
+                    different.append(read_calibration(path))
+                except DataError as error:
+                    ledger.fault("faulty-calibrations", error)
+                    continue
+                known[text] = len(different) - 1
+            chosen[number] = known[text]
+        return cls(tuple(different), chosen)
+
+    def of(self, number: int) -> KittiCalibration:
+        """The calibration of a frame."""
+        return self.different[self.chosen[number]]
+
+    def kept(self, files: NumberedFiles, ledger: Ledger) -> NumberedFiles:
+        """Those files whose frames have a calibration.
+
+        Raises:
+            DataError: one has none.
+        """
+        missing = [k for k, number in enumerate(files.numbers.tolist()) if number not in self.chosen]
+        if not missing:
+            return files
+        name = files.paths[missing[0]].name
+        place = files.folder.parent / "calib" / f"{files.paths[missing[0]].stem}.txt"
+        problem = f"is missing; {files.folder.name}/{name} needs the calibration of its frame"
+        ledger.fault("frames-without-calibration", DataError(place, "", problem), count=len(missing))
+        return files.only([number in self.chosen for number in files.numbers.tolist()])
+
+
+def open_object(path: Path, *, lenient: bool = False) -> Scene:
+    """Open frames of the object benchmark: their folder, or the one above `training` and `testing`.
+
+    Args:
+        path: the folder.
+        lenient: leave out frames without calibration and faulty labels, and count them.
+
+    Raises:
+        DataError: something is missing or wrong.
+    """
+    ledger = Ledger(lenient=lenient)
+    with ledger.telling():
+        return _open(find_frames(path, ledger), ledger)
+
+
+def _open(folder: Path, ledger: Ledger) -> Scene:
+    calibrations = FrameCalibrations.read(numbered_files(folder / "calib", TEXTS, ledger), ledger)
+    sweeps = calibrations.kept(numbered_files(folder / "velodyne", SWEEPS, ledger), ledger)
+    pictures = {
+        number: calibrations.kept(numbered_files(folder / name, PICTURES, ledger), ledger)
+        for number, name in PICTURE_FOLDERS.items()
+    }
+    labels = calibrations.kept(numbered_files(folder / "label_2", TEXTS, ledger), ledger)
+    every = np.unique(np.concatenate([files.numbers for files in (sweeps, labels, *pictures.values())]))
+    if not len(every):
+        raise DataError(
+            folder, "", "holds no frame with a calibration; expected calib/000000.txt for each frame"
+        )
+    path = PosePath(*_still(every))
+    sensors: list[Sensor] = []
+    if len(sweeps):
+        sensors.append(
+            lidar_sensor(sweeps, sweeps.numbers * FRAME_NS, RigidTransform.identity(), path, ledger)
+        )
+    for number, files in pictures.items():
+        if len(files) or (number == 2 and len(labels)):
+            sensors.append(_camera(number, files, calibrations, folder, ledger))
+    message = "frames have no times and no common world: frame N is at N s, in the frame of its own lidar"
+    ledger.note(NoticeKind.ASSUMED, "frames-apart", str(folder), message)
+    return Scene(
+        tuple(sensors),
+        annotations=_annotations(labels, calibrations, ledger),
+        trajectories=MappingProxyType({WAY: Trajectory(WAY, *_still(every))}),
+        metadata=kitti_metadata("object", calibration=_plain(calibrations)),
+        source=str(folder),
+        format="kitti-object",
+        notices=ledger.notices,
+    )
+
+
+def _plain(calibrations: FrameCalibrations) -> dict[str, object]:
+    """The numbers of all calibrations, and which of them each frame has."""
+    different = [{name: list(row) for name, row in one.entries.items()} for one in calibrations.different]
+    return {"different": different, "frames": {str(k): row for k, row in calibrations.chosen.items()}}
+
+
+def _still(numbers: Int64Array) -> tuple[Int64Array, np.ndarray, np.ndarray]:
+    """Times, places and turns of an ego that stands at the origin."""
+    count = len(numbers)
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    return read_only(numbers * FRAME_NS), read_only(np.zeros((count, 3))), read_only(turns)
+
+
+def _camera(
+    number: int, files: NumberedFiles, calibrations: FrameCalibrations, folder: Path, ledger: Ledger
+) -> CameraSensor:
+    """A camera whose pictures have lenses and mountings of their own; its own are those of its first picture."""
+    frames = files.numbers.tolist() or sorted(calibrations.chosen)[:1]
+    for frame in frames:
+        if number not in calibrations.of(frame).projections:
+            place = folder / "calib" / f"{frame:06d}.txt"
+            raise DataError(place, "", f"no P{number}; expected that of {PICTURE_FOLDERS[number]}")
+    first = calibrations.of(frames[0])
+    if len(files):
+        size = picture_size(files.paths[0])
+    else:
+        size = first.usual_size(number) or (1242, 375)
+        message = f"without pictures, they are taken as {size[0]}x{size[1]}"
+        ledger.note(NoticeKind.ASSUMED, "picture-size", str(folder), message)
+    stamps = read_only(files.numbers * FRAME_NS)
+    chosen = tuple(calibrations.chosen[frame] for frame in files.numbers.tolist())
+    reader = FramedPictures(files.paths, files.names, stamps, number, calibrations.different, chosen)
+    pictures: LazyFrames[Picture] = LazyFrames(stamps, reader)
+    return CameraSensor(
+        camera_id(number),
+        first.camera(number, size),
+        pictures,
+        poses=_poses(stamps, number, chosen, calibrations.different),
+        mount=first.camera_from_lidar(number).inverse(),
+    )
+
+
+def _poses(
+    stamps_ns: Int64Array, number: int, chosen: Sequence[int], different: Sequence[KittiCalibration]
+) -> PosePath | None:
+    """Where the camera is in each frame's world."""
+    if not len(stamps_ns):
+        return None
+    mounts = {row: different[row].camera_from_lidar(number).inverse() for row in set(chosen)}
+    positions = np.stack([mounts[row].translation for row in chosen])
+    return PosePath(stamps_ns, positions, np.stack([mounts[row].quaternion_xyzw for row in chosen]))
+
+
+def _annotations(
+    files: NumberedFiles, calibrations: FrameCalibrations, ledger: Ledger
+) -> tuple[Annotation, ...]:
+    found: list[KittiLabels] = []
+    for path in files.paths:
+        try:
+            found.append(read_labels(path))
+        except DataError as error:
+            ledger.fault("faulty-labels", error)
+    labels = joined_labels(found)
+    if not len(labels):
+        return ()
+    rectified = {row: one.rectified_from_lidar.inverse() for row, one in enumerate(calibrations.different)}
+    rows = [calibrations.chosen[frame] for frame in labels.frames.tolist()]
+    places = PoseSamples(
+        np.stack([rectified[row].translation for row in rows]),
+        np.stack([rectified[row].quaternion_xyzw for row in rows]),
+        np.zeros(len(rows), np.uint8),
+    )
+    return label_annotations(
+        labels, LabelPlaces(labels.frames * FRAME_NS, places, camera_id(2), files.folder)
+    )

@@ -1,0 +1,57 @@
+"""What KITTI's odometry folders offer to the table of formats."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from sceneloom.errors import OptionError, check_option_names
+from sceneloom.formats.kitti.odometry import place
+from sceneloom.formats.kitti.odometry.reading import open_odometry
+from sceneloom.formats.loss import Holding, LossReport
+from sceneloom.scene import Scene
+
+_READING_OPTIONS = ("sequence", "lenient")
+
+
+class OdometryFormat:
+    """Sequences of KITTI's odometry benchmark."""
+
+    name = "kitti-odometry"
+    suffixes: tuple[str, ...] = ("",)
+    looks_like = (
+        "sequences of KITTI's odometry benchmark (sequences/00, poses/00.txt), with SemanticKITTI's labels"
+    )
+    holds: Mapping[str, Holding] = MappingProxyType({})
+    writes = False
+
+    def recognises(self, path: Path) -> bool:
+        """Say whether the path is such a folder."""
+        return place.recognises(path)
+
+    def near_miss(self, path: Path) -> str | None:
+        """Say what keeps a folder from being one, where it looks like a half one."""
+        return place.near_miss(path)
+
+    def open(self, path: Path, **options: Any) -> Scene:
+        """Open it; `open_odometry` describes the options.
+
+        Raises:
+            UnknownOptionError: an option is unknown.
+            OptionError: there are several drives or sequences in it, and none was chosen.
+            DataError: something is missing or wrong.
+        """
+        check_option_names("opening KITTI's odometry benchmark", options, _READING_OPTIONS)
+        return open_odometry(path, **options)
+
+    def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
+        """Refuse.
+
+        Raises:
+            OptionError: always.
+        """
+        del scene, overwrite, options
+        raise OptionError(f"{path}: {self.name} is only read")
+
+
+FORMAT = OdometryFormat()

@@ -1,0 +1,162 @@
+"""A sequence of KITTI's odometry benchmark as a scene, with SemanticKITTI's labels where it has them.
+
+Poses are those of camera 0. The ego is the lidar, or, where the calibration does not place it, camera 0 turned to look
+forward, left and up; the world is where the ego was first.
+"""
+
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration, rotation_of
+from sceneloom.formats.kitti.number_lines import read_lines
+from sceneloom.formats.kitti.odometry.place import CAMERAS, OdometrySequence, find_sequence
+from sceneloom.formats.kitti.odometry.semantic_labels import point_annotations
+from sceneloom.formats.kitti.oxts import PERIOD_NS
+from sceneloom.formats.kitti.scenes.numbered import (
+    LABELS,
+    PICTURES,
+    SWEEPS,
+    NumberedFiles,
+    frames_within,
+    numbered_files,
+)
+from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.rig.pictures import picture_size
+from sceneloom.formats.rig.times import line_stamps
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import quaternion_from_matrix
+from sceneloom.scene import NoticeKind, Scene, Sensor, Trajectory
+
+TRUTH, ESTIMATE = "groundTruth", "pose"
+"""The ways of `poses/NN.txt`, and of a `poses.txt` in the sequence's folder, which SemanticKITTI has."""
+
+
+def open_odometry(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
+    """Open a sequence of the odometry benchmark.
+
+    Args:
+        path: the folder of a sequence, of sequences, or the one above `sequences` and `poses`.
+        sequence: which one, as "00", where there are several.
+        lenient: leave out files without a time and times without a pose, and count them.
+
+    Raises:
+        DataError: something is missing or wrong.
+        OptionError: there are several sequences and none was chosen.
+    """
+    ledger = Ledger(lenient=lenient)
+    with ledger.telling():
+        return _open(find_sequence(path, sequence), ledger)
+
+
+def _open(place: OdometrySequence, ledger: Ledger) -> Scene:
+    folder = place.folder
+    sweeps = numbered_files(folder / "velodyne", SWEEPS, ledger)
+    pictures = {number: numbered_files(folder / name, PICTURES, ledger) for number, name in CAMERAS.items()}
+    labels = numbered_files(folder / "labels", LABELS, ledger)
+    calibration = _calibration(folder / "calib.txt", pictures, sweeps)
+    times = _times(place, [files for files in (sweeps, *pictures.values()) if len(files)], ledger)
+    ways = _ways(place, times, calibration.rectified_from_lidar.inverse(), ledger)
+    path = next((way.poses for way in ways.values()), None)
+    sensors: list[Sensor] = []
+    sweeps = frames_within(sweeps, len(times), folder / "times.txt", ledger)
+    if len(sweeps):
+        stamps = times[sweeps.numbers]
+        sensors.append(lidar_sensor(sweeps, stamps, RigidTransform.identity(), path, ledger))
+    for number, found in pictures.items():
+        files = frames_within(found, len(times), folder / "times.txt", ledger)
+        if len(files):
+            if number not in calibration.projections:
+                raise DataError(folder / "calib.txt", "", f"no P{number}; expected that of {CAMERAS[number]}")
+            lens = calibration.camera(number, picture_size(files.paths[0]))
+            mount = calibration.camera_from_lidar(number).inverse()
+            sensors.append(camera_sensor(number, files, times[files.numbers], lens, mount, path))
+    entries = {key: list(row) for key, row in calibration.entries.items()}
+    return Scene(
+        tuple(sensors),
+        annotations=point_annotations(labels, sweeps, ledger),
+        trajectories=MappingProxyType(ways),
+        metadata=kitti_metadata("odometry", sequence=place.name, calibration=entries),
+        source=str(folder),
+        format="kitti-odometry",
+        notices=ledger.notices,
+    )
+
+
+def _calibration(path: Path, pictures: dict[int, NumberedFiles], sweeps: NumberedFiles) -> KittiCalibration:
+    if not path.is_file():
+        raise DataError(path, "", "is missing; expected P0 to P3, and Tr for the lidar")
+    needs_lidar = len(sweeps) > 0 and any(len(files) for files in pictures.values())
+    return read_calibration(path, needs_lidar=needs_lidar)
+
+
+def _times(place: OdometrySequence, found: list[NumberedFiles], ledger: Ledger) -> Int64Array:
+    path = place.folder / "times.txt"
+    count = max((int(files.numbers[-1]) + 1 for files in found), default=0)
+    if not path.is_file():
+        message = "no times.txt: frame k is at k / 10 s"
+        ledger.note(NoticeKind.ASSUMED, "frame-times", str(place.folder), message)
+        return np.arange(count, dtype=np.int64) * PERIOD_NS
+    times = line_stamps(path, "seconds")
+    back = np.flatnonzero(np.diff(times) <= 0)
+    if len(back):
+        raise DataError(
+            path, f"line {int(back[0]) + 2}", "is not later than the line before; expected rising times"
+        )
+    if count and count < len(times):
+        problem = f"{len(times)} times, and the last file has number {count - 1}; expected a file for each"
+        ledger.fault("counts-disagree", DataError(path, "", problem), count=len(times) - count)
+    for files in found:
+        missing = int(files.numbers[-1]) + 1 - len(files)
+        if missing:
+            message = "frames without a file between others"
+            ledger.note(NoticeKind.SKIPPED, "frames-missing", str(files.folder), message, count=missing)
+    return times
+
+
+def _ways(
+    place: OdometrySequence, times: Int64Array, ego_from_first: RigidTransform, ledger: Ledger
+) -> dict[str, Trajectory]:
+    found = {}
+    for name, path in ((TRUTH, place.poses), (ESTIMATE, place.folder / "poses.txt")):
+        if path.is_file():
+            found[name] = _way(name, path, times, ego_from_first, ledger)
+    if not found:
+        message = f"no {place.poses.parent.name}/{place.poses.name}: the way is not known"
+        ledger.note(NoticeKind.SKIPPED, "no-poses", str(place.folder), message)
+    return found
+
+
+def _way(
+    name: str, path: Path, times: Int64Array, ego_from_camera: RigidTransform, ledger: Ledger
+) -> Trajectory:
+    """Poses of camera 0 as those of the ego: both its frames, the moving and the first one, are exchanged."""
+    matrices = _matrices(path)
+    if len(matrices) != len(times):
+        problem = f"{len(matrices)} poses for {len(times)} times; expected as many"
+        ledger.fault("counts-disagree", DataError(path, "", problem), count=abs(len(matrices) - len(times)))
+    count = min(len(matrices), len(times))
+    turns, shifts = matrices[:count, :, :3], matrices[:count, :, 3]
+    a, a_shift = ego_from_camera.rotation, ego_from_camera.translation
+    rotations = a @ turns @ a.T
+    positions = shifts @ a.T + a_shift - rotations @ a_shift
+    quaternions = quaternion_from_matrix(rotations)
+    return Trajectory(name, read_only(times[:count].copy()), read_only(positions), read_only(quaternions))
+
+
+def _matrices(path: Path) -> Float64Array:
+    rows = []
+    for line in read_lines(path):
+        line.check_count((12,), "three rows of [R t]")
+        matrix = np.array(line.floats(0, [f"value {k}" for k in range(12)])).reshape(3, 4)
+        try:
+            rows.append(np.column_stack([rotation_of(line, matrix[:, :3]), matrix[:, 3]]))
+        except CalibrationError as error:
+            raise line.fault(str(error)) from error
+    if not rows:
+        raise DataError(path, "", "is empty; expected a pose for each frame")
+    return np.stack(rows)

@@ -1,0 +1,205 @@
+"""A drive of KITTI's raw data as a scene."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import DataError
+from sceneloom.formats.kitti.number_lines import as_table
+from sceneloom.formats.kitti.oxts import read_fields
+from sceneloom.formats.kitti.raw.calibration import RawCalibration, picture_sizes, read_raw_calibration
+from sceneloom.formats.kitti.raw.place import RawDrive, camera_folders, find_drive
+from sceneloom.formats.kitti.raw.stamps import StampFile, in_order, stamped
+from sceneloom.formats.kitti.raw.tracked_boxes import tracklet_annotations
+from sceneloom.formats.kitti.raw.tracklets import FILE as TRACKLETS
+from sceneloom.formats.kitti.raw.tracklets import read_tracklets
+from sceneloom.formats.kitti.scenes.inertial import oxts_sensors, rising
+from sceneloom.formats.kitti.scenes.numbered import PICTURES, SWEEPS, TEXTS, NumberedFiles, numbered_files
+from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor, standing
+from sceneloom.formats.kitti.scenes.sweeps import TurnTimes
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.rig.pictures import picture_size
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Annotation, ImuSensor, NoticeKind, Scene, Sensor, Trajectory
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """Files of one sensor in the order of their times."""
+
+    files: NumberedFiles
+    stamps_ns: Int64Array
+    stamps: StampFile
+
+
+def open_raw(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
+    """Open a drive: its own folder, that of its day, or one of days.
+
+    Args:
+        path: the folder.
+        sequence: the drive, as `0001`, `0001_sync` or its folder's name, where there are several.
+        lenient: leave out files without a time and times without a file, and count them.
+
+    Raises:
+        DataError: something is missing or wrong.
+        OptionError: there are several drives and none was chosen.
+    """
+    drive = find_drive(path, sequence)
+    ledger = Ledger(lenient=lenient)
+    with ledger.telling():
+        return _open(drive, ledger)
+
+
+def _open(drive: RawDrive, ledger: Ledger) -> Scene:
+    cameras = {
+        number: stream
+        for number, name in enumerate(camera_folders())
+        if (stream := _stream(drive.folder / name, PICTURES, ledger)) is not None
+    }
+    sweeps = _stream(drive.folder / "velodyne_points", (*SWEEPS, *TEXTS), ledger)
+    lines = _stream(drive.folder / "oxts", TEXTS, ledger)
+    if not cameras and sweeps is None and lines is None:
+        raise DataError(
+            drive.folder, "", "holds no files; expected those of image_02, velodyne_points or oxts"
+        )
+    rectified = _is_rectified(drive, cameras, ledger)
+    needed = tuple(cameras) if cameras or sweeps is None or lines is None else ()
+    calibration = read_raw_calibration(drive.calibration, needed, rectified=rectified)
+    own, way = _oxts(drive, lines, calibration, ledger, others=bool(cameras) or sweeps is not None)
+    tracklets = drive.folder / TRACKLETS
+    reference = sweeps or cameras.get(2) or next(iter(cameras.values()), None)
+    if way is None and tracklets.is_file() and reference is not None:
+        way = standing(reference.stamps_ns, tracklets, "the way of the OXTS unit is not known", ledger)
+    poses = None if way is None else way.poses
+    ego_from_lidar = RigidTransform.identity()
+    if calibration.lidar_from_imu is not None:
+        ego_from_lidar = calibration.lidar_from_imu.inverse()
+    sensors: list[Sensor] = []
+    if sweeps is not None:
+        stamps, turns = _turns(drive.folder / "velodyne_points", sweeps, ledger)
+        sensors.append(lidar_sensor(sweeps.files, stamps, ego_from_lidar, poses, ledger, turns=turns))
+    for number, stream in cameras.items():
+        mount = ego_from_lidar @ calibration.camera_from_lidar[number].inverse()
+        lens = calibration.lenses[number]
+        sensors.append(camera_sensor(number, stream.files, stream.stamps_ns, lens, mount, poses))
+    annotations: tuple[Annotation, ...] = ()
+    if tracklets.is_file() and reference is not None:
+        frames = dict(zip(reference.files.numbers.tolist(), reference.stamps_ns.tolist(), strict=True))
+        found = read_tracklets(tracklets)
+        annotations = tracklet_annotations(found, tracklets, frames, poses, ego_from_lidar, ledger)
+    told = {"drive": drive.folder.resolve().name, "rectified": rectified, "calibration": _plain(calibration)}
+    return Scene(
+        (*sensors, *own),
+        annotations=annotations,
+        trajectories=MappingProxyType({} if way is None else {way.name: way}),
+        metadata=kitti_metadata("raw", **told),
+        source=str(drive.folder),
+        format="kitti-raw",
+        notices=ledger.notices,
+    )
+
+
+def _plain(calibration: RawCalibration) -> dict[str, dict[str, str]]:
+    return {name: dict(texts) for name, texts in calibration.texts.items()}
+
+
+def _stream(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> _Stream | None:
+    """The files of a sensor's folder with their times; None where there are none."""
+    if not folder.is_dir():
+        return None
+    files = numbered_files(folder / "data", suffixes, ledger)
+    if not len(files):
+        if (folder / "timestamps.txt").is_file():
+            problem = f"holds no {' or '.join(suffixes)}; expected a file for each line of timestamps.txt"
+            ledger.fault("counts-disagree", DataError(folder / "data", "", problem))
+        return None
+    stamps = StampFile.read(folder / "timestamps.txt")
+    files = stamped(files, stamps, ledger)
+    if not len(files):
+        return None
+    rows = in_order(files.numbers, stamps, ledger)
+    files = NumberedFiles(files.folder, files.numbers[rows], tuple(files.paths[k] for k in rows.tolist()))
+    return _Stream(files, stamps.values_ns[files.numbers], stamps)
+
+
+def _is_rectified(drive: RawDrive, cameras: Mapping[int, _Stream], ledger: Ledger) -> bool:
+    """Whether pictures are rectified: the folder's name says it, else the pictures' size."""
+    if drive.kind is not None or not cameras:
+        return drive.kind != "extract"
+    number, stream = next(iter(cameras.items()))
+    sizes = picture_sizes(drive.calibration, number)
+    size = picture_size(stream.files.paths[0])
+    found = sizes[True] == size or sizes[False] != size
+    kind = "rectified" if found else "as recorded"
+    message = f"the folder's name says neither sync nor extract: by their size, pictures are taken as {kind}"
+    ledger.note(NoticeKind.ASSUMED, "rectified", str(drive.folder), message)
+    return found
+
+
+def _turns(folder: Path, sweeps: _Stream, ledger: Ledger) -> tuple[Int64Array, TurnTimes | None]:
+    """When sweeps began, and their turns: by the files of starts and ends, where there are both."""
+    places = [folder / f"timestamps_{name}.txt" for name in ("start", "end")]
+    if not all(place.is_file() for place in places):
+        message = (
+            "no timestamps_start.txt and timestamps_end.txt: the time at which the lidar looks ahead is taken as the "
+            "sweep's start"
+        )
+        ledger.note(NoticeKind.ASSUMED, "sweep-start", str(folder), message)
+        return sweeps.stamps_ns, None
+    found = []
+    for place in places:
+        stamps = StampFile.read(place)
+        if len(stamps.values_ns) < len(sweeps.stamps.values_ns):
+            counts = f"{len(stamps.values_ns)} times for {len(sweeps.stamps.values_ns)} of timestamps.txt"
+            raise DataError(place, "", f"{counts}; expected as many")
+        found.append(stamps.values_ns[sweeps.files.numbers])
+    starts, ends = found
+    wrong = np.flatnonzero((starts > sweeps.stamps_ns) | (ends < sweeps.stamps_ns) | (starts >= ends))
+    if len(wrong):
+        number = int(sweeps.files.numbers[wrong[0]])
+        problem = "start, forward and end of the sweep are not in this order; expected rising times"
+        ledger.fault(
+            "turns-out-of-order", DataError(places[0], f"line {number + 1}", problem), count=len(wrong)
+        )
+        return sweeps.stamps_ns, None
+    message = (
+        "times of points are derived from their directions: the scanner turns counter-clockwise from timestamps_start, "
+        "looks ahead at timestamps, and ends at timestamps_end"
+    )
+    ledger.note(NoticeKind.ASSUMED, "point-times", str(folder), message)
+    order = np.diff(starts) <= 0
+    if order.any():
+        number = int(sweeps.files.numbers[int(np.argmax(order)) + 1])
+        raise DataError(
+            places[0], f"line {number + 1}", "is not later than the frame's before; expected rising times"
+        )
+    return starts, TurnTimes(starts, sweeps.stamps_ns, ends)
+
+
+def _oxts(
+    drive: RawDrive, lines: _Stream | None, calibration: RawCalibration, ledger: Ledger, *, others: bool
+) -> tuple[tuple[Sensor, ...], Trajectory | None]:
+    """The sensors and the way of the OXTS unit; without its mounting, only the receiver."""
+    if lines is None:
+        return (), None
+    values = as_table([_one_line(path) for path in lines.files.paths], 30)
+    place = str(drive.folder / "oxts")
+    values, stamps = rising(values, lines.stamps_ns, place, ledger)
+    sensors, way = oxts_sensors(values, stamps, place, ledger)
+    if calibration.lidar_from_imu is not None or not others:
+        return sensors, way
+    message = "no calib_imu_to_velo.txt: the way and the IMU of the OXTS unit cannot be used"
+    ledger.note(NoticeKind.SKIPPED, "no-imu-mounting", str(drive.calibration), message)
+    return tuple(sensor for sensor in sensors if not isinstance(sensor, ImuSensor)), None
+
+
+def _one_line(path: Path) -> list[float]:
+    values: Float64Array = read_fields(path)
+    if len(values) != 1:
+        raise DataError(path, "", f"{len(values)} lines; expected one")
+    row: list[float] = values[0].tolist()
+    return row

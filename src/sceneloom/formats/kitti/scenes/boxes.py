@@ -1,0 +1,171 @@
+"""Labels of KITTI's benchmarks as annotations: boxes in space with where the camera sees them, and boxes in pictures.
+
+A box of KITTI's stands on its bottom in the rectified camera's frame, upright about that frame's y axis. Here it gets
+its full orientation in the world, so that nothing of it is lost.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import DataError
+from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER
+from sceneloom.formats.kitti.labels import NO_TRACK, KittiLabels
+from sceneloom.geometry.euler import cuboid_angles_from_rotation
+from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.scene import (
+    Annotation,
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
+    CuboidAnnotation,
+    CuboidPath,
+    Identifier,
+    PoseSamples,
+    Projection,
+)
+
+ANGLES = {"euler_unit": "degrees", "euler_order": "xyz"}
+"""How the angles of the boxes are meant: what `metadata["sceneloom"]` says of them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelPlaces:
+    """When and where the frames of labels are.
+
+    Attributes:
+        timestamps_ns: by row of the labels, (N,) int64 [ns].
+        world_from_rectified: by row of the labels.
+        camera_id: in whose pictures the boxes are.
+        file: the labels' file or folder, for messages.
+    """
+
+    timestamps_ns: Int64Array
+    world_from_rectified: PoseSamples
+    camera_id: Identifier
+    file: object
+
+
+def label_annotations(labels: KittiLabels, places: LabelPlaces) -> tuple[Annotation, ...]:
+    """Give one annotation for each track, and for each object that has none.
+
+    Tracks have their numbers as ids, other objects `frame.row`; regions in which nothing counts, and objects without a
+    box in space, are boxes in pictures.
+
+    Raises:
+        DataError: a track stands twice in a frame.
+    """
+    values = cuboid_rows(labels, places.world_from_rectified)
+    have_place = labels.have_place
+    found: list[Annotation] = []
+    for identifier, rows in _objects(labels, places.file):
+        solid = rows[have_place[rows]]
+        flat = rows[~have_place[rows]]
+        if len(solid):
+            found.append(_cuboid(identifier, labels, solid, values, places))
+        if len(flat):
+            flat_id: Identifier = f"{identifier} (picture)" if len(solid) else identifier
+            found.append(_box_2d(flat_id, labels, flat, places))
+    return tuple(found)
+
+
+def cuboid_rows(labels: KittiLabels, world_from_rectified: PoseSamples) -> Float64Array:
+    """The boxes as rows of cuboids, (N, 9) float64; rows without a box in space mean nothing.
+
+    Source: the readme of KITTI's development kit for objects: at 0 a box looks along the camera's x axis.
+    """
+    centers = labels.bottoms - np.array([0.0, 0.5, 0.0]) * labels.sizes_hwl[:, :1]
+    cosines, sines, zeros = np.cos(labels.rotations_y), np.sin(labels.rotations_y), np.zeros(len(labels))
+    rectified_from_box = np.stack(
+        [
+            np.stack([cosines, sines, zeros], axis=1),
+            np.stack([zeros, zeros, zeros - 1.0], axis=1),
+            np.stack([-sines, cosines, zeros], axis=1),
+        ],
+        axis=1,
+    )
+    turns = (
+        matrix_from_quaternion(world_from_rectified.quaternions_xyzw) if len(labels) else np.zeros((0, 3, 3))
+    )
+    centers_world = np.einsum("nij,nj->ni", turns, centers) + world_from_rectified.positions
+    angles = cuboid_angles_from_rotation(turns @ rectified_from_box)
+    return np.concatenate([labels.sizes_hwl[:, ::-1], centers_world, angles], axis=1)
+
+
+def _objects(labels: KittiLabels, file: object) -> list[tuple[Identifier, Int64Array]]:
+    """The rows of each object, in the order in which objects first come up."""
+    tracks: dict[Identifier, list[int]] = defaultdict(list)
+    seen: dict[tuple[int, int], int] = {}
+    in_frame: dict[int, int] = defaultdict(int)
+    for row, (frame, track) in enumerate(zip(labels.frames.tolist(), labels.track_ids.tolist(), strict=True)):
+        number = in_frame[frame]
+        in_frame[frame] += 1
+        if track == NO_TRACK:
+            tracks[f"{frame:06d}.{number}"].append(row)
+            continue
+        if (frame, track) in seen:
+            raise DataError(file, f"frame {frame}", f"track {track} stands in it twice; expected once")
+        seen[frame, track] = row
+        tracks[track].append(row)
+    return [
+        (identifier, np.array(sorted(rows, key=labels.frames.__getitem__), np.int64))
+        for identifier, rows in tracks.items()
+    ]
+
+
+def _cuboid(
+    identifier: Identifier, labels: KittiLabels, rows: Int64Array, values: Float64Array, places: LabelPlaces
+) -> CuboidAnnotation:
+    stamps = places.timestamps_ns[rows]
+    return CuboidAnnotation(
+        identifier,
+        CuboidPath(stamps, values[rows]),
+        label=labels.types[int(rows[0])],
+        attributes=_attributes(labels, rows, places),
+        projections=(Projection(places.camera_id, stamps, _boxes(labels, rows)),),
+    )
+
+
+def _box_2d(
+    identifier: Identifier, labels: KittiLabels, rows: Int64Array, places: LabelPlaces
+) -> Box2DAnnotation:
+    return Box2DAnnotation(
+        identifier,
+        places.camera_id,
+        BoxPath(places.timestamps_ns[rows], _boxes(labels, rows)),
+        label=labels.types[int(rows[0])],
+        attributes=_attributes(labels, rows, places),
+    )
+
+
+def _boxes(labels: KittiLabels, rows: Int64Array) -> Float64Array:
+    """Boxes in pictures as `left top width height` [px], corner convention."""
+    corners = labels.corners_xyxy[rows]
+    return np.concatenate([corners[:, :2] + CENTRE_TO_CORNER, corners[:, 2:] - corners[:, :2]], axis=1)
+
+
+def _attributes(labels: KittiLabels, rows: Int64Array, places: LabelPlaces) -> tuple[AttributePath, ...]:
+    """What is told beside the boxes, as the text has it; what it does not tell is left out."""
+    stamps = places.timestamps_ns[rows]
+    told: dict[str, Sequence[float | str]] = {
+        "truncated": labels.truncations[rows].tolist(),
+        "occluded": labels.occlusions[rows].tolist(),
+        "alpha": labels.alphas[rows].tolist(),
+    }
+    if labels.scores is not None:
+        told["score"] = labels.scores[rows].tolist()
+    types = [labels.types[k] for k in rows.tolist()]
+    if len(set(types)) > 1:
+        told["type"] = types
+    return tuple(
+        AttributePath(name, tuple(values), stamps, places.camera_id)
+        for name, values in told.items()
+        if name not in UNTOLD or any(value != UNTOLD[name] for value in values)
+    )
+
+
+UNTOLD = {"truncated": -1.0, "occluded": -1, "alpha": -10.0}
+"""What the text has where it tells nothing."""

@@ -1,0 +1,108 @@
+"""Folders of files that are named by their frame's number."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError
+from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.kitti.number_lines import LATEST
+from sceneloom.formats.ledger import Ledger
+from sceneloom.scene import NoticeKind
+
+PICTURES = (".png", ".jpg", ".jpeg")
+SWEEPS = (".bin",)
+TEXTS = (".txt",)
+LABELS = (".label",)
+"""Endings of the files of each kind."""
+
+_MOST_DIGITS = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NumberedFiles:
+    """The files of one folder, by their numbers.
+
+    Attributes:
+        folder: where they are.
+        numbers: (N,) int64, rising.
+        paths: N files.
+    """
+
+    folder: Path
+    numbers: Int64Array
+    paths: tuple[Path, ...]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the files are called, seen from the folder above."""
+        return tuple(f"{self.folder.name}/{path.name}" for path in self.paths)
+
+    def only(self, kept: Sequence[bool]) -> "NumberedFiles":
+        """Those for which `kept` is true."""
+        rows = [k for k, there in enumerate(kept) if there]
+        return NumberedFiles(self.folder, self.numbers[rows], tuple(self.paths[k] for k in rows))
+
+
+def numbered_files(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> NumberedFiles:
+    """Find the files of a folder, which may be missing; such with other names are left out and counted.
+
+    Raises:
+        DataError: two files have one number, or the folder cannot be read.
+    """
+    found: dict[int, Path] = {}
+    if not folder.is_dir():
+        return NumberedFiles(folder, np.zeros(0, np.int64), ())
+    with file_faults(folder):
+        candidates = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+    for path in candidates:
+        if not is_number(path.stem):
+            message = "files that are not named by a number"
+            ledger.note(NoticeKind.SKIPPED, "names-without-number", str(path), message)
+            continue
+        number = int(path.stem)
+        if number > LATEST:
+            raise DataError(path, "", f"number {number}; expected 0 to {LATEST}")
+        if number in found:
+            raise DataError(path, "", f"has the number of {found[number].name}; expected one file for each")
+        found[number] = path
+    numbers = sorted(found)
+    return NumberedFiles(folder, np.array(numbers, np.int64), tuple(found[k] for k in numbers))
+
+
+def is_number(name: str) -> bool:
+    """Whether a name is nothing but digits."""
+    return name.isascii() and name.isdigit() and len(name) <= _MOST_DIGITS
+
+
+def has_numbered(folder: Path, suffixes: tuple[str, ...]) -> bool:
+    """Whether a folder has a file that is named by a number."""
+    if not folder.is_dir():
+        return False
+    try:
+        return any(path.suffix.lower() in suffixes and is_number(path.stem) for path in folder.iterdir())
+    except OSError:
+        return False
+
+
+def frames_within(files: NumberedFiles, count: int, told_by: Path, ledger: Ledger) -> NumberedFiles:
+    """The files whose numbers are below the count of times; others are faults, and left out in a lenient reading.
+
+    Raises:
+        DataError: a file has no time.
+    """
+    beyond = int((files.numbers >= count).sum())
+    if not beyond:
+        return files
+    problem = (
+        f"{len(files)} files up to number {int(files.numbers[-1])} for {count} times of {told_by.name}; "
+        "expected a time for each"
+    )
+    ledger.fault("files-without-time", DataError(files.folder, "", problem), count=beyond)
+    return files.only([number < count for number in files.numbers.tolist()])

@@ -1,0 +1,191 @@
+"""A sequence of KITTI's tracking benchmark as a scene."""
+
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError
+from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
+from sceneloom.formats.kitti.labels import KittiLabels, read_labels
+from sceneloom.formats.kitti.oxts import read_fields
+from sceneloom.formats.kitti.scenes.boxes import LabelPlaces, label_annotations
+from sceneloom.formats.kitti.scenes.inertial import oxts_sensors
+from sceneloom.formats.kitti.scenes.numbered import (
+    PICTURES,
+    SWEEPS,
+    NumberedFiles,
+    frames_within,
+    numbered_files,
+)
+from sceneloom.formats.kitti.scenes.sensors import (
+    camera_id,
+    camera_sensor,
+    kitti_metadata,
+    lidar_sensor,
+    standing,
+)
+from sceneloom.formats.kitti.tracking.place import PICTURE_FOLDERS, find_sequence
+from sceneloom.formats.kitti.tracking_folder import CAMERA, frame_times, picture_size
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.rig.pictures import picture_size as size_of_picture
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Annotation, ImuSensor, NoticeKind, PosePath, Scene, Sensor, Trajectory
+from sceneloom.scene.pose_source import PoseSource
+
+
+def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
+    """Open a sequence of the tracking benchmark.
+
+    Args:
+        path: the folder of sequences, or the one above `training` and `testing`.
+        sequence: which one, as "0000", where there are several.
+        lenient: leave out what is at fault, and count it.
+
+    Raises:
+        DataError: something is missing or wrong.
+        OptionError: there are several sequences and none was chosen.
+    """
+    ledger = Ledger(lenient=lenient)
+    with ledger.telling():
+        return _open(*find_sequence(path, sequence, ledger), ledger)
+
+
+def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
+    place = folder / "calib" / f"{name}.txt"
+    if not place.is_file():
+        raise DataError(place, "", f"is missing; sequence {name} needs its calibration")
+    calibration = read_calibration(place)
+    sweeps = numbered_files(folder / "velodyne" / name, SWEEPS, ledger)
+    pictures = {
+        number: numbered_files(folder / kind / name, PICTURES, ledger)
+        for number, kind in PICTURE_FOLDERS.items()
+    }
+    labels = _labels(folder / "label_02" / f"{name}.txt", ledger)
+    fields = _fields(folder / "oxts" / f"{name}.txt")
+    counts = [int(files.numbers[-1]) + 1 for files in (sweeps, *pictures.values()) if len(files)]
+    counts += [int(labels.frames.max()) + 1] if labels is not None and len(labels) else []
+    times = _times(folder, name, max([*counts, 0 if fields is None else len(fields)]), ledger)
+    sweeps = frames_within(sweeps, len(times), folder / "times" / f"{name}.txt", ledger)
+    own, way = _oxts(folder, name, fields, times, calibration, ledger)
+    if way is None and labels is not None and len(labels):
+        way = standing(
+            times, folder / "oxts" / f"{name}.txt", "the way of the OXTS unit is not known", ledger
+        )
+    path = None if way is None else way.poses
+    ego_from_lidar = RigidTransform.identity()
+    if calibration.lidar_from_imu is not None:
+        ego_from_lidar = calibration.lidar_from_imu.inverse()
+    sensors: list[Sensor] = []
+    if len(sweeps):
+        sensors.append(lidar_sensor(sweeps, times[sweeps.numbers], ego_from_lidar, path, ledger))
+    for number, found in pictures.items():
+        files = frames_within(found, len(times), folder / "times" / f"{name}.txt", ledger)
+        if len(files) or number == CAMERA:
+            sensors.append(
+                _camera(number, files, times, (folder, name), calibration, ego_from_lidar, path, ledger)
+            )
+    _note_detections(folder, ledger)
+    annotations: tuple[Annotation, ...] = ()
+    if labels is not None and path is not None:
+        ego_from_rectified = ego_from_lidar @ calibration.rectified_from_lidar.inverse()
+        label_file = folder / "label_02" / f"{name}.txt"
+        annotations = _annotations(labels, times, PoseSource(path, ego_from_rectified), label_file, ledger)
+    entries = {key: list(row) for key, row in calibration.entries.items()}
+    return Scene(
+        (*sensors, *own),
+        annotations=annotations,
+        trajectories=MappingProxyType({} if way is None else {way.name: way}),
+        metadata=kitti_metadata("tracking", sequence=name, calibration=entries),
+        source=f"{folder}/{name}",
+        format="kitti-tracking",
+        notices=ledger.notices,
+    )
+
+
+def _labels(path: Path, ledger: Ledger) -> KittiLabels | None:
+    if not path.is_file():
+        return None
+    try:
+        return read_labels(path)
+    except DataError as error:
+        ledger.fault("faulty-labels", error)
+        return None
+
+
+def _fields(path: Path) -> np.ndarray | None:
+    return read_fields(path) if path.is_file() and path.read_bytes().strip() else None
+
+
+def _times(folder: Path, name: str, count: int, ledger: Ledger) -> Int64Array:
+    if count == 0:
+        raise DataError(
+            folder, f"sequence {name}", "holds no frames; expected sweeps, pictures, labels or OXTS lines"
+        )
+    if not (folder / "times" / f"{name}.txt").is_file():
+        message = "frames have no times: frame k is at k / 10 s"
+        ledger.note(NoticeKind.ASSUMED, "frame-times", f"{folder}/{name}", message)
+    return frame_times(folder, name, count)
+
+
+def _oxts(
+    folder: Path,
+    name: str,
+    fields: np.ndarray | None,
+    times: Int64Array,
+    calibration: KittiCalibration,
+    ledger: Ledger,
+) -> tuple[tuple[Sensor, ...], Trajectory | None]:
+    place = folder / "oxts" / f"{name}.txt"
+    if fields is None:
+        return (), None
+    if len(fields) < len(times):
+        message = f"{len(fields)} lines for {len(times)} frames; the way ends before the frames do"
+        ledger.note(NoticeKind.ASSUMED, "oxts-short", str(place), message)
+    sensors, way = oxts_sensors(fields, times[: len(fields)].copy(), str(place), ledger)
+    if calibration.lidar_from_imu is not None:
+        return sensors, way
+    message = "no Tr_imu_velo: the way and the IMU of the OXTS unit cannot be used"
+    ledger.note(NoticeKind.SKIPPED, "no-imu-mounting", str(folder / "calib" / f"{name}.txt"), message)
+    return tuple(sensor for sensor in sensors if not isinstance(sensor, ImuSensor)), None
+
+
+def _camera(
+    number: int,
+    files: NumberedFiles,
+    times: Int64Array,
+    sequence: tuple[Path, str],
+    calibration: KittiCalibration,
+    ego_from_lidar: RigidTransform,
+    path: PosePath | None,
+    ledger: Ledger,
+) -> Sensor:
+    folder, name = sequence
+    if number not in calibration.projections:
+        problem = f"no P{number}; expected that of {PICTURE_FOLDERS[number]}"
+        raise DataError(folder / "calib" / f"{name}.txt", "", problem)
+    size = size_of_picture(files.paths[0]) if len(files) else picture_size(folder, name, calibration, ledger)
+    mount = ego_from_lidar @ calibration.camera_from_lidar(number).inverse()
+    return camera_sensor(number, files, times[files.numbers], calibration.camera(number, size), mount, path)
+
+
+def _note_detections(folder: Path, ledger: Ledger) -> None:
+    lists = sorted(path.name for path in folder.iterdir() if path.name.startswith(("det2d_", "det3d_")))
+    if lists:
+        message = f"{', '.join(lists)}: lists of detections, which `track` and `fuse --type detection` read"
+        ledger.note(NoticeKind.SKIPPED, "detections-aside", str(folder), message)
+
+
+def _annotations(
+    labels: KittiLabels, times: Int64Array, source: PoseSource, file: Path, ledger: Ledger
+) -> tuple[Annotation, ...]:
+    """The labels of frames whose place is known; others are left out with a notice."""
+    places = source.at(times[labels.frames])
+    known = np.isfinite(places.positions[:, 0])
+    if not known.all():
+        message = "labels of frames beyond the way of the ego"
+        ledger.note(NoticeKind.SKIPPED, "boxes-beyond-way", str(file), message, count=int((~known).sum()))
+        labels = labels.select(known)
+        places = source.at(times[labels.frames])
+    return label_annotations(labels, LabelPlaces(times[labels.frames], places, camera_id(CAMERA), file))

@@ -42,6 +42,7 @@ WRAPPERS = {
     "PIL": {"formats", "pictures", "simulate"},
     "small_gicp": {"motion"},
     "laspy": {"formats"},
+    "pyarrow": {"formats"},
     "fsspec": {"formats"},
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"evaluate"},

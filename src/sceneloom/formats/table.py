@@ -30,6 +30,7 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "nuscenes-bin": "sceneloom.formats.clouds.form:NUSCENES_BIN",
         "npz": "sceneloom.formats.clouds.form:NPZ",
         "nuscenes": "sceneloom.formats.nuscenes:FORMAT",
+        "argoverse2": "sceneloom.formats.argoverse2:FORMAT",
     }
 )
 """Name of each format and the `module:object` that implements it."""

@@ -55,3 +55,4 @@ class NuscenesFormat:
 
 
 FORMAT = NuscenesFormat()
+"""The nuScenes schema as one of the formats."""

@@ -1,0 +1,83 @@
+"""Columns of feather files, by pyarrow."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float64Array
+from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.geometry.rotations import normalise_quaternion
+
+Columns = Mapping[str, type[Any]]
+"""Names of columns and what their values become; `str` for texts."""
+
+
+def read_columns(path: Path, columns: Columns) -> dict[str, AnyArray]:
+    """Read columns of a feather file; those that are not asked for are passed over.
+
+    Returns:
+        (N,) arrays by name; texts as objects.
+
+    Raises:
+        DataError: the file is missing or no feather file, or a column is missing, of another kind, or has gaps.
+        MissingExtraError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import feather
+    except ImportError as error:
+        raise MissingExtraError(
+            "feather files need pyarrow: install it with `pip install 'sceneloom[argoverse]'`"
+        ) from error
+    if not path.is_file():
+        raise DataError(path, "", "is not there; expected a feather file")
+    try:
+        table = feather.read_table(str(path), memory_map=False)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise DataError(path, "", f"is no whole feather file: {error}") from error
+    missing = [name for name in columns if name not in table.column_names]
+    if missing:
+        problem = f"no column {', '.join(missing)}; it has {', '.join(table.column_names) or 'none'}"
+        raise DataError(path, "", problem)
+    return {name: _column(path, table[name], name, kind) for name, kind in columns.items()}
+
+
+def _column(path: Path, column: Any, name: str, kind: type[Any]) -> AnyArray:
+    if column.null_count:
+        raise DataError(path, name, f"{column.null_count} values are missing; expected one in each row")
+    values: AnyArray = column.to_numpy()
+    fits = values.dtype.kind == "O" if kind is str else values.dtype.kind in _KINDS[np.dtype(kind).kind]
+    if not fits:
+        raise DataError(path, name, f"values of type {column.type}; expected {kind.__name__}")
+    if kind is str:
+        return values
+    if np.dtype(kind).kind == "f" and not np.isfinite(values).all():
+        raise DataError(path, name, f"row {int(np.argmin(np.isfinite(values)))} is not finite")
+    return values.astype(kind)
+
+
+_KINDS = {"f": "fiu", "i": "iu", "u": "iu"}
+"""Kinds of columns that can be taken as floating point numbers, integers, and integers from 0 on."""
+
+POSE_COLUMNS: Columns = dict.fromkeys(("tx_m", "ty_m", "tz_m", "qx", "qy", "qz", "qw"), np.float64)
+"""The columns of a pose."""
+
+
+def poses_of(path: Path, columns: Mapping[str, AnyArray]) -> tuple[Float64Array, Float64Array]:
+    """Positions (N, 3) [m] and unit quaternions (N, 4), scalar last, of the columns of poses.
+
+    Raises:
+        DataError: a quaternion is far from length 1.
+    """
+    positions = np.stack([columns[f"t{axis}_m"] for axis in "xyz"], axis=1)
+    quaternions = np.stack([columns[f"q{axis}"] for axis in "xyzw"], axis=1)
+    norms = np.linalg.norm(quaternions, axis=1)
+    wrong = np.flatnonzero(~(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR))
+    if len(wrong):
+        k = int(wrong[0])
+        problem = f"{quaternions[k].tolist()} has the length {norms[k]:.4f}; expected 1"
+        raise DataError(path, f"row {k}: qx, qy, qz, qw", problem)
+    return positions, normalise_quaternion(quaternions) if len(quaternions) else quaternions

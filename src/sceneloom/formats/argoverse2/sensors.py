@@ -1,0 +1,227 @@
+"""The sensors of a log: two lidars whose points stand in one file, and cameras."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Int64Array, read_only
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.table import MODELS
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.argoverse2.feather import POSE_COLUMNS, poses_of, read_columns
+from sceneloom.formats.argoverse2.place import CAMERAS, LENSES, LIDAR, MOUNTS, stamped_files
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.rig.pictures import PictureReader
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CameraSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    NoticeKind,
+    PointsFrame,
+    PosePath,
+    Sensor,
+)
+from sceneloom.scene.pose_source import poses_along
+
+UP, DOWN, BOTH = "up_lidar", "down_lidar", "lidar"
+_LASERS = {UP: (0, 32), DOWN: (32, 64), BOTH: (0, 256)}
+"""The numbers of the lasers of each lidar. That the first half is the upper one's shows in the data: seen from its
+lidar, and not from the other, every laser keeps its elevation."""
+
+_POINT_COLUMNS = {
+    **dict.fromkeys("xyz", np.float32),
+    "intensity": np.uint8,
+    "laser_number": np.uint8,
+    "offset_ns": np.int32,
+}
+_LENS_COLUMNS = {
+    "sensor_name": str,
+    **dict.fromkeys(("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3"), np.float64),
+    **dict.fromkeys(("height_px", "width_px"), np.int64),
+}
+
+
+def read_mounts(log: Path) -> dict[str, RigidTransform]:
+    """`ego_from_sensor` by the sensor's name.
+
+    Raises:
+        DataError: the file is missing or wrong.
+    """
+    path = log / MOUNTS
+    columns = read_columns(path, {"sensor_name": str, **POSE_COLUMNS})
+    positions, quaternions = poses_of(path, columns)
+    return {
+        name: RigidTransform.from_quaternion(positions[k], quaternions[k])
+        for k, name in enumerate(columns["sensor_name"].tolist())
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SweepFiles:
+    """Reads the sweeps of one lidar out of files that hold those of both.
+
+    Points were moved to where the ego was at the stamp, which therefore is the time of all of them; when each was
+    measured stands in `extras` as `offset_ns` from the stamp.
+
+    Attributes:
+        files: of each sweep.
+        timestamps_ns: (N,) int64 [ns].
+        sensor_id: whose points: `UP`, `DOWN` or `BOTH`.
+    """
+
+    files: tuple[Path, ...]
+    timestamps_ns: Int64Array
+    sensor_id: str
+
+    def __call__(self, k: int) -> LidarFrame:
+        """Read sweep `k`.
+
+        Raises:
+            DataError: its file is missing, cut off or has other columns.
+        """
+        columns = read_columns(self.files[k], _POINT_COLUMNS)
+        low, high = _LASERS[self.sensor_id]
+        chosen = (columns["laser_number"] >= low) & (columns["laser_number"] < high)
+        own: dict[str, AnyArray] = {name: column[chosen] for name, column in columns.items()}
+        stamp_ns = int(self.timestamps_ns[k])
+        points = LidarPoints(
+            positions=read_only(np.stack([own[axis] for axis in "xyz"], axis=1)),
+            intensities=read_only(own["intensity"]),
+            timestamps_ns=read_only(np.full(int(chosen.sum()), stamp_ns, np.int64)),
+            rings=read_only(own["laser_number"], np.uint16),
+            extras=MappingProxyType({"offset_ns": read_only(own["offset_ns"])}),
+        )
+        return LidarFrame(stamp_ns, points, MappingProxyType({"file": f"{LIDAR}/{self.files[k].name}"}))
+
+
+def build_lidars(
+    log: Path, mounts: Mapping[str, RigidTransform], path: PosePath | None, *, one_lidar: bool, ledger: Ledger
+) -> list[Sensor]:
+    """Build the upper and the lower lidar, or one that stands for both.
+
+    Raises:
+        DataError: there is no sweep, or a mounting is missing.
+    """
+    found = stamped_files(log / LIDAR, ".feather")
+    if not found:
+        raise DataError(log / LIDAR, "", "no sweep; expected files such as 315966265259836000.feather")
+    stamps_ns = np.array([stamp for stamp, _ in found], np.int64)
+    files = tuple(file for _, file in found)
+    if one_lidar:
+        message = "points of two lidars are given as those of one, mounted where the upper one is"
+        ledger.note(NoticeKind.ASSUMED, "lidars-joined", str(log / LIDAR), message)
+    sensors: list[Sensor] = []
+    for name in (BOTH,) if one_lidar else (UP, DOWN):
+        mount = _mount(log, mounts, UP if one_lidar else name)
+        sensors.append(
+            LidarSensor(
+                id=name,
+                frames=LazyFrames(stamps_ns, SweepFiles(files, stamps_ns, name)),
+                poses=_poses(path, mount, stamps_ns),
+                mount=mount,
+                points_frame=PointsFrame.EGO,
+            )
+        )
+    return sensors
+
+
+def _mount(log: Path, mounts: Mapping[str, RigidTransform], name: str) -> RigidTransform:
+    if name not in mounts:
+        raise DataError(log / MOUNTS, "", f"no sensor {name!r}; it has {', '.join(mounts) or 'none'}")
+    return mounts[name]
+
+
+def _poses(path: PosePath | None, mount: RigidTransform, stamps_ns: Int64Array) -> PosePath | None:
+    return poses_along(path, {0: mount}, np.zeros(len(stamps_ns), np.int64), stamps_ns)
+
+
+def build_cameras(
+    log: Path, mounts: Mapping[str, RigidTransform], path: PosePath | None, *, distorted: bool, ledger: Ledger
+) -> list[Sensor]:
+    """Build the cameras that have a lens, with their pictures as far as there are; () where no lens is told.
+
+    Args:
+        log: the folder.
+        mounts: `ego_from_sensor`.
+        path: `world_from_ego`.
+        distorted: use the coefficients of the lenses, which the pictures, being undistorted, do not show any more.
+        ledger: takes notices.
+
+    Raises:
+        DataError: a file is wrong, or pictures have no lens.
+    """
+    folders = sorted(child.name for child in (log / CAMERAS).glob("*") if child.is_dir())
+    if not (log / LENSES).is_file():
+        if folders:
+            raise DataError(log / LENSES, "", f"is not there; expected the lenses of {', '.join(folders)}")
+        return []
+    columns = read_columns(log / LENSES, _LENS_COLUMNS)
+    names = columns["sensor_name"].tolist()
+    unknown = sorted(set(folders) - set(names))
+    if unknown:
+        raise DataError(log / LENSES, "", f"no camera {unknown[0]!r}; it has {', '.join(names) or 'none'}")
+    _note_cameras(log, names, folders, distorted=distorted, ledger=ledger)
+    return [
+        _camera(log, {key: column[k] for key, column in columns.items()}, mounts, path, distorted=distorted)
+        for k in range(len(names))
+    ]
+
+
+def _note_cameras(
+    log: Path, names: list[str], folders: list[str], *, distorted: bool, ledger: Ledger
+) -> None:
+    without = [name for name in names if name not in folders]
+    if without:
+        message = f"no pictures of {', '.join(without)}; only lens and mounting are known"
+        ledger.note(NoticeKind.SKIPPED, "pictures-missing", str(log / CAMERAS), message, count=len(without))
+    if not distorted:
+        message = (
+            "pictures of this data set are undistorted: k1, k2 and k3 are in the cameras' extras and not used"
+        )
+        ledger.note(NoticeKind.ASSUMED, "undistorted", str(log / LENSES), message, count=len(names))
+
+
+def _camera(
+    log: Path,
+    row: Mapping[str, Any],
+    mounts: Mapping[str, RigidTransform],
+    path: PosePath | None,
+    *,
+    distorted: bool,
+) -> CameraSensor:
+    name = str(row["sensor_name"])
+    mount = _mount(log, mounts, name)
+    fx, fy, cx, cy = (float(row[f"{key}_px"]) for key in ("fx", "fy", "cx", "cy"))
+    size = int(row["width_px"]), int(row["height_px"])
+    model = "brown_conrady" if distorted else "pinhole"
+    try:
+        lens = Camera(model, *size, fx, fy, cx, cy, _lens_numbers(row, distorted=distorted))
+    except CalibrationError as error:
+        raise DataError(log / LENSES, name, str(error)) from error
+    found = stamped_files(log / CAMERAS / name, ".jpg")
+    stamps_ns = np.array([stamp for stamp, _ in found], np.int64)
+    files = tuple(file for _, file in found)
+    names = tuple(f"{CAMERAS}/{name}/{file.name}" for file in files)
+    return CameraSensor(
+        id=name,
+        camera=lens,
+        pictures=LazyFrames(stamps_ns, PictureReader(files, names, stamps_ns, lens)),
+        poses=_poses(path, mount, stamps_ns) if found else None,
+        mount=mount,
+        extras=MappingProxyType({name: float(row[name]) for name in ("k1", "k2", "k3")}),
+    )
+
+
+def _lens_numbers(row: Mapping[str, Any], *, distorted: bool) -> tuple[float, ...]:
+    """Coefficients k1 k2 p1 p2 k3 … of `brown_conrady`, or none."""
+    if not distorted:
+        return ()
+    known = {name: float(row[name]) for name in ("k1", "k2", "k3")}
+    return tuple(known.get(name, 0.0) for name in MODELS["brown_conrady"].coefficient_names)

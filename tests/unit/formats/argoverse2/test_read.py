@@ -1,0 +1,298 @@
+"""Logs of Argoverse 2: what their tables say is in the scene, number for number."""
+
+import pickle
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError
+from sceneloom.scene.angles import CuboidAngles
+
+pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
+feather = pytest.importorskip("pyarrow.feather", reason="pyarrow is not installed")
+
+FIRST_NS = 315_966_265_259_836_123
+NEAR = 1e-9
+"""Two ways of float64 through rotations, of numbers up to 6000."""
+
+UP = Rotation.from_euler("z", -0.6, degrees=True)
+DOWN = Rotation.from_euler("xyz", [180, 0.2, 11], degrees=True)
+CAMERA = Rotation.from_quat([-0.5, 0.5, -0.5, 0.5])
+MOUNTS = {
+    "up_lidar": ([1.35, 0.0, 1.64], UP),
+    "down_lidar": ([1.35, 0.0, 1.53], DOWN),
+    "ring_front_center": ([1.63, 0.0, 1.4], CAMERA),
+}
+
+
+def table(path, **columns):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    feather.write_feather(pa.table(columns), str(path), compression="lz4")
+
+
+def poses(places, turns):
+    quaternions = np.array([turn.as_quat() for turn in turns])
+    return {
+        **{f"t{axis}_m": [place[k] for place in places] for k, axis in enumerate("xyz")},
+        **{f"q{axis}": quaternions[:, k] for k, axis in enumerate("xyzw")},
+    }
+
+
+def ego_pose(stamp_ns):
+    s = (stamp_ns - FIRST_NS) / 1e9
+    return [5172.0 + 10 * s, 2419.0, 66.9], Rotation.from_euler("ZYX", [-28 + 6 * s, 1, 2], degrees=True)
+
+
+def sweep(k):
+    rng = np.random.default_rng(k)
+    count = 30 + k
+    return {
+        **{axis: rng.uniform(-50, 50, count).astype(np.float16) for axis in "xyz"},
+        "intensity": rng.integers(0, 256, count).astype(np.uint8),
+        "laser_number": rng.integers(0, 64, count).astype(np.uint8),
+        "offset_ns": np.sort(rng.integers(0, 100_000_000, count)).astype(np.int32),
+    }
+
+
+BOX = Rotation.from_euler("z", 40, degrees=True)
+
+
+def write_log(log):
+    stamps = [FIRST_NS + 10_000_000 * k for k in range(-3, 14)]
+    way = [ego_pose(stamp) for stamp in stamps]
+    order = np.random.default_rng(5).permutation(len(stamps))  # logs are nearly sorted, and not quite
+    table(
+        log / "city_SE3_egovehicle.feather",
+        timestamp_ns=[stamps[k] for k in order],
+        **poses([way[k][0] for k in order], [way[k][1] for k in order]),
+    )
+    table(
+        log / "calibration" / "egovehicle_SE3_sensor.feather",
+        sensor_name=list(MOUNTS),
+        **poses([place for place, _ in MOUNTS.values()], [turn for _, turn in MOUNTS.values()]),
+    )
+    lens = {"fx_px": 60.0, "fy_px": 61.0, "cx_px": 31.0, "cy_px": 24.0, "k1": -0.24, "k2": -0.2, "k3": 0.3}
+    table(
+        log / "calibration" / "intrinsics.feather",
+        sensor_name=["ring_front_center"],
+        **{name: [value] for name, value in lens.items()},
+        height_px=np.array([48], np.uint16),
+        width_px=np.array([64], np.uint16),
+    )
+    for k in range(2):
+        table(log / "sensors" / "lidar" / f"{FIRST_NS + 100_000_000 * k}.feather", **sweep(k))
+    pictures = log / "sensors" / "cameras" / "ring_front_center"
+    pictures.mkdir(parents=True)
+    for k in range(3):
+        Image.new("RGB", (64, 48), (60 * k, 0, 0)).save(pictures / f"{FIRST_NS + 50_000_000 * k}.jpg")
+    times = [FIRST_NS, FIRST_NS + 100_000_000, FIRST_NS]
+    places = [[10.0, 2.0, 0.5], [9.0, 2.0, 0.5], [30.0, 0.0, 1.0]]
+    table(
+        log / "annotations.feather",
+        timestamp_ns=times,
+        track_uuid=["car", "car", "sign"],
+        category=["REGULAR_VEHICLE", "REGULAR_VEHICLE", "SIGN"],
+        length_m=[4.5, 4.5, 0.2],
+        width_m=[1.9, 1.9, 0.7],
+        height_m=[1.6, 1.6, 0.8],
+        **poses(places, [BOX] * 3),
+        num_interior_pts=[12, 9, 1],
+    )
+    return log
+
+
+@pytest.fixture
+def log(tmp_path):
+    return write_log(tmp_path / "7fab2350")
+
+
+def test_points_of_both_lidars_are_told_apart_by_their_lasers(log):
+    scene = sceneloom.open(log)
+    rows = sweep(1)
+    for sensor_id, chosen in (
+        ("up_lidar", rows["laser_number"] < 32),
+        ("down_lidar", rows["laser_number"] >= 32),
+    ):
+        lidar = scene.sensor(sensor_id)
+        points = lidar.frames[1].points
+        assert lidar.points_frame == "ego"
+        assert np.array_equal(points.positions, np.stack([rows[a][chosen] for a in "xyz"], axis=1))
+        assert points.rings.tolist() == rows["laser_number"][chosen].tolist()
+        assert points.intensities.tolist() == rows["intensity"][chosen].tolist()
+        assert points.extras["offset_ns"].tolist() == rows["offset_ns"][chosen].tolist()
+        # they were moved to where the ego was at the stamp: moving them again would be wrong
+        assert set(points.timestamps_ns.tolist()) == {FIRST_NS + 100_000_000}
+
+
+def test_both_lidars_can_be_given_as_one(log):
+    scene = sceneloom.open(log, one_lidar=True)
+    assert [lidar.id for lidar in scene.lidars] == ["lidar"]
+    assert len(scene.lidars[0].frames[1].points) == 31
+    assert "lidars-joined" in {notice.code for notice in scene.notices}
+
+
+@pytest.mark.parametrize("name", MOUNTS)
+def test_sensors_are_where_the_ego_and_their_mountings_say(log, name):
+    sensor = sceneloom.open(log).sensor(name)
+    place, turn = MOUNTS[name]
+    assert np.allclose(sensor.mount.matrix[:3, 3], place)
+    for k, stamp in enumerate(sensor.poses.timestamps_ns.tolist()):
+        ego, ego_turn = ego_pose(stamp)
+        assert np.allclose(sensor.poses.positions[k], ego + ego_turn.apply(place), atol=NEAR)
+        found = Rotation.from_quat(sensor.poses.quaternions_xyzw[k])
+        assert (found.inv() * ego_turn * turn).magnitude() < NEAR
+
+
+def test_boxes_are_brought_into_the_world(log):
+    scene = sceneloom.open(log)
+    car, sign = scene.annotations
+    assert (car.id, car.label, sign.label) == ("car", "REGULAR_VEHICLE", "SIGN")
+    assert car.attributes[0].values == (12, 9)
+    for k, place in enumerate([[10.0, 2.0, 0.5], [9.0, 2.0, 0.5]]):
+        ego, turn = ego_pose(FIRST_NS + 100_000_000 * k)
+        row = car.path.values[k]
+        assert row[:3].tolist() == [4.5, 1.9, 1.6]
+        assert np.allclose(row[3:6], ego + turn.apply(place), atol=NEAR)
+        found = Rotation.from_quat(CuboidAngles.of(scene).quaternions(row[6:]))
+        assert (found.inv() * turn * BOX).magnitude() < NEAR
+
+
+def test_the_way_of_the_ego_is_sorted_and_keeps_its_nanoseconds(log):
+    way = sceneloom.open(log).trajectories["pose"]
+    assert way.timestamps_ns.tolist() == [FIRST_NS + 10_000_000 * k for k in range(-3, 14)]
+
+
+def test_pictures_are_undistorted_unless_somebody_says_otherwise(log):
+    camera = sceneloom.open(log).cameras[0]
+    assert (camera.camera.model, camera.camera.coefficients) == ("pinhole", ())
+    assert camera.extras["k1"] == -0.24
+    assert camera.pictures[2].rgb.shape == (48, 64, 3)
+    lens = sceneloom.open(log, distorted=True).cameras[0].camera
+    assert lens.model == "brown_conrady"
+    assert lens.coefficients[:6] == (-0.24, -0.2, 0.0, 0.0, 0.3, 0.0)
+
+
+def test_frames_go_to_other_processes(log):
+    scene = sceneloom.open(log)
+    for frames in (scene.lidars[0].frames, scene.cameras[0].pictures):
+        assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
+
+
+def test_one_of_several_logs_has_to_be_chosen(tmp_path):
+    for name in ("one", "two"):
+        write_log(tmp_path / name)
+    with pytest.raises(OptionError, match="2 logs; choose one with `--sequence NAME`: one, two"):
+        sceneloom.open(tmp_path)
+    with pytest.raises(OptionError, match="no log 'three'; it has one, two"):
+        sceneloom.open(tmp_path, sequence="three")
+    assert sceneloom.open(tmp_path, sequence="two").metadata["argoverse2"]["log"] == "two"
+
+
+def without(name):
+    return lambda log: (log / name).unlink()
+
+
+def cut(name):
+    def change(log):
+        (path,) = log.glob(name)
+        path.write_bytes(path.read_bytes()[:-40])
+
+    return change
+
+
+def changed(name, **columns):
+    def change(log):
+        whole = feather.read_table(str(log / name)).to_pydict()
+        whole.update(columns)
+        table(log / name, **{key: value for key, value in whole.items() if value is not None})
+
+    return change
+
+
+MOUNTINGS, LENSES = "calibration/egovehicle_SE3_sensor.feather", "calibration/intrinsics.feather"
+FAULTS = {
+    "no poses": (without("city_SE3_egovehicle.feather"), "city_SE3_egovehicle.feather: is not there"),
+    "no mountings": (without(MOUNTINGS), "egovehicle_SE3_sensor.feather: is not there"),
+    "no lenses": (without(LENSES), "is not there; expected the lenses of ring_front_center"),
+    "a lens of another camera": (
+        changed(LENSES, sensor_name=["x"]),
+        "no camera 'ring_front_center'; it has x",
+    ),
+    "poses cut off": (cut("city_SE3_egovehicle.feather"), "is no whole feather file"),
+    "no heights": (changed("annotations.feather", height_m=None), "no column height_m; it has timestamp_ns"),
+    "texts for numbers": (
+        changed("annotations.feather", length_m=["a"] * 3),
+        "length_m: values of type string",
+    ),
+    "a gap": (changed("annotations.feather", length_m=[1.0, None, 1.0]), "length_m: 1 values are missing"),
+    "no size": (
+        changed("annotations.feather", width_m=[1.0, 0.0, 1.0]),
+        r"row 1: length_m, width_m, height_m",
+    ),
+    "no rotation": (
+        changed("annotations.feather", qx=[0.0, 3.0, 0.0]),
+        r"row 1: qx, qy, qz, qw: .*expected 1",
+    ),
+    "not finite": (changed("annotations.feather", tx_m=[0.0, 0.0, np.inf]), "tx_m: row 2 is not finite"),
+    "boxes long ago": (
+        changed("annotations.feather", timestamp_ns=[FIRST_NS, 5, FIRST_NS]),
+        "timestamp_ns: row 1 is at 5 ns; expected a time of which the ego's pose is known",
+    ),
+    "two boxes at once": (
+        changed("annotations.feather", timestamp_ns=[FIRST_NS] * 3),
+        f"row 1: track 'car' has two boxes at {FIRST_NS} ns",
+    ),
+    "no lower lidar": (
+        changed(MOUNTINGS, sensor_name=["up_lidar", "lidar", "ring_front_center"]),
+        "no sensor 'down_lidar'; it has up_lidar, lidar, ring_front_center",
+    ),
+    "no sweeps": (
+        lambda log: [file.unlink() for file in (log / "sensors" / "lidar").iterdir()],
+        "sensors/lidar: no sweep; expected files such as",
+    ),
+    "a file that is named otherwise": (
+        lambda log: table(log / "sensors" / "lidar" / "first.feather", **sweep(0)),
+        "first.feather: expected files named after their time in nanoseconds",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_a_log_is_told_with_its_place(log, fault):
+    change, message = FAULTS[fault]
+    change(log)
+    with pytest.raises(DataError, match=message):
+        sceneloom.open(log)
+
+
+def test_a_sweep_that_is_cut_off_is_told_when_it_is_read(log):
+    cut(f"sensors/lidar/{FIRST_NS}.feather")(log)
+    scene = sceneloom.open(log)
+    with pytest.raises(DataError, match=f"{FIRST_NS}.feather: is no whole feather file"):
+        scene.lidars[0].frames[0]
+
+
+def test_boxes_of_other_times_are_left_out_and_counted_by_a_lenient_reading(log):
+    changed("annotations.feather", timestamp_ns=[FIRST_NS, 5, FIRST_NS])(log)
+    scene = sceneloom.open(log, lenient=True)
+    assert [len(cuboid.path.values) for cuboid in scene.annotations] == [1, 1]
+    assert {notice.code: notice.count for notice in scene.notices}["boxes-without-pose"] == 1
+
+
+def test_half_a_log_is_told_what_it_lacks(log):
+    without("city_SE3_egovehicle.feather")(log)
+    without(MOUNTINGS)(log)
+    with pytest.raises(DataError, match="has sensors/lidar/"):
+        sceneloom.open(log)
+
+
+def test_a_picture_of_another_size_is_told(log):
+    content = BytesIO()
+    Image.new("RGB", (32, 48)).save(content, "JPEG")
+    (log / "sensors/cameras/ring_front_center" / f"{FIRST_NS}.jpg").write_bytes(content.getvalue())
+    with pytest.raises(DataError, match="is 32x48; expected 64x48"):
+        _ = sceneloom.open(log).cameras[0].pictures[0].rgb

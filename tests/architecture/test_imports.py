@@ -46,6 +46,7 @@ WRAPPERS = {
     "fsspec": {"formats"},
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"evaluate"},
+    "jinja2": {"report"},
     "google": {"fusion", "service"},
     "grpc": {"service"},
     "grpc_health": {"service"},

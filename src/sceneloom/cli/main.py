@@ -26,6 +26,7 @@ VERBS = MappingProxyType(
         "convert": "Write a recording or a scene in another format.",
         "validate": "Check a drive or a scene by rules, and mend what can be mended safely.",
         "salvage": "Take out of a damaged scene file what is whole.",
+        "report": "Make a page about a drive that can be sent.",
         "diff": "Tell what differs between two drives.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "eval": "Say how good an estimate is: a trajectory against a reference.",

@@ -9,7 +9,7 @@ from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.editing.voxels import FIRST, one_per_cube
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pictures.canvas import count_text
+from sceneloom.pictures.canvas import PilImage, count_text
 from sceneloom.pictures.cloud_above import draw_cloud_above
 from sceneloom.pictures.cloud_perspective import draw_cloud_perspective
 from sceneloom.pictures.clouds import UNSEEN
@@ -68,8 +68,17 @@ class DriveCloud:
         Raises:
             OutputError: a file exists or cannot be written.
         """
+        pictures = self.draw(ego_poses)
+        return [save_picture(image, folder / f"cloud_drive_{name}.png") for name, image in pictures.items()]
+
+    def draw(self, ego_poses: PosePath | None) -> dict[str, PilImage]:
+        """Draw the cloud "above" and in "perspective"; nothing where fewer than two sweeps were gathered.
+
+        Args:
+            ego_poses: the way of the ego; the eye stands behind it, where half of it is done.
+        """
         if len(self._parts) < 2:
-            return []
+            return {}
         positions = np.concatenate([part.positions for part in self._parts])
         colors = np.concatenate([part.colors for part in self._parts])
         camera_index = np.concatenate([part.camera_index for part in self._parts])
@@ -77,7 +86,7 @@ class DriveCloud:
         ego = find_ego(_middle(ego_poses), way, ())
         caption = [f"{count_text(len(self._parts), 'sweep')} of the drive together"]
         reach = None if way is None or len(way) < 2 else _reach(way)
-        pictures = {
+        return {
             "above": draw_cloud_above(
                 positions,
                 colors,
@@ -91,7 +100,6 @@ class DriveCloud:
                 positions, colors, camera_index=camera_index, ego=ego, ego_path=way, caption=caption
             ),
         }
-        return [save_picture(image, folder / f"cloud_drive_{name}.png") for name, image in pictures.items()]
 
 
 def _one_per_cube(positions: Float32Array, camera_index: UInt8Array) -> Int64Array:

@@ -9,7 +9,7 @@ from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.interpolation import EXTRAPOLATED, OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
@@ -128,8 +128,8 @@ def places_of(scene: Scene, sensors: Iterable[Posed], ego: EgoMotion | None) -> 
     return {sensor.id: _place(scene, sensor, ego) for sensor in sensors}
 
 
-def place_of_points(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None) -> Place:
-    """Give what takes a lidar's points as stored into the world, and into the ego's frame where that is rigid."""
+def place_of_points(scene: Scene, lidar: LidarSensor | RadarSensor, ego: EgoMotion | None) -> Place:
+    """Give what takes a lidar's or radar's points as stored into the world, and into the ego's frame where rigid."""
     mounts = {PointsFrame.SENSOR: _static_mount(lidar), PointsFrame.EGO: RigidTransform.identity()}
     mount = mounts.get(lidar.points_frame)
     try:

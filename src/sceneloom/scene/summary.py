@@ -137,7 +137,7 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
 def _summarise_sensor(sensor: Sensor, start_ns: int) -> SensorSummary:
     times = frame_times(sensor)
     paced = _longest_stream(sensor) if isinstance(sensor, ImuSensor) else times
-    gaps = _gaps(paced, start_ns)
+    gaps = gaps_of(paced, start_ns)
     poses: PosePath | None = getattr(sensor, "poses", None)
     return SensorSummary(
         id=sensor.id,
@@ -173,7 +173,8 @@ def _rate(times: Int64Array) -> float | None:
     return 1e9 / median if median > 0 else None
 
 
-def _gaps(times: Int64Array, start_ns: int) -> list[Gap]:
+def gaps_of(times: Int64Array, start_ns: int) -> list[Gap]:
+    """The holes in a stream with stamps (N,) [ns], in seconds after `start_ns`."""
     intervals = np.diff(times)
     if len(intervals) < 2:
         return []

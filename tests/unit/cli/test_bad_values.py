@@ -17,6 +17,7 @@ NEEDED = {
     "convert": ("DRIVE", "OUT.sfs"),
     "validate": ("DRIVE", "--quick"),
     "salvage": ("DRIVE", "-o", "OUT.sfs"),
+    "report": ("DRIVE", "-o", "OUT.html"),
     "diff": ("DRIVE", "DRIVE"),
     "sync": ("DRIVE",),
     "calibrate": ("DRIVE",),

@@ -1,0 +1,251 @@
+"""From a drive to the numbers and pictures of its report."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from sceneloom.checks import ValidationReport, validate
+from sceneloom.checks.opening import open_subject
+from sceneloom.errors import DataError, SceneloomError
+from sceneloom.formats import size_on_disk
+from sceneloom.formats.loss import Loss
+from sceneloom.formats.urls import path_or_url
+from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
+from sceneloom.report.album import Album
+from sceneloom.report.numbers.calibration import check_cameras
+from sceneloom.report.numbers.drive import DriveReport
+from sceneloom.report.numbers.fusing import Fusion, fuse_some
+from sceneloom.report.numbers.labels import labels_of
+from sceneloom.report.numbers.metrics import Metrics, metrics_of
+from sceneloom.report.numbers.provenance import provenance_of
+from sceneloom.report.numbers.surroundings import Coverage, coverage_of
+from sceneloom.report.numbers.timing import timing_of
+from sceneloom.report.numbers.verdict import Evidence, verdict_of
+from sceneloom.report.numbers.ways import Ways, ways_of
+from sceneloom.report.settings import ReportSettings
+from sceneloom.scene import Scene
+from sceneloom.scene.sensor_sources import needs_ego
+from sceneloom.scene.span import frame_times
+from sceneloom.scene.summary import SceneSummary, summarise
+from sceneloom.scene.types import Progress
+
+MOST_SWEEPS_FOR_A_WAY = 200
+"""The way of the ego is found from the sweeps of longer drives only where that is asked for: it takes a while."""
+MOST_FRAMES_VALIDATED = 6000
+"""Frames and pictures of drives with more are not read by the rules: `sceneloom validate` does that."""
+STEPS = 8
+
+Part = TypeVar("Part")
+
+
+@dataclass(slots=True)
+class Collected:
+    """A report in numbers, and its pictures."""
+
+    report: DriveReport
+    album: Album
+
+
+def collect(
+    source: str | Path | Scene,
+    settings: ReportSettings,
+    *,
+    reading: Mapping[str, Any] | None = None,
+    made: datetime | None = None,
+    progress: Progress | None = None,
+) -> Collected:
+    """Look at a drive.
+
+    Args:
+        source: a file or folder, the URL of a scene file, or a scene that is open.
+        settings: what is asked for.
+        reading: reading options of the format; what is broken is passed over and told.
+        made: when the report is said to be made; None for now.
+        progress: told how many of the steps are done.
+
+    Raises:
+        UnknownFormatError: no format fits the path.
+        OptionError: an option or its value is not known.
+        DataError: nothing of the drive can be read, or the loss report cannot.
+    """
+    losses = () if settings.losses is None else read_losses(settings.losses)
+    if isinstance(source, Scene):
+        return _Collector(source, None, settings, dict(reading or {}), progress, made).collect(losses)
+    where = path_or_url(source)
+    with open_subject(where, **(reading or {})).scene as scene:
+        return _Collector(scene, where, settings, dict(reading or {}), progress, made).collect(losses)
+
+
+def read_losses(path: Path) -> tuple[Loss, ...]:
+    """Read a loss report in JSON.
+
+    Raises:
+        DataError: it cannot be read, or is none.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DataError(path, "", f"cannot be read: {error.strerror}") from error
+    try:
+        told = msgspec.json.decode(content)
+        listed = told if isinstance(told, list) else told["losses"]
+        listed = listed if isinstance(listed, list) else listed["losses"]
+        return msgspec.convert(listed, tuple[Loss, ...], strict=False)
+    except (msgspec.MsgspecError, KeyError, TypeError) as error:
+        raise DataError(path, "", f"is no loss report: {error}") from error
+
+
+@dataclass(slots=True)
+class _Collector:
+    """Collects part by part; what cannot be told is noted with the reason, and the rest goes on."""
+
+    scene: Scene
+    where: Path | str | None
+    settings: ReportSettings
+    reading: dict[str, Any]
+    progress: Progress | None
+    made: datetime | None
+    left_out: dict[str, str] = field(default_factory=dict)
+    sampling: list[str] = field(default_factory=list)
+    done: int = 0
+
+    def collect(self, losses: tuple[Loss, ...]) -> Collected:
+        validation = self.part("findings", self._validation, None)
+        found = self._find_way()
+        summary = self.part("contents", self._summary, None) or _no_summary(self.scene)
+        start_ns = summary.start_ns or 0
+        album = Album(self.settings.pictures)
+        coverage = self.part("coverage", lambda: coverage_of(self.scene), Coverage())
+        calibration = self.part("calibration", self._calibration, ())
+        fusion = self.part("fusion", lambda: self._fusion(album), None)
+        evidence = Evidence(
+            summary=summary,
+            timing=timing_of(self.scene, start_ns=start_ns),
+            ways=self.part(
+                "trajectory", lambda: ways_of(self.scene, start_ns=start_ns, found_now=found), Ways(ways=())
+            ),
+            coverage=coverage,
+            calibration=calibration,
+            fusion=fusion,
+            labels=self.part("annotations", lambda: labels_of(self.scene, start_ns=start_ns), None),
+            metrics=self.part("truth", self._metrics, Metrics()),
+            validation=validation,
+            left_out=self.left_out,
+        )
+        return Collected(self._report(evidence, losses), album)
+
+    def part(self, name: str, work: Callable[[], Part], otherwise: Part) -> Part:
+        """Do a part of the work; note why where it cannot be done."""
+        try:
+            found = work()
+        except SceneloomError as error:
+            self.left_out[name] = str(error)
+            found = otherwise
+        self.done += 1
+        if self.progress is not None:
+            self.progress(min(self.done, STEPS), STEPS)
+        return found
+
+    def _report(self, evidence: Evidence, losses: tuple[Loss, ...]) -> DriveReport:
+        path = self.where if isinstance(self.where, Path) and self.where.exists() else None
+        name = self.settings.title or Path(str(self.scene.source)).name or str(self.scene.source)
+        return DriveReport(
+            name=name,
+            verdict=verdict_of(evidence),
+            summary=evidence.summary,
+            timing=evidence.timing,
+            ways=evidence.ways,
+            coverage=evidence.coverage,
+            calibration=tuple(evidence.calibration),
+            fusion=evidence.fusion,
+            labels=evidence.labels,
+            metrics=evidence.metrics,
+            validation=evidence.validation,
+            losses=losses,
+            notices=self.scene.notices,
+            provenance=provenance_of(
+                self.scene, path, {**self.settings.said, **self.reading}, made=self.made
+            ),
+            sampling=tuple(self.sampling),
+            left_out=self.left_out,
+        )
+
+    def _summary(self) -> SceneSummary:
+        size = size_on_disk(self.where) if isinstance(self.where, Path) and self.where.exists() else None
+        return summarise(self.scene, size_bytes=size)
+
+    def _validation(self) -> ValidationReport:
+        count = sum(len(frame_times(sensor)) for sensor in self.scene.sensors if _is_read(sensor))
+        frames = not self.settings.quick and count <= MOST_FRAMES_VALIDATED
+        if not frames:
+            self.sampling.append(
+                f"the rules read none of {count:,} frames and pictures; `sceneloom validate` reads all"
+            )
+        source = self.scene if self.where is None else self.where
+        options = {key: value for key, value in self.reading.items() if key != "lenient"}
+        return validate(source, frames=frames, **(options if self.where is not None else {}))
+
+    def _find_way(self) -> frozenset[str]:
+        """Put the way of the ego that is asked for, or that has to be found, first; gives the names of ways found."""
+        name = self.settings.trajectory
+        try:
+            if not needs_ego(self.scene) and name is None:
+                return frozenset()
+            computed = is_computed(self.scene, name)
+            if computed and name is None and self._takes_long():
+                self.left_out["trajectory"] = (
+                    "the drive has no trajectory, and finding one from so many sweeps takes a while: say "
+                    "`--trajectory lidar` or `--trajectory gnss`"
+                )
+                return frozenset()
+            ego = find_ego_motion(self.scene, name=name, heading=self.settings.heading, lenient=True)
+        except SceneloomError as error:
+            self.left_out["trajectory"] = str(error)
+            return frozenset()
+        self.scene = with_way_found(self.scene, ego)
+        return frozenset([ego.name]) if computed else frozenset()
+
+    def _takes_long(self) -> bool:
+        return sum(len(lidar.frames) for lidar in self.scene.lidars) > MOST_SWEEPS_FOR_A_WAY
+
+    def _calibration(self) -> Any:
+        if self.settings.quick:
+            self.left_out["calibration"] = "not checked: a quick report was asked for"
+            return ()
+        return check_cameras(self.scene)
+
+    def _fusion(self, album: Album) -> Fusion | None:
+        if not any(len(lidar.frames) for lidar in self.scene.lidars):
+            return None
+        found = fuse_some(self.scene, album)
+        if found.sweeps < found.of:
+            self.sampling.append(f"{found.sweeps} of {found.of:,} sweeps were fused for numbers and pictures")
+        return found
+
+    def _metrics(self) -> Metrics:
+        return metrics_of(
+            self.scene, source=self.where, truth=self.settings.truth, compare=self.settings.compare
+        )
+
+
+def _is_read(sensor: Any) -> bool:
+    return str(sensor.type) in {"lidar", "radar", "camera", "depth_camera"}
+
+
+def _no_summary(scene: Scene) -> SceneSummary:
+    """What is known of a scene whose first frames cannot be read."""
+    return SceneSummary(
+        source=scene.source,
+        format=scene.format,
+        start_ns=None,
+        duration=0.0,
+        size_bytes=None,
+        sensors=(),
+        trajectories=(),
+        annotations={},
+        notices=scene.notices,
+    )

@@ -1,0 +1,57 @@
+"""All that a report tells of a drive, in one object that goes to JSON as it is."""
+
+import msgspec
+
+from sceneloom.checks import ValidationReport
+from sceneloom.formats.loss import Loss
+from sceneloom.report.numbers.calibration import CalibrationCheck
+from sceneloom.report.numbers.fusing import Fusion
+from sceneloom.report.numbers.labels import Labels
+from sceneloom.report.numbers.metrics import Metrics
+from sceneloom.report.numbers.provenance import Provenance
+from sceneloom.report.numbers.surroundings import Coverage
+from sceneloom.report.numbers.timing import Timing
+from sceneloom.report.numbers.verdict import Verdict
+from sceneloom.report.numbers.ways import Ways
+from sceneloom.scene import Notice
+from sceneloom.scene.summary import SceneSummary
+
+
+class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
+    """A drive in numbers.
+
+    Attributes:
+        name: what the drive is called.
+        verdict: what is to be said of it first.
+        summary: what is in it.
+        timing: its streams against each other.
+        ways: where the ego went.
+        coverage: what its sensors see.
+        calibration: whether cameras lie to the lidar as it says, a quick check.
+        fusion: what fusing some sweeps gave; None where that was not possible, or not to be.
+        labels: what is said about it; None without annotations.
+        metrics: how far what was found is from the truth.
+        validation: what the rules of `validate` found; None where they were not run.
+        losses: what was lost when the drive was written, where a loss report was given.
+        notices: what was assumed, repaired or left out on reading it, and on finding its way.
+        provenance: what this report was made of and by.
+        sampling: what was looked at in part only, in words.
+        left_out: why a part of the report is missing, by its name.
+    """
+
+    name: str
+    verdict: Verdict
+    summary: SceneSummary
+    timing: Timing
+    ways: Ways
+    coverage: Coverage
+    calibration: tuple[CalibrationCheck, ...]
+    fusion: Fusion | None
+    labels: Labels | None
+    metrics: Metrics
+    validation: ValidationReport | None
+    losses: tuple[Loss, ...]
+    notices: tuple[Notice, ...]
+    provenance: Provenance
+    sampling: tuple[str, ...] = ()
+    left_out: dict[str, str] = msgspec.field(default_factory=dict)

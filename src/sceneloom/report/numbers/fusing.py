@@ -1,0 +1,171 @@
+"""What fusing some sweeps gives: points in pictures, colours, and the pictures that show it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import msgspec
+import numpy as np
+
+from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.fusion import FusionConfiguration
+from sceneloom.pictures.drive_cloud import DriveCloud
+from sceneloom.pictures.sheets import iter_pictures
+from sceneloom.pipeline.fusing.report import CameraReport, CameraTally, FusionTally
+from sceneloom.pipeline.play import Skips, build_system, play
+from sceneloom.pipeline.woven.scene import Woven, weave
+from sceneloom.report.album import Album
+from sceneloom.report.numbers.sampling import with_some_sweeps
+from sceneloom.scene import Identifier, PosePath, Scene
+from sceneloom.scene.span import scene_period_ns
+
+SWEEPS = 8
+"""Sweeps of each lidar that are fused, at most."""
+MOST_VIEWS = 12
+"""Cameras of a sweep that are drawn, at most."""
+
+
+class Fusion(msgspec.Struct, frozen=True, kw_only=True):
+    """What fusing gave.
+
+    Attributes:
+        trajectory: name of the ego's way; None where every sensor has poses of its own.
+        sweeps: how many were fused, `of` how many the drive has.
+        points: of these sweeps.
+        coloured_percent: of them that got a colour.
+        cameras: a report for each.
+        extrapolated: sweeps that needed poses beyond the way's ends.
+        unfused: why others were not fused, with counts.
+        skipped: sweeps and pictures that could not be read, one line each.
+        time_differences_ms: by camera, how much later than its sweep's middle its picture is: the median [ms].
+    """
+
+    trajectory: str | None
+    sweeps: int
+    of: int
+    points: int
+    coloured_percent: float
+    cameras: tuple[CameraReport, ...]
+    extrapolated: int = 0
+    unfused: dict[str, int] = msgspec.field(default_factory=dict)
+    skipped: tuple[str, ...] = ()
+    time_differences_ms: dict[str, float] = msgspec.field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Gathered:
+    """What is kept of the fused sweeps."""
+
+    tally: FusionTally
+    cloud: DriveCloud
+    shown: dict[Identifier, FusedFrame] = field(default_factory=dict)
+    differences_ns: dict[str, list[int]] = field(default_factory=dict)
+
+    def add(self, frame: FusedFrame, *, middle: int) -> None:
+        self.tally.add(frame)
+        self.cloud.add(frame)
+        for view in frame.views:
+            away = view.timestamp_ns - frame.reference_ns
+            self.differences_ns.setdefault(str(view.camera_id), []).append(away)
+        known = self.shown.get(frame.lidar_id)
+        if frame.unfused is None and (known is None or frame.index <= middle):
+            self.shown[frame.lidar_id] = frame
+
+
+def fuse_some(scene: Scene, album: Album, *, sweeps: int = SWEEPS, lenient: bool = True) -> Fusion:
+    """Fuse some sweeps spread over the drive, and draw what came out.
+
+    Args:
+        scene: with a way of the ego, or sensors that are placed in the world.
+        album: gets the pictures.
+        sweeps: of each lidar, at most.
+        lenient: pass over what cannot be read.
+
+    Raises:
+        PoseError: the sensors' motion is not known.
+        CalibrationError: a lens cannot be computed with.
+        DataError: a sweep or picture cannot be read, and that is not passed over.
+    """
+    woven = weave(scene)
+    few = with_some_sweeps(woven.scene, sweeps)
+    total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
+    skips = Skips() if lenient else None
+    gathered = _Gathered(
+        FusionTally({camera.id: CameraTally(len(camera.pictures)) for camera in scene.cameras}),
+        DriveCloud(frozenset(range(sweeps))),
+    )
+    most = max((len(lidar.frames) for lidar in few.lidars), default=0)
+    for frame in _played(woven, few, skips):
+        gathered.add(frame, middle=min(sweeps, most) // 2)
+    path = None if woven.ego is None else woven.ego.path
+    _draw(gathered, album, path)
+    tally = gathered.tally
+    return Fusion(
+        trajectory=None if woven.ego is None else woven.ego.name,
+        sweeps=tally.fused,
+        of=total,
+        points=tally.points,
+        coloured_percent=tally.coloured_percent,
+        cameras=tuple(camera.report(camera_id) for camera_id, camera in tally.cameras.items()),
+        extrapolated=tally.extrapolated,
+        unfused=tally.unfused,
+        skipped=() if skips is None else tuple(skips.reasons),
+        time_differences_ms={
+            key: float(np.median(values)) / 1e6 for key, values in gathered.differences_ns.items()
+        },
+    )
+
+
+def _played(woven: Woven, few: Scene, skips: Skips | None) -> Iterator[FusedFrame]:
+    """Fuse the few sweeps by the pace of the whole drive."""
+    system = build_system(
+        woven.scene, woven.ego, FusionConfiguration(pairing_tolerance_ns=scene_period_ns(woven.scene))
+    )
+    if skips is not None:
+        system.on_unreadable = skips.add
+    yield from play(few, system, skips=skips)
+
+
+def _draw(gathered: _Gathered, album: Album, path: PosePath | None) -> None:
+    """Draw one sweep of each lidar with all its pictures, and all that were fused as one cloud."""
+    moving = None if path is None or path.endless else path
+    together = gathered.cloud.draw(moving)
+    for frame in gathered.shown.values():
+        shown = replace(frame, views=frame.views[:MOST_VIEWS])
+        drawings = iter_pictures(shown, frame.index, ego_poses=moving, show_hidden=True)
+        for number, (_, draw) in enumerate(drawings):
+            view, kind = _view_and_kind(shown, number)
+            if kind != "above" or not together or len(gathered.shown) > 1:
+                section = "calibration" if kind == "overlay" else "fusion"
+                album.add(section, *_told(kind, frame, view), draw())
+    for name, image in together.items():
+        where = "from above" if name == "above" else "from behind the ego"
+        text = f"The cloud of {gathered.tally.fused} sweeps in the colours of the pictures, seen {where}"
+        album.add("fusion", f"The drive {where}", text, image)
+
+
+def _view_and_kind(frame: FusedFrame, number: int) -> tuple[FusedView | None, str]:
+    """What picture `number` of a frame shows: two of each view come first, then two of the cloud."""
+    beyond = number - 2 * len(frame.views)
+    if beyond < 0:
+        return frame.views[number // 2], ("overlay", "depth")[number % 2]
+    return None, ("above", "perspective")[beyond]
+
+
+def _told(kind: str, frame: FusedFrame, view: FusedView | None) -> tuple[str, str]:
+    """Title and text of a picture."""
+    camera = "the camera" if view is None else f"camera {view.camera_id}"
+    points = f"{0 if view is None else int(view.visible.sum()):,} points of lidar {frame.lidar_id}"
+    cloud = f"One sweep of lidar {frame.lidar_id} in the colours of the pictures"
+    titles = {
+        "overlay": f"{camera}: points over the picture",
+        "depth": f"{camera}: depth image",
+        "above": f"Lidar {frame.lidar_id} from above",
+        "perspective": f"Lidar {frame.lidar_id} in perspective",
+    }
+    texts = {
+        "overlay": f"The picture of {camera}, its colours subdued, with {points} over it as discs, coloured by depth",
+        "depth": f"The depths that {points} give in the picture of {camera}, near to far by colour, dark without any",
+        "above": f"{cloud}, as a map with a grid in metres",
+        "perspective": f"{cloud}, seen from behind and above the ego",
+    }
+    return titles[kind][0].upper() + titles[kind][1:], texts[kind]

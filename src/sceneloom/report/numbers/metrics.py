@@ -1,0 +1,98 @@
+"""How far what was found is from the truth, where there is one."""
+
+from pathlib import Path
+
+import msgspec
+
+from sceneloom.errors import SceneloomError
+from sceneloom.evaluate import TrajectoryReport, evaluate_trajectory
+from sceneloom.evaluate.tracking import compare_tracks
+from sceneloom.evaluate.tracking.comparison import TrackingReport
+from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.scene import Scene, Trajectory
+
+TRUTH = "groundTruth"
+"""The name of trajectories that are taken for the truth."""
+
+
+class Metrics(msgspec.Struct, frozen=True, kw_only=True):
+    """Comparisons with the truth.
+
+    Attributes:
+        trajectories: one per way that was held against a reference.
+        tracks: objects of the drive held against those of the truth; None where there are none of both.
+        skipped: what could not be compared, and why.
+    """
+
+    trajectories: tuple[TrajectoryReport, ...] = ()
+    tracks: TrackingReport | None = None
+    skipped: tuple[str, ...] = ()
+
+
+def metrics_of(
+    scene: Scene, *, source: Path | str | None, truth: Path | str | None, compare: tuple[str, ...] = ()
+) -> Metrics:
+    """Compare the ways of a scene with its true one, and with a truth that lies elsewhere.
+
+    Args:
+        source: where the drive lies, to be held against `truth`; None where it is in memory only.
+        truth: a trajectory, or a scene or KITTI's text with the true objects and way; None for none.
+        compare: ways to be found and compared, too: "lidar", "gnss".
+    """
+    collected = _Collected()
+    true_way = scene.trajectories.get(TRUTH)
+    reference = true_way if true_way is not None else next(iter(scene.trajectories.values()), None)
+    if true_way is not None:
+        for name, way in scene.trajectories.items():
+            if name != TRUTH:
+                collected.compare(way, true_way)
+    for name in compare:
+        if reference is None:
+            collected.skipped.append(f"{name}: the drive has no trajectory to be compared with")
+            continue
+        collected.find_and_compare(scene, name, reference)
+    if truth is not None:
+        collected.against(scene, source, truth)
+    return Metrics(
+        trajectories=tuple(collected.trajectories), tracks=collected.tracks, skipped=tuple(collected.skipped)
+    )
+
+
+class _Collected:
+    """Comparisons so far; what cannot be compared is told, not raised."""
+
+    def __init__(self) -> None:
+        self.trajectories: list[TrajectoryReport] = []
+        self.tracks: TrackingReport | None = None
+        self.skipped: list[str] = []
+
+    def compare(self, estimate: Trajectory, reference: Trajectory | Path | str) -> None:
+        try:
+            self.trajectories.append(evaluate_trajectory(estimate, reference))
+        except SceneloomError as error:
+            self.skipped.append(f"{estimate.name}: {error}")
+
+    def find_and_compare(self, scene: Scene, name: str, reference: Trajectory) -> None:
+        try:
+            path = find_ego_motion(scene, name=name).path
+        except SceneloomError as error:
+            self.skipped.append(f"{name}: {error}")
+            return
+        self.compare(Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw), reference)
+
+    def against(self, scene: Scene, source: Path | str | None, truth: Path | str) -> None:
+        """Hold the drive's way, and its objects, against a truth that may have one of both only."""
+        refused: list[str] = []
+        before = len(self.trajectories)
+        if scene.trajectories:
+            told = len(self.skipped)
+            self.compare(next(iter(scene.trajectories.values())), truth)
+            refused += self.skipped[told:]
+            del self.skipped[told:]
+        if source is not None:
+            try:
+                self.tracks = compare_tracks(source, truth)
+            except SceneloomError as error:
+                refused.append(f"objects: {error}")
+        if self.tracks is None and len(self.trajectories) == before:
+            self.skipped += refused or [f"{truth}: the drive has neither a way nor objects to be compared"]

@@ -1,0 +1,300 @@
+"""Where the ego went: its ways through the world, satellite fixes, heights and speeds."""
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import ArrayError, OptionError, PoseError
+from sceneloom.evaluate import evaluate_trajectory
+from sceneloom.geometry.geodesy import enu_from_geodetic
+from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.motion.gnss_receivers import usable_fixes
+from sceneloom.scene import GnssSensor, Identifier, Scene, Trajectory
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Coordinates
+
+MOST_CORNERS = 400
+"""So many places of a way are told, evenly in time, for those who draw it."""
+STANDS = 0.2
+"""Slower than this the ego stands [m/s]."""
+_HALF_WINDOW = 0.25
+"""Speeds are taken over twice this [s], or over two poses where these are farther apart: noise is no speed."""
+_LEAST_TURNING_WAY = 5.0
+"""A way that leads less far from its beginning [m] does not tell where north is."""
+
+
+class Corner(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """A place on a way: seconds after the scene's first stamp, x, y, z [m], speed [m/s]."""
+
+    seconds: float
+    x: float
+    y: float
+    z: float
+    speed: float
+
+
+class Way(msgspec.Struct, frozen=True, kw_only=True):
+    """One way through the world.
+
+    Attributes:
+        name: of the method that found it.
+        found_now: whether it was found from the drive's measurements for this report.
+        poses, seconds, metres: how many, over how long, how far.
+        oriented: whether orientations are known.
+        start, stop: seconds after the scene's first stamp.
+        farthest: from its first place [m].
+        lowest, highest: heights [m].
+        climb, descent: along it [m], steps below 5 cm left out.
+        mean_speed, top_speed: [m/s]; the top one is what 99 % of the time is not exceeded.
+        standing_share: of the time, slower than 0.2 m/s.
+        turned_deg: how much the heading changed, added up [deg]; None without orientations.
+        corners: places on it, evenly in time.
+    """
+
+    name: str
+    found_now: bool = False
+    poses: int
+    seconds: float
+    metres: float
+    oriented: bool
+    start: float
+    stop: float
+    farthest: float
+    lowest: float
+    highest: float
+    climb: float
+    descent: float
+    mean_speed: float
+    top_speed: float
+    standing_share: float
+    turned_deg: float | None = None
+    corners: tuple[Corner, ...] = ()
+
+
+class Fixes(msgspec.Struct, frozen=True, kw_only=True):
+    """What a satellite receiver told.
+
+    Attributes:
+        sensor: the receiver.
+        count, usable: fixes, and those that are places.
+        first_lla, last_lla: latitude, longitude [deg], height above the ellipsoid [m] of the first and the last usable
+            one.
+        south, west, north, east: what the fixes lie within [deg].
+        accuracy_m, worst_accuracy_m: median and largest of the stated ones; None where none is stated.
+        places: (seconds, east, north, up) [s, m] of some of them, evenly in time, seen from the map's origin.
+    """
+
+    sensor: Identifier
+    count: int
+    usable: int
+    first_lla: tuple[float, float, float]
+    last_lla: tuple[float, float, float]
+    south: float
+    west: float
+    north: float
+    east: float
+    accuracy_m: float | None
+    worst_accuracy_m: float | None
+    places: tuple[tuple[float, float, float, float], ...]
+
+
+class North(msgspec.Struct, frozen=True, kw_only=True):
+    """Where north is in the world's axes.
+
+    Attributes:
+        direction_deg: counter-clockwise from the world's x axis [deg].
+        shift: (3,) what is added to fixes' places, turned, to bring them onto the way [m].
+        rms: how far fixes and way are apart, level [m]; None where the axes are said to be east, north and up.
+        way: name of the way that was held against the fixes.
+    """
+
+    direction_deg: float
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rms: float | None = None
+    way: str | None = None
+
+
+class Ways(msgspec.Struct, frozen=True, kw_only=True):
+    """All ways and fixes of a drive.
+
+    Attributes:
+        ways: the default one first; where there is none, that of the first sensor with poses in the world.
+        fixes: of each receiver with usable ones.
+        origin_lla: the place that fixes are seen from, the first usable one; None without fixes.
+        north: where north is in the world of the ways; None where not known.
+    """
+
+    ways: tuple[Way, ...]
+    fixes: tuple[Fixes, ...] = ()
+    origin_lla: tuple[float, float, float] | None = None
+    north: North | None = None
+
+
+def ways_of(scene: Scene, *, start_ns: int, found_now: frozenset[str] = frozenset()) -> Ways:
+    """Look at the ways and fixes of a scene.
+
+    Args:
+        start_ns: the scene's first stamp [ns].
+        found_now: names of the trajectories that were not in the drive as it is stored.
+    """
+    trajectories = _trajectories(scene)
+    ways = [
+        _way(way, start_ns, found_now=way.name in found_now) for way in trajectories if len(way.timestamps_ns)
+    ]
+    receivers = [s for s in scene.sensors if isinstance(s, GnssSensor) and usable_fixes(s).any()]
+    if not receivers:
+        return Ways(ways=tuple(ways))
+    origin = _known_heights(receivers[0].positions_lla[usable_fixes(receivers[0])][:1])[0]
+    return Ways(
+        ways=tuple(ways),
+        fixes=tuple(_fixes(receiver, origin, start_ns) for receiver in receivers),
+        origin_lla=_three(origin),
+        north=_north(trajectories[0], receivers[0], origin) if ways else None,
+    )
+
+
+def _trajectories(scene: Scene) -> list[Trajectory]:
+    """The trajectories of a scene, else the first way that a sensor's poses tell."""
+    if scene.trajectories:
+        return list(scene.trajectories.values())
+    for sensor in scene.sensors:
+        path = _world_path(sensor)
+        if path is not None:
+            name = f"poses of {sensor.id}"
+            return [Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)]
+    return []
+
+
+def _world_path(sensor: Sensor) -> PosePath | None:
+    path: PosePath | None = getattr(sensor, "poses", None)
+    in_world = getattr(sensor, "coordinates", Coordinates.WORLD) is Coordinates.WORLD
+    return path if path is not None and in_world and not path.endless else None
+
+
+def _way(way: Trajectory, start_ns: int, *, found_now: bool) -> Way:
+    rows = np.isfinite(way.positions).all(axis=1)
+    times = (way.timestamps_ns[rows] - start_ns) / 1e9
+    places = way.positions[rows] if rows.any() else np.zeros((1, 3))
+    times = times if len(times) else np.zeros(1)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    grid = np.unique(np.linspace(times[0], times[-1], min(max(len(times), 2), MOST_CORNERS)))
+    speeds = _speeds(times, places, grid)
+    at = np.column_stack([np.interp(grid, times, places[:, axis]) for axis in range(3)])
+    climbs = _climbs(at[:, 2])
+    quaternions = way.quaternions_xyzw
+    return Way(
+        name=way.name,
+        found_now=found_now,
+        poses=len(way.timestamps_ns),
+        seconds=float(times[-1] - times[0]),
+        metres=float(steps.sum()),
+        oriented=quaternions is not None,
+        start=float(times[0]),
+        stop=float(times[-1]),
+        farthest=float(np.linalg.norm(places - places[0], axis=1).max()),
+        lowest=float(places[:, 2].min()),
+        highest=float(places[:, 2].max()),
+        climb=climbs[0],
+        descent=climbs[1],
+        mean_speed=float(steps.sum() / max(times[-1] - times[0], 1e-9)) if len(times) > 1 else 0.0,
+        top_speed=float(np.percentile(speeds, 99)),
+        standing_share=float((speeds < STANDS).mean()),
+        turned_deg=None if quaternions is None else _turned(quaternions[rows]),
+        corners=tuple(
+            Corner(seconds=round(s, 4), x=round(x, 3), y=round(y, 3), z=round(z, 3), speed=round(v, 3))
+            for s, (x, y, z), v in zip(grid.tolist(), at.tolist(), speeds.tolist(), strict=True)
+        ),
+    )
+
+
+def _speeds(times: Float64Array, places: Float64Array, grid: Float64Array) -> Float64Array:
+    """Speeds [m/s] at times of a grid, each over a window of its own."""
+    if len(times) < 2:
+        return np.zeros(len(grid))
+    half = max(_HALF_WINDOW, float(np.median(np.diff(times))))
+    before, after = np.maximum(grid - half, times[0]), np.minimum(grid + half, times[-1])
+    moved = np.column_stack(
+        [np.interp(after, times, places[:, k]) - np.interp(before, times, places[:, k]) for k in range(3)]
+    )
+    speeds: Float64Array = np.linalg.norm(moved, axis=1) / np.maximum(after - before, 1e-9)
+    return speeds
+
+
+def _climbs(heights: Float64Array) -> tuple[float, float]:
+    """How much a way climbs and descends [m]; up and down within 5 cm is noise."""
+    climb = descent = 0.0
+    held = float(heights[0])
+    for height in heights.tolist():
+        if abs(height - held) >= 0.05:
+            climb, descent = climb + max(height - held, 0.0), descent + max(held - height, 0.0)
+            held = height
+    return climb, descent
+
+
+def _turned(quaternions_xyzw: Float64Array) -> float:
+    """Changes of the heading of the body's most level axis, added up [deg]; steps below 0.05 degrees are noise."""
+    matrices = matrix_from_quaternion(quaternions_xyzw)
+    axis = int(np.argmin(np.abs(matrices[:, 2]).mean(axis=0)))
+    headings = np.unwrap(np.arctan2(matrices[:, 1, axis], matrices[:, 0, axis]))
+    thinned = headings[
+        np.unique(np.linspace(0, len(headings) - 1, min(len(headings), MOST_CORNERS)).astype(int))
+    ]
+    turns = np.degrees(np.abs(np.diff(thinned)))
+    return float(turns[turns > 0.05].sum())
+
+
+def _known_heights(positions_lla: Float64Array) -> Float64Array:
+    return np.nan_to_num(positions_lla, nan=0.0)
+
+
+def _fixes(receiver: GnssSensor, origin_lla: Float64Array, start_ns: int) -> Fixes:
+    rows = np.flatnonzero(usable_fixes(receiver))
+    lla = _known_heights(receiver.positions_lla[rows])
+    shown = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_CORNERS)).astype(int))
+    enu = enu_from_geodetic(lla[shown], origin_lla)
+    seconds = (receiver.timestamps_ns[rows[shown]] - start_ns) / 1e9
+    stated = receiver.accuracies[rows]
+    stated = stated[np.isfinite(stated)]
+    return Fixes(
+        sensor=receiver.id,
+        count=len(receiver.timestamps_ns),
+        usable=len(rows),
+        first_lla=_three(lla[0]),
+        last_lla=_three(lla[-1]),
+        south=float(lla[:, 0].min()),
+        west=float(lla[:, 1].min()),
+        north=float(lla[:, 0].max()),
+        east=float(lla[:, 1].max()),
+        accuracy_m=float(np.median(stated)) if len(stated) else None,
+        worst_accuracy_m=float(stated.max()) if len(stated) else None,
+        places=tuple(
+            (round(s, 4), *(round(value, 3) for value in place))
+            for s, place in zip(seconds.tolist(), enu.tolist(), strict=True)
+        ),
+    )
+
+
+def _three(values: Float64Array | Int64Array) -> tuple[float, float, float]:
+    a, b, c = (float(value) for value in values)
+    return a, b, c
+
+
+def _north(way: Trajectory, receiver: GnssSensor, origin_lla: Float64Array) -> North | None:
+    """Lay the fixes onto the way by a shift and a turn about the upright axis; None where that leaves north open."""
+    rows = usable_fixes(receiver)
+    enu = enu_from_geodetic(_known_heights(receiver.positions_lla[rows]), origin_lla)
+    times, first = np.unique(receiver.timestamps_ns[rows], return_index=True)
+    if len(times) < 3 or np.linalg.norm(enu - enu[0], axis=1).max() < _LEAST_TURNING_WAY:
+        return None
+    try:
+        told = evaluate_trajectory(Trajectory("fixes", times, enu[first]), way, align="yaw", rpe_deltas=())
+    except (PoseError, OptionError, ArrayError):
+        return None
+    x, y = matrix_from_quaternion(np.array([told.alignment.quaternion_xyzw]))[0][:2, 1]
+    return North(
+        direction_deg=float(np.degrees(np.arctan2(y, x))),
+        shift=told.alignment.translation,
+        rms=told.absolute.horizontal.rms,
+        way=way.name,
+    )

@@ -1,0 +1,117 @@
+"""From numbers and pictures to one page of HTML that holds everything."""
+
+from base64 import b64encode
+from collections.abc import Iterator
+from importlib.resources import files
+from itertools import count
+from typing import Any
+
+from sceneloom.errors import MissingExtraError
+from sceneloom.report.album import Album, Photo
+from sceneloom.report.drawings.svg import plain
+from sceneloom.report.numbers.drive import DriveReport
+from sceneloom.report.numbers.verdict import Advice
+from sceneloom.report.page.content import Drawing, Section
+from sceneloom.report.page.sections import (
+    annotations_section,
+    calibration_section,
+    coverage_section,
+    drive_section,
+    findings_section,
+    fusion_section,
+    notices_section,
+    source_section,
+    timing_section,
+    trajectory_section,
+    truth_section,
+)
+from sceneloom.scene import Severity
+
+MOST_ADVICES = 8
+"""Told at the top of the page; the others are folded."""
+MARKS = {"sound": "✔", "look": "▲", "faulty": "✖"}
+
+
+def check_extra() -> Any:
+    """Give the package that fills the template.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import jinja2
+    except ImportError:
+        raise MissingExtraError("a report needs jinja2: pip install 'sceneloom[report]'") from None
+    return jinja2
+
+
+def render_page(report: DriveReport, album: Album) -> str:
+    """Put a report into its page.
+
+    Raises:
+        MissingExtraError: what fills the template is not installed.
+    """
+    jinja2 = check_extra()
+    numbers = count(1)
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_plain,
+        loader=jinja2.FunctionLoader(_resource),
+    )
+    environment.filters["drawn"] = lambda drawing: _drawn(drawing, next(numbers))
+    environment.filters["data_uri"] = _data_uri
+    shown, further = _advices(report)
+    page: str = environment.get_template("report.html.j2").render(
+        report=report,
+        style=_resource("style.css"),
+        sections=list(sections_of(report, album)),
+        marks=MARKS,
+        advices=shown,
+        more_advices=further,
+    )
+    return page
+
+
+def sections_of(report: DriveReport, album: Album) -> Iterator[Section]:
+    """The sections of a page in their order."""
+    yield drive_section(report)
+    yield timing_section(report)
+    yield trajectory_section(report)
+    yield calibration_section(report, album)
+    yield coverage_section(report)
+    yield fusion_section(report, album)
+    yield annotations_section(report)
+    truth = truth_section(report)
+    if truth is not None:
+        yield truth
+    yield findings_section(report)
+    yield notices_section(report)
+    yield source_section(report)
+
+
+def _advices(report: DriveReport) -> tuple[list[Advice], list[Advice]]:
+    """Those told first, and the others; hints are told first only where there are few."""
+    advices = list(report.verdict.advices)
+    urgent = [advice for advice in advices if advice.severity is not Severity.HINT]
+    first = (urgent or advices)[:MOST_ADVICES] if len(advices) > MOST_ADVICES else advices
+    return first, [advice for advice in advices if advice not in first]
+
+
+def _resource(name: str) -> str:
+    return files("sceneloom.report.page").joinpath(name).read_text("utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """Take characters out of a text that no page may hold; markup of our own stays as it is."""
+    return plain(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
+
+
+def _drawn(drawing: Drawing, number: int) -> str:
+    return drawing.svg.document(f"drawing-{number}", drawing.title, drawing.text)
+
+
+def _data_uri(photo: Photo) -> str:
+    return f"data:image/jpeg;base64,{b64encode(photo.jpeg).decode('ascii')}"

@@ -1,0 +1,44 @@
+"""What was assumed, repaired or left out on reading, and what was lost on writing."""
+
+from sceneloom.formats.loss import Loss
+from sceneloom.report.numbers.drive import DriveReport
+from sceneloom.report.page.content import Block, Column, Section, Table
+from sceneloom.report.page.texts import NOTHING, count, notice_text
+
+MOST_NOTICES = 300
+_COLUMNS = (
+    Column("Field", numeric=False),
+    Column("Fate", numeric=False),
+    Column("What happened", numeric=False, wide=True),
+    Column("Times"),
+    Column("Largest error"),
+    Column("Kept in", numeric=False),
+)
+
+
+def notices_section(report: DriveReport) -> Section:
+    """List notices by kind, and losses field by field."""
+    blocks = []
+    for kind in ("assumed", "repaired", "skipped"):
+        lines = [notice_text(notice) for notice in report.notices if str(notice.kind) == kind]
+        untold = [f"and {len(lines) - MOST_NOTICES:,} more"] if len(lines) > MOST_NOTICES else []
+        few = len(lines) <= 3
+        blocks.append(
+            Block(
+                heading=f"{kind.capitalize()}: {len(lines):,}" if lines else "",
+                lines=lines if few else [],
+                list_title=f"All {len(lines):,}",
+                listed=[] if few else [*lines[:MOST_NOTICES], *untold],
+            )
+        )
+    if report.losses:
+        rows = [_row(loss) for loss in report.losses]
+        table = Table("What the drive lost when it was written", _COLUMNS, rows)
+        blocks.append(Block(heading=f"Losses: {len(rows):,}", tables=[table]))
+    missing = None if report.notices or report.losses else "nothing was assumed, repaired, left out or lost"
+    return Section(key="notices", name="Notices and losses", missing=missing, blocks=blocks)
+
+
+def _row(loss: Loss) -> list[str]:
+    error = NOTHING if loss.largest_error is None else f"{loss.largest_error:.4g}"
+    return [loss.field, str(loss.fate), loss.what, count(loss.count), error, loss.kept or NOTHING]

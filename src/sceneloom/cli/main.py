@@ -23,6 +23,7 @@ VERBS = MappingProxyType(
         "track": "Follow objects through a drive by what detectors found in it.",
         "colour": "Colour the points of a drive from all its cameras: one map, or sweep by sweep.",
         "depth": "Write depth images, sparse or dense, with a confidence.",
+        "view": "Look at a drive in Rerun's viewer, or save the view to a file.",
         "convert": "Write a recording or a scene in another format.",
         "validate": "Check a drive or a scene by rules, and mend what can be mended safely.",
         "salvage": "Take out of a damaged scene file what is whole.",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.arrays import Float32Array, check_array
-from sceneloom.errors import ArrayError
+from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.output import replacing
 
 _STEPS_PER_METRE = 256
@@ -40,6 +40,28 @@ def write_depth_png(depth_image: Float32Array, path: Path, *, overwrite: bool = 
     with replacing(path, overwrite=overwrite) as draft:
         Image.fromarray(steps.astype(np.uint16)).save(draft, "PNG", compress_level=_COMPRESSION)
     return int(beyond.sum())
+
+
+def read_depth_png(path: Path) -> Float32Array:
+    """Read a depth image with 16 bits a pixel, in steps of 1/256 m.
+
+    Returns:
+        (H, W) float32 [m], 0 for none.
+
+    Raises:
+        DataError: it is no such image.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path, formats=("PNG",)) as image:
+            if not image.mode.startswith("I"):
+                raise DataError(
+                    path, "", f"a picture of mode {image.mode}; expected depths of 16 bits a pixel"
+                )
+            return np.asarray(image, np.float32) / np.float32(_STEPS_PER_METRE)
+    except (OSError, SyntaxError, ValueError) as error:
+        raise DataError(path, "", f"cannot be read as a depth image: {error}") from error
 
 
 def write_depth_npz(

@@ -14,6 +14,7 @@ NEEDED = {
     "fuse": ("DRIVE", "-o", "OUT.sfs"),
     "depth": ("DRIVE", "-o", "OUT"),
     "track": ("DRIVE", "-o", "OUT"),
+    "view": ("DRIVE", "--save", "OUT.rrd"),
     "convert": ("DRIVE", "OUT.sfs"),
     "validate": ("DRIVE", "--quick"),
     "salvage": ("DRIVE", "-o", "OUT.sfs"),

@@ -129,11 +129,17 @@ class PictureWriter:
         return blob
 
 
-def encode_jpeg(rgb: UInt8Array) -> bytes:
-    """Encode a picture with full colour resolution."""
+def encode_jpeg(rgb: UInt8Array, *, quality: int = JPEG_QUALITY, subsampling: str = "444") -> bytes:
+    """Encode a picture (H, W, 3) uint8; unless it is said otherwise, with full colour resolution.
+
+    Args:
+        rgb: the picture.
+        quality: 1 to 100.
+        subsampling: "444" for full colour resolution, "420" for half of it.
+    """
     from simplejpeg import encode_jpeg as encode
 
-    content: bytes = encode(np.ascontiguousarray(rgb), JPEG_QUALITY, "RGB", "444")
+    content: bytes = encode(np.ascontiguousarray(rgb), quality, "RGB", subsampling)
     return content
 
 

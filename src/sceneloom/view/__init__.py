@@ -1,0 +1,8 @@
+"""Drives in Rerun's viewer: every sensor, annotation and result on one clock, in one world."""
+
+from sceneloom.view.report import DriveShown, ViewReport
+from sceneloom.view.saving import save_view
+from sceneloom.view.settings import ColourBy, ViewSettings
+from sceneloom.view.showing import Viewer, show_view
+
+__all__ = ["ColourBy", "DriveShown", "ViewReport", "ViewSettings", "Viewer", "save_view", "show_view"]

@@ -1,0 +1,221 @@
+"""Lidar sweeps, radar cycles and maps of points."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Float64Array
+from sceneloom.errors import PoseError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.deskew import points_at
+from sceneloom.scene import LidarFrame, LidarSensor, PointsFrame, PointsSensor, PosePath, RadarSensor
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.sensor_sources import ego_path
+from sceneloom.scene.span import scene_period_ns, sweep_period_ns
+from sceneloom.view.colours import CloudPainter, one_packed, packed
+from sceneloom.view.feeds import Tell
+from sceneloom.view.places import Places
+from sceneloom.view.poses import pose_at, transform
+from sceneloom.view.sdk import sdk
+from sceneloom.view.settings import ColourBy
+from sceneloom.view.stream import Stream
+
+WORLD, SENSORS, CLOUDS = "world", "sensors", "clouds"
+"""Entities below which things are: all that has a place, frames of sensors, points that are not in such a frame."""
+
+_POINT_SIZE = 1.6
+_RADAR_SIZE = 4.0
+_LONGEST_SWEEP = 3
+"""Times of points spread over more sweep periods than that are not when they were measured."""
+
+_NEARING, _LEAVING = one_packed((255, 122, 69)), one_packed((82, 196, 255))
+_BEYOND = "is not shown: the ego's way does not reach its time"
+_AS_MEASURED = "is shown as measured: the ego's way does not reach all of its points' times"
+
+
+def ui_points(size: float) -> Any:
+    """A radius in points of the screen, the same at any distance."""
+    return sdk().Radius.ui_points(size)
+
+
+@dataclass(slots=True, eq=False)
+class LidarView:
+    """Shows the sweeps of one lidar.
+
+    Attributes:
+        stream: where to.
+        places: of the drive's sensors.
+        lidar: whose sweeps they are.
+        painter: gives the points their colours.
+        as_measured: leave the motion during a sweep in.
+        tell: of what could not be shown.
+    """
+
+    stream: Stream
+    places: Places
+    lidar: LidarSensor
+    painter: CloudPainter
+    as_measured: bool
+    tell: Tell
+
+    def __post_init__(self) -> None:
+        _, problem = self.places.source(self.lidar)
+        if problem is not None and self.lidar.points_frame is PointsFrame.SENSOR:
+            self.tell("not-placed", f"sensors[{self.lidar.id!r}]", problem)
+
+    @property
+    def path(self) -> str:
+        """The entity of its points."""
+        if self.lidar.points_frame is PointsFrame.SENSOR:
+            return self.stream.path(WORLD, SENSORS, self.lidar.id, "points")
+        return self.stream.path(WORLD, CLOUDS, self.lidar.id)
+
+    def log(self, k: int) -> tuple[int, Float32Array | None]:
+        """Log sweep `k`; give the time that it is shown at, and its points in the frame of `path` if they are shown."""
+        frame = self.lidar.frames[k]
+        time_ns, rr = frame.reference_ns, sdk()
+        sensor_source, _ = self.places.source(self.lidar)
+        shown_from_sensor = pose_at(sensor_source, time_ns)
+        if shown_from_sensor is not None:
+            self.stream.log(
+                time_ns, self.stream.path(WORLD, SENSORS, self.lidar.id), transform(shown_from_sensor)
+            )
+        source = self._points_source(sensor_source)
+        shown_from_points = pose_at(source, time_ns)
+        if shown_from_points is None:
+            self.tell("beyond-the-way", f"sensors[{self.lidar.id!r}].frames", _BEYOND)
+            return time_ns, None
+        positions = self._at_one_moment(frame, source, time_ns)
+        above = self._heights(positions, shown_from_points, shown_from_sensor)
+        cloud = rr.Points3D(
+            positions, colors=self.painter.paint(frame.points, above), radii=ui_points(_POINT_SIZE)
+        )
+        placed = () if self.lidar.points_frame is PointsFrame.SENSOR else (transform(shown_from_points),)
+        self.stream.log(time_ns, self.path, *placed, cloud, kind="sweeps", size=16 * len(positions))
+        return time_ns, positions
+
+    def _points_source(self, sensor_source: PoseSource) -> PoseSource:
+        """What takes the points as stored to where they are shown."""
+        if self.lidar.points_frame is PointsFrame.SENSOR:
+            return sensor_source
+        reach_ns, path = scene_period_ns(self.places.scene), PosePath.identity()
+        if self.lidar.points_frame is PointsFrame.EGO:
+            try:
+                path = ego_path(self.places.scene, self.lidar, self.places.ego)
+            except PoseError as error:
+                self.tell("not-placed", f"sensors[{self.lidar.id!r}]", str(error))
+                return PoseSource(path, RigidTransform.identity())
+        return self.places.shown(PoseSource(path, RigidTransform.identity(), reach_ns))
+
+    def _at_one_moment(self, frame: LidarFrame, source: PoseSource, time_ns: int) -> Float32Array:
+        times = frame.points.timestamps_ns
+        still = self.as_measured or source.path.endless or times is None or len(times) == 0
+        longest_ns = _LONGEST_SWEEP * sweep_period_ns(self.lidar)
+        if still or times is None or np.ptp(times) == 0 or np.ptp(times) > longest_ns:
+            return frame.points.positions
+        try:
+            moved, _ = points_at(frame, source, time_ns)
+        except PoseError:
+            self.tell("as-measured", f"sensors[{self.lidar.id!r}].frames", _AS_MEASURED)
+            return frame.points.positions
+        # `points_at` gives them in the frame of the sensor at that moment, which is that of `source` with its mounting
+        return moved.astype(np.float32)
+
+    def _heights(
+        self,
+        positions: Float32Array,
+        shown_from_points: RigidTransform,
+        shown_from_sensor: RigidTransform | None,
+    ) -> "_Heights":
+        base = shown_from_points if shown_from_sensor is None else shown_from_sensor
+        return _Heights(positions, shown_from_points, float(base.translation[2]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Heights:
+    """How far points are above a height of the world; computed when it is asked for."""
+
+    positions: Float32Array
+    shown_from_points: RigidTransform
+    base: float
+
+    def __call__(self) -> Float64Array:
+        upwards = self.shown_from_points.rotation[2]
+        heights: Float64Array = self.positions @ upwards + (self.shown_from_points.translation[2] - self.base)
+        return heights
+
+
+def lidar_view(
+    stream: Stream,
+    places: Places,
+    lidar: LidarSensor,
+    *,
+    colour_by: ColourBy | None,
+    as_measured: bool,
+    tell: Tell,
+) -> LidarView:
+    """Show the sweeps of a lidar."""
+    return LidarView(stream, places, lidar, CloudPainter(colour_by), as_measured, tell)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadarView:
+    """Shows the cycles of one radar: points, and an arrow for the way that each makes in a second."""
+
+    stream: Stream
+    places: Places
+    radar: RadarSensor
+    tell: Tell
+
+    def log(self, k: int) -> None:
+        """Log cycle `k`."""
+        rr, frame = sdk(), self.radar.frames[k]
+        time_ns, points = frame.timestamp_ns, frame.points
+        source, problem = self.places.source(self.radar)
+        if problem is not None:
+            self.tell("not-placed", f"sensors[{self.radar.id!r}]", problem)
+        pose = pose_at(source, time_ns)
+        if pose is None:
+            self.tell("beyond-the-way", f"sensors[{self.radar.id!r}].frames", _BEYOND)
+            return
+        entity = self.stream.path(WORLD, SENSORS, self.radar.id)
+        self.stream.log(time_ns, entity, transform(pose))
+        inside = self._into_sensor(pose, time_ns)
+        vectors = _velocities(points.directions, points.lengths, len(points))
+        turned = vectors if inside is None else inside.rotate(vectors)
+        positions = points.positions if inside is None else inside.apply(points.positions)
+        colours = np.where((turned * positions).sum(axis=1) < 0, _NEARING, _LEAVING).astype(np.uint32)
+        shown = rr.Points3D(positions, colors=colours, radii=ui_points(_RADAR_SIZE))
+        self.stream.log(time_ns, f"{entity}/points", shown, kind="radar cycles", size=16 * len(points))
+        arrows = rr.Arrows3D(vectors=turned, origins=positions, colors=colours, radii=ui_points(1.5))
+        self.stream.log(time_ns, f"{entity}/velocities", arrows)
+
+    def _into_sensor(self, shown_from_sensor: RigidTransform, time_ns: int) -> RigidTransform | None:
+        """What takes points as stored into the sensor's frame; None where they are in it."""
+        if self.radar.points_frame is PointsFrame.SENSOR:
+            return None
+        if self.radar.points_frame is PointsFrame.WORLD:
+            shown_from_points = RigidTransform(np.eye(3), -self.places.origin_world)
+        else:
+            path = ego_path(self.places.scene, self.radar, self.places.ego)
+            on_ego = self.places.shown(PoseSource(path, RigidTransform.identity()))
+            shown_from_points = pose_at(on_ego, time_ns) or RigidTransform.identity()
+        return shown_from_sensor.inverse() @ shown_from_points
+
+
+def _velocities(directions: Float32Array | None, lengths: Float32Array | None, count: int) -> Float64Array:
+    """(N, 3) [m/s]; zeros where the radar gives none."""
+    if directions is None or lengths is None:
+        return np.zeros((count, 3))
+    vectors: Float64Array = directions.astype(np.float64) * lengths[:, None]
+    return vectors
+
+
+def show_map(stream: Stream, places: Places, sensor: PointsSensor) -> None:
+    """Show a cloud without time."""
+    colours = None if sensor.colors is None else packed(sensor.colors)
+    positions = (sensor.positions - places.origin_world).astype(np.float32)
+    cloud = sdk().Points3D(positions, colors=colours, radii=ui_points(_POINT_SIZE))
+    stream.static(stream.path(WORLD, CLOUDS, sensor.id), cloud)
+    stream.counts["maps"] = stream.counts.get("maps", 0) + 1

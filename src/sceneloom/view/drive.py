@@ -1,0 +1,312 @@
+"""One drive, ready to be logged: what there is of it, in the order of time."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError, OptionError
+from sceneloom.scene import (
+    CameraSensor,
+    DepthCameraSensor,
+    Finding,
+    Identifier,
+    PointsSensor,
+    RadarSensor,
+    Scene,
+)
+from sceneloom.scene.part import cut_scene
+from sceneloom.scene.span import time_span
+from sceneloom.scene.types import Key, Progress, key_of
+from sceneloom.view.annotations import AnnotationLayers, annotation_layers
+from sceneloom.view.annotations.corrections import show_corrections
+from sceneloom.view.annotations.points import LabelledPoints
+from sceneloom.view.annotations.relations import show_graph
+from sceneloom.view.annotations.states import list_annotations, show_attributes, show_events
+from sceneloom.view.clouds import LidarView, RadarView, lidar_view, show_map
+from sceneloom.view.depths import depth_feed, fused_depth_feed
+from sceneloom.view.feeds import Feed, play
+from sceneloom.view.found_files import read_detections, read_tracks
+from sceneloom.view.layout import Facts
+from sceneloom.view.motion import show_motion
+from sceneloom.view.objects import ObjectsView, by_camera
+from sceneloom.view.pictures import CameraView, PlacedCamera, with_straight_lenses
+from sceneloom.view.places import Places, find_places
+from sceneloom.view.remarks import Told, find_mistakes, log_remarks
+from sceneloom.view.report import DriveShown
+from sceneloom.view.settings import ViewSettings
+from sceneloom.view.stream import Stream
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveView:
+    """A drive before it is logged.
+
+    Attributes:
+        name: of its root entity.
+        scene: the shown part of it, lenses made straight.
+        measured: the same with its own lenses.
+        reference_ns: (N,) int64 [ns], by which frames of the drive are counted.
+        places: where its sensors are.
+        bent: cameras whose pictures hang nowhere.
+        settings: what of it is shown.
+        told: what could not be shown.
+    """
+
+    name: str
+    scene: Scene
+    measured: Scene
+    reference_ns: Int64Array
+    places: Places
+    bent: frozenset[Key]
+    settings: ViewSettings
+    told: Told
+
+    @property
+    def facts(self) -> Facts:
+        """What its layout depends on."""
+        kinds = CameraSensor | DepthCameraSensor
+        cameras = tuple(sensor.id for sensor in self.scene.sensors if isinstance(sensor, kinds))
+        return Facts.of(self.name, self.scene, self.places, cameras, self.settings)
+
+
+def prepare_drive(
+    scene: Scene, name: str, settings: ViewSettings, *, progress: Progress | None = None
+) -> DriveView:
+    """Choose what of a scene is shown, and find where its sensors are.
+
+    Args:
+        scene: as it was read.
+        name: of its root entity.
+        settings: what of it is shown.
+        progress: told while the ego's way is computed.
+
+    Raises:
+        OptionError: a sensor or trajectory is not there, or no frame lies in the part.
+        PoseError: the named trajectory cannot be used.
+    """
+    told = Told()
+    reference_ns = _reference_ns(scene)
+    chosen = _with_sensors(scene, settings.sensors)
+    part = cut_scene(chosen, start=settings.start, stop=settings.stop)
+    straight, bent = with_straight_lenses(part, told)
+    places = find_places(
+        straight, trajectory=settings.trajectory, heading=settings.heading, progress=progress
+    )
+    return DriveView(name, straight, part, reference_ns, places, bent, settings, told)
+
+
+def _reference_ns(scene: Scene) -> Int64Array:
+    """When the frames begin by which a drive is counted: the sweeps of the first lidar, else the first pictures."""
+    for sensor in scene.lidars:
+        if len(sensor.frames):
+            return np.sort(sensor.frames.timestamps_ns)
+    for camera in scene.cameras:
+        if len(camera.pictures):
+            return np.sort(camera.pictures.timestamps_ns)
+    return np.zeros(0, np.int64)
+
+
+def _with_sensors(scene: Scene, chosen: tuple[Identifier, ...] | None) -> Scene:
+    if chosen is None:
+        return scene
+    ids = {str(sensor.id): sensor.id for sensor in scene.sensors}
+    keys = {key_of(scene.sensor(ids.get(str(said), said)).id) for said in chosen}
+    return replace(scene, sensors=tuple(sensor for sensor in scene.sensors if key_of(sensor.id) in keys))
+
+
+@dataclass(slots=True, eq=False)
+class _Run:
+    """The logging of one drive."""
+
+    view: DriveView
+    stream: Stream
+    annotations: AnnotationLayers
+    labelled: LabelledPoints
+    lidars: list[LidarView] = field(default_factory=list)
+
+    def feeds(self) -> list[Feed]:
+        """All that has a time, sensor by sensor."""
+        scene, settings = self.view.scene, self.view.settings
+        feeds = [self._sweeps(lidar, first=lidar is scene.lidars[0]) for lidar in scene.lidars]
+        for sensor in scene.sensors:
+            if isinstance(sensor, RadarSensor):
+                shown = RadarView(self.stream, self.view.places, sensor, self.view.told)
+                feeds.append(_thinned(sensor.frames.timestamps_ns, settings.every, shown.log))
+            elif isinstance(sensor, CameraSensor):
+                feeds.append(self._pictures(sensor))
+            elif isinstance(sensor, DepthCameraSensor):
+                feeds += self._depths(sensor)
+        return [*feeds, *self._accompanying()]
+
+    def _sweeps(self, lidar: Any, *, first: bool) -> Feed:
+        settings = self.view.settings
+        shown = lidar_view(
+            self.stream,
+            self.view.places,
+            lidar,
+            colour_by=settings.colour_by,
+            as_measured=settings.as_measured,
+            tell=self.view.told,
+        )
+        self.lidars.append(shown)
+
+        def log(k: int) -> None:
+            time_ns, positions = shown.log(k)
+            if positions is not None:
+                self.labelled.log(lidar.id, k, shown.path, time_ns, positions)
+            if first:
+                self.annotations.note(time_ns)
+
+        return _thinned(lidar.frames.timestamps_ns, settings.every, log)
+
+    def _pictures(self, sensor: CameraSensor) -> Feed:
+        """Pictures, and at once all that is drawn into them, which is small."""
+        view, every = self.view, self.view.settings.every
+        placed = PlacedCamera(
+            self.stream, view.places, sensor, view.told, has_pinhole=key_of(sensor.id) not in view.bent
+        )
+        shown = CameraView(placed, sensor.pictures)
+        counts_moments = not view.scene.lidars and sensor is view.scene.cameras[0]
+        self.annotations.log_in_pictures(sensor.id, np.unique(sensor.pictures.timestamps_ns[::every]))
+
+        def log(k: int) -> None:
+            shown.log(k)
+            if counts_moments:
+                self.annotations.note(int(sensor.pictures.timestamps_ns[k]))
+
+        return _thinned(sensor.pictures.timestamps_ns, every, log)
+
+    def _depths(self, sensor: DepthCameraSensor) -> list[Feed]:
+        feed = depth_feed(
+            PlacedCamera(self.stream, self.view.places, sensor, self.view.told), sensor, self.view.told
+        )
+        return [] if feed is None else [_thinned(feed.times_ns, self.view.settings.every, feed.log)]
+
+    def _accompanying(self) -> list[Feed]:
+        """What files beside the drive hold."""
+        view, settings, feeds = self.view, self.view.settings, []
+        origin = view.places.origin_world
+        if settings.detections is not None:
+            for camera_id, moments in by_camera(read_detections(settings.detections)).items():
+                shown = ObjectsView(
+                    self.stream, ("detections", camera_id), moments, origin, has_history=False
+                )
+                feeds.append(shown.feed)
+        if settings.tracks is not None:
+            moments = read_tracks(settings.tracks, view.scene)
+            feeds.append(ObjectsView(self.stream, ("tracks",), moments, origin, has_history=True).feed)
+        if settings.depth is not None:
+            feeds.append(fused_depth_feed(self.stream, settings.depth, view.measured, view.scene))
+        span_ns = time_span(view.scene)
+        return [_within(feed, span_ns) for feed in feeds]
+
+
+def _thinned(times_ns: Int64Array, every: int, log: Callable[[int], None]) -> Feed:
+    """Every Nth moment, in the order of time."""
+    rows = np.arange(0, len(times_ns), every)
+    rows = rows[np.argsort(times_ns[rows], kind="stable")]
+    return Feed(times_ns[rows], lambda k: log(int(rows[k])))
+
+
+def _within(feed: Feed, span_ns: tuple[int, int] | None) -> Feed:
+    """The moments of a file that lie in the shown part of its drive."""
+    if span_ns is None:
+        return feed
+    rows = np.flatnonzero((feed.times_ns >= span_ns[0]) & (feed.times_ns <= span_ns[1]))
+    return Feed(feed.times_ns[rows], lambda k: feed.log(int(rows[k])))
+
+
+def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = None) -> DriveShown:
+    """Log a drive, frame by frame.
+
+    Raises:
+        DataError: a frame cannot be read, and the reading is not lenient.
+        OptionError: angles of cuboids have a unit or order that is not known.
+    """
+    scene, told = view.scene, view.told
+    show_motion(stream, view.places, scene)
+    findings = find_mistakes(view.measured) if view.settings.findings else ()
+    run = _Run(
+        view,
+        stream,
+        annotation_layers(stream, view.places, scene),
+        LabelledPoints.of(stream, scene.annotations),
+    )
+    _log_lasting(run)
+    feeds = run.feeds()
+    total = sum(map(len, feeds))
+    lenient = bool(view.settings.reading.get("lenient"))
+    for done, _ in enumerate(play([_tolerant(feed, told) if lenient else feed for feed in feeds]), start=1):
+        if progress is not None:
+            progress(done, total)
+    run.annotations.finish()
+    span_ns = time_span(scene) or (0, 0)
+    notices = (*scene.notices, *view.places.notices, *told.notices)
+    log_remarks(stream, span_ns[0], notices, findings)
+    return _shown(run, span_ns, findings)
+
+
+def _log_lasting(run: _Run) -> None:
+    """What holds at all times, or is said over time by few values."""
+    view, stream, scene = run.view, run.stream, run.view.scene
+    for sensor in scene.sensors:
+        if isinstance(sensor, PointsSensor):
+            show_map(stream, view.places, sensor)
+            path = stream.path("world", "clouds", sensor.id)
+            positions = (sensor.positions - view.places.origin_world).astype(np.float32)
+            run.labelled.log(sensor.id, None, path, None, positions)
+    show_corrections(stream, view.places, scene.annotations, view.told)
+    show_events(stream, scene.annotations)
+    show_attributes(stream, scene)
+    show_graph(stream, scene.annotations, view.told)
+    list_annotations(stream, scene)
+
+
+def _tolerant(feed: Feed, told: Told) -> Feed:
+    """Pass over moments that cannot be read, and tell it."""
+
+    def log(k: int) -> None:
+        try:
+            feed.log(k)
+        except DataError as error:
+            told("unreadable", error.place or error.file, error.problem)
+
+    return Feed(feed.times_ns, log)
+
+
+def _shown(run: _Run, span_ns: tuple[int, int], findings: tuple[Finding, ...]) -> DriveShown:
+    view = run.view
+    colours = {str(one.lidar.id): one.painter.used for one in run.lidars}
+    wanted = view.settings.colour_by
+    for sensor_id, used in colours.items():
+        if wanted is not None and used is not None and used is not wanted:
+            view.told(
+                "colours-missing", f"sensors[{sensor_id!r}]", f"its points have no {wanted}; they show {used}"
+            )
+    return DriveShown(
+        source=view.scene.source,
+        format=view.scene.format,
+        root=run.stream.root,
+        origin=tuple(view.places.origin_world.tolist()),
+        seconds=(span_ns[1] - span_ns[0]) / 1e9,
+        colours={sensor_id: used.value for sensor_id, used in colours.items() if used is not None},
+        logged=dict(sorted(run.stream.counts.items())),
+        findings=dict(Counter(str(finding.severity) for finding in findings)),
+        notices=(*view.scene.notices, *view.places.notices, *view.told.notices),
+    )
+
+
+def check_single(count: int, settings: ViewSettings) -> None:
+    """Refuse files that belong to one drive where several are shown.
+
+    Raises:
+        OptionError: naming them.
+    """
+    if count > 1 and settings.accompanied:
+        raise OptionError(
+            f"detections, tracks and depth images belong to one drive; {count} drives are shown"
+        )

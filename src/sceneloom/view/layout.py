@@ -1,0 +1,182 @@
+"""The layout of the viewer, made for the drives at hand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.scene import EventAnnotation, GnssSensor, Identifier, ImuSensor, Scene
+from sceneloom.view.annotations.relations import RELATIONS
+from sceneloom.view.annotations.states import ATTRIBUTES, EVENTS, LIST
+from sceneloom.view.clouds import SENSORS, WORLD
+from sceneloom.view.motion import EARTH, EGO, GNSS, IMU, MAP
+from sceneloom.view.pictures import PICTURE
+from sceneloom.view.places import Places
+from sceneloom.view.remarks import REMARKS
+from sceneloom.view.sdk import blueprint_sdk
+from sceneloom.view.settings import ViewSettings
+from sceneloom.view.stream import TIME, escaped
+
+_BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
+"""Where the eye stands behind the ego, and where it looks [m]."""
+_IN_PICTURES = ("annotations", "tracks", "detections")
+"""What has a place in the world and is shown through the lenses, too."""
+_BACKGROUND = (16, 18, 22)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Facts:
+    """What a layout depends on.
+
+    Attributes:
+        root: the drive's entity.
+        title: its name.
+        cameras: those with pictures.
+        eye, target: (3,) float64 [m], where the eye is in the world, and what it looks at.
+        follows: whether the eye moves with the ego.
+        imu, gnss, plan, earth, events, attributes, relations, listed: whether there is anything of it.
+    """
+
+    root: str
+    title: str
+    cameras: tuple[Identifier, ...]
+    eye: tuple[float, ...]
+    target: tuple[float, ...]
+    follows: bool
+    imu: bool
+    gnss: bool
+    plan: bool
+    earth: bool
+    events: bool
+    attributes: bool
+    relations: bool
+    listed: bool
+
+    @classmethod
+    def of(
+        cls, name: str, scene: Scene, places: Places, cameras: tuple[Identifier, ...], settings: ViewSettings
+    ) -> "Facts":
+        """Look at what a scene has."""
+        eye, target = _eye(places)
+        gnss = any(isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns) for sensor in scene.sensors)
+        joined = any(
+            one.parent_id is not None or one.type in {"link", "group", "object"} for one in scene.annotations
+        )
+        return cls(
+            root=f"/{escaped(name)}",
+            title=name,
+            cameras=cameras,
+            eye=eye,
+            target=target,
+            follows=places.path is not None,
+            imu=any(isinstance(sensor, ImuSensor) and sensor.streams for sensor in scene.sensors),
+            gnss=gnss,
+            plan=gnss or places.path is not None,
+            earth=gnss and settings.map_tiles,
+            events=any(isinstance(one, EventAnnotation) for one in scene.annotations),
+            attributes=any(one.is_timed and one.values for one in scene.attributes),
+            relations=joined,
+            listed=bool(scene.annotations) or any(not one.is_timed for one in scene.attributes),
+        )
+
+
+def _eye(places: Places) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Behind and above the ego where the drive begins, looking where it faces."""
+    position, forward = np.zeros(3), np.array([1.0, 0.0, 0.0])
+    if places.path is not None:
+        position = places.path.positions[0] - places.origin_world
+        turned = rotate_vectors(places.path.quaternions_xyzw[:1], np.array([[1.0, 0.0, 0.0]]))[0]
+        way = places.path.positions[min(len(places.path.positions) - 1, 200)] - places.path.positions[0]
+        level = np.array([*(way if np.linalg.norm(way[:2]) > 1.0 else turned)[:2], 0.0])
+        length = float(np.linalg.norm(level))
+        forward = level / length if length > 1e-6 else forward
+    eye = position - _BEHIND * forward + (0.0, 0.0, _ABOVE)
+    return tuple(eye.tolist()), tuple((position + _AHEAD * forward).tolist())
+
+
+def layout(drives: Sequence[Facts]) -> Any:
+    """Make the layout: of one drive, or of several, each under a tab of its own, with all worlds over each other."""
+    rrb = blueprint_sdk()
+    parts = [_drive(facts) for facts in drives]
+    if len(drives) == 1:
+        content = parts[0]
+    else:
+        together = rrb.Spatial3DView(
+            origin="/", contents=[f"+ {facts.root}/{WORLD}/**" for facts in drives], name="together"
+        )
+        content = rrb.Tabs(*parts, together, active_tab=0)
+    return rrb.Blueprint(
+        content,
+        rrb.BlueprintPanel(state="expanded"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIME),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _drive(facts: Facts) -> Any:
+    rrb = blueprint_sdk()
+    world = rrb.Spatial3DView(
+        origin=f"{facts.root}/{WORLD}",
+        name=f"{facts.title}: world",
+        background=_BACKGROUND,
+        line_grid=True,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=facts.eye,
+            look_target=facts.target,
+            eye_up=(0.0, 0.0, 1.0),
+            **({"tracking_entity": f"{facts.root}/{WORLD}/{EGO}"} if facts.follows else {}),
+        ),
+    )
+    tabs = rrb.Tabs(*_tabs(facts), active_tab=0)
+    left = rrb.Vertical(world, tabs, row_shares=[3, 1])
+    if not facts.cameras:
+        return _named(left, facts)
+    pictures = [_camera(facts, camera_id) for camera_id in facts.cameras]
+    columns = 1 if len(pictures) <= 3 else 2
+    side = rrb.Grid(*pictures, grid_columns=columns) if len(pictures) > 1 else pictures[0]
+    return rrb.Horizontal(left, side, column_shares=[3, 2], name=facts.title)
+
+
+def _named(container: Any, facts: Facts) -> Any:
+    return blueprint_sdk().Horizontal(container, name=facts.title)
+
+
+def _camera(facts: Facts, camera_id: Identifier) -> Any:
+    path = f"{facts.root}/{WORLD}/{SENSORS}/{escaped(camera_id)}/{PICTURE}"
+    through = [f"+ {facts.root}/{WORLD}/{name}/**" for name in _IN_PICTURES]
+    return blueprint_sdk().Spatial2DView(
+        origin=path, contents=["+ $origin/**", *through], name=str(camera_id)
+    )
+
+
+def _tabs(facts: Facts) -> list[Any]:
+    rrb = blueprint_sdk()
+    root = facts.root
+    views = [
+        rrb.TextLogView(origin=root, contents=[f"+ {root}/{REMARKS}", f"+ {root}/{EVENTS}/**"], name="log")
+    ]
+    if facts.gnss:
+        views.append(rrb.TimeSeriesView(origin=f"{root}/{GNSS}", name="satellite fixes"))
+    if facts.imu:
+        views.append(rrb.TimeSeriesView(origin=f"{root}/{IMU}", name="inertial unit"))
+    if facts.plan:
+        views.append(rrb.Spatial2DView(origin=f"{root}/{MAP}", name="map [m]", background=_BACKGROUND))
+    if facts.earth:
+        views.append(
+            rrb.MapView(origin=f"{root}/{EARTH}", name="map", background=rrb.MapProvider.OpenStreetMap)
+        )
+    if facts.events:
+        views.append(rrb.StateTimelineView(origin=f"{root}/{EVENTS}", name="events"))
+    if facts.attributes:
+        views.append(rrb.TimeSeriesView(origin=f"{root}/{ATTRIBUTES}", name="attributes"))
+        views.append(rrb.StateTimelineView(origin=f"{root}/{ATTRIBUTES}", name="attributes in words"))
+    if facts.listed:
+        views.append(rrb.TextDocumentView(origin=f"{root}/{LIST}", name="annotations"))
+    if facts.relations:
+        views.append(rrb.GraphView(origin=f"{root}/{RELATIONS}", name="relations"))
+    return views

@@ -1,0 +1,221 @@
+"""The ego's way, and what IMU and satellite receivers say, as curves and maps."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.scene import GnssSensor, ImuSensor, PosePath, Scene, VectorSamples
+from sceneloom.view.clouds import WORLD
+from sceneloom.view.colours import colour_of_name, one_packed
+from sceneloom.view.places import Places
+from sceneloom.view.poses import transform_columns
+from sceneloom.view.sdk import sdk
+from sceneloom.view.stream import Stream
+
+EGO, WAYS, IMU, GNSS, MAP, EARTH = "ego", "ways", "imu", "gnss", "map", "earth"
+"""Entities: the ego's frame, ways through the world, curves of both kinds of sensors, the plan, places on earth."""
+
+_AXES = ("x", "y", "z")
+_UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "accelerometer": "m/s²",
+        "gyroscope": "rad/s",
+        "magnetometer": "µT",
+        "imuTemperature": "K",
+        "barometer": "hPa",
+    }
+)
+_AXIS_COLOURS = ((239, 83, 80), (102, 187, 106), (66, 165, 245))
+_WAY, _FIXES = (255, 206, 84), (82, 196, 255)
+_MOST_POSES = 20_000
+_ROWS_AT_ONCE = 8_192
+_MOST_SAMPLES = 200_000
+
+
+@dataclass(frozen=True, slots=True)
+class MotionShown:
+    """Which views of motion there is something for."""
+
+    imu: bool = False
+    gnss: bool = False
+    map: bool = False
+    earth: bool = False
+
+
+def show_motion(stream: Stream, places: Places, scene: Scene) -> MotionShown:
+    """Show the ego's way, IMU and GNSS; all of it at once, since it is small."""
+    stream.static(stream.path(WORLD), sdk().ViewCoordinates.RIGHT_HAND_Z_UP)
+    _show_ego(stream, places)
+    imus = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)]
+    receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    receivers = [sensor for sensor in receivers if len(sensor.timestamps_ns)]
+    for imu in imus:
+        _show_imu(stream, imu)
+    for receiver in receivers:
+        _show_fixes(stream, receiver)
+    origin_lla = _map_origin(places, receivers)
+    mapped = _show_plan(stream, places, receivers, origin_lla)
+    return MotionShown(bool(imus), bool(receivers), mapped, bool(receivers))
+
+
+def _show_ego(stream: Stream, places: Places) -> None:
+    rr, path = sdk(), places.path
+    for name, way in places.scene.trajectories.items():
+        line = _line(way.positions - places.origin_world)
+        stream.static(stream.path(WORLD, WAYS, name), _strips(line, colour_of_name(name), name))
+    if path is None:
+        return
+    rows = _thinned(len(path.timestamps_ns), _MOST_POSES)
+    samples = path.moved(places.origin_world).held(path.timestamps_ns[rows])
+    every = np.arange(len(rows))
+    entity = stream.path(WORLD, EGO)
+    stream.columns(path.timestamps_ns[rows], entity, transform_columns(samples, every), kind="ego poses")
+    stream.static(entity, rr.TransformAxes3D(1.5))
+    stream.static(stream.path(WORLD, WAYS, "of the ego"), _strips(samples.positions, _WAY, "way of the ego"))
+
+
+def _strips(line: Float64Array, colour: tuple[int, int, int], name: str) -> object:
+    return sdk().LineStrips3D(
+        [line],
+        colors=np.array([one_packed(colour)], np.uint32),
+        radii=np.array([-1.5], np.float32),
+        labels=[name],
+        show_labels=False,
+    )
+
+
+def _line(positions: Float64Array) -> Float64Array:
+    finite = positions[np.isfinite(positions).all(axis=1)]
+    return np.asarray(finite[_thinned(len(finite), _MOST_POSES)], np.float64)
+
+
+def _thinned(count: int, most: int) -> np.ndarray:
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+
+
+def _show_imu(stream: Stream, sensor: ImuSensor) -> None:
+    for name, samples in sensor.streams.items():
+        width = samples.values.shape[1]
+        axes = [_AXES[k] if width == 3 else (name if width == 1 else str(k)) for k in range(width)]
+        _curves(stream, stream.path(IMU, sensor.id, name), samples, axes, _UNITS.get(name, ""))
+
+
+def _curves(stream: Stream, path: str, samples: VectorSamples, names: Iterable[str], unit: str) -> None:
+    """Log a vector over time; of very long streams every Nth sample."""
+    rr = sdk()
+    titles = [f"{name} [{unit}]" if unit else name for name in names]
+    colours = [_AXIS_COLOURS[k % 3] for k in range(len(titles))]
+    stream.static(path, rr.SeriesLines(names=titles, colors=colours))
+    step = -(-len(samples) // _MOST_SAMPLES) or 1
+    times_ns, values = samples.timestamps_ns[::step], samples.values[::step]
+    for start in range(0, len(times_ns), _ROWS_AT_ONCE):
+        part = slice(start, start + _ROWS_AT_ONCE)
+        rows = values[part]
+        columns = rr.Scalars.columns(scalars=rows.reshape(-1)).partition(np.full(len(rows), rows.shape[1]))
+        stream.columns(times_ns[part], path, columns, kind="samples")
+
+
+def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
+    """Log fixes as places on earth, and their heights and accuracies as curves."""
+    rr = sdk()
+    finite = np.isfinite(sensor.positions_lla[:, :2]).all(axis=1)
+    times_ns, lla = sensor.timestamps_ns[finite], sensor.positions_lla[finite]
+    colour = one_packed(_FIXES)
+    points = rr.GeoPoints.columns(
+        positions=lla[:, :2],
+        radii=np.full(len(lla), -6.0, np.float32),
+        colors=np.full(len(lla), colour, np.uint32),
+    )
+    stream.columns(times_ns, stream.path(EARTH, sensor.id, "fix"), points, kind="fixes")
+    way = rr.GeoLineStrings(
+        lat_lon=[lla[:, :2]], colors=np.array([colour], np.uint32), radii=np.array([-1.5], np.float32)
+    )
+    stream.static(stream.path(EARTH, sensor.id, "way"), way)
+    columns = {"height [m]": lla[:, 2], "accuracy [m]": sensor.accuracies[finite]}
+    columns["vertical accuracy [m]"] = sensor.vertical_accuracies[finite]
+    for name, values in columns.items():
+        known = np.isfinite(values)
+        if known.any():
+            samples = VectorSamples(times_ns[known], np.ascontiguousarray(values[known, None]))
+            _curves(
+                stream, stream.path(GNSS, sensor.id, name.split(" [", maxsplit=1)[0]), samples, [name], ""
+            )
+
+
+def _map_origin(places: Places, receivers: list[GnssSensor]) -> Float64Array | None:
+    """The place on earth that the plan counts from: the world's origin where it is known, else the first fix."""
+    if places.ego is not None and places.ego.enu_origin_lla is not None:
+        return np.array(places.ego.enu_origin_lla)
+    if not receivers:
+        return None
+    lla = receivers[0].positions_lla
+    finite = lla[np.isfinite(lla).all(axis=1)]
+    return finite[0] if len(finite) else None
+
+
+def _show_plan(
+    stream: Stream, places: Places, receivers: list[GnssSensor], origin_lla: Float64Array | None
+) -> bool:
+    """Log a plan in metres, north (or the world's y) up: fixes, and the ego's way where both share their axes."""
+    shown = False
+    if origin_lla is not None:
+        for sensor in receivers:
+            finite = np.isfinite(sensor.positions_lla).all(axis=1)
+            enu = enu_from_geodetic(sensor.positions_lla[finite], origin_lla)
+            _plan_line(stream, (GNSS, sensor.id), enu, _FIXES)
+            _plan_marks(stream, (GNSS, sensor.id), sensor.timestamps_ns[finite], enu, _FIXES)
+            shown = True
+    is_enu = places.ego is not None and places.ego.enu_origin_lla is not None
+    if places.path is not None and (is_enu or origin_lla is None):
+        positions = places.path.positions if is_enu else places.path.positions - places.origin_world
+        _plan_line(stream, (EGO,), positions, _WAY)
+        _plan_marks(stream, (EGO,), places.path.timestamps_ns, positions, _WAY)
+        shown = True
+        if is_enu and origin_lla is not None:
+            _show_way_on_earth(stream, places.path, origin_lla)
+    return shown
+
+
+def _plan_line(
+    stream: Stream, names: tuple[str | int, ...], enu: Float64Array, colour: tuple[int, int, int]
+) -> None:
+    strip = _on_plan(_line(enu))
+    line = sdk().LineStrips2D(
+        [strip], colors=np.array([one_packed(colour)], np.uint32), radii=np.array([-1.0], np.float32)
+    )
+    stream.static(stream.path(MAP, *names, "way"), line)
+
+
+def _plan_marks(
+    stream: Stream,
+    names: tuple[str | int, ...],
+    times_ns: np.ndarray,
+    enu: Float64Array,
+    colour: tuple[int, int, int],
+) -> None:
+    rows = _thinned(len(enu), _MOST_POSES)
+    marks = sdk().Points2D.columns(
+        positions=_on_plan(enu[rows]),
+        colors=np.full(len(rows), one_packed(colour), np.uint32),
+        radii=np.full(len(rows), -5.0, np.float32),
+    )
+    stream.columns(times_ns[rows], stream.path(MAP, *names, "place"), marks)
+
+
+def _on_plan(enu: Float64Array) -> Float64Array:
+    """East and north as pixels, which count downwards."""
+    return enu[:, :2] * (1.0, -1.0)
+
+
+def _show_way_on_earth(stream: Stream, path: PosePath, origin_lla: Float64Array) -> None:
+    lla = geodetic_from_enu(_line(path.positions), origin_lla)
+    way = sdk().GeoLineStrings(
+        lat_lon=[lla[:, :2]],
+        colors=np.array([one_packed(_WAY)], np.uint32),
+        radii=np.array([-1.5], np.float32),
+    )
+    stream.static(stream.path(EARTH, EGO), way)

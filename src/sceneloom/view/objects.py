@@ -1,0 +1,175 @@
+"""Fused detections and tracked objects: boxes, how certain their places are, and where each came from."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.detections.noise import radius_squared
+from sceneloom.geometry.rotations import quaternion_from_matrix
+from sceneloom.scene import Identifier, Support, TrackedObjects
+from sceneloom.view.clouds import WORLD
+from sceneloom.view.colours import colour_of_name, one_packed
+from sceneloom.view.feeds import Feed
+from sceneloom.view.pictures import picture_path
+from sceneloom.view.sdk import sdk
+from sceneloom.view.stream import Stream
+
+CERTAINTY = 0.95
+"""An ellipsoid holds the middle of its object with this probability."""
+_HISTORY_NS = 3_000_000_000
+_LARGEST_SIGMA = 30.0
+"""Ellipsoids of objects of which less is known are not drawn [m]."""
+_THIN, _THICK = -1.0, -2.0
+
+
+def ellipsoid(
+    covariances: Float64Array, *, degrees_of_freedom: float = np.inf
+) -> tuple[Float64Array, Float64Array]:
+    """Give the ellipsoids that hold errors of such covariances with the probability `CERTAINTY`.
+
+    Args:
+        covariances: (N, 3, 3) [m²], symmetric.
+        degrees_of_freedom: of the Student distribution of errors with these covariances; infinite for a Gaussian one.
+
+    Returns:
+        half_sizes: (N, 3) [m], along the axes, ascending.
+        quaternions_xyzw: (N, 4), whose rotations have these axes as columns.
+    """
+    variances, axes = np.linalg.eigh(covariances)
+    mirrored = np.linalg.det(axes) < 0
+    axes[mirrored, :, 0] *= -1
+    scale = np.sqrt(radius_squared(CERTAINTY, degrees_of_freedom=degrees_of_freedom))
+    return scale * np.sqrt(np.maximum(variances, 0.0)), quaternion_from_matrix(axes)
+
+
+@dataclass(slots=True, eq=False)
+class ObjectsView:
+    """Shows what was found at each moment.
+
+    Attributes:
+        stream: where to.
+        names: of the entity below the world: "tracks", or "detections" and the camera that took part.
+        moments: what was found, by time.
+        origin: (3,) float64 [m], what is taken off places.
+        has_history: whether an object keeps its number from moment to moment.
+        degrees_of_freedom: of the errors' distribution.
+    """
+
+    stream: Stream
+    names: tuple[Identifier, ...]
+    moments: tuple[TrackedObjects, ...]
+    origin: Float64Array
+    has_history: bool
+    degrees_of_freedom: float = np.inf
+    _ways: dict[int, list[tuple[int, Float64Array]]] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """What the objects are."""
+        return str(self.names[0])
+
+    @property
+    def feed(self) -> Feed:
+        """Its moments in order."""
+        return Feed(np.array([moment.timestamp_ns for moment in self.moments], np.int64), self.log)
+
+    def log(self, k: int) -> None:
+        """Log the objects of one moment."""
+        moment, base = self.moments[k], self.stream.path(WORLD, *self.names)
+        named = moment.ids if self.has_history else moment.labels
+        colours = np.array([one_packed(colour_of_name(name)) for name in named], np.uint32)
+        self._boxes(moment, base, colours)
+        self._ellipsoids(moment, base, colours)
+        self._velocities(moment, base, colours)
+        self._in_pictures(moment, colours)
+        if self.has_history:
+            self._history(moment, base, colours)
+
+    def _boxes(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
+        rr, count = sdk(), len(moment)
+        halves = moment.yaws / 2
+        turns = np.column_stack([np.zeros((count, 2)), np.sin(halves), np.cos(halves)])
+        by_sweep = np.isin(moment.supports, (Support.BOTH, Support.SWEEP))
+        boxes = rr.Boxes3D(
+            centers=moment.centers - self.origin,
+            half_sizes=moment.sizes_lwh / 2,
+            quaternions=turns,
+            colors=colours,
+            radii=np.where(by_sweep, _THICK, _THIN).astype(np.float32),
+            labels=self._names(moment),
+        )
+        said = rr.AnyValues(
+            id=[str(one) for one in moment.ids.tolist()],
+            existence=moment.scores,
+            support=[Support(int(one)).name.lower() for one in moment.supports],
+        )
+        told = (said,) if count else ()
+        self.stream.log(moment.timestamp_ns, f"{base}/boxes", boxes, *told, kind=self.kind, size=200 * count)
+
+    def _names(self, moment: TrackedObjects) -> list[str]:
+        if self.has_history:
+            return [f"{label} {one}" for label, one in zip(moment.labels, moment.ids.tolist(), strict=True)]
+        return [
+            f"{label} {score:.0%}" for label, score in zip(moment.labels, moment.scores.tolist(), strict=True)
+        ]
+
+    def _ellipsoids(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
+        covariances = moment.covariances[:, :3, :3]
+        half_sizes, turns = ellipsoid(covariances, degrees_of_freedom=self.degrees_of_freedom)
+        known = (half_sizes > 0).all(axis=1) & (half_sizes < _LARGEST_SIGMA * 3).all(axis=1)
+        shown = sdk().Ellipsoids3D(
+            centers=(moment.centers - self.origin)[known],
+            half_sizes=half_sizes[known],
+            quaternions=turns[known],
+            colors=colours[known],
+        )
+        self.stream.log(moment.timestamp_ns, f"{base}/certainty", shown)
+
+    def _velocities(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
+        moving = np.isfinite(moment.velocities).all(axis=1) & (
+            np.abs(moment.velocities).max(axis=1, initial=0) > 0.1
+        )
+        arrows = sdk().Arrows3D(
+            origins=(moment.centers - self.origin)[moving],
+            vectors=moment.velocities[moving],
+            colors=colours[moving],
+            radii=np.full(int(moving.sum()), _THIN, np.float32),
+        )
+        self.stream.log(moment.timestamp_ns, f"{base}/velocities", arrows)
+
+    def _in_pictures(self, moment: TrackedObjects, colours: np.ndarray) -> None:
+        names = self._names(moment)
+        for camera_id, corners in moment.corners_xyxy.items():
+            rows = np.flatnonzero(np.isfinite(corners).all(axis=1))
+            boxes = sdk().Boxes2D(
+                mins=corners[rows, :2],
+                sizes=corners[rows, 2:] - corners[rows, :2],
+                colors=colours[rows],
+                labels=[names[row] for row in rows.tolist()],
+            )
+            self.stream.log(moment.timestamp_ns, f"{picture_path(self.stream, camera_id)}/{self.kind}", boxes)
+
+    def _history(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
+        for one, center in zip(moment.ids.tolist(), moment.centers - self.origin, strict=True):
+            self._ways.setdefault(one, []).append((moment.timestamp_ns, center))
+        since = moment.timestamp_ns - _HISTORY_NS
+        self._ways = {
+            one: kept for one, way in self._ways.items() if (kept := [p for p in way if p[0] >= since])
+        }
+        rows = [row for row, one in enumerate(moment.ids.tolist()) if len(self._ways[one]) > 1]
+        strips = sdk().LineStrips3D(
+            [[center for _, center in self._ways[int(moment.ids[row])]] for row in rows],
+            colors=colours[rows],
+            radii=np.full(len(rows), -1.5, np.float32),
+        )
+        self.stream.log(moment.timestamp_ns, f"{base}/history", strips)
+
+
+def by_camera(moments: tuple[TrackedObjects, ...]) -> dict[Identifier, tuple[TrackedObjects, ...]]:
+    """Moments of single cameras, those of each camera together."""
+    cameras = dict.fromkeys(camera_id for moment in moments for camera_id in moment.corners_xyxy)
+    return {
+        camera_id: tuple(moment for moment in moments if camera_id in moment.corners_xyxy)
+        for camera_id in cameras
+    }

@@ -1,0 +1,154 @@
+"""Pictures in the frusta of their cameras, straight where the lens bends."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.undistortion import undistorted_camera
+from sceneloom.editing.undistortion import undistort_scene
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.sfs.write_pictures import encode_jpeg
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraSensor, DepthCameraSensor, Identifier, Picture, Scene
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.types import Key, key_of
+from sceneloom.view.clouds import SENSORS, WORLD
+from sceneloom.view.feeds import Tell
+from sceneloom.view.places import Places
+from sceneloom.view.poses import pose_at, transform
+from sceneloom.view.sdk import sdk
+from sceneloom.view.stream import Stream
+
+PICTURE = "picture"
+"""The entity of a camera's pictures, below that of the camera; its own space of pixels."""
+
+_QUALITY = 88
+_JPEG_START = b"\xff\xd8"
+_CORNER = 0.5
+"""The viewer counts pixels from the picture's corner, lenses from the centre of the first one."""
+_FRUSTUM = 2.5
+"""How far before the camera its picture hangs [m]."""
+_FINEST = 0.5
+"""A straightened picture magnifies its middle by this or more, of what one without empty borders would: a lens that
+sees very far aside shows less of its border then, and its middle stays sharp."""
+
+
+def with_straight_lenses(scene: Scene, tell: Tell) -> tuple[Scene, frozenset[Key]]:
+    """Give the scene with pinholes for lenses, as the viewer knows no others; what is drawn in pictures follows.
+
+    Returns:
+        The scene, and the cameras whose lens no pinhole can stand for: their pictures hang nowhere.
+    """
+    bent = [camera for camera in scene.cameras if camera.camera.model != "pinhole"]
+    kept_bent = set()
+    for sensor in bent:
+        place = f"sensors[{sensor.id!r}]"
+        try:
+            keep = _kept_share(sensor.camera)
+            scene = replace(undistort_scene(scene, cameras=[sensor.id], keep=keep), notices=scene.notices)
+        except CalibrationError as error:
+            kept_bent.add(key_of(sensor.id))
+            tell("lens-left", place, f"its pictures are shown beside the cloud only: {error}")
+        else:
+            tell(
+                "straightened",
+                place,
+                f"pictures of its {sensor.camera.model} lens are shown without distortion",
+            )
+    return scene, frozenset(kept_bent)
+
+
+def _kept_share(camera: Camera) -> float:
+    """How much of what is outside a straight picture's valid part is shown: all, unless the middle gets too coarse."""
+    valid, whole = (undistorted_camera(camera, keep=keep).fx for keep in (0.0, 1.0))
+    if whole >= _FINEST * valid:
+        return 1.0
+    return (1.0 - _FINEST) * valid / (valid - whole)
+
+
+def pinhole(camera: Camera) -> Any:
+    """A lens without distortion as the viewer takes it."""
+    matrix = np.array(camera.matrix)
+    matrix[:2, 2] += _CORNER
+    rr = sdk()
+    return rr.Pinhole(
+        image_from_camera=matrix,
+        resolution=[camera.width, camera.height],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=_FRUSTUM,
+    )
+
+
+def camera_path(stream: Stream, sensor_id: Identifier) -> str:
+    """The entity of a camera."""
+    return stream.path(WORLD, SENSORS, sensor_id)
+
+
+def picture_path(stream: Stream, sensor_id: Identifier) -> str:
+    """The entity of its pictures."""
+    return f"{camera_path(stream, sensor_id)}/{PICTURE}"
+
+
+def jpeg_of(picture: Picture) -> bytes:
+    """The camera's own JPEG file where there is one, else the picture encoded.
+
+    Raises:
+        DataError: the picture cannot be decoded.
+    """
+    own = None if picture.encoded is None else picture.encoded()
+    if own is not None and own.startswith(_JPEG_START):
+        return own
+    return encode_jpeg(picture.rgb, quality=_QUALITY, subsampling="420")
+
+
+@dataclass(slots=True, eq=False)
+class PlacedCamera:
+    """Logs where a camera is, and its lens where that is another one than before."""
+
+    stream: Stream
+    places: Places
+    sensor: CameraSensor | DepthCameraSensor
+    tell: Tell
+    has_pinhole: bool = True
+    _source: PoseSource = field(init=False)
+    _lens: Camera | None = None
+
+    def __post_init__(self) -> None:
+        self._source, problem = self.places.source(self.sensor)
+        if problem is not None:
+            self.tell("not-placed", f"sensors[{self.sensor.id!r}]", problem)
+
+    def log(self, time_ns: int, lens: Camera, mount: RigidTransform | None) -> None:
+        """Log the pose at a time [ns], by the picture's own mounting where it has one."""
+        pose = pose_at(self._source.mounted(mount), time_ns)
+        if pose is None:
+            self.tell(
+                "beyond-the-way",
+                f"sensors[{self.sensor.id!r}]",
+                "its place is not known at the time of a picture",
+            )
+        else:
+            self.stream.log(time_ns, camera_path(self.stream, self.sensor.id), transform(pose))
+        if self.has_pinhole and lens != self._lens:
+            self._lens = lens
+            self.stream.log(time_ns, picture_path(self.stream, self.sensor.id), pinhole(lens))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraView:
+    """Shows the pictures of one camera."""
+
+    camera: PlacedCamera
+    pictures: Any
+
+    def log(self, k: int) -> None:
+        """Log picture `k`."""
+        picture: Picture = self.pictures[k]
+        stream, sensor_id = self.camera.stream, self.camera.sensor.id
+        content = jpeg_of(picture)
+        self.camera.log(picture.timestamp_ns, picture.camera, picture.mount)
+        image = sdk().EncodedImage(contents=content, media_type="image/jpeg")
+        path = picture_path(stream, sensor_id)
+        stream.log(picture.timestamp_ns, path, image, kind="pictures", size=len(content))

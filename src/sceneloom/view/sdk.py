@@ -1,0 +1,84 @@
+"""The Rerun SDK, imported when it is first needed, and kept from talking to anyone."""
+
+import importlib.util
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from sceneloom.errors import MissingExtraError
+
+_FOLDERS = ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME", "XDG_STATE_HOME")
+"""Where programs of a desktop keep what they remember.
+
+Source: XDG Base Directory Specification 0.8.
+"""
+
+
+@cache
+def sdk() -> Any:
+    """Import `rerun`.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise MissingExtraError("viewing needs rerun-sdk: pip install 'sceneloom[view]'") from error
+    return rerun
+
+
+@cache
+def blueprint_sdk() -> Any:
+    """Import `rerun.blueprint`, of which layouts are made.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    sdk()
+    import rerun.blueprint
+
+    return rerun.blueprint
+
+
+def viewer_command(*options: str) -> list[str]:
+    """The words that run Rerun's own program, which is installed with its SDK.
+
+    The program itself and not the Python module that starts it: a program that is ended would leave its child behind.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    sdk()
+    found = importlib.util.find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise MissingExtraError("Rerun's viewer is missing: pip install 'sceneloom[view]'")
+    name = "rerun.exe" if platform.system() == "Windows" else "rerun"
+    return [str(Path(found.origin).with_name(name)), *options]
+
+
+def silent_environment(folder: Path, given: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Give an environment in which Rerun's program sends no usage data and writes to `folder` only.
+
+    The program sends none after its own command `analytics disable`, which it keeps in its folder of settings: that is
+    a folder of ours here, so that nothing is written to the home folder, and what a person has set there stays as is.
+
+    Args:
+        folder: an empty folder that lives as long as the program.
+        given: the environment to begin with; None for this process's.
+    """
+    environment = {**(os.environ if given is None else given), **dict.fromkeys(_FOLDERS, str(folder))}
+    if platform.system() == "Darwin":
+        environment["HOME"] = str(folder)
+    subprocess.run(  # noqa: S603 - our own words
+        viewer_command("analytics", "disable"),
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=True,
+    )
+    return environment

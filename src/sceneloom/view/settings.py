@@ -1,0 +1,70 @@
+"""What of a drive is shown, and how."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from sceneloom.errors import OptionError
+from sceneloom.scene import Identifier
+
+
+class ColourBy(StrEnum):
+    """What gives the points of a cloud their colours."""
+
+    COLOUR = "colour"
+    """Those that cameras gave them."""
+    INTENSITY = "intensity"
+    """How much light came back."""
+    HEIGHT = "height"
+    """How far above the sensor they are."""
+    RING = "ring"
+    """Which laser measured them."""
+    TIME = "time"
+    """When in the sweep they were measured."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewSettings:
+    """What of a drive is shown, and how.
+
+    Attributes:
+        colour_by: what gives points their colours; None: their own ones, else intensity, else height.
+        start, stop: seconds after the drive's first time stamp; None for its beginning and end.
+        every: show every Nth sweep, picture, … of each sensor.
+        sensors: ids of the only sensors to show; None for all.
+        trajectory: name of the ego's way, as of `sceneloom.fuse`; None: the drive's first, or an ego that stands still.
+        heading: "motion" to derive orientations where a trajectory has positions only.
+        as_measured: leave points where the sensor had them, though it moved during the sweep.
+        findings: look for mistakes by the rules of `validate` that need no frames.
+        detections: a file that `fuse --type detection` wrote.
+        tracks: a file of lines of JSON that `track` wrote.
+        depth: a folder of depth images that `fuse --depth` or `depth` wrote.
+        map_tiles: let the viewer fetch the map behind fixes from OpenStreetMap.
+        reading: further options of opening a drive.
+    """
+
+    colour_by: ColourBy | None = None
+    start: float | None = None
+    stop: float | None = None
+    every: int = 1
+    sensors: tuple[Identifier, ...] | None = None
+    trajectory: str | None = None
+    heading: str | None = None
+    as_measured: bool = False
+    findings: bool = True
+    detections: Path | None = None
+    tracks: Path | None = None
+    depth: Path | None = None
+    map_tiles: bool = False
+    reading: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise OptionError(f"every {self.every}; expected 1 or more")
+
+    @property
+    def accompanied(self) -> bool:
+        """Whether files belong to the drive that say of which one it is theirs."""
+        return any(path is not None for path in (self.detections, self.tracks, self.depth))

@@ -1,0 +1,116 @@
+"""What is logged goes through here: under the root of its drive, at a time on the one clock."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sceneloom.arrays import Int64Array
+from sceneloom.scene import Identifier
+from sceneloom.view.sdk import sdk
+
+TIME = "time"
+"""The timeline of capture times [ns]."""
+FRAME = "frame"
+"""The timeline of frame numbers: which sweep of the first lidar (or picture of the first camera) was the last one."""
+
+_SINCE_EPOCH_NS = 100_000_000_000_000_000
+"""Stamps from here on (March 1973) count from 1970; smaller ones are seconds of a clock that began with the drive."""
+
+_PENDING_BYTES = 48_000_000
+"""So much may wait to be written; then the writer is waited for, which bounds the memory of a long drive."""
+
+
+def is_calendar(first_ns: int | None) -> bool:
+    """Whether a drive's stamps are times of day, by its first one [ns]."""
+    return first_ns is not None and first_ns >= _SINCE_EPOCH_NS
+
+
+@dataclass(slots=True)
+class Stream:
+    """Logs one drive.
+
+    Attributes:
+        recording: Rerun's stream, which several drives share.
+        root: the drive's own entity.
+        calendar: whether times are shown as times of day, else as seconds.
+        reference_ns: (N,) int64 [ns], when each frame begins that is counted as a frame of the drive.
+        counts: how many rows of which kind were logged.
+    """
+
+    recording: Any
+    root: str
+    calendar: bool
+    reference_ns: Int64Array
+    counts: dict[str, int] = field(default_factory=dict)
+    _pending: int = 0
+
+    def path(self, *names: Identifier) -> str:
+        """The entity of that name below the root; ids may hold any characters."""
+        return "/".join([self.root, *(escaped(name) for name in names)])
+
+    def frames_at(self, times_ns: ArrayLike) -> Int64Array:
+        """The number of the drive's frame that had begun last at each time."""
+        rows = np.searchsorted(self.reference_ns, np.asarray(times_ns, np.int64), side="right") - 1
+        return np.maximum(rows, 0).astype(np.int64)
+
+    def log(self, time_ns: int, path: str, *archetypes: Any, kind: str | None = None, size: int = 0) -> None:
+        """Log at a time.
+
+        Args:
+            time_ns: capture time [ns].
+            path: of the entity.
+            archetypes: what is there from then on.
+            kind: under which it is counted.
+            size: in bytes, where it is large.
+        """
+        named = (
+            {"timestamp": np.datetime64(time_ns, "ns")}
+            if self.calendar
+            else {"duration": np.timedelta64(time_ns, "ns")}
+        )
+        self.recording.set_time(TIME, **named)
+        self.recording.set_time(FRAME, sequence=int(self.frames_at([time_ns])[0]))
+        self.recording.log(path, *archetypes, strict=True)
+        self._note(kind, 1, size)
+
+    def static(self, path: str, *archetypes: Any) -> None:
+        """Log what holds at all times."""
+        self.recording.log(path, *archetypes, static=True, strict=True)
+
+    def columns(
+        self, times_ns: Int64Array, path: str, *columns: Iterable[Any], kind: str | None = None
+    ) -> None:
+        """Log many times at once: (N,) int64 [ns], and columns of N rows."""
+        if len(times_ns) == 0:
+            return
+        rr = sdk()
+        stamps = np.ascontiguousarray(times_ns, np.int64)
+        named = (
+            {"timestamp": stamps.view("datetime64[ns]")}
+            if self.calendar
+            else {"duration": stamps.view("timedelta64[ns]")}
+        )
+        indexes = [rr.TimeColumn(TIME, **named), rr.TimeColumn(FRAME, sequence=self.frames_at(stamps))]
+        self.recording.send_columns(path, indexes, [one for many in columns for one in many], strict=True)
+        self._note(kind, len(stamps), 0)
+
+    def count(self, kind: str, rows: int) -> None:
+        """Count rows that were logged."""
+        self.counts[kind] = self.counts.get(kind, 0) + rows
+
+    def _note(self, kind: str | None, rows: int, size: int) -> None:
+        if kind is not None:
+            self.count(kind, rows)
+        self._pending += size
+        if self._pending > _PENDING_BYTES:
+            self.recording.flush()
+            self._pending = 0
+
+
+def escaped(name: Identifier) -> str:
+    """A name as one part of an entity's path."""
+    escape = sdk().escape_entity_path_part
+    return str(escape(str(name) or "-"))

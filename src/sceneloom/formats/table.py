@@ -18,10 +18,13 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "sfs": "sceneloom.formats.sfs:FORMAT",
         "recording": "sceneloom.formats.recording:FORMAT",
         "rig": "sceneloom.formats.rig:FORMAT",
+        "mcap": "sceneloom.formats.mcap:FORMAT",
         "kitti-raw": "sceneloom.formats.kitti.raw:FORMAT",
         "kitti-object": "sceneloom.formats.kitti.object:FORMAT",
         "kitti-tracking": "sceneloom.formats.kitti.tracking:FORMAT",
         "kitti-odometry": "sceneloom.formats.kitti.odometry:FORMAT",
+        "nuscenes": "sceneloom.formats.nuscenes:FORMAT",
+        "argoverse2": "sceneloom.formats.argoverse2:FORMAT",
         "pcd": "sceneloom.formats.clouds.form:PCD",
         "ply": "sceneloom.formats.clouds.form:PLY",
         "las": "sceneloom.formats.clouds.form:LAS",
@@ -29,8 +32,6 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "kitti-bin": "sceneloom.formats.clouds.form:KITTI_BIN",
         "nuscenes-bin": "sceneloom.formats.clouds.form:NUSCENES_BIN",
         "npz": "sceneloom.formats.clouds.form:NPZ",
-        "nuscenes": "sceneloom.formats.nuscenes:FORMAT",
-        "argoverse2": "sceneloom.formats.argoverse2:FORMAT",
     }
 )
 """Name of each format and the `module:object` that implements it."""

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from google.protobuf.message import Message
 
+from sceneloom.formats.mcap.schemas import foxglove_type, serialised
 from sceneloom.fusion.admitted import Admitted
 from sceneloom.fusion.events import Dropped, Event, Refused, Result
 from sceneloom.fusion.messages.foxglove_form import FoxgloveMessage, to_foxglove
@@ -21,7 +22,7 @@ from sceneloom.fusion.setting import Setting
 from sceneloom.service.log_file import LogWriter
 from sceneloom.service.log_frames import frame_transforms, lens_messages
 from sceneloom.service.log_queue import LogQueue, NotLoggedError
-from sceneloom.service.log_schemas import foxglove_type, serialised, shown_bytes
+from sceneloom.service.log_schemas import shown_bytes
 from sceneloom.service.motion_form import motion_request
 from sceneloom.service.replies import properties_message
 from sceneloom.service.values import value_to_protobuf

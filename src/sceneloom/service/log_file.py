@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from sceneloom.errors import DataError, OutputError
+from sceneloom.formats.mcap.schemas import schema_bytes
 from sceneloom.formats.output import check_output
 from sceneloom.fusion.messages.protobuf_form import parse_message
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.service.log_schemas import schema_bytes
 from sceneloom.version import __version__
 
 CHUNK_BYTES = 4 << 20

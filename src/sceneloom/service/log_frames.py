@@ -7,10 +7,10 @@ import numpy as np
 from google.protobuf.message import Message
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.formats.mcap.schemas import foxglove_type
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.setting import Setting
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.service.log_schemas import foxglove_type
 
 FrameName = Callable[[str, int], str]
 """Gives the name of the frame of a kind of sensor and its number."""

@@ -17,7 +17,7 @@ from sceneloom.fusion.messages.protobuf_form import (
     parse_message,
 )
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.messages.wire_bytes import LENGTH_TYPE, wire_fields
+from sceneloom.formats.wire_bytes import LENGTH_TYPE, wire_fields
 from sceneloom.fusion.outcome import DONE, Cause, Outcome
 from sceneloom.service.call_errors import CallError
 from sceneloom.service.motion_form import path_of

@@ -117,10 +117,18 @@ class ReadPoints:
     clipped: int
 
 
-def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock) -> ReadPoints:
+def points_of(
+    cloud: Cloud, mapping: PointMapping, clock: SweepClock, *, keep_all: bool = False
+) -> ReadPoints:
     """Read the columns of a file as points.
 
     Columns that mean nothing here are kept as `extras`, those of the brightness as 0 to 255 only.
+
+    Args:
+        cloud: the columns.
+        mapping: what they mean.
+        clock: what their times refer to.
+        keep_all: points that are not finite or at the origin are points, too.
 
     Raises:
         DataError: x, y or z or a column that the mapping names is missing, or a time is impossible.
@@ -130,7 +138,7 @@ def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock) -> ReadPoi
         if name not in cloud.columns:
             raise DataError(cloud.file, name, f"no such column for {role}; the file has {_names(cloud)}")
     positions = _positions(cloud, roles)
-    kept = _returns(positions)
+    kept = np.ones(cloud.count, np.bool_) if keep_all else _returns(positions)
     chosen: Any = slice(None) if kept.all() else kept
     columns = {name: column[chosen] for name, column in cloud.columns.items()}
     intensities, clipped = None, 0

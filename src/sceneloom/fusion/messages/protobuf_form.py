@@ -13,7 +13,7 @@ from sceneloom.fusion.messages.records import (
     kind_of,
 )
 from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM
-from sceneloom.fusion.messages.wire_bytes import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
+from sceneloom.formats.wire_bytes import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
 
 try:
     from google.protobuf.message import DecodeError, Message

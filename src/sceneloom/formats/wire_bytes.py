@@ -59,7 +59,7 @@ def enclosed(number: int, parts: Iterable[bytes | memoryview]) -> list[bytes | m
     return [field_head(number, sum(len(part) for part in content)), *content]
 
 
-def wire_fields(content: bytes, start: int, stop: int) -> list[WireField] | None:
+def wire_fields(content: bytes | memoryview, start: int, stop: int) -> list[WireField] | None:
     """Find the fields of a message without reading them.
 
     Args:
@@ -90,7 +90,7 @@ def wire_fields(content: bytes, start: int, stop: int) -> list[WireField] | None
     return fields
 
 
-def _read_varint(content: bytes, position: int, stop: int) -> tuple[int, int]:
+def _read_varint(content: bytes | memoryview, position: int, stop: int) -> tuple[int, int]:
     """A number, and where it ends: beyond `stop` where it does not end before."""
     number = 0
     for k in range(min(_LONGEST_VARINT, stop - position)):

@@ -1,0 +1,246 @@
+"""What messages of Foxglove's schemas say. Source: the Foxglove schemas, package foxglove-schemas-protobuf 0.4."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.formats.mcap.notes import ID_KEYS, LABEL_KEYS
+from sceneloom.formats.topics.records import (
+    AnyRecord,
+    Box2D,
+    Box3D,
+    Boxes2DRecord,
+    Boxes3DRecord,
+    CloudRecord,
+    FixRecord,
+    ImageRecord,
+    Kind,
+    LensRecord,
+    PackedField,
+    PictureRecord,
+    PoseRecord,
+    SampleRecord,
+    TransformRecord,
+)
+from sceneloom.geometry.rigid import RigidTransform
+
+Parsed = tuple[Any, memoryview]
+"""A message without its large field, and that field."""
+
+_DTYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
+_MATCHING_ID = 0
+_LINE_LOOP, _LINE_STRIP, _LINE_LIST = 2, 3, 4
+
+
+def time_ns(timestamp: Any) -> int:
+    """A time of a message [ns]."""
+    return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)
+
+
+def _vector(vector: Any) -> Float64Array:
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def _turn(quaternion: Any) -> Float64Array:
+    return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
+
+
+def _transforms(parsed: Parsed) -> Iterable[TransformRecord]:
+    message = parsed[0]
+    for transform in getattr(message, "transforms", [message]):
+        yield TransformRecord(
+            time_ns(transform.timestamp),
+            transform.parent_frame_id,
+            transform.child_frame_id,
+            _vector(transform.translation),
+            _turn(transform.rotation),
+        )
+
+
+def _cloud(parsed: Parsed) -> Sequence[CloudRecord]:
+    message, data = parsed
+    fields = tuple(
+        PackedField(field.name, field.offset, np.dtype(_DTYPES.get(field.type, "u1")).newbyteorder("<"))
+        for field in message.fields
+        if field.type in _DTYPES
+    )
+    pose = message.pose if message.HasField("pose") else None
+    return [
+        CloudRecord(
+            time_ns(message.timestamp),
+            message.frame_id,
+            fields,
+            message.point_stride,
+            data,
+            frame_from_points=None if pose is None else _rigid(pose),
+        )
+    ]
+
+
+def _rigid(pose: Any) -> RigidTransform | None:
+    quaternion = _turn(pose.orientation)
+    if not np.isfinite(quaternion).all() or not 0 < np.linalg.norm(quaternion) < math.inf:
+        return RigidTransform(np.eye(3), _vector(pose.position))
+    return RigidTransform.from_quaternion(_vector(pose.position), quaternion)
+
+
+def _image(parsed: Parsed) -> Sequence[ImageRecord]:
+    message, data = parsed
+    size = message.encoding, message.width, message.height, message.step
+    return [ImageRecord(time_ns(message.timestamp), message.frame_id, *size, data)]
+
+
+def _picture(parsed: Parsed) -> Sequence[PictureRecord]:
+    message, data = parsed
+    form = message.format.lower().removeprefix("image/").replace("jpg", "jpeg")
+    return [PictureRecord(time_ns(message.timestamp), message.frame_id, form, data)]
+
+
+def _lens(parsed: Parsed) -> Sequence[LensRecord]:
+    message = parsed[0]
+    return [
+        LensRecord(
+            time_ns(message.timestamp),
+            message.frame_id,
+            message.width,
+            message.height,
+            message.distortion_model,
+            tuple(message.D),
+            tuple(message.K),
+            tuple(message.P),
+        )
+    ]
+
+
+def _poses(parsed: Parsed) -> Iterable[PoseRecord]:
+    message = parsed[0]
+    for pose in getattr(message, "poses", None) or [message.pose]:
+        told = pose.HasField("orientation")
+        yield PoseRecord(
+            time_ns(message.timestamp),
+            message.frame_id,
+            _vector(pose.position),
+            _turn(pose.orientation) if told else None,
+            getattr(message, "body_frame_id", ""),
+        )
+
+
+def _fixes(parsed: Parsed) -> Iterable[FixRecord]:
+    message = parsed[0]
+    for fix in getattr(message, "fixes", [message]):
+        known = fix.position_covariance_type != 0 and len(fix.position_covariance) == 9
+        covariance = tuple(fix.position_covariance)
+        yield FixRecord(
+            time_ns(fix.timestamp),
+            fix.frame_id,
+            (fix.latitude, fix.longitude, fix.altitude),
+            (covariance[0], covariance[4], covariance[8]) if known else None,
+        )
+
+
+def read_sample(content: Mapping[str, Any]) -> Sequence[SampleRecord]:
+    """Read a measurement of ours."""
+    stamp = content["timestamp"]
+    values = {name: tuple(map(float, row)) for name, row in content["values"].items()}
+    timestamp_ns = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"])
+    return [SampleRecord(timestamp_ns, str(content["frame_id"]), values)]
+
+
+def _told(pairs: Iterable[Any]) -> dict[str, str]:
+    return {pair.key: pair.value for pair in pairs}
+
+
+def _pick(told: dict[str, str], keys: Iterable[str]) -> str | None:
+    """Take out what the first of the keys says."""
+    name = next((key for key in keys if key in told), None)
+    return None if name is None else told.pop(name)
+
+
+def _boxes_3d(parsed: Parsed) -> Sequence[Boxes3DRecord]:
+    message = parsed[0]
+    boxes: list[Box3D] = []
+    others = 0
+    for entity in message.entities:
+        drawn = sum(len(getattr(entity, name)) for name in _OTHER_DRAWINGS)
+        others += drawn + (not entity.cubes)
+        for k, cube in enumerate(entity.cubes):
+            told = _told(entity.metadata)
+            label = _pick(told, LABEL_KEYS)
+            boxes.append(
+                Box3D(
+                    entity.id if len(entity.cubes) == 1 else f"{entity.id}/{k}",
+                    entity.frame_id,
+                    _vector(cube.pose.position),
+                    _turn(cube.pose.orientation),
+                    _vector(cube.size),
+                    label
+                    if label is not None
+                    else next((text.text for text in entity.texts if text.text), None),
+                    MappingProxyType(told),
+                )
+            )
+    stamps = [*message.entities, *message.deletions]
+    gone = tuple(deletion.id for deletion in message.deletions if deletion.type == _MATCHING_ID)
+    return [Boxes3DRecord(time_ns(stamps[0].timestamp), tuple(boxes), gone, others)] if stamps else []
+
+
+_OTHER_DRAWINGS = ("arrows", "spheres", "cylinders", "lines", "triangles", "models")
+
+
+def _boxes_2d(parsed: Parsed) -> Iterable[Boxes2DRecord]:
+    message = parsed[0]
+    by_time: dict[int, list[Box2D]] = {}
+    others = len(message.circles)
+    for drawing in message.points:
+        points = np.array([(point.x, point.y) for point in drawing.points]).reshape(-1, 2)
+        box = _upright(points) if drawing.type in {_LINE_LOOP, _LINE_STRIP, _LINE_LIST} else None
+        if box is None:
+            others += 1
+            continue
+        told = _told(drawing.metadata)
+        identifier, label = _pick(told, ID_KEYS), _pick(told, LABEL_KEYS)
+        by_time.setdefault(time_ns(drawing.timestamp), []).append(
+            Box2D(identifier or "", box, label, MappingProxyType(told))
+        )
+    if not by_time and others:
+        by_time[time_ns(message.timestamp)] = []
+    for number, (stamp_ns, boxes) in enumerate(by_time.items()):
+        yield Boxes2DRecord(stamp_ns, "", tuple(boxes), 0 if number else others)
+
+
+def _upright(points: Float64Array) -> tuple[float, float, float, float] | None:
+    """Left, top, width and height of a drawing whose points are the corners of an upright box; None of others."""
+    if len(points) < 4 or not np.isfinite(points).all():
+        return None
+    low, high = points.min(axis=0), points.max(axis=0)
+    corners = {(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])}
+    if {(float(x), float(y)) for x, y in points} != {(float(x), float(y)) for x, y in corners}:
+        return None
+    return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
+
+
+Reader = Callable[[Parsed], Iterable[AnyRecord]]
+
+READERS: Mapping[str, tuple[Kind, Reader]] = MappingProxyType(
+    {
+        "foxglove.FrameTransform": (Kind.TRANSFORM, _transforms),
+        "foxglove.FrameTransforms": (Kind.TRANSFORM, _transforms),
+        "foxglove.PointCloud": (Kind.CLOUD, _cloud),
+        "foxglove.RawImage": (Kind.IMAGE, _image),
+        "foxglove.CompressedImage": (Kind.PICTURE, _picture),
+        "foxglove.CompressedVideo": (Kind.VIDEO, _picture),
+        "foxglove.CameraCalibration": (Kind.LENS, _lens),
+        "foxglove.PoseInFrame": (Kind.POSE, _poses),
+        "foxglove.PosesInFrame": (Kind.POSE, _poses),
+        "foxglove.Odometry": (Kind.POSE, _poses),
+        "foxglove.LocationFix": (Kind.FIX, _fixes),
+        "foxglove.LocationFixes": (Kind.FIX, _fixes),
+        "foxglove.SceneUpdate": (Kind.BOXES_3D, _boxes_3d),
+        "foxglove.ImageAnnotations": (Kind.BOXES_2D, _boxes_2d),
+    }
+)
+"""The schemas that are read, by name: what they say, and what reads them."""

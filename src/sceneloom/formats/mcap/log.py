@@ -1,0 +1,143 @@
+"""An MCAP file with Foxglove's schemas as a log of topics."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.mcap.foxglove_parsing import head_stamp, parse_json, parse_protobuf
+from sceneloom.formats.mcap.foxglove_reading import READERS
+from sceneloom.formats.mcap.index import DIRECT, Entries, McapIndex, read_index
+from sceneloom.formats.mcap.messages import McapMessages
+from sceneloom.formats.mcap.notes import NOTES, NOTES_KEY, SAMPLE_SCHEMA
+from sceneloom.formats.topics.file_bytes import FileBytes
+from sceneloom.formats.topics.log import Topic
+from sceneloom.formats.topics.records import AnyRecord, Kind
+
+_HEAD_BYTES = 512
+_LOOKED_AT = 8
+"""Messages of a topic in compressed chunks whose own times are compared with those of the index."""
+
+_PARSERS = MappingProxyType({"protobuf": parse_protobuf, "json": parse_json})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class McapLog:
+    """The topics of a file.
+
+    Attributes:
+        file: its bytes.
+        messages: gives the bytes of each message.
+        topics: all channels that have messages or a schema that is known.
+        entries: of each topic, by number.
+    """
+
+    file: FileBytes
+    messages: McapMessages
+    topics: tuple[Topic, ...]
+    entries: Mapping[int, Entries]
+
+    @property
+    def name(self) -> str:
+        """The file's path."""
+        return str(self.file.path)
+
+    @property
+    def index(self) -> McapIndex:
+        """What is where in the file."""
+        return self.messages.index
+
+    @property
+    def notes(self) -> str | None:
+        """What our writer left."""
+        return next((values.get(NOTES_KEY) for name, values in self.index.metadata if name == NOTES), None)
+
+    def receive_times(self, topic: Topic) -> Int64Array:
+        """When each message was recorded, (N,) int64 [ns]."""
+        return self.entries[topic.number].log_times_ns
+
+    def stamps(self, topic: Topic) -> tuple[Int64Array, bool]:
+        """The time that each message says itself.
+
+        In compressed chunks some messages are looked at. Where all of these say the time that the index has, so do
+        the others; else all are.
+        """
+        entries = self.entries[topic.number]
+        direct = entries.chunks == DIRECT
+        if len(entries) > _LOOKED_AT and not direct.all():
+            rows = np.unique(np.linspace(0, len(entries) - 1, _LOOKED_AT).astype(np.int64))
+            if np.array_equal(self._stamps_of(topic, rows), entries.log_times_ns[rows]):
+                return entries.log_times_ns, False
+        return self._stamps_of(topic, np.arange(len(entries))), True
+
+    def _stamps_of(self, topic: Topic, rows: Int64Array) -> Int64Array:
+        entries = self.entries[topic.number]
+        json = self._encoding(topic) != "protobuf"
+        found: list[int | None] = (
+            [None] * len(rows)
+            if json
+            else [head_stamp(head) for head in self.messages.heads(entries, rows, _HEAD_BYTES)]
+        )
+        return np.array(
+            [
+                self.read(topic, row)[0].timestamp_ns if stamp is None else stamp
+                for row, stamp in zip(rows.tolist(), found, strict=True)
+            ],
+            np.int64,
+        )
+
+    def _encoding(self, topic: Topic) -> str:
+        return self.index.channels[topic.number].encoding
+
+    def read(self, topic: Topic, k: int) -> Sequence[AnyRecord]:
+        """What message `k` says.
+
+        Raises:
+            DataError: it is no message of its schema.
+        """
+        content = self.messages.data(self.entries[topic.number], k)
+        try:
+            found = _PARSERS[self._encoding(topic)](topic.schema, content)
+        except (ValueError, OverflowError) as error:
+            raise DataError(self.name, f"{topic.name}[{k}]", str(error)) from error
+        return found
+
+    def close(self) -> None:
+        """Release the file."""
+        self.file.close()
+
+
+def open_log(path: Path, ledger: Ledger) -> McapLog:
+    """Read the index of a file.
+
+    Raises:
+        DataError: it is no MCAP file, or damaged.
+    """
+    file = FileBytes(path)
+    try:
+        index = read_index(file, ledger)
+        entries = {number: index.entries(number) for number in index.channels}
+        topics = tuple(_topic(index, number, len(entries[number])) for number in index.channels)
+    except BaseException:
+        file.close()
+        raise
+    return McapLog(file, McapMessages(index), topics, MappingProxyType(entries))
+
+
+def _topic(index: McapIndex, number: int, count: int) -> Topic:
+    channel = index.channels[number]
+    schema = index.schemas.get(channel.schema_id)
+    name = "" if schema is None else schema.name
+    kind = Kind.SAMPLE if name == SAMPLE_SCHEMA and channel.encoding == "json" else None
+    kind = READERS[name][0] if name in READERS else kind
+    if kind is not None and channel.encoding not in _PARSERS:
+        why = f"in the encoding {channel.encoding!r}; expected protobuf or json"
+        return Topic(number, channel.topic, name, None, count, why)
+    if schema is None:
+        return Topic(number, channel.topic, f"{channel.encoding or 'bytes'} without a schema", None, count)
+    return Topic(number, channel.topic, name, kind, count)

@@ -1,0 +1,49 @@
+"""The protobuf schemas of messages, and the classes of Foxglove's."""
+
+from collections.abc import Iterator
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+from google.protobuf import descriptor_pb2
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.message import Message
+
+from sceneloom.errors import MissingExtraError
+
+try:
+    import foxglove_schemas_protobuf
+except ImportError as missing:
+    raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[mcap]'") from missing
+
+
+def schema_bytes(message_type: type[Any]) -> bytes:
+    """Give the `FileDescriptorSet` of a class of messages, those that it refers to first.
+
+    Source: MCAP format registry, schema encoding "protobuf".
+    """
+    files = dict.fromkeys(_with_imports(message_type.DESCRIPTOR.file))
+    described = descriptor_pb2.FileDescriptorSet()
+    for file in files:
+        file.CopyToProto(described.file.add())
+    return serialised(described)
+
+
+def _with_imports(file: FileDescriptor) -> Iterator[FileDescriptor]:
+    for imported in file.dependencies:
+        yield from _with_imports(imported)
+    yield file
+
+
+def serialised(message: Message) -> bytes:
+    """Give the bytes of a message; equal ones have equal bytes."""
+    content: bytes = message.SerializeToString(deterministic=True)
+    return content
+
+
+@cache
+def foxglove_type(schema: str) -> type[Any]:
+    """Give the class of a Foxglove schema by its full name."""
+    name = schema.removeprefix("foxglove.")
+    found: type[Any] = getattr(import_module(f"{foxglove_schemas_protobuf.__name__}.{name}_pb2"), name)
+    return found

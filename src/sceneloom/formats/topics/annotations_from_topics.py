@@ -1,0 +1,98 @@
+"""The annotations that the topics of boxes tell."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+from sceneloom.formats.topics.boxes import Key, Track, annotation_ids, box_2d, cuboid, gather
+from sceneloom.formats.topics.log import Topic
+from sceneloom.formats.topics.names import nearest
+from sceneloom.formats.topics.notes import attributes_from
+from sceneloom.formats.topics.places import Places
+from sceneloom.formats.topics.records import Boxes2DRecord, Boxes3DRecord, Kind
+from sceneloom.formats.topics.survey import Survey
+from sceneloom.scene import Annotation, CameraSensor, NoticeKind, Sensor
+
+_TOPICS = (Kind.IMAGE, Kind.PICTURE, Kind.VIDEO)
+
+
+def read_annotations(survey: Survey, places: Places, sensors: Sequence[Sensor]) -> list[Annotation]:
+    """Make the annotations of all topics of boxes, those that notes speak of as these say."""
+    found = [*_cuboids(survey, places), *_boxes_2d(survey, sensors)]
+    notes = {(str(note.get("topic")), str(note.get("key"))): note for note in survey.notes.annotations}
+    order = {key: row for row, key in enumerate(notes)}
+    noted = [
+        (order.get(key, len(order)), _with_note(annotation, notes.get(key))) for key, annotation in found
+    ]
+    return [annotation for _, annotation in sorted(noted, key=lambda row: row[0])]
+
+
+def _cuboids(survey: Survey, places: Places) -> list[tuple[Key, Annotation]]:
+    tracks: dict[Key, Track] = {}
+    for topic in survey.topics(Kind.BOXES_3D):
+        tracks |= gather(topic.name, survey.of(topic, Boxes3DRecord), survey)
+    place = f"{survey.log.name}: boxes"
+    made = [
+        (key, cuboid(identifier, track, places, survey, place))
+        for (key, track), identifier in zip(tracks.items(), annotation_ids([*tracks]), strict=True)
+    ]
+    return [(key, annotation) for key, annotation in made if annotation is not None]
+
+
+def _boxes_2d(survey: Survey, sensors: Sequence[Sensor]) -> list[tuple[Key, Annotation]]:
+    found: list[tuple[Key, Annotation]] = []
+    cameras = [sensor for sensor in sensors if isinstance(sensor, CameraSensor)]
+    noted = {note["boxes_topic"]: note["id"] for note in survey.notes.sensors if "boxes_topic" in note}
+    for topic in survey.topics(Kind.BOXES_2D):
+        records = survey.of(topic, Boxes2DRecord)
+        camera = noted.get(topic.name)
+        if camera is None:
+            camera = _camera_of(topic, cameras, survey)
+        if camera is None:
+            message = "boxes in pictures of a camera that is not told"
+            place = f"{survey.log.name}: {topic.name}"
+            count = sum(len(record.boxes) for record in records)
+            survey.ledger.note(NoticeKind.SKIPPED, "boxes-without-camera", place, message, count=count)
+            continue
+        tracks = gather(topic.name, records, survey)
+        ids = annotation_ids([*tracks])
+        found += [
+            (key, box_2d(identifier, camera, track))
+            for (key, track), identifier in zip(tracks.items(), ids, strict=True)
+        ]
+    return _with_own_ids(found)
+
+
+def _camera_of(topic: Topic, cameras: Sequence[CameraSensor], survey: Survey) -> Any:
+    """The camera whose topic stands beside that of boxes; the only one where there is only one."""
+    if len(cameras) == 1:
+        return cameras[0].id
+    names = {other.name: other for other in survey.topics(*_TOPICS)}
+    name = nearest(topic.name, names)
+    if name is None:
+        return None
+    return next((camera.id for camera in cameras if name.strip("/").startswith(str(camera.id))), None)
+
+
+def _with_own_ids(found: Sequence[tuple[Key, Annotation]]) -> list[tuple[Key, Annotation]]:
+    """Objects that several cameras see become an annotation for each."""
+    counts: dict[Any, int] = {}
+    for _, annotation in found:
+        counts[annotation.id] = counts.get(annotation.id, 0) + 1
+    return [
+        (key, annotation)
+        if counts[annotation.id] == 1
+        else (key, replace(annotation, id=f"{key[0].strip('/')}/{annotation.id}"))
+        for key, annotation in found
+    ]
+
+
+def _with_note(annotation: Annotation, note: Mapping[str, Any] | None) -> Annotation:
+    if note is None:
+        return annotation
+    fields: dict[str, Any] = {name: note.get(name) for name in ("id", "parent_id", "label", "stationary")}
+    fields["attributes"] = attributes_from(note.get("attributes", ()))
+    if note.get("extras"):
+        fields["extras"] = MappingProxyType(note["extras"])
+    return replace(annotation, **fields)

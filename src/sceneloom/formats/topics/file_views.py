@@ -1,0 +1,44 @@
+"""One open file that several read, each at a place of its own."""
+
+import io
+from threading import Lock
+from typing import Any, BinaryIO
+
+_LOCK = Lock()
+
+
+class FileView(io.RawIOBase):
+    """A file over another one, which stays open when this is closed."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        """Begin at the first byte."""
+        self._file, self._place = file, 0
+        with _LOCK:
+            self._size = file.seek(0, io.SEEK_END)
+
+    def readable(self) -> bool:
+        """Say yes."""
+        return True
+
+    def seekable(self) -> bool:
+        """Say yes."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Copy the next bytes into the buffer."""
+        with _LOCK:
+            self._file.seek(self._place)
+            content = self._file.read(len(buffer))
+        buffer[: len(content)] = content
+        self._place += len(content)
+        return len(content)
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Move to a byte."""
+        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._size}[whence]
+        self._place = max(0, base + offset)
+        return self._place
+
+    def tell(self) -> int:
+        """The byte that is read next."""
+        return self._place

@@ -1,0 +1,149 @@
+"""Lenses in the words of camera calibrations of ROS and Foxglove, and ours.
+
+`plumb_bob` and `rational_polynomial` are OpenCV's pinhole lens with distortion, `equidistant` and `kannala_brandt`
+its fisheye lens. Source: sensor_msgs/distortion_models.hpp and CameraInfo of ROS, CameraCalibration of Foxglove.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.table import MODELS
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.topics.records import LensRecord
+from sceneloom.scene import NoticeKind
+
+UNKNOWN = "unknown"
+"""Model of cameras without a calibration: pictures can be looked at, and nothing can be projected."""
+
+OUR_PREFIX = "sceneloom:"
+"""Begins the names of models that only we know, in calibrations of ours."""
+
+_READ: Mapping[str, tuple[str, int]] = MappingProxyType(
+    {
+        "": ("brown_conrady", 5),
+        "none": ("brown_conrady", 5),
+        "pinhole": ("brown_conrady", 5),
+        "plumb_bob": ("brown_conrady", 5),
+        "rational_polynomial": ("brown_conrady", 14),
+        "equidistant": ("fisheye", 4),
+        "fisheye": ("fisheye", 4),
+        "kannala_brandt": ("fisheye", 4),
+    }
+)
+"""Our model of each name, and how many coefficients it may have."""
+
+_TOLERANCE = 1e-9
+
+
+def no_lens(width: int, height: int) -> Camera:
+    """The lens of a camera without a calibration."""
+    return Camera(UNKNOWN, width, height, 1.0, 1.0, (width - 1) / 2, (height - 1) / 2)
+
+
+def read_lens(record: LensRecord, owner: str, place: str, ledger: Ledger) -> Camera | None:
+    """Read a calibration; None for one that says that the camera is not calibrated.
+
+    Raises:
+        DataError: the model is unknown, or its numbers are none.
+    """
+    k = record.k
+    if len(k) != 9:
+        raise DataError(owner, place, f"K of {len(k)} numbers; expected 9")
+    if k[0] == 0.0:
+        return None
+    model, coefficients = _model(record, owner, place)
+    if abs(k[1]) > _TOLERANCE * abs(k[0]):
+        message = f"skew {k[1]:g} of K is not used"
+        ledger.note(NoticeKind.SKIPPED, "lens-skew", f"{owner}: {place}", message)
+    try:
+        return Camera(model, record.width, record.height, k[0], k[4], k[2], k[5], coefficients)
+    except CalibrationError as error:
+        raise DataError(owner, place, str(error)) from None
+
+
+def _model(record: LensRecord, owner: str, place: str) -> tuple[str, tuple[float, ...]]:
+    named = record.model.strip()
+    own = named.removeprefix(OUR_PREFIX)
+    if named.startswith(OUR_PREFIX) and own in MODELS:
+        return own, record.coefficients
+    if named.lower() not in _READ:
+        known = ", ".join(filter(None, _READ))
+        raise DataError(owner, f"{place}.distortion_model", f"{record.model!r}; expected one of {known}")
+    model, most = _READ[named.lower()]
+    numbers = record.coefficients
+    while len(numbers) > most and numbers[-1] == 0.0:
+        numbers = numbers[:-1]
+    if len(numbers) > most:
+        problem = f"{len(numbers)} coefficients of {named or 'a lens without model'}; expected at most {most}"
+        raise DataError(owner, f"{place}.D", problem)
+    if model == "fisheye":
+        return model, (*numbers, *(0.0,) * (most - len(numbers)))
+    if not any(numbers):
+        return "pinhole", ()
+    if len(numbers) > 8:
+        # s1-s4 and the tilt come after k6; in our model after lx and ly, which OpenCV does not have
+        numbers = (*numbers[:8], 0.0, 0.0, *numbers[8:])
+    return model, numbers
+
+
+def lens_record(camera: Camera, timestamp_ns: int, frame_id: str, fisheye: str) -> LensRecord:
+    """Put a lens into the words of calibrations.
+
+    Args:
+        camera: the lens; a model that the words do not know is named as only we understand.
+        timestamp_ns: since when [ns].
+        frame_id: of the camera.
+        fisheye: what the format calls an OpenCV fisheye lens.
+    """
+    model, numbers = _written_model(camera, fisheye)
+    k = tuple(float(value) for value in camera.matrix.reshape(-1))
+    if camera.model == UNKNOWN:
+        k = (0.0,) * 9
+    p = (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
+    return LensRecord(timestamp_ns, frame_id, camera.width, camera.height, model, numbers, k, p)
+
+
+def _written_model(camera: Camera, fisheye: str) -> tuple[str, tuple[float, ...]]:
+    numbers = camera.coefficients
+    padded = (*numbers, *(0.0,) * 16)
+    if camera.model in {"pinhole", UNKNOWN}:
+        return "plumb_bob", (0.0,) * 5
+    if camera.model == "fisheye":
+        return fisheye, padded[:4]
+    if camera.model == "brown_conrady" and not any(padded[8:]):
+        return ("rational_polynomial", padded[:8]) if any(padded[5:8]) else ("plumb_bob", padded[:5])
+    return f"{OUR_PREFIX}{camera.model}", numbers
+
+
+def is_foreign(camera: Camera) -> bool:
+    """Whether other programs do not know the lens."""
+    return _written_model(camera, "")[0].startswith(OUR_PREFIX)
+
+
+def fitted(camera: Camera, size: tuple[int, int], place: str, ledger: Ledger) -> Camera:
+    """Fit a lens to the size of the pictures, with a notice where it is for another one."""
+    if (camera.width, camera.height) == size:
+        return camera
+    message = (
+        f"the calibration is for {camera.width}x{camera.height}, the pictures are {size[0]}x{size[1]}; "
+        "the lens was scaled"
+    )
+    ledger.note(NoticeKind.REPAIRED, "lens-scaled", place, message)
+    return replace(no_lens(*size)) if camera.model == UNKNOWN else camera.resized(*size)
+
+
+def lens_text(camera: Camera) -> str:
+    """A lens as JSON, for notes of ours."""
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
+    return json.dumps([camera.model, camera.width, camera.height, numbers, list(camera.coefficients)])
+
+
+def lens_from_text(text: str) -> Camera:
+    """The lens of `lens_text`."""
+    model, width, height, numbers, coefficients = json.loads(text)
+    fx, fy, cx, cy = numbers
+    return Camera(model, width, height, fx, fy, cx, cy, tuple(coefficients))

@@ -1,0 +1,205 @@
+"""Sensors, ways and free fields of messages that our own writer wrote, with what it noted beside them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.errors import DataError
+from sceneloom.formats.topics.cameras import CameraDraft
+from sceneloom.formats.topics.lenses import lens_from_text
+from sceneloom.formats.topics.motion import PoseRows, gnss_sensor, imu_sensor, pose_rows
+from sceneloom.formats.topics.notes import Notes, attributes_from
+from sceneloom.formats.topics.places import Places
+from sceneloom.formats.topics.records import FixRecord, Kind, PoseRecord, SampleRecord
+from sceneloom.formats.topics.survey import Survey
+from sceneloom.formats.topics.sweeps_from_topics import CloudDraft
+from sceneloom.scene import (
+    CameraSensor,
+    Coordinates,
+    DepthCameraSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarSensor,
+    OdometrySensor,
+    PointsFrame,
+    PosePath,
+    RadarFrame,
+    RadarSensor,
+    Sensor,
+    Trajectory,
+)
+
+Note = Mapping[str, Any]
+
+
+class _Noted:
+    """Makes the sensors of notes."""
+
+    def __init__(
+        self, survey: Survey, clouds: Sequence[CloudDraft], cameras: Sequence[CameraDraft], places: Places
+    ) -> None:
+        self.survey, self.places = survey, places
+        self.clouds = {draft.reader.topic.name: draft for draft in clouds}
+        self.cameras = {draft.topic.name: draft for draft in cameras}
+
+    def of(self, topic: str, kind: Kind, record_type: type[Any]) -> list[Any]:
+        """The records of a topic by its name."""
+        return [
+            record
+            for found in self.survey.topics(kind)
+            if found.name == topic
+            for record in self.survey.of(found, record_type)
+        ]
+
+    def common(self, note: Note) -> dict[str, Any]:
+        """Fields of every sensor."""
+        fields: dict[str, Any] = {"parent_id": note.get("parent_id")}
+        return fields | ({"extras": MappingProxyType(note["extras"])} if note.get("extras") else {})
+
+    def posed(self, note: Note, times_ns: Any) -> dict[str, Any]:
+        """Fields of sensors that are somewhere."""
+        mount = self.places.mount(note["frame"]) if note.get("mount") else None
+        fields = self.common(note) | {
+            "mount": mount,
+            "coordinates": Coordinates(note.get("coordinates", "world")),
+        }
+        told = note.get("poses")
+        if told == "derived":
+            fields["poses"] = self.places.poses(note["frame"], mount, times_ns)
+        elif told is not None:
+            rows = self.rows(told)
+            fields["poses"] = None if rows is None else path_of(rows, endless=bool(note.get("endless")))
+        return fields
+
+    def rows(self, topic: str) -> PoseRows | None:
+        return pose_rows(self.survey, topic, self.of(topic, Kind.POSE, PoseRecord))
+
+    def lidar(self, note: Note) -> Sensor:
+        frame = {"points_frame": PointsFrame(note["points_frame"]), "model": note.get("model")}
+        return self.swept(note, LidarSensor, radar=False, **frame)
+
+    def radar(self, note: Note) -> Sensor:
+        return self.swept(note, RadarSensor, radar=True, points_frame=PointsFrame(note["points_frame"]))
+
+    def swept(self, note: Note, sensor_type: type[Any], *, radar: bool, **fields: Any) -> Sensor:
+        draft = self.clouds.get(note["topic"])
+        if draft is None:
+            nothing: LazyFrames[LidarFrame | RadarFrame] = LazyFrames.of([], [])
+            made: Sensor = sensor_type(
+                note["id"], nothing, **self.posed(note, nothing.timestamps_ns), **fields
+            )
+            return made
+        return draft.sensor(note["id"], radar=radar, **self.posed(note, draft.reader.starts_ns), **fields)
+
+    def cloud_map(self, note: Note) -> Sensor:
+        return self.clouds[note["topic"]].points(note["id"], **self.common(note))
+
+    def camera(self, note: Note) -> Sensor:
+        draft = self.cameras.get(note["topic"])
+        if draft is None:
+            kind: type[Any] = CameraSensor if note["type"] == "camera" else DepthCameraSensor
+            nothing: LazyFrames[Any] = LazyFrames.of([], [])
+            further = self.posed(note, nothing.timestamps_ns) | {"fps": note.get("fps")}
+            made: Sensor = kind(note["id"], lens_from_text(note["lens"]), nothing, **further)
+            return made
+        return draft.sensor(note["id"], fps=note.get("fps"), **self.posed(note, draft.frames.timestamps_ns))
+
+    def gnss(self, note: Note) -> Sensor:
+        mount = self.places.mount(note["frame"]) if note.get("mount") else None
+        fixes = self.of(note["topic"], Kind.FIX, FixRecord)
+        place = f"{self.survey.log.name}: {note['topic']}"
+        return gnss_sensor(note["id"], fixes, self.survey, place, mount=mount, **self.common(note))
+
+    def imu(self, note: Note) -> Sensor:
+        found: dict[str, Any] = {}
+        for topic in note["topics"]:
+            samples = self.of(topic, Kind.SAMPLE, SampleRecord)
+            place = f"{self.survey.log.name}: {topic}"
+            found |= imu_sensor(note["id"], samples, self.survey, place).streams
+        order = [name for name in note.get("streams", ()) if name in found]
+        streams = {name: found[name] for name in (*order, *(name for name in found if name not in order))}
+        return ImuSensor(note["id"], MappingProxyType(streams), **self.common(note))
+
+    def odometry(self, note: Note) -> Sensor:
+        rows = self.rows(note["topic"])
+        if rows is None:
+            raise DataError(self.survey.log.name, note["topic"], "no poses; expected those of the odometry")
+        return OdometrySensor(
+            note["id"], path_of(rows, endless=bool(note.get("endless"))), **self.common(note)
+        )
+
+    makers: Mapping[str, Callable[["_Noted", Note], Sensor]] = MappingProxyType(
+        {
+            "lidar": lidar,
+            "radar": radar,
+            "points": cloud_map,
+            "camera": camera,
+            "depth_camera": camera,
+            "gnss": gnss,
+            "imu": imu,
+            "odometry": odometry,
+        }
+    )
+
+
+def noted_sensors(
+    survey: Survey, clouds: Sequence[CloudDraft], cameras: Sequence[CameraDraft], places: Places
+) -> list[Sensor]:
+    """The sensors that notes speak of, in their order.
+
+    Raises:
+        DataError: the notes do not fit the messages.
+    """
+    noted, sensors = _Noted(survey, clouds, cameras, places), []
+    for note in survey.notes.sensors:
+        try:
+            sensors.append(noted.makers[note["type"]](noted, note))
+        except (KeyError, ValueError, TypeError) as error:
+            problem = f"note of sensor {note.get('id')!r} does not fit the messages: {error!r}"
+            survey.ledger.fault("notes-at-fault", DataError(survey.log.name, "sceneloom.scene", problem))
+        except DataError as error:
+            survey.ledger.fault("topics-at-fault", error)
+    return sensors
+
+
+def path_of(rows: PoseRows, *, endless: bool) -> PosePath:
+    """The path that rows tell; without orientations nothing turns."""
+    quaternions = rows.quaternions_xyzw
+    if quaternions is None:
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(rows.timestamps_ns), 1))
+    return PosePath(rows.timestamps_ns, rows.positions, quaternions, endless=endless)
+
+
+def noted_trajectories(survey: Survey) -> dict[str, Trajectory]:
+    """The ways that notes speak of, in their order."""
+    found = {}
+    topics = {topic.name: topic for topic in survey.topics(Kind.POSE)}
+    for note in survey.notes.trajectories:
+        topic = topics.get(note.get("topic", ""))
+        rows = None if topic is None else pose_rows(survey, topic.name, survey.of(topic, PoseRecord))
+        if rows is not None:
+            name = str(note["name"])
+            found[name] = Trajectory(
+                name,
+                rows.timestamps_ns,
+                rows.positions,
+                rows.quaternions_xyzw,
+                covariances=rows.covariances,
+            )
+    return found
+
+
+def noted_scene_fields(notes: Notes, metadata: Mapping[str, Any], form: str) -> dict[str, Any]:
+    """Fields of the scene itself."""
+    if not notes.ours:
+        euler = {"euler_unit": "degrees", "euler_order": "xyz"}
+        return {"metadata": MappingProxyType({"sceneloom": euler, form: dict(metadata)})}
+    return {
+        "metadata": MappingProxyType(notes.root.get("metadata", {})),
+        "extras": MappingProxyType(notes.root.get("extras", {})),
+        "attributes": attributes_from(notes.root.get("attributes", ())),
+        "time_offset_ns": int(notes.root.get("time_offset_ns", 0)),
+    }

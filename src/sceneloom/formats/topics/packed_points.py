@@ -1,0 +1,119 @@
+"""Points that stand packed in a message, as columns; and columns packed for a message."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray
+from sceneloom.errors import DataError
+from sceneloom.formats.clouds import Cloud
+from sceneloom.formats.clouds.cloud import MOST_POINTS, unique_names
+from sceneloom.formats.topics.records import CloudRecord, PackedField
+
+_PADDING = "_"
+
+
+def unpack(record: CloudRecord, owner: str, place: str) -> Cloud:
+    """Take the points of a message apart into columns.
+
+    Args:
+        record: the message.
+        owner: what messages call the log.
+        place: which message it is.
+
+    Raises:
+        DataError: a field reaches beyond the point, or there are fewer bytes than points.
+    """
+    stride = record.stride
+    if stride <= 0 and (len(record.data) or record.count):
+        raise DataError(owner, place, f"{stride} bytes from point to point; expected a positive number")
+    for field in record.fields:
+        end = field.offset + field.dtype.itemsize * field.count
+        if field.offset < 0 or end > stride:
+            problem = (
+                f"field {field.name!r} takes bytes {field.offset} to {end} of each point, which has {stride}; "
+                "expected fields inside the point"
+            )
+            raise DataError(owner, place, problem)
+    rows = _rows(record, owner, place)
+    names = unique_names([field.name for field in record.fields])
+    columns = {
+        name: _column(rows, field)
+        for name, field in zip(names, record.fields, strict=True)
+        if not name.startswith(_PADDING)
+    }
+    return Cloud(Path(owner), len(rows), columns)
+
+
+def _rows(record: CloudRecord, owner: str, place: str) -> AnyArray:
+    """(N, stride) uint8, the bytes of each point; a view."""
+    stride = max(record.stride, 1)
+    content = np.frombuffer(record.data, np.uint8)
+    count = len(content) // stride if record.count is None else record.count
+    if not 0 <= count <= MOST_POINTS:
+        raise DataError(owner, place, f"{count} points; expected 0 to {MOST_POINTS}")
+    if record.row_bytes is not None and record.row_bytes[0] != record.row_bytes[1] * stride:
+        return _uneven_rows(content, record.row_bytes, stride, count, owner, place)
+    if len(content) < count * stride:
+        problem = f"{len(content)} bytes for {count} points of {stride}; expected {count * stride}"
+        raise DataError(owner, place, problem)
+    return content[: count * stride].reshape(count, stride)
+
+
+def _uneven_rows(
+    content: AnyArray, row_bytes: tuple[int, int], stride: int, count: int, owner: str, place: str
+) -> AnyArray:
+    """Points in rows that are longer than their points."""
+    length, width = row_bytes
+    height = count // width if width else 0
+    if length < width * stride or len(content) < height * length:
+        problem = (
+            f"{height} rows of {length} bytes for {width} points of {stride}, {len(content)} bytes in all; "
+            f"expected rows of {width * stride} or more, and all of them"
+        )
+        raise DataError(owner, place, problem)
+    rows = content[: height * length].reshape(height, length)[:, : width * stride]
+    return np.ascontiguousarray(rows).reshape(count, stride)
+
+
+def _column(rows: AnyArray, field: PackedField) -> AnyArray:
+    size = field.dtype.itemsize * field.count
+    column = np.ascontiguousarray(rows[:, field.offset : field.offset + size]).view(field.dtype)
+    native = column.astype(field.dtype.newbyteorder("="), copy=False)
+    return native[:, 0] if field.count == 1 else native
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedPoints:
+    """Points on their way into a message: the bytes, and what is where in them."""
+
+    fields: tuple[PackedField, ...]
+    stride: int
+    count: int
+    data: memoryview
+
+
+def pack(columns: Mapping[str, AnyArray], count: int) -> PackedPoints:
+    """Lay columns (N,) side by side, little-endian, without gaps, in their order."""
+    record = np.dtype(
+        {
+            "names": list(columns),
+            "formats": [column.dtype.newbyteorder("<") for column in columns.values()],
+        }
+    )
+    table = np.empty(count, record)
+    for name, column in columns.items():
+        table[name] = column
+    fields = tuple(
+        PackedField(name, int(offset), dtype)
+        for name, (dtype, offset, *_) in (record.fields or MappingProxyType({})).items()
+    )
+    return PackedPoints(fields, record.itemsize, count, memoryview(_bytes_of(table)))
+
+
+def _bytes_of(table: AnyArray) -> Any:
+    return table.view(np.uint8).reshape(-1) if len(table) else b""

@@ -1,0 +1,302 @@
+"""The sensors of a scene as streams of records, each with a note of what messages do not say."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.formats.topics.dialect import Dialect, Losses
+from sceneloom.formats.topics.lenses import is_foreign, lens_text
+from sceneloom.formats.topics.notes import sayable
+from sceneloom.formats.topics.records import FixRecord, SampleRecord
+from sceneloom.formats.topics.streams import Said, Stream
+from sceneloom.formats.topics.written_pictures import ShotWriter
+from sceneloom.formats.topics.written_points import CloudWriter
+from sceneloom.formats.topics.written_ways import path_stream
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CameraSensor,
+    Coordinates,
+    DepthCameraSensor,
+    GnssSensor,
+    ImuSensor,
+    LidarSensor,
+    OdometrySensor,
+    PointsFrame,
+    PointsSensor,
+    PosePath,
+    RadarSensor,
+    Sensor,
+)
+from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.span import frame_times
+
+_SAME_M, _SAME_TURN = 1e-9, 1e-9
+"""Poses that differ from those along the ego's way by no more than rounding are not said once more."""
+
+Note = dict[str, Any]
+
+
+@dataclass(slots=True)
+class SensorStreams:
+    """Makes streams and notes of sensors.
+
+    Attributes:
+        dialect: the habits of the format.
+        way: `world_from_ego`, or None.
+        losses: takes what is lost.
+        start_ns: when what always holds is said [ns].
+        pictures: one of `written_pictures.PICTURES`.
+        streams: of all sensors so far.
+        mounts: parent and `parent_from_child` of each frame that is fixed.
+        paths: parent and path of each frame that moves, but for the ego.
+        frames: frame of each sensor by its id with type.
+    """
+
+    dialect: Dialect
+    way: PosePath | None
+    losses: Losses
+    start_ns: int
+    pictures: str
+    streams: list[Stream] = field(default_factory=list)
+    mounts: dict[str, tuple[str, RigidTransform]] = field(default_factory=dict)
+    paths: dict[str, tuple[str, PosePath]] = field(default_factory=dict)
+    frames: dict[tuple[type, Any], str] = field(default_factory=dict)
+
+    def add(self, sensor: Sensor, part: str) -> Note:
+        """Make the streams of a sensor, and give its note."""
+        frame = f"{part}_sensor" if part in {self.dialect.world, self.dialect.ego} else part
+        self.frames[type(sensor.id), sensor.id] = frame
+        note: Note = {"id": sensor.id, "type": str(sensor.type), "part": part, "frame": frame}
+        if sensor.parent_id is not None:
+            note["parent_id"] = sensor.parent_id
+        place = f"sensors.{sensor.type}"
+        extras, lost = sayable(getattr(sensor, "extras", {}))
+        self.losses.dropped(
+            f"{place}.extras", f"values that JSON cannot say: {', '.join(lost)}", count=len(lost)
+        )
+        if extras:
+            note["extras"] = extras
+        _WRITERS[type(sensor)](self, sensor, note)
+        return note
+
+    def _posed(self, sensor: Any, note: Note) -> None:
+        """Say where a sensor is: mounted on the ego, along the ego's way, or on poses of its own."""
+        frame = note["frame"]
+        note["coordinates"] = str(sensor.coordinates)
+        if sensor.mount is not None:
+            note["mount"] = True
+            self.mounts[frame] = (self.dialect.ego, sensor.mount)
+        poses: PosePath | None = sensor.poses
+        if poses is None:
+            return
+        if self._is_derived(sensor, poses):
+            note["poses"] = "derived"
+            return
+        parent = self.dialect.ego if sensor.coordinates is Coordinates.EGO else self.dialect.world
+        note["poses"] = f"/{note['part']}/pose"
+        note["endless"] = poses.endless
+        self.streams.append(path_stream(poses, note["poses"], parent, frame))
+        if sensor.mount is None and poses.endless:
+            self.mounts[frame] = (
+                parent,
+                RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0]),
+            )
+        elif sensor.mount is None:
+            self.paths[frame] = (parent, poses)
+
+    def _is_derived(self, sensor: Any, poses: PosePath) -> bool:
+        """Whether poses are no more than what the mounting and the ego's way say."""
+        if sensor.mount is None or sensor.coordinates is not Coordinates.WORLD or poses.endless:
+            return False
+        times = frame_times(sensor)
+        along = (
+            poses_along(self.way, {0: sensor.mount}, np.zeros(len(times), np.int64), times)
+            if len(times)
+            else None
+        )
+        return (
+            along is not None
+            and np.array_equal(along.timestamps_ns, poses.timestamps_ns)
+            and bool(np.abs(along.positions - poses.positions).max() <= _SAME_M)
+            and bool(
+                (1 - np.abs((along.quaternions_xyzw * poses.quaternions_xyzw).sum(axis=1))).max()
+                <= _SAME_TURN
+            )
+        )
+
+    def _points_frame(self, sensor: Any, note: Note) -> str:
+        note["points_frame"] = str(sensor.points_frame)
+        frames = {PointsFrame.WORLD: self.dialect.world, PointsFrame.EGO: self.dialect.ego}
+        return frames.get(sensor.points_frame) or str(note["frame"])
+
+    def add_lidar(self, sensor: LidarSensor, note: Note) -> None:
+        """Write the sweeps of a lidar."""
+        self._posed(sensor, note)
+        if sensor.model is not None:
+            note["model"] = sensor.model
+        note["topic"] = f"/{note['part']}/points"
+        writer = CloudWriter(
+            note["topic"], self._points_frame(sensor, note), "sensors.lidar.frames", self.losses
+        )
+        self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.lidar(sensor, k)))
+
+    def add_radar(self, sensor: RadarSensor, note: Note) -> None:
+        """Write the cycles of a radar."""
+        self._posed(sensor, note)
+        note["topic"] = f"/{note['part']}/points"
+        writer = CloudWriter(
+            note["topic"], self._points_frame(sensor, note), "sensors.radar.frames", self.losses
+        )
+        self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.radar(sensor, k)))
+
+    def add_map(self, sensor: PointsSensor, note: Note) -> None:
+        """Write a map as one cloud."""
+        note["topic"] = f"/{note['part']}/points"
+        writer = CloudWriter(note["topic"], self.dialect.world, "sensors.points", self.losses)
+        times = np.full(1, self.start_ns, np.int64)
+        self.streams.append(Stream(times, lambda k: writer.map(sensor, int(times[k]))))
+
+    def _shots(self, sensor: Any, note: Note, tail: str) -> ShotWriter:
+        self._posed(sensor, note)
+        if sensor.fps is not None:
+            note["fps"] = sensor.fps
+        note["topic"] = f"/{note['part']}/{tail}"
+        note["lens_topic"] = f"/{note['part']}/{self.dialect.lens_topic}"
+        note["lens"] = lens_text(sensor.camera)
+        place = f"sensors.{sensor.type}"
+        if is_foreign(sensor.camera):
+            what = f"model {sensor.camera.model}, which other programs do not know"
+            self.losses.converted(f"{place}.camera", what)
+        frames = "pictures" if isinstance(sensor, CameraSensor) else "frames"
+        return ShotWriter(
+            note["topic"], note["lens_topic"], note["frame"], f"{place}.{frames}", self.losses, self.dialect.fisheye,
+            self.pictures,
+        )  # fmt: skip
+
+    def add_camera(self, sensor: CameraSensor, note: Note) -> None:
+        """Write the pictures of a camera: its video packet by packet, or one by one."""
+        packets = self._packets(sensor, note)
+        if packets is not None:
+            writer = self._shots(sensor, note, "video")
+            writer.packets, writer.codec = iter(packets), packets.codec
+            writer.each_lens = packets.reordered and any(
+                picture.camera != sensor.camera for picture in sensor.pictures
+            )
+            order, times = packets.order, sensor.pictures.timestamps_ns
+            self.streams.append(Stream(times, lambda k: writer.packet(sensor, int(order[k]))))
+            return
+        tail = "image" if self.pictures == "raw" else "image/compressed"
+        writer = self._shots(sensor, note, tail)
+        if sensor.video is not None:
+            self.losses.dropped("sensors.camera.video", "written as single pictures")
+        self.streams.append(Stream(sensor.pictures.timestamps_ns, lambda k: writer.picture(sensor, k)))
+
+    def _packets(self, sensor: CameraSensor, note: Note) -> Any:
+        """The packets of a camera's video, if they are to be, and can be, handed on."""
+        if (
+            sensor.video is None
+            or not self.dialect.videos
+            or self.pictures != "copy"
+            or not len(sensor.pictures)
+        ):
+            return None
+        from sceneloom.formats.topics.video_packets import AnnexBPackets
+
+        packets = AnnexBPackets(sensor.video, len(sensor.pictures), f"sensors[{sensor.id}].video")
+        if packets.obstacle is not None:
+            self.losses.approximated(
+                "sensors.camera.video", f"written as single pictures: {packets.obstacle}"
+            )
+            return None
+        if packets.reordered:
+            what = (
+                "pictures that need later ones (B frames) are kept; viewers that follow the schema show none"
+            )
+            self.losses.converted("sensors.camera.video", what)
+        note["codec"] = packets.codec
+        return packets
+
+    def add_depth_camera(self, sensor: DepthCameraSensor, note: Note) -> None:
+        """Write the images of a camera that measures depth."""
+        writer = self._shots(sensor, note, "depth")
+        self.losses.dropped(
+            "sensors.depth_camera.video", "written as single images", count=sensor.video is not None
+        )
+        self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.depth(sensor, k)))
+
+    def add_odometry(self, sensor: OdometrySensor, note: Note) -> None:
+        """Write the poses of an odometry sensor."""
+        note |= {"topic": f"/{note['part']}/pose", "endless": sensor.poses.endless}
+        self.streams.append(path_stream(sensor.poses, note["topic"], self.dialect.world, note["frame"]))
+
+    def add_gnss(self, sensor: GnssSensor, note: Note) -> None:
+        """Write the fixes of a satellite receiver."""
+        note["topic"] = f"/{note['part']}/fix"
+        if sensor.mount is not None:
+            note["mount"] = True
+            self.mounts[note["frame"]] = (self.dialect.ego, sensor.mount)
+        self._drop_seconds("sensors.gnss.file_seconds", sensor.file_seconds)
+        self.streams.append(Stream(sensor.timestamps_ns, _fixes(sensor, note["topic"], note["frame"])))
+
+    def add_imu(self, sensor: ImuSensor, note: Note) -> None:
+        """Write the streams of an IMU, those with the same times together."""
+        note["streams"] = [*sensor.streams]
+        groups: dict[tuple[str, bytes], list[str]] = {}
+        for name, samples in sensor.streams.items():
+            tail = self.dialect.sample_topics.get(name, self.dialect.sample_topics.get("", ""))
+            place = f"sensors.imu.streams.{name}"
+            if not tail or len(samples) == 0:
+                self.losses.dropped(place, "a stream that there are no messages for, or without a value")
+                continue
+            groups.setdefault((tail, samples.timestamps_ns.tobytes()), []).append(name)
+            self._drop_seconds(f"{place}.file_seconds", samples.file_seconds)
+        taken: dict[str, int] = {}
+        note["topics"] = []
+        for (tail, _), names in groups.items():
+            taken[tail] = taken.get(tail, 0) + 1
+            topic = f"/{note['part']}/{tail}" if taken[tail] == 1 else f"/{note['part']}/{tail}_{taken[tail]}"
+            note["topics"].append(topic)
+            times = sensor.streams[names[0]].timestamps_ns
+            self.streams.append(Stream(times, _samples(sensor, names, topic, self.dialect.ego)))
+
+    def _drop_seconds(self, field: str, seconds: Any) -> None:
+        self.losses.dropped(field, "stamps of the source", count=seconds is not None)
+
+
+_WRITERS: Mapping[type[Any], Callable[[SensorStreams, Any, Note], None]] = MappingProxyType(
+    {
+        LidarSensor: SensorStreams.add_lidar,
+        RadarSensor: SensorStreams.add_radar,
+        PointsSensor: SensorStreams.add_map,
+        CameraSensor: SensorStreams.add_camera,
+        DepthCameraSensor: SensorStreams.add_depth_camera,
+        OdometrySensor: SensorStreams.add_odometry,
+        GnssSensor: SensorStreams.add_gnss,
+        ImuSensor: SensorStreams.add_imu,
+    }
+)
+
+
+def _fixes(sensor: GnssSensor, topic: str, frame_id: str) -> Callable[[int], Iterator[Said]]:
+    def make(k: int) -> Iterator[Said]:
+        level, upright = float(sensor.accuracies[k]) ** 2, float(sensor.vertical_accuracies[k]) ** 2
+        known = not (np.isnan(level) and np.isnan(upright))
+        latitude, longitude, altitude = sensor.positions_lla[k].tolist()
+        lla = (latitude, longitude, altitude)
+        variances = (level, level, upright) if known else None
+        yield topic, FixRecord(int(sensor.timestamps_ns[k]), frame_id, lla, variances)
+
+    return make
+
+
+def _samples(
+    sensor: ImuSensor, names: list[str], topic: str, frame_id: str
+) -> Callable[[int], Iterator[Said]]:
+    def make(k: int) -> Iterator[Said]:
+        values = {name: tuple(sensor.streams[name].values[k].tolist()) for name in names}
+        yield topic, SampleRecord(int(sensor.streams[names[0]].timestamps_ns[k]), frame_id, values)
+
+    return make

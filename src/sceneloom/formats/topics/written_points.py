@@ -1,0 +1,127 @@
+"""Sweeps, cycles and maps as clouds of messages."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray
+from sceneloom.formats.topics.dialect import Losses
+from sceneloom.formats.topics.packed_points import pack
+from sceneloom.formats.topics.records import CloudRecord
+from sceneloom.formats.topics.streams import Said
+from sceneloom.formats.topics.sweeps import DIRECTION_COLUMNS, SPEED_COLUMNS, TIME_COLUMN
+from sceneloom.scene import LidarSensor, PointsSensor, RadarSensor
+
+_HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
+_INT32 = 2**31 - 1
+
+
+@dataclass(slots=True)
+class CloudWriter:
+    """Makes the records of a sensor of points; counts what has no place in them.
+
+    Attributes:
+        topic: of the messages.
+        frame_id: of the points.
+        field: what the model calls the sensor's frames, for losses.
+        losses: takes what is lost.
+    """
+
+    topic: str
+    frame_id: str
+    field: str
+    losses: Losses
+
+    def lidar(self, sensor: LidarSensor, k: int) -> Iterator[Said]:
+        """Make the record of sweep `k`."""
+        frame = sensor.frames[k]
+        points = frame.points
+        columns = _positions(points.positions)
+        if points.intensities is not None:
+            columns["intensity"] = points.intensities
+        if points.rings is not None:
+            columns["ring"] = points.rings
+        if points.timestamps_ns is not None:
+            columns[TIME_COLUMN] = _offsets(points.timestamps_ns, frame.timestamp_ns)
+        if points.colors is not None:
+            columns |= _colours(points.colors)
+        if points.camera_index is not None:
+            columns["camera_index"] = points.camera_index
+        self._add_extras(columns, points.extras)
+        self._note_frame(frame.extras)
+        yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
+
+    def radar(self, sensor: RadarSensor, k: int) -> Iterator[Said]:
+        """Make the record of cycle `k`."""
+        frame = sensor.frames[k]
+        points = frame.points
+        columns = _positions(points.positions)
+        if points.directions is not None:
+            columns |= {name: points.directions[:, axis] for axis, name in enumerate(DIRECTION_COLUMNS)}
+        if points.lengths is not None:
+            columns[SPEED_COLUMNS[0]] = points.lengths
+        if points.timestamps_ns is not None:
+            columns[TIME_COLUMN] = _offsets(points.timestamps_ns, frame.timestamp_ns)
+        self._add_extras(columns, points.extras)
+        self._note_frame(frame.extras)
+        yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
+
+    def map(self, sensor: PointsSensor, timestamp_ns: int) -> Iterator[Said]:
+        """Make the only record of a map."""
+        columns = _positions(sensor.positions)
+        if sensor.colors is not None:
+            columns |= _colours(sensor.colors)
+        yield self.topic, self._record(columns, len(sensor.positions), timestamp_ns)
+
+    def _record(self, columns: Mapping[str, AnyArray], count: int, timestamp_ns: int) -> CloudRecord:
+        packed = pack(columns, count)
+        return CloudRecord(
+            timestamp_ns, self.frame_id, packed.fields, packed.stride, packed.data, packed.count
+        )
+
+    def _add_extras(self, columns: dict[str, AnyArray], extras: Mapping[str, AnyArray]) -> None:
+        for name, column in extras.items():
+            place = f"{self.field}.points.extras.{name}"
+            if column.ndim != 1 or name in columns or name.lower() in _TAKEN or name.startswith("_"):
+                self.losses.dropped(
+                    place, "not one number for each point, or of a name that means something else"
+                )
+            elif column.dtype.str[1:] in _HELD:
+                columns[name] = column
+            elif column.dtype.kind in "iufb":
+                self._add_converted(columns, name, column, place)
+            else:
+                self.losses.dropped(place, f"values of type {column.dtype}")
+
+    def _add_converted(self, columns: dict[str, AnyArray], name: str, column: AnyArray, place: str) -> None:
+        numbers = column.astype(np.uint8 if column.dtype.kind == "b" else np.float64)
+        error = float(np.abs(column.astype(np.longdouble) - numbers.astype(np.longdouble)).max(initial=0))
+        what = f"values of type {column.dtype} written as {numbers.dtype}"
+        (self.losses.approximated if error else self.losses.converted)(place, what, error=error)
+        columns[name] = numbers
+
+    def _note_frame(self, extras: Mapping[str, object]) -> None:
+        self.losses.dropped(f"{self.field}.extras", "further fields of a sweep", count=bool(extras))
+
+
+_TAKEN = frozenset(
+    {"x", "y", "z", "positions", "intensity", "ring", "red", "green", "blue", "rgb", "colors", TIME_COLUMN}
+)
+
+
+def _positions(positions: AnyArray) -> dict[str, AnyArray]:
+    return {axis: positions[:, k] for k, axis in enumerate("xyz")}
+
+
+def _colours(colors: AnyArray) -> dict[str, AnyArray]:
+    """Colours as viewers know them, which ask for an alpha value beside the three."""
+    found = {name: colors[:, k] for k, name in enumerate(("red", "green", "blue"))}
+    return {**found, "alpha": np.full(len(colors), 255, np.uint8)}
+
+
+def _offsets(timestamps_ns: AnyArray, stamp_ns: int) -> AnyArray:
+    """Times of points from their sweep's stamp; too far for 32 bits, they go into floats, exact to 104 days."""
+    offsets = timestamps_ns - stamp_ns
+    near = len(offsets) == 0 or int(np.abs(offsets).max()) <= _INT32
+    return offsets.astype(np.int32 if near else np.float64)

@@ -89,11 +89,12 @@ class LossReport(msgspec.Struct, frozen=True):
         for loss in losses:
             key = (loss.field, loss.what, loss.kept, loss.fate)
             earlier = together.get(key)
-            together[key] = loss if earlier is None else _joined(earlier, loss)
+            together[key] = loss if earlier is None else joined(earlier, loss)
         return cls(tuple(together.values()))
 
 
-def _joined(first: Loss, second: Loss) -> Loss:
+def joined(first: Loss, second: Loss) -> Loss:
+    """Two losses of one kind as one: counts are added, the largest error counts."""
     errors = [loss.largest_error for loss in (first, second) if loss.largest_error is not None]
     return msgspec.structs.replace(
         first, count=first.count + second.count, largest_error=max(errors, default=None)

@@ -2,8 +2,9 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from functools import cache
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -90,23 +91,37 @@ def _values_in(value: Any, name: str) -> Iterator[tuple[str, Any]]:
     elif isinstance(value, tuple) and _has_parts(value):
         for part in value:
             yield from _values_in(part, name)
-    elif is_dataclass(value) and not isinstance(value, _WHOLE):
+    elif _is_parted(value):
         yield from held_values(value, name)
     else:
         yield name, value
 
 
 def _has_parts(values: tuple[Any, ...]) -> bool:
-    return isinstance(values[0], tuple) or (is_dataclass(values[0]) and not isinstance(values[0], _WHOLE))
+    return isinstance(values[0], tuple) or _is_parted(values[0])
+
+
+def _is_parted(value: Any) -> bool:
+    """Whether it is an object of the model with fields of its own; functions that make images may be objects, too."""
+    return is_dataclass(value) and not isinstance(value, _WHOLE) and not callable(value)
 
 
 def frame_values(sensor: FramedSensor, frame: Any) -> Iterator[tuple[str, Any]]:
     """Give name and value of each field that one sweep, picture or image holds."""
     way = f"{KINDS[type(sensor)]}.{'pictures' if isinstance(sensor, CameraSensor) else 'frames'}"
-    own_lens = isinstance(frame, Picture | DepthFrame) and frame.camera != getattr(sensor, "camera", None)
+    own_lens = isinstance(frame, Picture | DepthFrame) and not _same_lens(frame.camera, sensor)
     for name, value in held_values(frame, way):
         if own_lens or not isinstance(value, Camera):
             yield name, value
+
+
+def _same_lens(lens: Camera, sensor: FramedSensor) -> bool:
+    """Whether a picture's lens is that of its camera, but for zeros at the end of the coefficients."""
+    usual = getattr(sensor, "camera", lens)
+    return lens == usual or bool(
+        replace(lens, coefficients=()) == replace(usual, coefficients=())
+        and all(a == b for a, b in zip_longest(lens.coefficients, usual.coefficients, fillvalue=0.0))
+    )
 
 
 def standing_values(scene: Scene) -> Iterator[tuple[str, Any]]:

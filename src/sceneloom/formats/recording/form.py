@@ -6,6 +6,7 @@ from typing import Any
 from sceneloom.errors import check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.recording.examination import RecordingExamination, examine_recording
+from sceneloom.formats.recording.holdings import HOLDS
 from sceneloom.formats.recording.place import DATA_FILE, is_log, near_miss
 from sceneloom.formats.recording.scene_from_recording import open_recording
 from sceneloom.formats.recording.writer import check_outside_recordings, write_recording
@@ -22,6 +23,7 @@ class RecordingFormat:
     name = "recording"
     suffixes: tuple[str, ...] = ("",)
     looks_like = "a folder with a data.jsonl, a zip file of one, or a file of such lines"
+    holds = HOLDS
 
     def recognises(self, path: Path) -> bool:
         """Say whether the path is a folder with a `data.jsonl`, a file of such lines, or a zip archive of a folder."""

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.frame_notes import FrameNotes
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
@@ -70,10 +70,10 @@ def _losses(rows: PictureRows, notes: FrameNotes, *, untouched: bool) -> list[Lo
     losses, count = list[Loss](), len(rows.pictures)
     if untouched and notes.first is None:
         what = "counted from 0: the vendor's software counts pictures by them, and they did not grow by one each time"
-        losses.append(Loss(field="frames[].number", what=what, count=count))
+        losses.append(Loss(field="frames[].number", what=what, count=count, fate=Fate.KEPT))
     if notes.own and rows.seconds is None:
         what = "put together anew by the times of their pictures, which are not those that were read"
-        losses.append(Loss(field="frames", what=what, count=count))
+        losses.append(Loss(field="frames", what=what, count=count, fate=Fate.KEPT))
     return losses
 
 
@@ -111,7 +111,7 @@ def grouping_losses(sensors: Sequence[ShootingSensor], rows: PictureRows) -> lis
         "is not in step with the other cameras: its video repeats a picture where a line has none of its own"
     )
     return [
-        Loss(field=field_of(sensor), what=what, count=count)
+        Loss(field=field_of(sensor), what=what, count=count, fate=Fate.CONVERTED)
         for sensor, count in zip(sensors, missing, strict=True)
         if count
     ]

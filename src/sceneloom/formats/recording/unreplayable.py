@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.vio_config import unknown_keys
 from sceneloom.scene import DepthCameraSensor, ImuSensor, LidarSensor
 from sceneloom.scene.shooting import ShootingSensor, shots_of
@@ -89,4 +89,4 @@ def _of_settings(vio_config: str | None) -> Iterator[Loss]:
 
 
 def _loss(what: str, count: int = 1) -> Loss:
-    return Loss(field=FIELD, what=what, count=count)
+    return Loss(field=FIELD, what=what, count=count, fate=Fate.KEPT)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.written_shots import shooting_sensors
 from sceneloom.scene import (
     GnssSensor,
@@ -53,7 +53,7 @@ def _of_root(scene: Scene) -> Iterator[Loss]:
         "annotations": len(scene.annotations),
         "attributes": len(scene.attributes),
         **{f"metadata.{name}": 1 for name in scene.metadata if name != "recording"},
-        **dict.fromkeys(scene.extras, 1),
+        **{f"extras.{name}": 1 for name in scene.extras},
     }
     yield from (Loss(field=name, what=_NO_PLACE, count=count) for name, count in counts.items() if count)
 
@@ -79,7 +79,12 @@ def _of_odometry(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[L
                 written = "left out: the format has no path without end"
             elif str(sensor.id) not in names:
                 written = "left out: a trajectory says the same"
-            yield Loss(field=f"sensors[{sensor.id}]", what=written)
+            left_out = written.startswith("left out")
+            yield Loss(
+                field=f"sensors[{sensor.id}]",
+                what=written,
+                fate=Fate.DROPPED if left_out else Fate.CONVERTED,
+            )
 
 
 def _of_cameras(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
@@ -138,7 +143,7 @@ def _of_default(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Lo
     default = next(iter(scene.trajectories), None)
     names = [trajectory.name for trajectory in trajectories]
     if default != "groundTruth" and "groundTruth" in names:
-        yield Loss(field="trajectories", what=f"read back with 'groundTruth' first, not {default!r}")
+        yield Loss(field="trajectories.order", what=f"read back with 'groundTruth' first, not {default!r}")
     for trajectory in trajectories:
         if trajectory.covariances is not None:
             yield Loss(field=f"trajectories.{trajectory.name}.covariances", what=_NO_PLACE)

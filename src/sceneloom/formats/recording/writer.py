@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.loss import Loss, LossReport
+from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.kept_texts import SharedLines, other_lines
@@ -217,4 +217,7 @@ def _time_losses(times: TimeWriter) -> list[Loss]:
     if not times.inexact:
         return []
     what = f"times written exactly, but a 64-bit number of seconds holds them within {times.worst_ns} ns only"
-    return [Loss(field="timestamps", what=what, count=times.inexact)]
+    worst = float(times.worst_ns)
+    return [
+        Loss(field="timestamps", what=what, count=times.inexact, fate=Fate.CONVERTED, largest_error=worst)
+    ]

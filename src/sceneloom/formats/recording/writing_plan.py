@@ -7,7 +7,7 @@ from typing import Any, Self
 import msgspec
 
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.frame_notes import FrameNotes
 from sceneloom.formats.recording.kept_texts import SharedText
 from sceneloom.formats.recording.line_order import LineOrder
@@ -138,7 +138,7 @@ def _ride_along(
         way = Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
         trajectories.append((way, ("pose", name)))
         what = f"written as trajectory {name!r}, which the ego is taken to follow: the scene has no way of the ego"
-        losses.append(Loss(field=f"sensors[{sensor.id}].poses", what=what))
+        losses.append(Loss(field=f"sensors[{sensor.id}].poses", what=what, fate=Fate.CONVERTED))
         return path
     return None
 

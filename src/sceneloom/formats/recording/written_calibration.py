@@ -9,7 +9,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.unwritten import main_receiver
 from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry
 from sceneloom.geometry.rigid import RigidTransform
@@ -112,7 +112,7 @@ def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, A
 
 def lens_losses(field: str, how_far: str | None) -> list[Loss]:
     """Say that a lens was fitted."""
-    return [] if how_far is None else [Loss(field=field, what=how_far)]
+    return [] if how_far is None else [Loss(field=field, what=how_far, fate=Fate.APPROXIMATED)]
 
 
 def camera_entry(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.kept_parameters import LENS, MOUNT, PictureParameters
 from sceneloom.formats.recording.line_order import FRAMES
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
@@ -68,7 +68,7 @@ class FrameLines:
     def losses(self) -> list[Loss]:
         """What could not be written."""
         what = "`frames` lines that do not list every camera, as they were read: the vendor's software refuses them"
-        short = [Loss(field="replay", what=what, count=self._not_listed)] if self._not_listed else []
+        short = [Loss(field="replay", what=what, count=self._not_listed, fate=Fate.KEPT)][: self._not_listed]
         return [*self._losses, *(loss for writer in self._parameters for loss in writer.losses), *short]
 
     def stream(self) -> LineStream:

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.mounts import rigid_transform
 from sceneloom.geometry.rigid import RigidTransform
@@ -52,7 +52,7 @@ def mounting(
         held = "as its mounting says" if sensor.mount is not None else "as at its first pose"
         found = f"up to {round(moved, 3):g} m and {round(turned, 3):g} degrees"
         what = f"taken to be mounted {held}, from which it moves {found} on the vehicle"
-        losses.append(Loss(field=field, what=what))
+        losses.append(Loss(field=field, what=what, fate=Fate.APPROXIMATED))
     return mount, losses
 
 

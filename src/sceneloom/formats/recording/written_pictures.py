@@ -10,7 +10,7 @@ from PIL import Image
 
 from sceneloom.arrays import Int64Array, UInt8Array, UInt16Array, check_array
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.written_depth import DepthImages, DepthScales
 from sceneloom.formats.recording.written_shots import frame_rate
 from sceneloom.formats.video import VideoReader, VideoWriter, copy_to_matroska
@@ -220,13 +220,15 @@ def open_sink(
     encoded = EncodedVideo(ColorImages(sensor, codec), path, frame_rate(sensor))
     if sensor.video is not None and pictures in {*_ENCODED_AS, sensor.video.codec}:
         what = f"encoded anew as {_SPELT[codec]}: the video could not be copied for these pictures alone"
-        encoded.losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what))
+        field = f"sensors[{sensor.id}].video"
+        encoded.losses.append(Loss(field=field, what=what, fate=Fate.APPROXIMATED))
     return encoded
 
 
 def _encoding_losses(sensor: CameraSensor, size: tuple[int, int]) -> list[Loss]:
-    field, count, camera = f"sensors[{sensor.id}].pictures", len(sensor.pictures), sensor.camera
-    losses = [Loss(field=field, what="encoded as H.264, which changes colours a little", count=count)]
+    field, count, camera = f"sensors[{sensor.id}].pictures[].rgb", len(sensor.pictures), sensor.camera
+    what = "encoded as H.264, which changes colours a little"
+    losses = [Loss(field=field, what=what, count=count, fate=Fate.APPROXIMATED)]
     if size != (camera.width, camera.height):
         what = f"cut from {camera.width}x{camera.height} to {size[0]}x{size[1]}: H.264 needs even sizes"
         losses.append(Loss(field=field, what=what, count=count))

@@ -11,7 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.errors import PoseError
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.column_arrays import nanoseconds
 from sceneloom.formats.recording.kept_texts import completed, rows_of
 from sceneloom.formats.recording.lidar_files import XYZIRT
@@ -193,10 +193,10 @@ def _losses_of_all(sensor: LidarSensor) -> list[Loss]:
         losses.append(Loss(field=f"sensors[{sensor.id}].model", what=what))
     if sensor.points_frame is not PointsFrame.SENSOR:
         what = f"brought from the {sensor.points_frame} frame into the lidar's own, in which recordings keep points"
-        losses.append(Loss(field=f"sensors[{sensor.id}].points_frame", what=what))
+        losses.append(Loss(field=f"sensors[{sensor.id}].points_frame", what=what, fate=Fate.CONVERTED))
         what = f"rounded to float32 in the lidar's own frame, from the {sensor.points_frame} frame"
-        count = len(sensor.frames)
-        losses.append(Loss(field=f"sensors[{sensor.id}].frames[].points.positions", what=what, count=count))
+        field, count = f"sensors[{sensor.id}].frames[].points.positions", len(sensor.frames)
+        losses.append(Loss(field=field, what=what, count=count, fate=Fate.CONVERTED))
     return losses
 
 

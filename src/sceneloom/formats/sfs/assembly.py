@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sceneloom.arrays import AnyArray
+from sceneloom.formats.loss import Fate
 from sceneloom.formats.sfs.clock_keeper import ClockKeeper
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft
 from sceneloom.formats.sfs.encoding import Items, RecordWriter, encode_header
@@ -24,6 +25,8 @@ LAYOUT = 1
 
 _UNIT_OF = {tick_ns: unit for unit, tick_ns in TICKS_NS.items()}
 _EVERYWHERE = "sensors[], annotations[], attributes[]"
+_ROUNDING = 0.5
+"""How far a time is off at most where it is rounded [µs]."""
 
 
 @dataclass(slots=True)
@@ -90,8 +93,7 @@ def assemble(contents: Contents, profile: Profile, keeper: ClockKeeper, losses: 
         keeper.clock_for(passed.writer.lowest * keeper.tick_ns + keeper.clock.offset_ns)
         passed = _Pass(contents, profile, RecordWriter(keeper.clock, _Replay(recorder)))
         header = passed.header()
-    for loss in passed.losses.all():
-        losses.add(loss.field, loss.what, count=loss.count, kept=loss.kept)
+    losses.add_all(passed.losses)
     return encode_header(header, passed.items)
 
 
@@ -223,7 +225,9 @@ class _Pass:
 
     def _count_rounding(self) -> None:
         what = "times rounded to whole microseconds, halves to even: at most 0.5 µs off"
-        self.losses.add(_EVERYWHERE, what, count=self.writer.rounded)
+        self.losses.add(
+            _EVERYWHERE, what, count=self.writer.rounded, fate=Fate.CONVERTED, largest_error=_ROUNDING
+        )
         what = "numbers that are infinite or none, written as null"
         self.losses.add(_EVERYWHERE, what, count=self.writer.not_numbers)
 

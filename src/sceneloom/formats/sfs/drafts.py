@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss, joined
 from sceneloom.formats.sfs.poses import mount_rows
 from sceneloom.formats.sfs.spool import Blob
 from sceneloom.formats.sfs.times import FileClock
@@ -22,17 +22,38 @@ class Losses:
 
     def __init__(self) -> None:
         """Start without losses."""
-        self._counts: dict[tuple[str, str, str | None], int] = {}
+        self._found: dict[tuple[str, str, str | None, Fate], Loss] = {}
 
-    def add(self, field: str, what: str, *, count: int = 1, kept: str | None = None) -> None:
+    def add(
+        self,
+        field: str,
+        what: str,
+        *,
+        count: int = 1,
+        kept: str | None = None,
+        fate: Fate = Fate.DROPPED,
+        largest_error: float | None = None,
+    ) -> None:
         """Note a loss."""
         if count:
-            key = (field, what, kept)
-            self._counts[key] = self._counts.get(key, 0) + count
+            told = Loss(
+                field=field, what=what, count=count, kept=kept, fate=fate, largest_error=largest_error
+            )
+            self._add(told)
+
+    def add_all(self, others: "Losses") -> None:
+        """Note the losses of another count."""
+        for loss in others.all():
+            self._add(loss)
+
+    def _add(self, loss: Loss) -> None:
+        key = (loss.field, loss.what, loss.kept, loss.fate)
+        earlier = self._found.get(key)
+        self._found[key] = loss if earlier is None else joined(earlier, loss)
 
     def all(self) -> list[Loss]:
         """All losses, those of one field and kind added up."""
-        return [Loss(field=f, what=w, count=n, kept=k) for (f, w, k), n in self._counts.items()]
+        return list(self._found.values())
 
 
 @dataclass(slots=True)
@@ -108,9 +129,10 @@ class SensorDraft:
         if self.poses is not None:
             return {"coordinates": self.coordinates, "poses": self._poses(self.poses, clock, losses)}
         if self.mount is None:
-            losses.add(f"{self.place}.poses", "not known, left out; the format wants them")
+            losses.add(f"{self.place}.poses", "not known, left out; the format wants them", fate=Fate.KEPT)
             return {"coordinates": self.coordinates}
-        losses.add(f"{self.place}.poses", "not known; the mounting is written, in ego coordinates")
+        what = "not known; the mounting is written, in ego coordinates"
+        losses.add(f"{self.place}.poses", what, fate=Fate.KEPT)
         self.note |= {"poses_from_mount": True, "coordinates": self.coordinates}
         values = [[*self.mount.translation.tolist(), *self.mount.quaternion_xyzw.tolist()]]
         return {"coordinates": "ego", "poses": {"timestamps": [self._standing_ns(clock)], "values": values}}

@@ -8,6 +8,7 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.formats.sfs.container import has_scene_header
 from sceneloom.formats.sfs.examination import examine
 from sceneloom.formats.sfs.faults import Examination
+from sceneloom.formats.sfs.holdings import HOLDS
 from sceneloom.formats.sfs.reading import read_scene
 from sceneloom.formats.sfs.source import ReadingOptions
 from sceneloom.formats.sfs.writing import write_scene
@@ -22,6 +23,7 @@ class SfsFormat:
     suffixes: tuple[str, ...] = (".sfs",)
     reads_urls = True
     looks_like = "a file that begins with the JSON header of a scene"
+    holds = HOLDS
 
     def recognises(self, path: Path) -> bool:
         """Say whether a file begins with the header of a scene."""

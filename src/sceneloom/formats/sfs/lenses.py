@@ -7,6 +7,7 @@ from typing import Any
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.cameras.table import MODELS
+from sceneloom.formats.loss import Fate
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
 from sceneloom.formats.sfs.drafts import Losses, with_further
 from sceneloom.scene import CameraCalibration
@@ -53,7 +54,8 @@ def with_written_lens(
         return calibration
     written, how_far = written_lens(calibration.intrinsics, any_model=any_model)
     if how_far is not None:
-        losses.add(f"annotations[{calibration.id}].intrinsics.distortion", how_far)
+        place = f"annotations[{calibration.id}].intrinsics.distortion"
+        losses.add(place, how_far, fate=Fate.APPROXIMATED)
     return replace(calibration, intrinsics=written)
 
 

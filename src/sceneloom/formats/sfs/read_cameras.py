@@ -42,7 +42,7 @@ def read_camera(source: Source, values: Record, place: Place, faults: Faults) ->
     extras = {**rest_of(values), **further_of_intrinsics(intrinsics), **content.further}
     pictures = _pictures(source, content, own, exposure_ns(extras, 0), place)
     return CameraSensor(
-        values["id"], lens, pictures, video=content.video, fps=content.fps, **moving, extras=extras
+        values["id"], lens, pictures, video=content.video, fps=_fps(content, note), **moving, extras=extras
     )
 
 
@@ -60,6 +60,12 @@ def _pictures(
         return replace(picture, timestamp_ns=int(middles_ns[index]), mount=own.mount(index), extras=extras)
 
     return LazyFrames(middles_ns, source.parts.keep(format_keys((*place, "pictures")), read))
+
+
+def _fps(content: PictureContent, note: Mapping[str, Any]) -> float | None:
+    """The rate that the video says, or our note of a camera with single pictures."""
+    noted = note.get("fps")
+    return float(noted) if content.fps is None and isinstance(noted, int | float) else content.fps
 
 
 def _content(source: Source, values: Record, lens: Camera, place: Place) -> PictureContent:

@@ -7,6 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array
 from sceneloom.errors import DataError
+from sceneloom.formats.loss import Fate
 from sceneloom.formats.sfs.clock_keeper import ClockKeeper, check_stamps, stamp_dtype
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
 from sceneloom.formats.sfs.profiles import Profile
@@ -15,6 +16,9 @@ from sceneloom.scene import LidarFrame, LidarPoints, PointsFrame, RadarFrame
 
 FARTHEST = 10_000.0
 """float32 resolves about 1 mm there: positions in the world beyond it need a nearer origin [m]."""
+
+_ROUNDING = 0.5
+"""How far a time is off at most where it is rounded [µs]."""
 
 _FLOAT_TIMES = "file_seconds"
 """Readers of float seconds keep the file's own number of each point beside its time."""
@@ -97,7 +101,7 @@ class CloudWriter:
         further = {name: v for name, v in extras.items() if arrays.get(name) is None} if extras else {}
         if arrays["timestamps"] is not None and further.pop(_FLOAT_TIMES, None) is not None:
             what = "left out: the same times in another form"
-            self.losses.add(f"{draft.place}.frames[].points.{_FLOAT_TIMES}", what)
+            self.losses.add(f"{draft.place}.frames[].points.{_FLOAT_TIMES}", what, fate=Fate.CONVERTED)
         blobs = {
             name: self.spool.add(array) if isinstance(array, np.ndarray) else array
             for name, array in ({**arrays, **further} if further else arrays).items()
@@ -115,9 +119,11 @@ class CloudWriter:
             earliest_ns = int(times_ns.min())
             start_ns = min(start_ns, earliest_ns) if self.verbatim else earliest_ns
         if start_ns // tick_ns != frame.timestamp_ns // tick_ns:
-            self.losses.add(f"{draft.place}.frames[].timestamp", "moved to the earliest point of the frame")
+            what = "moved to the earliest point of the frame"
+            self.losses.add(f"{draft.place}.frames[].timestamp", what, fate=Fate.APPROXIMATED)
         if start_ns % tick_ns:
-            self.losses.add(f"{draft.place}.frames[].timestamp", "rounded down to a whole microsecond")
+            what, place = "rounded down to a whole microsecond", f"{draft.place}.frames[].timestamp"
+            self.losses.add(place, what, fate=Fate.CONVERTED, largest_error=(start_ns % tick_ns) / 1e3)
         self.keeper.clock_for(start_ns)
         return start_ns // tick_ns * tick_ns
 
@@ -132,7 +138,8 @@ class CloudWriter:
             check_stamps(*clock.stamps_of_span(*span_ns), clock, place)
         stamps, inexact = clock.stamp_array(times_ns, dtype=stamp_dtype(clock), span_ns=span_ns)
         what = "rounded to whole microseconds, halves to even: at most 0.5 µs off"
-        self.losses.add(f"{draft.place}.frames[].points.timestamps", what, count=inexact)
+        place = f"{draft.place}.frames[].points.timestamps"
+        self.losses.add(place, what, count=inexact, fate=Fate.CONVERTED, largest_error=_ROUNDING)
         blob = self.spool.add(stamps)
         draft.point_times.append(blob)
         return blob

@@ -9,6 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import UInt8Array
 from sceneloom.errors import ArrayError, DataError, OptionError
+from sceneloom.formats.loss import Fate
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
 from sceneloom.formats.sfs.mp4 import is_mp4
 from sceneloom.formats.sfs.picture_notes import PictureNotesWriter, exposure_ns
@@ -58,6 +59,10 @@ class PictureWriter:
             None if sensor.video is None or count == 0 else self._video(camera.draft, sensor, sensor.video)
         )
         if content is None:
+            if sensor.fps is not None:
+                camera.draft.note["fps"] = sensor.fps
+                kept = "metadata.sceneloom.sensor_notes[].fps"
+                self.losses.add(f"{camera.draft.place}.fps", "only videos have a rate", kept=kept)
             for picture in sensor.pictures:
                 self.add_picture(camera, picture)
             return
@@ -75,7 +80,7 @@ class PictureWriter:
         encoded = None if picture.encoded is None else picture.encoded()
         if encoded is None or not (self.verbatim or encoded.startswith(_JPEG_START)):
             what = f"encoded as JPEG of quality {JPEG_QUALITY}"
-            self.losses.add(f"{camera.draft.place}.images[].content", what)
+            self.losses.add(f"{camera.draft.place}.images[].content", what, fate=Fate.APPROXIMATED)
             encoded = encode_jpeg(picture.rgb)
         start_ns = picture.timestamp_ns - self._half_exposure_ns(camera, picture)
         content = self.spool.add(np.frombuffer(encoded, np.uint8))
@@ -120,7 +125,8 @@ class PictureWriter:
             problem = f"{result.pictures} pictures; expected {len(times_ns)} as its time stamps"
             raise DataError(f"{draft.place}.video", "", problem)
         if not result.copied:
-            self.losses.add(f"{draft.place}.video.content", f"encoded as {result.codec}: {result.reason}")
+            what = f"encoded as {result.codec}: {result.reason}"
+            self.losses.add(f"{draft.place}.video.content", what, fate=Fate.APPROXIMATED)
         return self._spooled(draft_file)
 
     def _spooled(self, file: Path) -> Blob:

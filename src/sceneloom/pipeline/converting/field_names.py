@@ -6,9 +6,20 @@ from collections.abc import Mapping
 from sceneloom.scene import Scene
 from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS
 
-_STAMPS = ("timestamp_ns", "timestamps_ns", "start_ns")
-_TOGETHER: Mapping[str, tuple[str, ...]] = {"timestamps": _STAMPS, "file_seconds": ("file_seconds",)}
+_STAMPS = ("timestamp_ns", "timestamps_ns", "start_ns", "duration_ns", "durations_ns", "poses", "attributes")
+_TOGETHER: Mapping[str, tuple[str, ...]] = {
+    "timestamps": _STAMPS,
+    "sensors[], annotations[], attributes[]": _STAMPS,
+    "file_seconds": ("file_seconds",),
+}
 """Words for the fields of one meaning in all sensors, trajectories and annotations, and their last parts."""
+
+_WORDS = (
+    (re.compile(r"\.images(\[\])?\.content$"), ".pictures.rgb"),
+    (re.compile(r"\.timestamp(s?)$"), r".timestamp\1_ns"),
+    (re.compile(r"^(sensors\[.*\])\.intrinsics"), r"\1.camera"),
+)
+"""Words of the Sensor Fusion Scene format for fields that have other names in the model."""
 
 _SEVERAL = re.compile(r"^(sensors|annotations)\[(.*?)\](?=\.|$)")
 _STREAM = re.compile(r"^(sensors\.imu\.streams)\.([^.]+)")
@@ -17,9 +28,11 @@ _INDEX = re.compile(r"\[[^\]]*\]")
 
 
 def kinds_by_id(scene: Scene) -> dict[str, str]:
-    """The kind of each sensor and annotation, by `sensors[ID]` or `annotations[ID]`."""
+    """The kind of each sensor and annotation, by `sensors[ID]` or `annotations[ID]`, else with its type for an ID."""
     several = {"sensors": scene.sensors, "annotations": scene.annotations}
-    return {f"{name}[{item.id}]": KINDS[type(item)] for name, items in several.items() for item in items}
+    items = [(name, item) for name, found in several.items() for item in found]
+    by_type = {f"{name}[{item.type}]": KINDS[type(item)] for name, item in items}
+    return {**by_type, **{f"{name}[{item.id}]": KINDS[type(item)] for name, item in items}}
 
 
 def fields_meant(place: str, kinds: Mapping[str, str]) -> tuple[str, ...]:
@@ -29,8 +42,12 @@ def fields_meant(place: str, kinds: Mapping[str, str]) -> tuple[str, ...]:
         place: the field of a loss, as a name of `MODEL_FIELDS`, the beginning of one, or with ids and indices in it.
         kinds: of the scene, as `kinds_by_id` gives them.
     """
+    if place == "sensors":
+        return ("sensors.order",)
     if place in _TOGETHER:
         return tuple(field for field in MODEL_FIELDS if field.rpartition(".")[2] in _TOGETHER[place])
+    for pattern, ours in _WORDS:
+        place = pattern.sub(ours, place)
     found = (_fields_at(name) for name in _by_kind(place, kinds))
     return tuple(dict.fromkeys(field for fields in found for field in fields))
 

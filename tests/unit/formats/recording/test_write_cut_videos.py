@@ -53,7 +53,7 @@ def test_what_packets_cannot_give_alone_is_encoded_anew_and_told(drive, tmp_path
     assert stamps_ns == STAMPS_NS[rows].tolist()
     np.testing.assert_allclose(greys, GREYS[rows], atol=TWICE_ENCODED)
     assert told["sensors[camera0].video"].startswith("encoded anew as H.264: the video could not be copied")
-    assert told["sensors[camera0].pictures"] == "encoded as H.264, which changes colours a little"
+    assert told["sensors[camera0].pictures[].rgb"] == "encoded as H.264, which changes colours a little"
 
 
 def test_a_key_frame_by_itself_is_copied_and_nothing_is_told_of_it(drive, tmp_path):

@@ -148,8 +148,8 @@ def test_lines_are_sorted_and_each_says_one_thing(tmp_path):
     counts = {kind: kinds.count(kind) for kind in kinds}
     assert counts == {"groundTruth": 6, "sensor": 60, "gps": 2, "lidar": 3, "frames": 4}
     assert losses_of(report) == {
-        "sensors[camera0].pictures": "encoded as H.264, which changes colours a little",
-        "sensors[camera1].pictures": "encoded as H.264, which changes colours a little",
+        "sensors[camera0].pictures[].rgb": "encoded as H.264, which changes colours a little",
+        "sensors[camera1].pictures[].rgb": "encoded as H.264, which changes colours a little",
     }
 
 
@@ -523,7 +523,7 @@ def test_what_a_recording_cannot_hold_is_named_field_by_field(tmp_path):
         "annotations": "left out: the format has none",
         "attributes": "left out: the format has none",
         "metadata.city": "left out: the format has none",
-        "future": "left out: the format has none",
+        "extras.future": "left out: the format has none",
         "sensors[radar]": "left out: the format has none",
         "sensors[odd]": "left out: the format has none",
         "sensors[second]": "left out: the format has one imu only",

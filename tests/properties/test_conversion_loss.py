@@ -1,0 +1,170 @@
+"""Nothing vanishes or changes without a line: every format that writes, against a drive that holds every field."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.properties.planted import planted_scene
+
+from sceneloom.errors import MissingExtraError, OptionError
+from sceneloom.formats.holdings import unknown_names
+from sceneloom.formats.loss import Fate, LossReport
+from sceneloom.formats.table import FORMATS, find_format, format_named, reads, writes
+from sceneloom.pipeline.converting.fates import field_fates
+from sceneloom.pipeline.converting.field_names import fields_meant, kinds_by_id
+from sceneloom.scene import LazyFrames, Scene, VideoContent
+from sceneloom.scene.contents import MODEL_FIELDS
+from sceneloom.scene.counting import Counting, frame_values, frames_of, standing_values
+
+WRITTEN = [name for name in FORMATS if writes(format_named(name))]
+REFERENCES = ("sensor_id", "order", "parent_id", "from_id", "to_id")
+"""Fields that name other things: they change with the names of these."""
+
+FREE = ("metadata", "extras")
+"""Fields of the scene that formats add something to."""
+
+
+@cache
+def scene(odd: bool, corrections: bool = True) -> Scene:
+    return planted_scene(odd=odd, corrections=corrections)
+
+
+def framed(sensor) -> bool:
+    return isinstance(getattr(sensor, "frames", getattr(sensor, "pictures", None)), LazyFrames)
+
+
+def values_of(drive: Scene) -> dict[str, list]:
+    """All values of each field, in the order of the sensors, annotations and frames."""
+    found: dict[str, list] = {}
+    for name, value in standing_values(drive):
+        found.setdefault(name, []).append(plain(value))
+    for sensor in filter(framed, drive.sensors):
+        for frame in frames_of(sensor):
+            for name, value in frame_values(sensor, frame):
+                found.setdefault(name, []).append(plain(value))
+    return found
+
+
+def plain(value):
+    """A value that can be compared: what functions give, and what objects hold."""
+    if isinstance(value, VideoContent):
+        with value.open() as file:
+            return value.codec, file.read()
+    if isinstance(value, Callable):
+        return plain(value())
+    if isinstance(value, np.ndarray | np.generic):
+        return np.asarray(value)
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    return value
+
+
+def lens(numbers: dict) -> dict:
+    """A lens without the zeros that its model adds at the end."""
+    return {**numbers, "coefficients": np.trim_zeros(numbers["coefficients"], "b")}
+
+
+def same_values(field: str, before: list, after: list) -> bool:
+    """Whether all values are there again; more may be: what the format says by itself."""
+    if field in FREE or field.endswith(".extras"):
+        named = [{key: inner.get(key) for key in value} for value, inner in zip(before, after, strict=False)]
+        return same(before, named)
+    return same(before, after[: len(before)])
+
+
+def same(one, other) -> bool:
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        one, other = np.asarray(one), np.asarray(other)
+        # numbers of a list and of an array are the same numbers
+        if one.dtype.kind not in "fiub" or other.dtype.kind not in "fiub" or one.shape != other.shape:
+            return one.shape == other.shape and bool((one == other).all())
+        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f" and other.dtype.kind == "f")
+    if isinstance(one, dict) and isinstance(other, dict):
+        if "coefficients" in one and "coefficients" in other:
+            one, other = lens(one), lens(other)
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    return one == other
+
+
+def written(name: str, odd: bool, folder: Path) -> tuple[Path, LossReport, Counting, Scene]:
+    """Write the drive: to a folder where a file cannot hold it, without corrections where they have to be applied."""
+    form, suffix = format_named(name), next(iter(format_named(name).suffixes), "")
+    for place, corrections in product((folder / f"drive{suffix}", folder / "drive"), (True, False)):
+        drive = scene(odd, corrections)
+        counting = Counting(drive)
+        try:
+            return place, form.write(counting.scene, place), counting, drive
+        except MissingExtraError as error:
+            pytest.skip(str(error))
+        except OptionError as error:
+            refused = error
+    raise refused
+
+
+def unexplained(name: str, odd: bool, folder: Path) -> list[str]:
+    """What vanished or changed without a line that says so."""
+    form = format_named(name)
+    place, losses, counting, source = written(name, odd, folder)
+    for sensor in filter(framed, counting.scene.sensors):
+        list(frames_of(sensor))  # also of sensors that the format has no place for
+    fates = field_fates(counting.counts(), form.holds, losses, kinds_by_id(source))
+    told = {fate.field: fate.fate for fate in fates}
+    if not reads(form):
+        return []
+    assert find_format(place).name == name
+    before = values_of(source)
+    with form.open(place) as drive:
+        after = values_of(drive)
+    renamed = any(field.endswith(".id") and fate != Fate.KEPT for field, fate in told.items())
+    return [
+        fault
+        for field, values in before.items()
+        if told[field] == Fate.KEPT and not (renamed and field.endswith(REFERENCES))
+        for fault in [difference(field, values, after.get(field))]
+        if fault
+    ]
+
+
+def difference(field: str, before: list, after: list | None) -> str:
+    if after is None:
+        return f"{field} vanished"
+    if same_values(field, before, after):
+        return ""
+    return f"{field} changed from {str(before)[:300]} to {str(after)[:300]}"
+
+
+@pytest.mark.parametrize("odd", [False, True], ids=["usual", "odd"])
+@pytest.mark.parametrize("name", WRITTEN)
+def test_what_vanishes_or_changes_is_told(name, odd, tmp_path):
+    assert unexplained(name, odd, tmp_path) == []
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_format_says_something_of_every_field_in_names_that_exist(name):
+    holds = format_named(name).holds
+    assert "" in holds
+    assert unknown_names(holds) == []
+    assert all(bool(holding.how) == (holding.fate != Fate.KEPT) for holding in holds.values())
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_every_loss_is_about_something_that_the_drive_holds(name, tmp_path):
+    _, losses, _, source = written(name, False, tmp_path)
+    kinds = kinds_by_id(source)
+    told = [loss.field for loss in losses if loss.fate != Fate.KEPT]  # the rest are remarks
+    assert [field for field in told if not fields_meant(field, kinds)] == []
+
+
+def test_the_drive_holds_every_field_of_the_model():
+    held = {field for odd in (False, True) for field in values_of(scene(odd))}
+    assert held == set(MODEL_FIELDS)

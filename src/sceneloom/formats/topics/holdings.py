@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from sceneloom.formats.loss import KEPT, Holding, approximated, converted, dropped
+from sceneloom.formats.loss import KEPT, Holding, converted, dropped
 
 _NO_MESSAGE = "there are no messages for it"
 _SOURCE_STAMPS = "stamps of the source are not written beside our own"
@@ -11,12 +11,14 @@ _JSON = converted("written as JSON; values that JSON cannot say are dropped, whi
 
 dropped_here = dropped
 
+_ALONG = converted("told by the mounting and the ego's way where these say the same, within their rounding")
 _QUATERNION = converted("rotations become unit quaternions")
 
 
 def _swept(kind: str) -> dict[str, Holding]:
     return {
         f"{kind}.mount": _QUATERNION,
+        f"{kind}.poses": _ALONG,
         f"{kind}.extras": _JSON,
         f"{kind}.frames.extras": dropped(_NO_MESSAGE),
         f"{kind}.frames.points.extras": converted(
@@ -29,6 +31,7 @@ def _swept(kind: str) -> dict[str, Holding]:
 def _seeing(kind: str, frames: str) -> dict[str, Holding]:
     return {
         f"{kind}.mount": _QUATERNION,
+        f"{kind}.poses": _ALONG,
         f"{kind}.extras": _JSON,
         f"{kind}.camera": converted(
             "lenses that other programs do not know are written as only we read them"
@@ -50,9 +53,6 @@ TOPIC_HOLDS: Mapping[str, Holding] = MappingProxyType(
         "sensors.imu.extras": _JSON,
         "sensors.gnss.extras": _JSON,
         "sensors.gnss.mount": _QUATERNION,
-        "sensors.camera.pictures.rgb": approximated(
-            "pictures that are no JPEG file or H.264 video become JPEG files"
-        ),
         "sensors.camera.pictures.encoded": converted("JPEG files are copied"),
         "sensors.camera.video": converted(
             "H.264 and HEVC are copied packet by packet, others become JPEG files"

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_table
 
 if TYPE_CHECKING:
@@ -27,14 +28,21 @@ if TYPE_CHECKING:
     help="Look into the folder, and write the template for what is in it.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace a template that exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@options.printing
 def formats(
-    name: str | None, template: Path | None, folder: Path | None, overwrite: bool, as_json: bool
+    name: str | None,
+    template: Path | None,
+    folder: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
 ) -> None:
     """List the formats, say what one of them holds of a scene, or begin a `rig.toml` for your own data.
 
     With NAME: what becomes of each field of a scene that is written in that format.
     """
+    del verbose
     if template is not None:
         _write_template(template, folder, overwrite=overwrite)
         return
@@ -50,6 +58,9 @@ def formats(
     known = list_formats()
     if as_json:
         print_json(known)
+        return
+    if quiet:
+        click.echo("\n".join(form.name for form in known))
         return
     print_table(_row(form) for form in known if not form.trajectory)
     click.echo("files of one trajectory")

@@ -42,7 +42,7 @@ _TYPES = {"sensor": 0, "detection": 1}
     help="Wait up to S seconds for each result.",
 )
 @calling
-@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@options.printing
 def get(
     address: str,
     kind: str,
@@ -53,6 +53,8 @@ def get(
     track: bool,
     wait: float,
     as_json: bool,
+    quiet: bool,
+    verbose: bool,
     **calls: Any,
 ) -> None:
     """Fetch results from a fusion service: those that are there, or as they come."""
@@ -60,6 +62,7 @@ def get(
         raise click.UsageError("--track needs --type detection and --follow")
     from sceneloom.service.fetched import described, open_sink
 
+    del verbose
     fetched: Counter[str] = Counter()
     with connected(address, **calls) as open_client, ExitStack() as stack:
         sink = None
@@ -73,7 +76,8 @@ def get(
                 elif not as_json:
                     click.echo(msgspec.json.encode(described(result)).decode())
         except KeyboardInterrupt:
-            click.echo("stopped; what was fetched is kept", err=True)
+            if not quiet:
+                click.echo("stopped; what was fetched is kept", err=True)
     summary = {"address": address, "type": kind, "results": fetched[kind], "output": output}
     if as_json:
         print_json(summary | {"output": None if output is None else str(output)})

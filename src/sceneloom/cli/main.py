@@ -38,6 +38,8 @@ VERBS = MappingProxyType(
         "get": "Fetch results from a fusion service.",
         "conformance": "Check a fusion service against DB34/T 4101-2022.",
         "formats": "List the formats that can be read and written.",
+        "doctor": "Say what this installation can do and what it lacks.",
+        "completion": "Print what a shell needs to complete verbs and options.",
     }
 )
 
@@ -113,6 +115,8 @@ def _run(arguments: list[str] | None) -> int:
         return error.exit_code
     except tuple(kind for kind, _ in EXIT_CODES) as error:
         click.echo(f"sceneloom: {_told(error)}", err=True)
+        for step in filter(None, getattr(error, "__notes__", ())):
+            click.echo(f"next: {step}", err=True)
         return next(code for kind, code in EXIT_CODES if isinstance(error, kind))
     return result if isinstance(result, int) else 0
 

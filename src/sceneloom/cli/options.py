@@ -1,13 +1,13 @@
 """The options that many verbs share."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import reduce, wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
 
-from sceneloom.errors import OptionError, SceneloomError, UnknownOptionError
+from sceneloom.errors import DataError, OptionError, SceneloomError, UnknownFormatError, UnknownOptionError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -180,7 +180,7 @@ def _flag(name: str, doing: str) -> str | None:
 
 
 def _telling_notices(command: Command) -> Command:
-    """Print what a lenient reading left out also where a verb ends in an error."""
+    """Print what a lenient reading left out also where a verb ends in an error, and say what to do next."""
 
     @wraps(command)
     def run(*arguments: Any, **values: Any) -> Any:
@@ -191,9 +191,35 @@ def _telling_notices(command: Command) -> Command:
                 from sceneloom.cli.printing import print_notices
 
                 print_notices(error.notices, verbose=values["verbose"])
+            if not values["quiet"]:
+                error.add_note(next_step(error, values) or "")
             raise
 
     return cast("Command", run)
+
+
+_DRIVES = ("path", "source", "drive")
+"""What verbs call the argument that is a drive."""
+
+
+def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
+    """What a person could do about an error, where the message does not say it already.
+
+    Args:
+        error: what a verb ended with.
+        values: the verb's options and arguments, by the names of its parameters.
+    """
+    if isinstance(error, DataError) and "no such file" in error.problem:
+        return None
+    if isinstance(error, UnknownFormatError):
+        return "`sceneloom formats` lists what can be read; `sceneloom formats --template` begins a manifest"
+    if type(error) is not DataError or "lenient" not in values:
+        return None
+    drive = next((values[name] for name in _DRIVES if isinstance(values.get(name), Path)), None)
+    if drive is None or not str(error.file).startswith(str(drive)):
+        return None
+    lists = f"`sceneloom validate {drive}` lists all that is wrong"
+    return lists if values["lenient"] else f"{lists}; `--lenient` goes on without what is broken"
 
 
 printing = _stacked(

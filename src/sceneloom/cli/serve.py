@@ -45,6 +45,7 @@ _PORT = click.IntRange(0, 65535)
 @click.option("--overwrite", is_flag=True, help="Replace the log if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the address as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="Log warnings only.")
+@click.option("-v", "--verbose", is_flag=True, help="Log what helps to find faults, too.")
 def serve(
     config: Path | None,
     host: str,
@@ -60,6 +61,7 @@ def serve(
     overwrite: bool,
     as_json: bool,
     quiet: bool,
+    verbose: bool,
 ) -> None:
     """Serve the fusion interface of DB34/T 4101-2022 over gRPC, until it is told to end."""
     from sceneloom.service.running import configured, serve_until_ended
@@ -89,7 +91,8 @@ def serve(
             configure=configure,
             observe=observe,
         )
-        hanging = serve_until_ended(settings, started=_print_json if as_json else _print, quiet=quiet)
+        started = _print_json if as_json else _print
+        hanging = serve_until_ended(settings, started=started, quiet=quiet, verbose=verbose)
     if hanging:
         _leave(hanging)
 

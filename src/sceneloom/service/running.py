@@ -42,18 +42,23 @@ def configured(
 
 
 def serve_until_ended(
-    settings: ServerSettings, *, started: Callable[[FusionServer], None], quiet: bool = False
+    settings: ServerSettings,
+    *,
+    started: Callable[[FusionServer], None],
+    quiet: bool = False,
+    verbose: bool = False,
 ) -> tuple[str, ...]:
     """Serve until SIGTERM or Ctrl-C; then fuse what waits, deliver it, and return. A second signal ends at once.
 
     Args:
         started: told the server once it listens.
         quiet: log warnings only.
+        verbose: log what helps to find faults, too.
 
     Returns:
         the sessions whose threads hang: Python waits for these for ever, so the process has to be left by `os._exit`.
     """
-    _log_to_standard_error(logging.WARNING if quiet else logging.INFO)
+    _log_to_standard_error(logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO)
     return asyncio.run(_serve(settings, started))
 
 

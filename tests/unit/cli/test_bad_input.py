@@ -96,7 +96,8 @@ def test_one_clear_error_and_no_output(call: Call, recording: Path, tmp_path: Pa
     outcome = call("fuse", folder, *outputs)
     assert outcome.code == 1
     assert outcome.err.startswith("sceneloom: ")
-    assert len(outcome.err.strip().splitlines()) == 1
+    _, *further = outcome.err.strip().splitlines()
+    assert [line.split(":")[0] for line in further] in ([], ["next"])
     for word in words:
         assert word in outcome.err
     assert {path.name for path in tmp_path.iterdir()} <= {"drive"}
@@ -264,7 +265,8 @@ def test_what_was_left_out_is_told_also_where_reading_comes_to_no_end(
     FAULTS["calibration that is no JSON"][0](broken)
     outcome = call("info", broken, "--lenient")
     assert outcome.code == 1
-    *left_out, error = outcome.err.splitlines()
+    *left_out, error, step = outcome.err.splitlines()
+    assert step == f"next: `sceneloom validate {broken}` lists all that is wrong"
     assert any("data.jsonl: line 4: left out" in line for line in left_out)
     assert "calibration.json" in error
 

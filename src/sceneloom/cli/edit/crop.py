@@ -40,7 +40,7 @@ class Box(click.ParamType):  # type: ignore[type-arg, unused-ignore]  # generic 
 @editing
 @options.part
 @click.option(
-    "--box", type=Box(), metavar="BOX", help="xmin,ymin,zmin,xmax,ymax,zmax of the space to keep [m]."
+    "--box", type=Box(), metavar="BOX", help="Keep what is in the space xmin,ymin,zmin,xmax,ymax,zmax [m]."
 )
 @click.option(
     "--frame",

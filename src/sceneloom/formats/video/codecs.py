@@ -1,0 +1,34 @@
+"""Which codecs the video library brings."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+_WANTED: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "H.264, read": ("h264", "r"),
+        "H.264, written": ("libx264", "w"),
+        "FFV1, read": ("ffv1", "r"),
+        "FFV1, written": ("ffv1", "w"),
+        "HEVC, read": ("hevc", "r"),
+        "AV1, read": ("libdav1d", "r"),
+        "VP9, read": ("vp9", "r"),
+        "MJPEG, read": ("mjpeg", "r"),
+    }
+)
+
+NEEDED_CODECS = ("H.264, read", "H.264, written", "FFV1, read", "FFV1, written")
+"""Without these, recordings cannot be read or written."""
+
+
+def available_codecs() -> dict[str, bool]:
+    """Say of each codec that drives come in whether it is there."""
+    from av.codec import Codec
+    from av.codec.codec import UnknownCodecError
+
+    found = {}
+    for words, (name, mode) in _WANTED.items():
+        try:
+            found[words] = Codec(name, mode) is not None
+        except (UnknownCodecError, ValueError):
+            found[words] = False
+    return found

@@ -1,0 +1,64 @@
+"""Where compiled kernels are kept, and how many of them are there: found without compiling or loading any."""
+
+import os
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+_DECORATED = re.compile(r"cache=True")
+_PACKAGE = Path(__file__).parents[1]
+_ROOMS = ("kernels", "cameras")
+
+
+@dataclass(frozen=True, slots=True)
+class KernelCache:
+    """The kept kernels of one Python.
+
+    Attributes:
+        folder: where those of this room are kept.
+        writable: whether new ones can be kept.
+        modules: how many modules hold kernels.
+        compiled: of how many of them there are compiled ones, not older than their source.
+    """
+
+    folder: Path
+    writable: bool
+    modules: int
+    compiled: int
+
+    @property
+    def is_warm(self) -> bool:
+        """Whether nothing is left to be compiled."""
+        return self.compiled == self.modules
+
+
+def find_kernel_cache() -> KernelCache:
+    """Look for the compiled kernels of this Python.
+
+    Source: Numba's manual, "Cache Sharing" and NUMBA_CACHE_DIR: `__pycache__` beside the source where that can be
+    written, else a folder of the user's; NUMBA_CACHE_DIR comes first.
+    """
+    sources = [path for room in _ROOMS for path in sorted((_PACKAGE / room).glob("*.py"))]
+    kernels = [
+        path for path in sources if _DECORATED.search(path.read_text("utf-8")) and path != Path(__file__)
+    ]
+    elsewhere = os.environ.get("NUMBA_CACHE_DIR")
+    beside = Path(__file__).parent / "__pycache__"
+    folder = Path(elsewhere) if elsewhere else beside
+    writable = os.access(folder if folder.exists() else folder.parent, os.W_OK)
+    compiled = sum(_is_compiled(source, Path(elsewhere) if elsewhere else None) for source in kernels)
+    return KernelCache(folder, writable, len(kernels), compiled)
+
+
+def _is_compiled(source: Path, elsewhere: Path | None) -> bool:
+    """Whether there is an index of compiled functions of a module that is not older than the module."""
+    python = f"py{sys.version_info.major}{sys.version_info.minor}"
+    pattern = f"{source.stem}.*.{python}.nbi"
+    kept = (
+        source.parent.joinpath("__pycache__").glob(pattern)
+        if elsewhere is None
+        else elsewhere.glob(f"**/{pattern}")
+    )
+    written = source.stat().st_mtime
+    return any(index.stat().st_mtime >= written for index in kept)

@@ -1,0 +1,70 @@
+"""`sceneloom doctor`, `completion` and `--version`."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from sceneloom.pipeline import installation
+from sceneloom.pipeline.installation import Finding, InstallationReport, Status
+from sceneloom.version import __version__
+
+
+def test_doctor_says_what_is_there_and_ends_with_0(call):
+    outcome = call("doctor")
+    assert (outcome.code, outcome.err) == (0, "")
+    for word in (__version__, "numpy", "processors", "compiled kernels", "H.264, read", "web browser"):
+        assert word in outcome.out
+
+
+def test_doctor_ends_with_1_where_something_needed_is_broken(call, monkeypatch):
+    broken = Finding(
+        group="packages", name="av", status=Status.BROKEN, said="is gone", remedy="pip install av"
+    )
+    good = Finding(group="packages", name="numpy", status=Status.GOOD, said="2.0")
+    monkeypatch.setattr(
+        installation, "examine_installation", lambda: InstallationReport(findings=(broken, good))
+    )
+    outcome = call("doctor", "--quiet")
+    assert (outcome.code, "BROKEN" in outcome.out, "pip install av" in outcome.out) == (1, True, True)
+    assert "numpy" not in outcome.out
+    assert "something that is needed is broken" in outcome.err
+    told = call("doctor", "--json")
+    assert (told.code, json.loads(told.out)["sound"]) == (1, False)
+
+
+def test_the_version_is_said(call):
+    outcome = call("--version")
+    assert (outcome.code, outcome.out.strip()) == (0, f"sceneloom, version {__version__}")
+
+
+@pytest.mark.parametrize(
+    ("shell", "mark"), [("bash", "complete -o"), ("zsh", "#compdef sceneloom"), ("fish", "complete")]
+)
+def test_completion_prints_what_a_shell_takes_in(call, shell, mark):
+    outcome = call("completion", shell)
+    assert outcome.code == 0
+    assert mark in outcome.out
+    assert "_SCENELOOM_COMPLETE" in outcome.out
+
+
+def test_completion_goes_by_the_shell_in_use_or_asks_for_it(call, monkeypatch):
+    monkeypatch.setenv("SHELL", "/usr/bin/fish")
+    assert "function" in call("completion").out
+    monkeypatch.setenv("SHELL", "/bin/ksh")
+    outcome = call("completion")
+    assert (outcome.code, "expected one of bash, zsh, fish" in outcome.err) == (2, True)
+
+
+def test_bash_completes_verbs_and_options_with_it(tmp_path):
+    words = {"COMP_WORDS": "sceneloom edit bl", "COMP_CWORD": "2", "_SCENELOOM_COMPLETE": "bash_complete"}
+    done = subprocess.run(
+        [sys.executable, "-m", "sceneloom"],
+        env={**words, "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.stdout.split() == ["plain,blur"], done.stderr

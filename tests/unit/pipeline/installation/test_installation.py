@@ -1,0 +1,93 @@
+"""What an installation says of itself."""
+
+import importlib.metadata
+import sys
+
+import pytest
+
+from sceneloom.kernels import cache
+from sceneloom.pipeline.installation import Status, examine_installation, packages, report
+from sceneloom.pipeline.installation.packages import find_packages
+
+
+def findings(group):
+    return {one.name: one for one in examine_installation().findings if one.group == group}
+
+
+def test_this_installation_is_sound_and_says_its_versions():
+    found = examine_installation()
+    assert found.is_sound
+    said = {(one.group, one.name): one.said for one in found.findings}
+    assert said["packages", "numpy"] == importlib.metadata.version("numpy")
+    assert said["versions", "Python"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.")
+    assert said["codecs", "H.264, written"] == "there"
+
+
+REQUIREMENTS = [
+    "numpy>=2.0",
+    "scipy>=999.1",
+    "fsspec[http]>=2024.2; extra == 'cloud'",
+    "no-such-package>=1; extra == 'mcap'",
+    "pytest>=8.2; extra == 'dev'",
+]
+
+
+def test_packages_are_looked_for_as_the_metadata_name_them(monkeypatch):
+    monkeypatch.setattr(packages, "requires", lambda _: REQUIREMENTS)
+    found = {one.name: one for one in find_packages()}
+    assert sorted(found) == ["fsspec", "no-such-package", "numpy", "scipy"]
+    assert found["numpy"].problem is None
+    assert "expected 999.1 or newer" in found["scipy"].problem
+    assert (found["no-such-package"].extra, found["no-such-package"].installed) == ("mcap", None)
+
+
+def test_what_is_needed_and_broken_makes_it_unsound_and_a_missing_extra_does_not(monkeypatch):
+    monkeypatch.setattr(packages, "requires", lambda _: REQUIREMENTS[3:4])
+    assert examine_installation().is_sound
+    extra = findings("extras")["mcap"]
+    assert (extra.status, extra.remedy) == (Status.MISSING, "pip install 'sceneloom[mcap]'")
+    monkeypatch.setattr(packages, "requires", lambda _: REQUIREMENTS[1:2])
+    broken = examine_installation()
+    assert not broken.is_sound
+    assert findings("packages")["scipy"].remedy == "pip uninstall scipy, then pip install 'scipy>=999.1'"
+
+
+def test_a_package_that_cannot_be_imported_is_broken(monkeypatch, tmp_path):
+    folder = tmp_path / "crooked-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: crooked\nVersion: 1.0\n")
+    (tmp_path / "crooked.py").write_text("raise OSError('libcrooked.so: cannot open')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(packages, "requires", lambda _: ["crooked>=1"])
+    (found,) = find_packages()
+    assert found.problem == "cannot be imported: libcrooked.so: cannot open"
+
+
+def test_a_folder_that_is_not_installed_says_so(monkeypatch):
+    def absent(_):
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr(packages, "requires", absent)
+    assert "not installed" in findings("packages")["sceneloom"].said
+
+
+def test_kernels_count_as_compiled_once_there_is_an_index_not_older_than_their_source(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    cold = cache.find_kernel_cache()
+    assert (cold.folder, cold.compiled, cold.is_warm, cold.writable) == (tmp_path, 0, False, True)
+    python = f"py{sys.version_info.major}{sys.version_info.minor}"
+    below = tmp_path / "kernels_5f3a"
+    below.mkdir()
+    (below / f"voxels.number_cubes-22.{python}.nbi").touch()
+    (below / "lanes.follow-9.py27.nbi").touch()
+    assert cache.find_kernel_cache().compiled == 1
+    assert cache.find_kernel_cache().modules == cold.modules > 40
+
+
+@pytest.mark.parametrize(
+    ("warm", "writable", "said"),
+    [(True, False, None), (False, True, "compiled when first used"), (False, False, "NUMBA_CACHE_DIR")],
+)
+def test_what_to_do_about_kernels(warm, writable, said):
+    remedy = report._kernel_remedy(warm=warm, writable=writable)
+    assert remedy is None if said is None else said in remedy

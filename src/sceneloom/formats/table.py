@@ -25,6 +25,7 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "kitti-odometry": "sceneloom.formats.kitti.odometry:FORMAT",
         "nuscenes": "sceneloom.formats.nuscenes:FORMAT",
         "argoverse2": "sceneloom.formats.argoverse2:FORMAT",
+        "pandaset": "sceneloom.formats.pandaset:FORMAT",
         "pcd": "sceneloom.formats.clouds.form:PCD",
         "ply": "sceneloom.formats.clouds.form:PLY",
         "las": "sceneloom.formats.clouds.form:LAS",

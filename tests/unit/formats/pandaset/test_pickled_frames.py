@@ -1,0 +1,134 @@
+"""Pickles of pandas frames are read without pandas, and nothing that they name is ever called."""
+
+import gzip
+import pickle
+import pickletools
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError
+from sceneloom.formats.pandaset import pickled_frames
+from sceneloom.formats.pandaset.pickled_frames import read_pickled_frame
+
+FRAMES = Path(__file__).parent / "frames"
+VERSIONS = ["pandas_1", "pandas_2", "pandas_3"]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_frames_of_every_pandas_give_the_columns_that_were_written(version):
+    lidar = read_pickled_frame(FRAMES / version / "lidar_1.pkl.gz")
+    row = np.arange(13)
+    assert list(lidar.columns) == list("xyzitd")
+    assert lidar.columns["x"].tolist() == (101.0 + row * 1.25).tolist()
+    assert lidar.columns["d"].tolist() == [0] * 8 + [1] * 5
+    assert not lidar.columns["x"].flags.writeable
+    cuboids = read_pickled_frame(FRAMES / version / "cuboids_0.pkl.gz")
+    assert cuboids.columns["label"].tolist() == ["Car", "Car", "Pedestrian"]
+    assert cuboids.columns["stationary"].tolist() == [False, False, True]
+    assert cuboids.columns["dimensions.y"].tolist() == [4.6, 4.6, 0.7]
+
+
+def test_a_file_that_is_not_packed_is_read_as_well(tmp_path):
+    path = tmp_path / "00.pkl"
+    path.write_bytes(gzip.decompress((FRAMES / "pandas_1" / "lidar_0.pkl.gz").read_bytes()))
+    assert read_pickled_frame(path).count == 12
+
+
+class Calls:
+    """Unpickled in the usual way, it would call."""
+
+    def __init__(self, function, *arguments):
+        self.what = function, arguments
+
+    def __reduce__(self):
+        return self.what
+
+
+def written(path, thing, **options):
+    path.write_bytes(thing if isinstance(thing, bytes) else pickle.dumps(thing, **options))
+    return path
+
+
+@pytest.mark.parametrize("protocol", [2, 4, 5])
+def test_what_a_pickle_asks_to_be_called_is_not_called(tmp_path, protocol):
+    mark = tmp_path / "called"
+    path = written(tmp_path / "a.pkl", [Calls(Path.touch, mark)], protocol=protocol)
+    with pytest.raises(
+        DataError, match=r"asks for .*, which no frame of numbers and texts needs; it was not"
+    ):
+        read_pickled_frame(path)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("builtins", "eval"),
+        ("os", "system"),
+        ("numpy", "load"),
+        ("pandas", "eval"),
+        ("pandas.io.common", "os.system"),
+    ],
+)
+def test_names_beside_those_of_frames_are_refused(tmp_path, module, name):
+    program = b"\x80\x04" + b"".join(
+        b"\x8c" + bytes([len(word)]) + word for word in (module.encode(), name.encode())
+    )
+    with pytest.raises(DataError, match=f"asks for {module}.{name}"):
+        read_pickled_frame(written(tmp_path / "a.pkl", program + b"\x93."))
+
+
+def test_the_objects_that_stand_for_names_cannot_be_changed_by_a_file(tmp_path):
+    program = b"\x80\x04" + b"cbuiltins\nslice\n" + b"}\x8c\x05_makeK\x01sb."
+    with pytest.raises(DataError, match="changes what it must not"):
+        read_pickled_frame(written(tmp_path / "a.pkl", program))
+    assert pickled_frames._NAMED["slice"](1, 2) == slice(1, 2)
+
+
+def test_operations_that_no_frame_needs_are_refused(tmp_path):
+    with pytest.raises(DataError, match="operation PERSID"):
+        read_pickled_frame(written(tmp_path / "a.pkl", b"\x80\x02Psecret\n."))
+    with pytest.raises(DataError, match="things to remember"):
+        read_pickled_frame(written(tmp_path / "b.pkl", b"\x80\x02Nr\xff\xff\xff\x7f."))
+
+
+def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(pickled_frames, "LARGEST", 1000)
+    path = written(tmp_path / "a.pkl.gz", gzip.compress(bytes(5000)))
+    with pytest.raises(DataError, match="more than 1000 bytes"):
+        read_pickled_frame(path)
+
+
+@pytest.mark.parametrize("thing", [[1, 2], {"a": 1}, "text", None, b"bytes", 5])
+def test_pickles_of_other_things_are_refused(tmp_path, thing):
+    with pytest.raises(DataError, match=r"a pandas frame|operation"):
+        read_pickled_frame(written(tmp_path / "a.pkl", thing))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_frame_that_is_cut_off_anywhere_is_a_data_error(tmp_path, version):
+    whole = gzip.decompress((FRAMES / version / "cuboids_0.pkl.gz").read_bytes())
+    for stop in range(0, len(whole) - 1, 37):
+        with pytest.raises(DataError):
+            read_pickled_frame(written(tmp_path / "a.pkl", whole[:stop]))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_frame_with_a_flipped_byte_is_read_or_a_data_error(tmp_path, version):
+    whole = gzip.decompress((FRAMES / version / "cuboids_1.pkl.gz").read_bytes())
+    rng = np.random.default_rng(3)
+    for place in rng.integers(0, len(whole), 150).tolist():
+        changed = bytearray(whole)
+        changed[place] ^= 1 << int(rng.integers(8))
+        path = written(tmp_path / "a.pkl", bytes(changed))
+        with suppress(DataError):
+            read_pickled_frame(path)
+
+
+def test_the_golden_frames_hold_only_what_the_reader_allows():
+    for path in sorted(FRAMES.glob("*/*.pkl.gz")):
+        found = {operation.name for operation, _, _ in pickletools.genops(gzip.decompress(path.read_bytes()))}
+        assert found <= pickled_frames._OPERATIONS

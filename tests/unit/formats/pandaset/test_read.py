@@ -1,0 +1,294 @@
+"""Drives of PandaSet, by the description of its development kit: what the files say is in the scene."""
+
+import json
+import pickle
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.angles import CuboidAngles
+
+FRAMES = Path(__file__).parent / "frames" / "pandas_1"
+FIRST_S = 1_557_539_924.5
+FIRST_NS = 1_557_539_924_500_000_000
+NEAR = 1e-9
+"""Two ways of float64 through rotations, of numbers up to 100."""
+
+
+def lidar_pose(k):
+    return [2.0 * k, 10.0 - k, 0.5], Rotation.from_euler("ZYX", [50 + k, 2, -1], degrees=True)
+
+
+def camera_pose(k):
+    place, turn = lidar_pose(k)
+    return (np.array(place) + turn.apply([0.0, 0.5, -0.1])).tolist(), turn * Rotation.from_euler(
+        "x", -np.pi / 2
+    )
+
+
+def poses(of, count=2):
+    told = []
+    for k in range(count):
+        place, turn = of(k)
+        heading = dict(zip("xyzw", turn.as_quat().tolist(), strict=True))
+        told.append({"position": dict(zip("xyz", place, strict=True)), "heading": heading})
+    return told
+
+
+def put(path, thing):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(thing), "utf-8")
+
+
+def write_drive(drive, frames=FRAMES):
+    for kind, folder in (
+        ("lidar", "lidar"),
+        ("cuboids", "annotations/cuboids"),
+        ("semseg", "annotations/semseg"),
+    ):
+        (drive / folder).mkdir(parents=True)
+        for k in range(2):
+            shutil.copy(frames / f"{kind}_{k}.pkl.gz", drive / folder / f"{k:02d}.pkl.gz")
+    times = [FIRST_S, FIRST_S + 0.1]
+    put(drive / "lidar" / "timestamps.json", times)
+    put(drive / "lidar" / "poses.json", poses(lidar_pose))
+    put(drive / "annotations" / "semseg" / "classes.json", {"5": "Vegetation", "6": "Ground", "7": "Road"})
+    camera = drive / "camera" / "front_camera"
+    put(camera / "intrinsics.json", {"fx": 60.0, "fy": 61.0, "cx": 31.0, "cy": 23.0})
+    put(camera / "poses.json", poses(camera_pose))
+    put(camera / "timestamps.json", [FIRST_S + 0.05, FIRST_S + 0.15])
+    for k in range(2):
+        Image.new("RGB", (64, 48), (100 * k, 0, 0)).save(camera / f"{k:02d}.jpg")
+    fix = {"lat": 37.776089291519924, "long": -122.39931707791749, "height": 2.95, "xvel": 0.5, "yvel": 7.0}
+    put(drive / "meta" / "gps.json", [fix, {**fix, "xvel": 0.75}])
+    put(drive / "meta" / "timestamps.json", times)
+    return drive
+
+
+@pytest.fixture
+def drive(tmp_path):
+    return write_drive(tmp_path / "002")
+
+
+@pytest.fixture
+def scene(drive):
+    return sceneloom.open(drive)
+
+
+def test_points_in_the_world_go_to_the_lidar_that_measured_them(scene):
+    row = np.arange(13)
+    for sensor_id, chosen in (("main_pandar64", row < 8), ("front_gt", row >= 8)):
+        lidar = scene.sensor(sensor_id)
+        points = lidar.frames[1].points
+        assert lidar.points_frame == "world"
+        positions = np.stack([101.0 + row * 1.25, -40.0 + row * 0.5, row / 8.0], axis=1)
+        assert np.array_equal(points.positions, positions[chosen].astype(np.float32))
+        assert points.intensities.tolist() == (row * 20 % 256)[chosen].tolist()
+        away = points.timestamps_ns - (FIRST_NS + 100_000_000 + row * 1_000_000)[chosen]
+        assert np.abs(away).max() < 300  # seconds since 1970 in float64 are steps of 238 ns
+
+
+def test_the_main_lidar_is_where_its_poses_say_and_the_ego_looks_along_its_y(scene):
+    lidar, way = scene.sensor("main_pandar64"), scene.trajectories["pose"]
+    for k in range(2):
+        place, turn = lidar_pose(k)
+        assert np.allclose(lidar.poses.positions[k], place)
+        assert (Rotation.from_quat(lidar.poses.quaternions_xyzw[k]).inv() * turn).magnitude() < NEAR
+        ego = Rotation.from_quat(way.quaternions_xyzw[k])
+        assert np.allclose(ego.apply([1, 0, 0]), turn.apply([0, 1, 0]))
+        mounted = RigidTransform.from_quaternion(way.positions[k], way.quaternions_xyzw[k]) @ lidar.mount
+        own = RigidTransform.from_quaternion(lidar.poses.positions[k], lidar.poses.quaternions_xyzw[k])
+        assert np.allclose(mounted.matrix, own.matrix, atol=NEAR)
+
+
+def test_cameras_have_their_own_times_poses_and_lenses(scene):
+    camera = scene.cameras[0]
+    assert camera.id == "front_camera"
+    assert camera.pictures.timestamps_ns.tolist() == [FIRST_NS + 50_000_000, FIRST_NS + 150_000_000]
+    assert (camera.camera.model, camera.camera.width, camera.camera.fy) == ("pinhole", 64, 61.0)
+    place, turn = camera_pose(1)
+    assert np.allclose(camera.poses.positions[1], place)
+    assert (Rotation.from_quat(camera.poses.quaternions_xyzw[1]).inv() * turn).magnitude() < NEAR
+    assert camera.pictures[1].rgb.shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize("version", ["pandas_1", "pandas_2", "pandas_3"])
+def test_boxes_keep_their_corners_and_what_is_said_about_them(tmp_path, version):
+    scene = sceneloom.open(write_drive(tmp_path / "002", FRAMES.parent / version))
+    first, second, walker = (a for a in scene.annotations if a.type == "cuboid")
+    assert (first.id, first.label, first.stationary, walker.stationary) == ("car-0", "Car", False, True)
+    for k in range(2):
+        # corners as the development kit makes them: width along x, length along y, turned about z
+        yaw = 0.25 + 0.1 * k
+        local = np.array([[x, y, z] for x in (-0.95, 0.95) for y in (-2.3, 2.3) for z in (-0.8, 0.8)])
+        expected = Rotation.from_euler("z", yaw).apply(local) + np.array([10.0 + k, 20.0, 1.0])
+        row = first.path.values[k]
+        half = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * row[:3] / 2
+        turn = Rotation.from_quat(CuboidAngles.of(scene).quaternions(row[6:]))
+        ours = turn.apply(half) + row[3:6]
+        assert np.allclose(sorted(ours.tolist()), sorted(expected.tolist()), atol=1e-9)
+        # the front is where the length points
+        assert np.allclose(turn.apply([1, 0, 0]), Rotation.from_euler("z", yaw).apply([0, 1, 0]), atol=1e-9)
+    said = {path.name: path.values for path in first.attributes}
+    assert said == {"object_motion": ("Moving",), "sibling_id": ("car-1",), "sensor_id": ("main_pandar64",)}
+    assert {path.name: path.values for path in second.attributes}["camera_used"] == (0, 2)
+    assert {path.name: path.values for path in walker.attributes} == {"pedestrian_age": ("Child", "Adult")}
+    assert first.path.timestamps_ns.tolist() == [FIRST_NS, FIRST_NS + 100_000_000]
+
+
+def test_classes_count_the_points_of_each_lidar(scene):
+    vegetation, ground, road = (a for a in scene.annotations if a.type == "labeled_points")
+    assert (vegetation.label, ground.label, road.is_instance) == ("Vegetation", "Ground", False)
+    assert [(p.sensor_id, p.sensor_frame) for p in ground.labeled_points] == [
+        ("main_pandar64", 0),
+        ("front_gt", 0),
+        ("main_pandar64", 1),
+        ("front_gt", 1),
+    ]
+    classes = np.arange(13) % 3 + 5
+    assert ground.labeled_points[2].point_ids.tolist() == np.flatnonzero(classes[:8] == 6).tolist()
+    assert ground.labeled_points[3].point_ids.tolist() == np.flatnonzero(classes[8:] == 6).tolist()
+    again = pickle.loads(pickle.dumps(road))
+    assert len(again.labeled_points) == len(road.labeled_points)
+
+
+def test_classes_are_not_read_before_somebody_asks(drive):
+    (drive / "annotations" / "semseg" / "00.pkl.gz").write_bytes(b"no pickle")
+    scene = sceneloom.open(drive)
+    with pytest.raises(DataError, match=r"semseg/00.pkl.gz"):
+        len(scene.annotations[-1].labeled_points)
+
+
+def test_satellite_fixes_keep_their_velocities(scene):
+    receiver = scene.sensor("gps")
+    assert receiver.positions_lla[0].tolist() == [37.776089291519924, -122.39931707791749, 2.95]
+    assert receiver.extras["xvel"] == (0.5, 0.75)
+
+
+def test_frames_go_to_other_processes(scene):
+    for frames in (scene.lidars[1].frames, scene.cameras[0].pictures):
+        assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
+
+
+def test_a_drive_survives_a_scene_file(scene, tmp_path):
+    sceneloom.write(scene, tmp_path / "a.sfs", time_unit="nanoseconds")
+    with sceneloom.open(tmp_path / "a.sfs") as again:
+        assert np.array_equal(
+            again.lidars[1].frames[0].points.positions, scene.lidars[1].frames[0].points.positions
+        )
+        assert np.allclose(again.annotations[0].path.values, scene.annotations[0].path.values)
+        assert again.annotations[-1].labeled_points[1].point_ids.tolist() == [0, 3]
+
+
+def test_one_of_several_drives_has_to_be_chosen(tmp_path):
+    for name in ("001", "002"):
+        write_drive(tmp_path / name)
+    with pytest.raises(OptionError, match="2 drives; choose one with `--sequence NAME`: 001, 002"):
+        sceneloom.open(tmp_path)
+    assert sceneloom.open(tmp_path, sequence="002").metadata["pandaset"]["sequence"] == "002"
+
+
+def replaced(name, thing):
+    return lambda drive: put(drive / name, thing)
+
+
+FAULTS = {
+    "no poses": (lambda d: (d / "lidar/poses.json").unlink(), "lidar/poses.json: is not there"),
+    "no times": (
+        lambda d: (d / "camera/front_camera/timestamps.json").unlink(),
+        "timestamps.json: is not there",
+    ),
+    "too few times": (
+        replaced("lidar/timestamps.json", [FIRST_S]),
+        "1 times; expected 2, one for each frame",
+    ),
+    "times backwards": (
+        replaced("lidar/timestamps.json", [2.0, 1.0]),
+        r"\[1\]: 1.0 after 2.0; expected later",
+    ),
+    "milliseconds": (replaced("lidar/timestamps.json", [1.5e12, 1.6e12]), "expected seconds"),
+    "too few poses": (replaced("lidar/poses.json", poses(lidar_pose, 1)), "1 poses; expected 2"),
+    "a pose without a heading": (
+        replaced("lidar/poses.json", [{"position": {"x": 0.0, "y": 0.0, "z": 0.0}}] * 2),
+        r"\$\[0\]: Object missing required field `heading`",
+    ),
+    "a heading that is none": (
+        replaced(
+            "lidar/poses.json",
+            [{**poses(lidar_pose)[0], "heading": {"w": 2.0, "x": 0.0, "y": 0.0, "z": 0.0}}] * 2,
+        ),
+        r"\[0\].heading: w, x, y, z = \[2.0, 0.0, 0.0, 0.0\]; expected length 1",
+    ),
+    "no JSON": (lambda d: (d / "lidar/poses.json").write_text("[{"), "poses.json: is no JSON"),
+    "no lens": (
+        lambda d: (d / "camera/front_camera/intrinsics.json").unlink(),
+        "intrinsics.json: is not there",
+    ),
+    "a lens without focus": (
+        replaced("camera/front_camera/intrinsics.json", {"fx": 0.0, "fy": 1.0, "cx": 1.0, "cy": 1.0}),
+        "focal lengths 0.0, 1.0",
+    ),
+    "no pictures": (
+        lambda d: [file.unlink() for file in (d / "camera/front_camera").glob("*.jpg")],
+        "front_camera: no picture",
+    ),
+    "boxes of no sweep": (
+        lambda d: shutil.copy(d / "annotations/cuboids/00.pkl.gz", d / "annotations/cuboids/07.pkl.gz"),
+        "07.pkl.gz: there is no sweep of this number",
+    ),
+    "boxes that are points": (
+        lambda d: shutil.copy(d / "lidar/00.pkl.gz", d / "annotations/cuboids/00.pkl.gz"),
+        "no column 'dimensions.x'; it has x, y, z, i, t, d",
+    ),
+    "boxes cut off": (
+        lambda d: (d / "annotations/cuboids/00.pkl.gz").write_bytes(
+            (FRAMES / "cuboids_0.pkl.gz").read_bytes()[:200]
+        ),
+        "cuboids/00.pkl.gz: is no whole gzip file",
+    ),
+    "no classes": (
+        lambda d: (d / "annotations/semseg/classes.json").unlink(),
+        "semseg/classes.json: is not there",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_a_drive_is_told_with_its_place(drive, fault):
+    change, message = FAULTS[fault]
+    change(drive)
+    with pytest.raises(DataError, match=message):
+        sceneloom.open(drive)
+
+
+def test_a_sweep_that_is_none_is_told_when_it_is_read(drive):
+    shutil.copy(drive / "annotations/cuboids/00.pkl.gz", drive / "lidar/00.pkl.gz")
+    with pytest.raises(DataError, match=r"00.pkl.gz: no column 'x'"):
+        sceneloom.open(drive).lidars[0].frames[0]
+
+
+def test_labels_of_another_number_than_the_points_are_told(drive):
+    shutil.copy(drive / "annotations/semseg/01.pkl.gz", drive / "annotations/semseg/00.pkl.gz")
+    with pytest.raises(DataError, match=r"13 rows; expected 12, one for each point of 00.pkl.gz"):
+        list(sceneloom.open(drive).annotations[-1].labeled_points)
+
+
+def test_files_of_boxes_at_fault_are_left_out_and_counted_by_a_lenient_reading(drive):
+    (drive / "annotations/cuboids/00.pkl.gz").write_bytes(b"no pickle")
+    scene = sceneloom.open(drive, lenient=True)
+    assert len(scene.annotations[0].path.values) == 1
+    assert {notice.code: notice.count for notice in scene.notices}["cuboids"] == 1
+
+
+def test_half_a_drive_is_told_what_it_lacks(drive):
+    shutil.rmtree(drive / "lidar")
+    shutil.rmtree(drive / "annotations")
+    with pytest.raises(DataError, match="has camera/front_camera/ as PandaSet has, but no lidar/"):
+        sceneloom.open(drive)

@@ -98,7 +98,7 @@ def test_free_fields_that_tell_a_place_a_name_or_a_file_go_and_others_stay():
         "weather": "rain",
         "car": {"vin": "WBA123", "wheels": 4},
         "made": "on 2011-09-26 by ann@example.org",
-        "notes": ["/home/ann/drive", "wet road"],
+        "notes": ["/media/ann/drive", "wet road"],
         "sceneloom": {"world_from_file": np.eye(4).tolist(), "euler_unit": "degrees"},
         "recording": {"other_lines": ['{"gps":1}'], "calibration": {"cameras": []}},
     }

@@ -1,9 +1,14 @@
 """Folders of public driving data, as their authors publish them, against the numbers that come with them."""
 
+import json
+
 import numpy as np
 import pytest
+from tests.unit.formats.nuscenes.schema_folder import from_infos
 
 import sceneloom
+from sceneloom.cameras import project
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.visibility import count_points
 
 ARGOVERSE = "real/argoverse2"
@@ -40,3 +45,54 @@ def test_the_lasers_of_an_argoverse_lidar_keep_their_elevation_seen_from_it(data
 
     assert spread(up, up.mount) < 0.6 * spread(up, down.mount)
     assert spread(down, down.mount) < 0.6 * spread(down, up.mount)
+
+
+def seen(scene, camera):
+    """Which points of the first sweep a camera's first picture shows, over the world."""
+    lidar = scene.lidars[0]
+    points = lidar.frames[0].points.positions.astype(np.float64)
+    if lidar.points_frame == "sensor":
+        points = placed(lidar.poses, 0).apply(points)
+    elif lidar.points_frame == "ego":
+        points = placed(next(iter(scene.trajectories.values())).poses, 0).apply(points)
+    inside = placed(camera.poses, 0).inverse().apply(points)
+    return project(camera.camera, inside)[1]
+
+
+def placed(poses, k):
+    return RigidTransform.from_quaternion(poses.positions[k], poses.quaternions_xyzw[k])
+
+
+def test_each_camera_of_nuscenes_shows_the_points_that_its_own_calibration_says(data_dir, tmp_path):
+    infos = data_dir / "real" / "nuscenes_one_sample"
+    scene = sceneloom.open(from_infos(infos, tmp_path).write())
+    frame = json.loads((infos / "infos.json").read_text("utf-8"))["data_list"][0]
+    points = np.fromfile(infos / frame["lidar_points"]["lidar_path"], np.float32).reshape(-1, 5)[:, :3]
+    assert len(scene.cameras) == 6
+    for camera in scene.cameras:
+        told = frame["images"][camera.id]
+        x, y, z = np.array(told["lidar2cam"])[:3] @ np.column_stack([points, np.ones(len(points))]).T
+        u, v, w = np.array(told["cam2img"]) @ [x, y, z]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            expected = (z > 0) & (abs(u / w - 799.5) <= 800) & (abs(v / w - 449.5) <= 450)
+        visible = seen(scene, camera)
+        assert 0.08 < visible.mean() < 0.15
+        # matrices of infos.json are float32: points within 0.1 px of the edge may differ
+        assert (visible != expected).sum() <= 5
+
+
+def test_the_boxes_of_nuscenes_hold_as_many_points_as_its_tables_say(data_dir, tmp_path):
+    scene = sceneloom.open(from_infos(data_dir / "real" / "nuscenes_one_sample", tmp_path).write())
+    counts = count_points(scene).lidars[0].counts[0]
+    told = [a.attributes[1].values[0] for a in scene.annotations]
+    away = np.abs(counts - np.array(told))
+    # boxes of infos.json have lost their tilt: of 69, few differ, none by much of its points
+    assert (away <= 1).mean() > 0.9
+    assert away.sum() < 0.05 * sum(told)
+
+
+def test_cameras_of_a_folder_of_scales_toolkit_show_known_shares_of_all_points(data_dir):
+    scene = sceneloom.open(data_dir / "real" / "pandaset_scale_sample")
+    shares = {camera.id: 100 * seen(scene, camera).mean() for camera in scene.cameras}
+    known = {"front_camera": 40.0, "front_left_camera": 21.8, "back_camera": 14.5}
+    assert shares == pytest.approx(known, abs=0.5)  # known of five frames, this is the first

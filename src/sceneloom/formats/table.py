@@ -26,6 +26,7 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "nuscenes": "sceneloom.formats.nuscenes:FORMAT",
         "argoverse2": "sceneloom.formats.argoverse2:FORMAT",
         "pandaset": "sceneloom.formats.pandaset:FORMAT",
+        "scale-toolkit": "sceneloom.formats.scale_toolkit:FORMAT",
         "pcd": "sceneloom.formats.clouds.form:PCD",
         "ply": "sceneloom.formats.clouds.form:PLY",
         "las": "sceneloom.formats.clouds.form:LAS",

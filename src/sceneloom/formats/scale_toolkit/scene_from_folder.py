@@ -1,0 +1,78 @@
+"""A folder of Scale's lidar toolkit as a scene."""
+
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.scale_toolkit.frame_names import frame_names, times_of
+from sceneloom.formats.scale_toolkit.sensors import CLOUDS, build_camera, build_lidar, build_radar, read_pose
+from sceneloom.scene import Scene, Trajectory
+
+TRAJECTORY = "pose"
+
+
+def open_scale_toolkit(path: Path, *, rate_hz: float | None = None, lenient: bool = False) -> Scene:
+    """Open a folder; pictures and points are read when asked for.
+
+    Args:
+        path: with `pointcloud/`, `poses/` and `cameras/`.
+        rate_hz: frames a second, where the names of the frames are no times; None: 10, which is told.
+        lenient: go without poses and cameras that are missing or wrong, and count them.
+
+    Raises:
+        DataError: a file is missing or wrong.
+        OptionError: the rate is no number above 0.
+    """
+    if rate_hz is not None and not 0 < rate_hz < float("inf"):
+        raise OptionError(f"rate_hz {rate_hz}; expected frames a second, above 0")
+    if not path.is_dir():
+        raise DataError(path, "", "no such folder; expected one with pointcloud/, poses/ and cameras/")
+    ledger = Ledger(lenient=lenient)
+    with ledger.telling():
+        clouds = frame_names(path / "pointcloud", CLOUDS)
+        if not clouds:
+            raise DataError(path / "pointcloud", "", "no cloud; expected files such as 1.ply or 1.pcd")
+        stamps_ns = times_of(list(clouds), rate_hz, path / "pointcloud", ledger)
+        way = _way(path, clouds, stamps_ns, ledger)
+        poses = None if way is None else way.poses
+        times = dict(zip(clouds, stamps_ns.tolist(), strict=True))
+        sensors = [
+            build_lidar(clouds, stamps_ns, poses),
+            *build_radar(path / "radar_points", times, poses, ledger),
+        ]
+        for folder in sorted(child for child in (path / "cameras").glob("*") if child.is_dir()):
+            try:
+                sensors.append(build_camera(folder, times, poses, ledger))
+            except DataError as error:
+                ledger.fault("cameras", error)
+    return Scene(
+        sensors=tuple(sensors),
+        trajectories=MappingProxyType({} if way is None else {way.name: way}),
+        source=str(path),
+        format="scale-toolkit",
+        notices=ledger.notices,
+    )
+
+
+def _way(path: Path, clouds: dict[str, Path], stamps_ns: Int64Array, ledger: Ledger) -> Trajectory | None:
+    """The ego's way: a file for each cloud, world from ego."""
+    known, rows = [], []
+    for row, name in enumerate(clouds):
+        try:
+            known.append(read_pose(path / "poses" / f"{name}.json"))
+        except DataError as error:
+            ledger.fault("poses", error)
+        else:
+            rows.append(row)
+    if not known:
+        return None
+    return Trajectory(
+        TRAJECTORY,
+        stamps_ns[rows],
+        np.array([pose.translation for pose in known]),
+        np.array([pose.quaternion_xyzw for pose in known]),
+    )

@@ -1,0 +1,214 @@
+"""Lidar, radar and cameras of a folder."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.clouds import PointMapping, read_cloud
+from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.clouds.points import detect_scale
+from sceneloom.formats.clouds.roles import find_roles
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.pandaset.text_files import read_json
+from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.rig.pictures import PICTURE_SUFFIXES, PictureReader, picture_size
+from sceneloom.formats.rig.sweep_reader import SweepReader
+from sceneloom.formats.scale_toolkit.frame_names import frame_names
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    CameraSensor,
+    LazyFrames,
+    LidarSensor,
+    NoticeKind,
+    PointsFrame,
+    PosePath,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+    Sensor,
+)
+from sceneloom.scene.pose_source import poses_along
+
+CLOUDS = (".ply", ".pcd")
+_LENS = ("fx", "fy", "cx", "cy")
+_RADAR_COLUMNS = 7
+
+
+def read_pose(path: Path) -> RigidTransform:
+    """Read `heading` [w, x, y, z] and `position` [x, y, z].
+
+    Raises:
+        DataError: the file is missing, a value is missing, or the heading is no rotation.
+    """
+    record = read_json(path, dict[str, Any])
+    heading, position = (
+        _numbers(path, record, name, count) for name, count in (("heading", 4), ("position", 3))
+    )
+    norm = float(np.linalg.norm(heading))
+    if not abs(norm - 1.0) <= GREATEST_NORM_ERROR:
+        raise DataError(
+            path, "heading", f"{heading.tolist()} has the length {norm:.4f}; expected w, x, y, z of 1"
+        )
+    return RigidTransform.from_quaternion(position, heading[[1, 2, 3, 0]])
+
+
+def _numbers(path: Path, record: dict[str, Any], name: str, count: int) -> Float64Array:
+    values = record.get(name)
+    fits = isinstance(values, list) and len(values) == count
+    if not (fits and all(isinstance(v, float | int) and not isinstance(v, bool) for v in values or ())):
+        raise DataError(path, name, f"{values!r}; expected {count} numbers")
+    return np.array(values, np.float64)
+
+
+def build_lidar(clouds: dict[str, Path], stamps_ns: Int64Array, way: PosePath | None) -> LidarSensor:
+    """Build the lidar; its points are in the ego's frame. The first file is read, to see how bright it is.
+
+    Raises:
+        DataError: the first cloud is wrong.
+    """
+    files = tuple(clouds.values())
+    first = read_cloud(files[0])
+    name = find_roles(first.columns, {}).get("intensity")
+    scale = None if name is None else detect_scale(first.columns[name])
+    reader = SweepReader(
+        files=files,
+        names=tuple(f"{file.parent.name}/{file.name}" for file in files),
+        clocks_ns=np.stack([stamps_ns, stamps_ns], axis=1),
+        timestamps_ns=stamps_ns,
+        zero_ns=0,
+        layout=None,
+        mapping=PointMapping(scale=scale),
+    )
+    return LidarSensor(
+        id="lidar",
+        frames=LazyFrames(stamps_ns, reader),
+        poses=_placed(way, RigidTransform.identity(), stamps_ns),
+        mount=RigidTransform.identity(),
+        points_frame=PointsFrame.EGO,
+        extras=MappingProxyType({} if scale is None else {"intensity_max": scale.maximum}),
+    )
+
+
+def _placed(way: PosePath | None, mount: RigidTransform, stamps_ns: Int64Array) -> PosePath | None:
+    return poses_along(way, {0: mount}, np.zeros(len(stamps_ns), np.int64), stamps_ns)
+
+
+def build_camera(folder: Path, times: dict[str, int], way: PosePath | None, ledger: Ledger) -> CameraSensor:
+    """Build a camera; pictures of frames without a cloud are left out and told.
+
+    Raises:
+        DataError: calibration or pictures are missing or wrong.
+    """
+    found = frame_names(folder, PICTURE_SUFFIXES)
+    kept = {name: file for name, file in found.items() if name in times}
+    _note_without(ledger, folder, "pictures", len(found) - len(kept))
+    if not kept:
+        raise DataError(folder, "", "no picture with the name of a cloud; expected such as pointcloud/ has")
+    files, stamps_ns = tuple(kept.values()), np.array([times[name] for name in kept], np.int64)
+    mount = read_pose(folder / "extrinsics.json")
+    record = read_json(folder / "intrinsics.json", dict[str, Any])
+    camera = _lens(folder / "intrinsics.json", record, picture_size(files[0]))
+    further = {name: value for name, value in record.items() if name not in _LENS}
+    if further:
+        message = f"{', '.join(further)}: kept in the camera's extras, and not used"
+        ledger.note(NoticeKind.SKIPPED, "lens-entries", str(folder / "intrinsics.json"), message)
+    names = tuple(f"cameras/{folder.name}/{file.name}" for file in files)
+    return CameraSensor(
+        id=folder.name,
+        camera=camera,
+        pictures=LazyFrames(stamps_ns, PictureReader(files, names, stamps_ns, camera)),
+        poses=_placed(way, mount, stamps_ns),
+        mount=mount,
+        extras=MappingProxyType(further),
+    )
+
+
+def _note_without(ledger: Ledger, folder: Path, what: str, count: int) -> None:
+    if count:
+        message = f"{what} of frames without a cloud are left out"
+        ledger.note(NoticeKind.SKIPPED, f"{what}-without-cloud", str(folder), message, count=count)
+
+
+def _lens(path: Path, record: dict[str, Any], size: tuple[int, int]) -> Camera:
+    values = [record.get(name) for name in _LENS]
+    if not all(isinstance(v, float | int) and not isinstance(v, bool) for v in values):
+        raise DataError(path, "", f"fx, fy, cx, cy are {values}; expected numbers")
+    fx, fy, cx, cy = (float(v) for v in values if v is not None)
+    try:
+        return Camera("pinhole", *size, fx, fy, cx, cy)
+    except CalibrationError as error:
+        raise DataError(path, "", str(error)) from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CycleTexts:
+    """Reads the cycles of the radar, which are lines of text.
+
+    Attributes:
+        files: of each cycle.
+        timestamps_ns: (N,) int64 [ns].
+    """
+
+    files: tuple[Path, ...]
+    timestamps_ns: Int64Array
+
+    def __call__(self, k: int) -> RadarFrame:
+        """Read cycle `k`: position, direction and size of each point.
+
+        Raises:
+            DataError: a line is no seven numbers.
+        """
+        rows = _radar_rows(self.files[k])
+        norms = np.linalg.norm(rows[:, 3:6], axis=1)
+        directions = np.where(norms[:, None] > 0, rows[:, 3:6], [1.0, 0.0, 0.0])
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        points = RadarPoints(
+            read_only(rows[:, :3], np.float32),
+            read_only(directions, np.float32),
+            read_only(np.where(norms > 0, rows[:, 6], 0.0), np.float32),
+            extras=MappingProxyType({"direction_as_given": read_only(rows[:, 3:6])}),
+        )
+        name = MappingProxyType({"file": f"radar_points/{self.files[k].name}"})
+        return RadarFrame(int(self.timestamps_ns[k]), points, name)
+
+
+def _radar_rows(path: Path) -> Float64Array:
+    rows = []
+    for number, line in enumerate(read_bytes(path).decode("latin-1").splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            row = [float(word) for word in line.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != _RADAR_COLUMNS or not np.isfinite(row).all():
+            raise DataError(
+                path, f"line {number}", f"{line[:60]!r}; expected x, y, z, direction x, y, z, size"
+            )
+        rows.append(row)
+    return np.array(rows, np.float64).reshape(-1, _RADAR_COLUMNS)
+
+
+def build_radar(folder: Path, times: dict[str, int], way: PosePath | None, ledger: Ledger) -> list[Sensor]:
+    """Build the radar; [] where there are no points of one."""
+    found = frame_names(folder, (".txt",))
+    kept = {name: file for name, file in found.items() if name in times}
+    _note_without(ledger, folder, "radar-points", len(found) - len(kept))
+    if not kept:
+        return []
+    stamps_ns = np.array([times[name] for name in kept], np.int64)
+    return [
+        RadarSensor(
+            id="radar",
+            frames=LazyFrames(stamps_ns, CycleTexts(tuple(kept.values()), stamps_ns)),
+            poses=_placed(way, RigidTransform.identity(), stamps_ns),
+            mount=RigidTransform.identity(),
+            points_frame=PointsFrame.EGO,
+        )
+    ]

@@ -1,0 +1,173 @@
+"""Folders of Scale's lidar toolkit: clouds, pictures and poses that share the names of frames."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError
+
+NEAR = 1e-9
+"""Two ways of float64 through rotations."""
+
+CAMERA = ([0.1, 0.5, 1.8], Rotation.from_euler("x", -90, degrees=True))
+
+
+def way(k):
+    return [1.5 * k, 2.0, 0.1], Rotation.from_euler("ZYX", [10.0 * k, 1, 2], degrees=True)
+
+
+def put(path, place, turn):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    x, y, z, w = turn.as_quat().tolist()
+    path.write_text(json.dumps({"heading": [w, x, y, z], "position": place}), "utf-8")
+
+
+def cloud(k):
+    rng = np.random.default_rng(k)
+    rows = rng.uniform(1, 20, (6 + k, 4)).astype(np.float32)
+    rows[:, 3] = rng.integers(0, 256, 6 + k)
+    return rows
+
+
+def write_folder(folder, names=("1", "2", "10")):
+    front = folder / "cameras" / "front"
+    put(front / "extrinsics.json", *CAMERA)
+    (front / "intrinsics.json").write_text(json.dumps({"fx": 60, "fy": 61.0, "cx": 31, "cy": 23, "k1": 0.1}))
+    (folder / "pointcloud").mkdir()
+    (folder / "radar_points").mkdir()
+    for k, name in enumerate(names):
+        rows = cloud(k)
+        head = "".join(f"property float {axis}\n" for axis in "xyzi")
+        head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{head}end_header\n"
+        (folder / "pointcloud" / f"{name}.ply").write_bytes(head.encode() + rows.tobytes())
+        put(folder / "poses" / f"{name}.json", *way(k))
+        Image.new("RGB", (64, 48), (60 * k, 0, 0)).save(front / f"{name}.jpg")
+        (folder / "radar_points" / f"{name}.txt").write_text(
+            f"1, 2, 3, 0, 3, 4, {k + 2}\n4, 5, 6, 0, 0, 0, 1\n\n"
+        )
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_folder(tmp_path / "drive")
+
+
+def test_frames_are_in_the_order_of_their_numbers_and_keep_gaps(folder):
+    scene = sceneloom.open(folder)
+    assert scene.format == "scale-toolkit"
+    assert scene.lidars[0].frames.timestamps_ns.tolist() == [0, 100_000_000, 900_000_000]
+    assert "nominal-times" in {notice.code for notice in scene.notices}
+    slow = sceneloom.open(folder, rate_hz=2.0)
+    assert slow.lidars[0].frames.timestamps_ns.tolist() == [0, 500_000_000, 4_500_000_000]
+
+
+@pytest.mark.parametrize(
+    ("name", "stamp_ns"),
+    [
+        ("1557539924123", 1_557_539_924_123_000_000),
+        ("1557539924123456", 1_557_539_924_123_456_000),
+        ("1557539924123456789", 1_557_539_924_123_456_789),
+    ],
+)
+def test_long_names_are_times(tmp_path, name, stamp_ns):
+    scene = sceneloom.open(write_folder(tmp_path / "drive", (name,)))
+    assert scene.lidars[0].frames.timestamps_ns.tolist() == [stamp_ns]
+    assert "names-are-times" in {notice.code for notice in scene.notices}
+
+
+def test_points_are_in_the_frame_of_the_ego_and_poses_lead_into_the_world(folder):
+    scene = sceneloom.open(folder)
+    lidar = scene.lidars[0]
+    assert lidar.points_frame == "ego"
+    assert np.array_equal(lidar.frames[2].points.positions, cloud(2)[:, :3])
+    assert lidar.frames[2].points.intensities.tolist() == cloud(2)[:, 3].tolist()
+    camera = scene.cameras[0]
+    for k in range(3):
+        place, turn = way(k)
+        assert np.allclose(scene.trajectories["pose"].positions[k], place)
+        assert np.allclose(camera.poses.positions[k], np.array(place) + turn.apply(CAMERA[0]), atol=NEAR)
+        found = Rotation.from_quat(camera.poses.quaternions_xyzw[k])
+        assert (found.inv() * turn * CAMERA[1]).magnitude() < NEAR
+
+
+def test_lenses_keep_what_is_not_used(folder):
+    scene = sceneloom.open(folder)
+    camera = scene.cameras[0]
+    assert (camera.camera.model, camera.camera.fx, camera.camera.width) == ("pinhole", 60.0, 64)
+    assert camera.extras["k1"] == 0.1
+    assert "lens-entries" in {notice.code for notice in scene.notices}
+    assert camera.pictures[1].rgb.shape == (48, 64, 3)
+
+
+def test_radar_points_have_direction_and_speed(folder):
+    points = sceneloom.open(folder).sensor("radar").frames[1].points
+    assert points.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert np.allclose(points.directions, [[0, 0.6, 0.8], [1, 0, 0]])
+    assert points.lengths.tolist() == [3.0, 0.0]
+
+
+def test_frames_go_to_other_processes(folder):
+    scene = sceneloom.open(folder)
+    for frames in (scene.lidars[0].frames, scene.cameras[0].pictures, scene.sensor("radar").frames):
+        assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
+
+
+def text(name, content):
+    return lambda folder: (folder / name).write_text(content)
+
+
+def gone(name):
+    return lambda folder: (folder / name).unlink()
+
+
+FAULTS = {
+    "no pose": (gone("poses/2.json"), r"poses/2.json: is not there"),
+    "a heading that is none": (
+        text("poses/2.json", '{"heading": [2, 0, 0, 0], "position": [0, 0, 0]}'),
+        r"poses/2.json: heading: \[2.0, 0.0, 0.0, 0.0\] has the length 2",
+    ),
+    "a short position": (
+        text("poses/2.json", '{"heading": [1, 0, 0, 0], "position": [0, "a", 0]}'),
+        r"position: \[0, 'a', 0\]; expected 3 numbers",
+    ),
+    "no JSON": (text("poses/2.json", "{"), "poses/2.json: is no JSON"),
+    "no mounting": (gone("cameras/front/extrinsics.json"), "extrinsics.json: is not there"),
+    "no focus": (text("cameras/front/intrinsics.json", '{"fx": 1}'), r"fx, fy, cx, cy are \[1, None"),
+    "a cloud twice": (text("pointcloud/1.pcd", ""), r"1.ply: 1.pcd is of the same frame"),
+    "a cloud cut off": (text("pointcloud/1.ply", "ply\n"), r"1.ply"),
+    "the same number": (text("pointcloud/01.ply", "ply\n"), "stands for the same time as 0?1"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_a_folder_is_told_with_its_place(folder, fault):
+    change, message = FAULTS[fault]
+    change(folder)
+    with pytest.raises(DataError, match=message):
+        sceneloom.open(folder)
+
+
+def test_a_line_of_the_radar_that_is_none_is_told_by_its_number(folder):
+    (folder / "radar_points" / "1.txt").write_text("1, 2, 3, 0, 3, 4, 2\n1, 2\n")
+    with pytest.raises(DataError, match=r"1.txt: line 2: '1, 2'; expected"):
+        sceneloom.open(folder).sensor("radar").frames[0]
+
+
+def test_poses_and_cameras_at_fault_are_left_out_and_counted_by_a_lenient_reading(folder):
+    gone("poses/2.json")(folder)
+    gone("cameras/front/extrinsics.json")(folder)
+    scene = sceneloom.open(folder, lenient=True)
+    assert len(scene.trajectories["pose"].timestamps_ns) == 2
+    assert scene.cameras == ()
+    assert {"poses", "cameras"} <= {notice.code for notice in scene.notices}
+
+
+def test_a_rate_of_nothing_is_refused(folder):
+    with pytest.raises(OptionError, match="rate_hz 0"):
+        sceneloom.open(folder, rate_hz=0)

@@ -17,9 +17,11 @@ from sceneloom.formats.urls import path_or_url
 from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
 from sceneloom.report.album import Album
 from sceneloom.report.numbers.calibration import check_cameras
+from sceneloom.report.numbers.conversions import conversions_of
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.fusing import Fusion, fuse_some
-from sceneloom.report.numbers.labels import labels_of
+from sceneloom.report.numbers.labelled import draw_labels
+from sceneloom.report.numbers.labels import Labels, labels_of
 from sceneloom.report.numbers.metrics import Metrics, metrics_of
 from sceneloom.report.numbers.provenance import provenance_of
 from sceneloom.report.numbers.surroundings import Coverage, coverage_of
@@ -37,7 +39,7 @@ MOST_SWEEPS_FOR_A_WAY = 200
 """The way of the ego is found from the sweeps of longer drives only where that is asked for: it takes a while."""
 MOST_FRAMES_VALIDATED = 6000
 """Frames and pictures of drives with more are not read by the rules: `sceneloom validate` does that."""
-STEPS = 8
+STEPS = 9
 
 Part = TypeVar("Part")
 
@@ -131,7 +133,7 @@ class _Collector:
             coverage=coverage,
             calibration=calibration,
             fusion=fusion,
-            labels=self.part("annotations", lambda: labels_of(self.scene, start_ns=start_ns), None),
+            labels=self.part("annotations", lambda: self._labels(start_ns, album), None),
             metrics=self.part("truth", self._metrics, Metrics()),
             validation=validation,
             left_out=self.left_out,
@@ -165,6 +167,7 @@ class _Collector:
             labels=evidence.labels,
             metrics=evidence.metrics,
             validation=evidence.validation,
+            conversions=self.part("conversions", lambda: conversions_of(self.scene), ()),
             losses=losses,
             notices=self.scene.notices,
             provenance=provenance_of(
@@ -224,6 +227,18 @@ class _Collector:
         found = fuse_some(self.scene, album)
         if found.sweeps < found.of:
             self.sampling.append(f"{found.sweeps} of {found.of:,} sweeps were fused for numbers and pictures")
+        return found
+
+    def _labels(self, start_ns: int, album: Album) -> Labels | None:
+        found = labels_of(self.scene, start_ns=start_ns)
+        if found is None:
+            return None
+        if found.moments < found.of:
+            self.sampling.append(f"boxes were looked at in {found.moments} of {found.of:,} moments")
+        try:
+            draw_labels(self.scene, album)
+        except SceneloomError as error:
+            found = msgspec.structs.replace(found, skipped=(*found.skipped, f"pictures: {error}"))
         return found
 
     def _metrics(self) -> Metrics:

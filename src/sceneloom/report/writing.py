@@ -1,5 +1,6 @@
 """The report of a drive, as a page and as numbers."""
 
+import json
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -78,4 +79,8 @@ def write_report(
 
 def numbers_as_json(report: DriveReport) -> bytes:
     """The numbers of a report as JSON, for people to read, too."""
-    return msgspec.json.format(msgspec.json.encode(report), indent=1) + b"\n"
+    try:
+        return msgspec.json.format(msgspec.json.encode(report), indent=1) + b"\n"
+    except UnicodeEncodeError:
+        # ids may hold halves of characters, which this encoder escapes
+        return json.dumps(msgspec.to_builtins(report), indent=1).encode() + b"\n"

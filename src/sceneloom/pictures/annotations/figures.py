@@ -58,7 +58,7 @@ class Figure:
 def colour_of(annotation: Annotation) -> Colour:
     """Give annotations of one label one colour."""
     label = getattr(annotation, "label", None) or annotation.type
-    return PALETTE[crc32(str(label).encode()) % len(PALETTE)]
+    return PALETTE[crc32(str(label).encode(errors="surrogatepass")) % len(PALETTE)]
 
 
 def name_of(annotation: Annotation, timestamp_ns: int) -> str:

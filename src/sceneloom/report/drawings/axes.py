@@ -6,21 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.pictures.depth_scale import COARSE_DIGITS, round_up
-from sceneloom.report.drawings.svg import LETTER, Svg, series, shortened
+from sceneloom.report.drawings.svg import LETTER, Svg, series, shortened, text_width
 
 WIDTH, HEIGHT = 360.0, 190.0
 _TOP, _RIGHT, _BOTTOM = 12.0, 12.0, 38.0
-_TICK_ROOM = 58.0
+_Y_ROOM = 36.0
 
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """Values from `low` to `high` lie between two places [units]."""
+    """Values from `low` to `high` lie between two places [units], ticks so far apart as `room` at least."""
 
     low: float
     high: float
     first: float
     last: float
+    room: float = 58.0
 
     def place(self, value: float) -> float:
         """Where a value lies."""
@@ -28,7 +29,7 @@ class Axis:
 
     def ticks(self) -> list[float]:
         """Round values, not too near to one another."""
-        count = max(2.0, abs(self.last - self.first) / _TICK_ROOM)
+        count = max(2.0, abs(self.last - self.first) / self.room)
         step = round_up((self.high - self.low) / count, COARSE_DIGITS)
         numbers = np.arange(np.ceil(self.low / step - 1e-9), np.floor(self.high / step + 1e-9) + 1)
         return [float(n * step) + 0.0 for n in numbers]
@@ -70,7 +71,7 @@ class Frame:
     ) -> "Frame":
         """Draw the axes of a plot of values between these ends; names are of what, with units."""
         svg = Svg(*size)
-        y_axis = Axis(*y, size[1] - _BOTTOM, _TOP + 14)
+        y_axis = Axis(*y, size[1] - _BOTTOM, _TOP + 14, _Y_ROOM)
         left = 14 + LETTER * max((len(tick_text(tick)) for tick in y_axis.ticks()), default=1)
         x_axis = Axis(*x, left, size[0] - _RIGHT)
         for tick in y_axis.ticks():
@@ -141,13 +142,13 @@ def bars(
     """Bars to the right, each beside its name, with what it stands for behind it."""
     row = 24.0
     svg = Svg(WIDTH, row * len(names) + 6)
-    letters = min(max(map(len, names), default=1), 20)
-    left = 10 + LETTER * letters
-    room = WIDTH - left - 12 - LETTER * max(map(len, told), default=1)
+    shown = [shortened(name, 22) for name in names]
+    left = 10 + max(map(text_width, shown), default=1.0)
+    room = WIDTH - left - 12 - max(map(text_width, told), default=1.0)
     top = max([*values, 1e-12]) if most is None else most
     for k, (name, value, text) in enumerate(zip(names, values, told, strict=True)):
         at = row * k + 4
-        svg.text(left - 6, at + 14, shortened(name, letters), anchor="end")
+        svg.text(left - 6, at + 14, shown[k], anchor="end")
         svg.rectangle(left, at + 3, max(room * value / top, 1.0), 14, "fill s1", title=f"{name}: {text}")
         svg.text(left + max(room * value / top, 1.0) + 5, at + 14, text, "faint")
     return svg

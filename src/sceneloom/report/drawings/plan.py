@@ -6,7 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.geodesy import geodetic_from_enu
-from sceneloom.pictures.depth_scale import COARSE_DIGITS, round_down, round_up
+from sceneloom.pictures.depth_scale import COARSE_DIGITS, round_up
 from sceneloom.report.drawings.axes import tick_text
 from sceneloom.report.drawings.svg import Svg, series
 from sceneloom.report.numbers.ways import Ways
@@ -91,8 +91,13 @@ def _fixes(places: Sequence[tuple[float, ...]], shift: Float64Array, ways: Ways)
     return east_north + (shift if ways.north is not None else 0.0)
 
 
+def grid_step(scale: float) -> float:
+    """The side of the map's squares [m], and the length of its bar, at so many units a metre."""
+    return round_up(80.0 / scale, COARSE_DIGITS)
+
+
 def _grid(svg: Svg, middle: Float64Array, scale: float, height: float) -> None:
-    step = round_up(90.0 / scale, COARSE_DIGITS)
+    step = grid_step(scale)
     for axis, length in ((0, WIDTH), (1, height)):
         half = length / 2 / scale
         first, last = np.ceil((middle[axis] - half) / step), np.floor((middle[axis] + half) / step)
@@ -105,7 +110,7 @@ def _grid(svg: Svg, middle: Float64Array, scale: float, height: float) -> None:
 
 
 def _scale_bar(svg: Svg, scale: float, height: float) -> None:
-    length = round_down(150.0 / scale, COARSE_DIGITS)
+    length = grid_step(scale)
     left, y = 16.0, height - 16.0
     svg.line(left, y, left + length * scale, y, "bar")
     for x in (left, left + length * scale):

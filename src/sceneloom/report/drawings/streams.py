@@ -1,7 +1,7 @@
 """When each stream of a drive gives something, one line below the other, with its gaps."""
 
 from sceneloom.report.drawings.axes import Axis, tick_text
-from sceneloom.report.drawings.svg import LETTER, Svg, shortened
+from sceneloom.report.drawings.svg import Svg, shortened, text_width
 from sceneloom.report.numbers.timing import Timing
 
 WIDTH = 720.0
@@ -17,8 +17,8 @@ def draw_streams(timing: Timing) -> Svg | None:
     first = min(stream.start for stream in rows if stream.start is not None)
     last = max(stream.stop for stream in rows if stream.stop is not None)
     shown = rows[:MOST_ROWS]
-    letters = min(max(len(stream.name) for stream in shown), _NAME_LETTERS)
-    left = 14 + LETTER * letters
+    names = [shortened(stream.name, _NAME_LETTERS) for stream in shown]
+    left = 14 + max(map(text_width, names))
     height = _ROW * len(shown) + 44
     svg = Svg(WIDTH, height)
     axis = Axis(first, max(last, first + 1e-3), left, WIDTH - 14)
@@ -32,7 +32,7 @@ def draw_streams(timing: Timing) -> Svg | None:
     svg.text(WIDTH - 14, bottom + 32, "seconds after the first stamp", "faint", anchor="end")
     for k, stream in enumerate(shown):
         middle = _ROW * k + _ROW / 2 + 4
-        svg.text(left - 8, middle + 4, shortened(stream.name, letters), anchor="end")
+        svg.text(left - 8, middle + 4, names[k], anchor="end")
         start, stop = axis.place(stream.start or 0.0), axis.place(stream.stop or 0.0)
         told = f"{stream.name}: {stream.count:,} from {stream.start:.3f} to {stream.stop:.3f} s"
         svg.rectangle(start, middle - 6, max(stop - start, 2.0), 12, "fill s1", title=told)

@@ -10,6 +10,7 @@ _NO_TEXT = re.compile(
 )
 """Characters that no document may hold, and those that turn the direction of what follows."""
 
+_CAPITAL = 9.2
 LETTER = 7.2
 """Width of a letter of the usual size, on the average [units]; the longest texts are cut by it."""
 
@@ -23,6 +24,11 @@ def shortened(text: object, letters: int) -> str:
     """A text of at most so many letters."""
     whole = plain(text)
     return whole if len(whole) <= letters else f"{whole[: max(letters - 1, 1)]}…"
+
+
+def text_width(text: str) -> float:
+    """About how wide a text of the usual size is [units]; capitals are wider."""
+    return sum(_CAPITAL if letter.isupper() else LETTER for letter in text)
 
 
 def number(value: float) -> str:

@@ -5,6 +5,7 @@ import msgspec
 from sceneloom.checks import ValidationReport
 from sceneloom.formats.loss import Loss
 from sceneloom.report.numbers.calibration import CalibrationCheck
+from sceneloom.report.numbers.conversions import Conversion
 from sceneloom.report.numbers.fusing import Fusion
 from sceneloom.report.numbers.labels import Labels
 from sceneloom.report.numbers.metrics import Metrics
@@ -32,6 +33,7 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
         labels: what is said about it; None without annotations.
         metrics: how far what was found is from the truth.
         validation: what the rules of `validate` found; None where they were not run.
+        conversions: what each format that can be written would make of it.
         losses: what was lost when the drive was written, where a loss report was given.
         notices: what was assumed, repaired or left out on reading it, and on finding its way.
         provenance: what this report was made of and by.
@@ -50,6 +52,7 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     labels: Labels | None
     metrics: Metrics
     validation: ValidationReport | None
+    conversions: tuple[Conversion, ...]
     losses: tuple[Loss, ...]
     notices: tuple[Notice, ...]
     provenance: Provenance

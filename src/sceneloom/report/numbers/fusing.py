@@ -134,7 +134,7 @@ def _draw(gathered: _Gathered, album: Album, path: PosePath | None) -> None:
         drawings = iter_pictures(shown, frame.index, ego_poses=moving, show_hidden=True)
         for number, (_, draw) in enumerate(drawings):
             view, kind = _view_and_kind(shown, number)
-            if kind != "above" or not together or len(gathered.shown) > 1:
+            if view is not None or not together or len(gathered.shown) > 1:
                 section = "calibration" if kind == "overlay" else "fusion"
                 album.add(section, *_told(kind, frame, view), draw())
     for name, image in together.items():

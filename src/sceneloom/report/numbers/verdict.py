@@ -120,9 +120,8 @@ def contents_of(summary: SceneSummary, ways: Ways) -> str:
     else:
         told += " The way of the ego is not known."
     if summary.annotations:
-        total = sum(summary.annotations.values())
         told += (
-            f" {_several(total, 'annotation')}: "
+            " Annotations: "
             + ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in summary.annotations.items())
             + "."
         )
@@ -138,8 +137,8 @@ def _from_validation(evidence: Evidence) -> Iterator[Advice]:
         first = listed[0]
         yield Advice(
             severity=Severity(severity),
-            title=_capital(first.message),
-            detail=f"{first.path or 'the drive as a whole'}; rule {rule}, {_several(count, 'time')}",
+            title=": ".join(filter(None, (first.path, first.message))),
+            detail=f"Rule {rule}, {_several(count, 'time')}.",
             remedy=first.remedy,
             section="findings",
         )
@@ -289,10 +288,6 @@ RULES: tuple[Callable[[Evidence], Iterator[Advice]], ...] = (
     _from_ways,
 )
 """What looks for something worth telling first."""
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _several(count: int, noun: str) -> str:

@@ -83,7 +83,7 @@ def sections_of(report: DriveReport, album: Album) -> Iterator[Section]:
     yield calibration_section(report, album)
     yield coverage_section(report)
     yield fusion_section(report, album)
-    yield annotations_section(report)
+    yield annotations_section(report, album)
     truth = truth_section(report)
     if truth is not None:
         yield truth

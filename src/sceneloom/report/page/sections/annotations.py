@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+from sceneloom.report.album import Album
 from sceneloom.report.drawings.axes import bars, columns, line_plot
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.labels import ClassNumbers, Labels, Spread
@@ -27,7 +28,7 @@ _COLUMNS = (
 )
 
 
-def annotations_section(report: DriveReport) -> Section:
+def annotations_section(report: DriveReport, album: Album) -> Section:
     """Say how many objects of which class there are, how large, how far, how well seen."""
     labels = report.labels
     missing = report.left_out.get("annotations")
@@ -60,6 +61,7 @@ def annotations_section(report: DriveReport) -> Section:
         facts=facts,
         blocks=[
             Block(drawings=_plots(labels)),
+            Block(photos=album.of("annotations")),
             Block(tables=[*tables, counted, said]),
             Block(lines=_explained(labels), faint=True),
             Block(list_title=f"Not told: {len(labels.skipped)}", listed=labels.skipped),

@@ -15,6 +15,14 @@ _COLUMNS = (
     Column("Kept in", numeric=False),
 )
 
+_FATES = (
+    Column("Format", numeric=False),
+    Column("Kept"),
+    Column("Converted"),
+    Column("Approximated"),
+    Column("Dropped"),
+)
+
 
 def notices_section(report: DriveReport) -> Section:
     """List notices by kind, and losses field by field."""
@@ -35,8 +43,32 @@ def notices_section(report: DriveReport) -> Section:
         rows = [_row(loss) for loss in report.losses]
         table = Table("What the drive lost when it was written", _COLUMNS, rows)
         blocks.append(Block(heading=f"Losses: {len(rows):,}", tables=[table]))
+    blocks += _conversions(report)
     missing = None if report.notices or report.losses else "nothing was assumed, repaired, left out or lost"
     return Section(key="notices", name="Notices and losses", missing=missing, blocks=blocks)
+
+
+def _conversions(report: DriveReport) -> list[Block]:
+    """What other formats would make of the drive."""
+    if not report.conversions:
+        return []
+    rows = [
+        [
+            each.format,
+            *(count(each.fates.get(fate, 0)) for fate in ("kept", "converted", "approximated", "dropped")),
+        ]
+        for each in report.conversions
+    ]
+    dropped = [f"{each.format}: {', '.join(each.dropped)}" for each in report.conversions if each.dropped]
+    total = sum(report.conversions[0].fates.values())
+    table = Table(
+        f"What formats would make of the {total} kinds of fields that the drive holds", _FATES, rows
+    )
+    told = "`sceneloom convert DRIVE OUT --loss F` tells of a conversion what became of every value."
+    return [
+        Block(heading="In other formats", tables=[table], list_title="What would be dropped", listed=dropped),
+        Block(lines=[told], faint=True),
+    ]
 
 
 def _row(loss: Loss) -> list[str]:

@@ -67,9 +67,7 @@ def _plan(ways: Ways) -> list[Drawing]:
         if ways.north or not ways.ways
         else "x of the world to the right, y up; north is not known."
     )
-    caption = (
-        f"{north} Circle: start; square: end; dots: satellite fixes. Squares of the grid as the bar says."
-    )
+    caption = f"{north} Circle: start; square: end; dots: satellite fixes. The bar is as long as a side of the squares."
     return [
         Drawing(
             "The drive from above",

@@ -1,0 +1,40 @@
+"""`sceneloom report` on the command line."""
+
+import json
+
+
+def test_a_page_and_its_numbers(call, recording, tmp_path):
+    page, numbers = tmp_path / "r.html", tmp_path / "r.json"
+    outcome = call("report", recording, "-o", page, "--numbers", numbers)
+    assert outcome.code == 0, outcome.err
+    assert outcome.out.startswith("drive: ")
+    assert f"page: {page}" in outcome.out
+    told = json.loads(numbers.read_text("utf-8"))
+    assert told["validation"]["frames_read"] is True
+    assert told["provenance"]["hashed"] == "folder"
+    assert "</html>" in page.read_text("utf-8")
+
+
+def test_numbers_alone_are_printed(call, recording, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    outcome = call("report", recording, "--json", "--quick")
+    assert json.loads(outcome.out)["verdict"]["state"] in {"sound", "look", "faulty"}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_drive_whose_lines_are_broken_is_told_to_be_faulty(call, recording, tmp_path):
+    import shutil
+
+    broken = tmp_path / "drive"
+    shutil.copytree(recording, broken)
+    with (broken / "data.jsonl").open("a") as lines:
+        lines.write('{"time": 1.0, "sens\n')
+    outcome = call("report", broken, "--quick", "-o", tmp_path / "r.html")
+    assert outcome.code == 0, outcome.err
+    assert "Not in order" in outcome.out
+
+
+def test_a_path_that_is_not_there_is_an_error(call, tmp_path):
+    outcome = call("report", tmp_path / "nothing", "-o", tmp_path / "r.html")
+    assert outcome.code == 1
+    assert "no such file" in outcome.err

@@ -1,0 +1,121 @@
+"""Statistics of annotations, held against boxes and points that were put there."""
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.report.numbers.labels import OTHER, Spread, labels_of
+from sceneloom.scene import (
+    AttributePath,
+    CameraSensor,
+    CuboidAnnotation,
+    CuboidPath,
+    EventAnnotation,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Picture,
+    PosePath,
+    Scene,
+)
+from sceneloom.simulate import camera_mount
+
+STILL = PosePath(np.array([0, 10**9]), np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0, 1.0]] * 2))
+OURS = {"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz"}}
+
+
+def cuboid(name, size, place, *, label="car", times=(0, 10**9), stationary=None):
+    rows = np.tile([*size, *place, 0.0, 0.0, 0.0], (len(times), 1)).astype(np.float64)
+    speed = (AttributePath("speed", (1.0,), np.array([0])),) if name == "far" else ()
+    return CuboidAnnotation(
+        name,
+        CuboidPath(np.array(times, np.int64), rows),
+        label=label,
+        stationary=stationary,
+        attributes=speed,
+    )
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A near car with three points, a far one without any, half hidden behind it, and a box without a class."""
+    points = np.array([[10.0, 0.0, 0.0], [10.5, 0.2, 0.1], [9.5, -0.3, 0.3], [5.0, 5.0, 0.0]], np.float32)
+    frames = LazyFrames.of([LidarFrame(t, LidarPoints(points)) for t in (0, 10**9)], [0, 10**9])
+    lens = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
+    black = np.zeros((100, 200, 3), np.uint8)
+    pictures = LazyFrames.of([Picture.of(t, lens, black) for t in (0, 10**9)], [0, 10**9])
+    turn = camera_mount(position=(0.0, 0.0, 0.0))
+    looks = PosePath(STILL.timestamps_ns, np.zeros((2, 3)), np.tile(turn.quaternion_xyzw, (2, 1)))
+    boxes = (
+        cuboid("near", (4.0, 2.0, 2.0), (10.0, 0.0, 0.0)),
+        cuboid("far", (4.0, 2.0, 1.5), (30.0, 0.0, 0.0)),
+        cuboid("thing", (1.0, 1.0, 1.0), (-20.0, 0.0, 0.0), label=None, times=(0,), stationary=True),
+    )
+    event = EventAnnotation("event", 0, 5)
+    return Scene(
+        (
+            LidarSensor("lidar", frames, poses=STILL),
+            CameraSensor("camera", lens, pictures, poses=looks),
+        ),
+        annotations=(*boxes, event),
+        metadata=OURS,
+    )
+
+
+@pytest.fixture(scope="module")
+def labels(scene):
+    return labels_of(scene, start_ns=0)
+
+
+def test_types_classes_and_attributes_are_counted(labels):
+    assert labels.types == {"cuboid": 3, "event": 1}
+    assert [(c.label, c.objects) for c in labels.classes] == [("car", 2), (OTHER, 1)]
+    assert labels.attributes == {"speed": 1}
+
+
+def test_sizes_and_lengths_of_time_are_those_of_the_boxes(labels):
+    cars, things = labels.classes
+    assert (cars.length.median, cars.height.low, cars.seconds.median) == (4.0, pytest.approx(1.525), 1.0)
+    assert (things.stationary, things.seconds) == (1, None)
+    assert cars.key_frames == 4
+
+
+def test_ranges_are_those_from_the_lidar(labels):
+    cars, things = labels.classes
+    assert things.ranges.median == pytest.approx(20.0)
+    assert (cars.ranges.count, cars.ranges.median) == (4, pytest.approx(20.0))  # 10 and 30 m at two moments
+    assert dict(zip(labels.range_edges, labels.range_counts, strict=True))[10.0] == 2
+
+
+def test_points_inside_are_counted(labels):
+    cars, things = labels.classes
+    assert cars.points.median == pytest.approx(1.5)  # 3 in one, 0 in the other
+    assert (cars.empty_share, things.empty_share) == (0.5, 1.0)
+    assert labels.point_counts[:2] == (4, 2)
+
+
+def test_what_hides_boxes_and_which_are_in_pictures(labels):
+    cars, things = labels.classes
+    assert (cars.in_pictures_share, things.in_pictures_share) == (1.0, 0.0)
+    # the far car lies wholly behind the near one, which nothing hides
+    assert (cars.hidden.low, cars.hidden.high) == (pytest.approx(0.0, abs=1e-9), pytest.approx(1.0, abs=0.01))
+
+
+def test_boxes_over_time_are_those_that_are_there(labels):
+    assert labels.over_time[0] == (0.0, 3)
+    assert labels.over_time[-1] == (1.0, 3)
+
+
+def test_a_scene_without_annotations_has_no_labels():
+    assert labels_of(Scene(()), start_ns=0) is None
+
+
+def test_annotations_without_sensors_are_counted_all_the_same():
+    found = labels_of(Scene((), annotations=(cuboid("a", (1, 1, 1), (0, 0, 0)),), metadata=OURS), start_ns=0)
+    assert (found.classes[0].objects, found.moments) == (1, 0)
+
+
+def test_a_spread_passes_over_what_is_no_number():
+    assert Spread.of([np.nan, 1.0, 3.0]).median == 2.0
+    assert Spread.of([np.nan]) is None

@@ -1,0 +1,44 @@
+"""Comparisons with the truth: known shifts come back as errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.report.numbers.metrics import metrics_of
+from sceneloom.scene import Scene, Trajectory
+
+
+def ways(scene: Scene) -> Scene:
+    """The drive's true way, and one whose heights wave by 20 cm."""
+    angles = np.linspace(0.0, 3.0, 60)
+    places = np.column_stack([20 * np.sin(angles), 20 * np.cos(angles), np.zeros(60)])
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (60, 1))
+    truth = Trajectory("groundTruth", np.arange(60) * 100_000_000, places, still)
+    waves = truth.positions.copy()
+    waves[:, 2] += 0.2 * np.where(np.arange(len(waves)) % 2, 1.0, -1.0)
+    odd = Trajectory("odd", truth.timestamps_ns, waves, truth.quaternions_xyzw)
+    return replace(scene, trajectories={"odd": odd, "groundTruth": truth})
+
+
+def test_every_way_is_held_against_the_true_one(short):
+    (found,) = metrics_of(ways(short), source=None, truth=None).trajectories
+    assert (found.estimate, found.reference) == ("odd", "groundTruth")
+    assert found.absolute.vertical.rms == pytest.approx(
+        0.2, rel=0.01
+    )  # the alignment takes next to nothing off
+
+
+def test_a_truth_beside_the_drive_gives_tracks_and_ways(short, tmp_path):
+    few = replace(short, sensors=())
+    sceneloom.write(few, tmp_path / "found.sfs")
+    sceneloom.write(few, tmp_path / "true.sfs")
+    found = metrics_of(few, source=tmp_path / "found.sfs", truth=tmp_path / "true.sfs")
+    assert all(scores.combined.hota.hota == pytest.approx(1.0) for scores in found.tracks.classes.values())
+
+
+def test_what_cannot_be_compared_is_told(short):
+    found = metrics_of(replace(short, trajectories={}), source=None, truth=None, compare=("lidar",))
+    assert found.trajectories == ()
+    assert "no trajectory" in found.skipped[0]

@@ -1,0 +1,282 @@
+"""The page as a browser, a screen reader and a stranger's file see it."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+
+from sceneloom.report.collecting import collect
+from sceneloom.report.page.rendering import render_page
+from sceneloom.report.settings import ReportSettings
+from sceneloom.scene import (
+    AttributePath,
+    CuboidAnnotation,
+    CuboidPath,
+    GnssSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Notice,
+    NoticeKind,
+    Scene,
+)
+
+VOID = {"meta", "link", "img", "br", "rect", "circle", "line", "path", "input", "hr"}
+LOADING = {"src", "href", "srcset", "data", "action", "poster", "background", "xlink:href"}
+
+
+class Page(HTMLParser):
+    """Collects what the tests ask about, and checks that elements close in the order in which they open."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.elements: list[tuple[str, dict[str, str]]] = []
+        self.open: list[str] = []
+        self.crossed: list[str] = []
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        if tag in VOID:
+            return
+        if not self.open or self.open[-1] != tag:
+            self.crossed.append(tag)
+        else:
+            self.open.pop()
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.texts.append(data)
+
+    def all(self, *tags: str) -> list[dict[str, str]]:
+        return [attributes for tag, attributes in self.elements if tag in tags]
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.texts)
+
+
+def page_of(scene: Scene, **settings: object) -> tuple[str, Page]:
+    found = collect(scene, ReportSettings(quick=True, **settings))
+    text = render_page(found.report, found.album)
+    return text, Page(text)
+
+
+def check_sound(page: Page) -> None:
+    """What holds for every page, whatever is on it."""
+    assert not page.crossed
+    assert not page.open
+    levels = [int(tag[1]) for tag, _ in page.elements if re.fullmatch(r"h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    ids = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    for _, attributes in page.elements:
+        for name in ("aria-labelledby", "aria-describedby"):
+            assert set(attributes.get(name, "").split()) <= set(ids)
+    assert all(image.get("alt") for image in page.all("img"))
+    assert all(drawing.get("role") == "img" for drawing in page.all("svg"))
+    assert all(head.get("scope") in {"col", "row"} for head in page.all("th"))
+    assert len(page.all("caption")) == len(page.all("table"))
+    assert page.all("html")[0]["lang"] == "en"
+    assert not page.all("script", "iframe", "object", "embed", "form", "base")
+
+
+def check_sealed(text: str, page: Page) -> None:
+    """Nothing on the page leads or loads from outside."""
+    for tag, attributes in page.elements:
+        for name, value in attributes.items():
+            assert not name.startswith("on"), (tag, name)
+            if name in LOADING:
+                assert value.startswith(("#", "data:")), (tag, name, value[:80])
+    targets = {attributes["href"][1:] for attributes in page.all("a")}
+    assert targets <= {attributes.get("id") for _, attributes in page.elements}
+    (style,) = re.findall(r"<style>(.*?)</style>", text, re.DOTALL)
+    assert "url(" not in style
+    assert "@import" not in style
+    assert "default-src 'none'" in text
+
+
+def test_the_page_of_a_drive_is_sound_sealed_and_small(page):
+    parsed = Page(page)
+    check_sound(parsed)
+    check_sealed(page, parsed)
+    assert len(page.encode()) < 1_500_000
+    assert len(parsed.all("img")) >= 4
+
+
+def test_it_has_a_verdict_first_and_every_section(page):
+    names = re.findall(r'<h2 id="([a-z]+)-h">', page)
+    assert names == [
+        "verdict", "drive", "timing", "trajectory", "calibration", "coverage", "fusion", "annotations", "findings",
+        "notices", "source",
+    ]  # fmt: skip
+
+
+def test_counts_of_the_drive_are_those_that_were_put_into_it(collected):
+    report = collected.report
+    assert {c.label: c.objects for c in report.labels.classes} == {"car": 1, "bin": 1}
+    (cloud,) = report.coverage.clouds
+    assert (cloud.points_least, cloud.points_most, cloud.sweeps) == (1560, 1560, 4)
+    assert report.fusion.points == 4 * 1560
+    assert report.summary.duration == pytest.approx(0.3)
+    assert report.ways.ways[0].metres == pytest.approx(1.5)
+
+
+def test_the_share_of_points_in_a_picture_is_that_of_projecting_them_by_hand(short, collected):
+    """The camera sits where the lidar does and looks ahead: x right is -y, y down is -z, z forward is x."""
+    x, y, z = short.lidars[0].frames[0].points.positions.astype(np.float64).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = 60.0 * -y / x + 59.5, 60.0 * -z / x + 39.5
+    inside = (x > 0) & (u >= -0.5) & (u < 119.5) & (v >= -0.5) & (v < 79.5)
+    (camera,) = collected.report.fusion.cameras
+    assert camera.paired == 4
+    assert camera.in_picture_percent == pytest.approx(100.0 * inside.mean(), abs=0.2)
+
+
+def test_numbers_go_to_json_and_back(collected):
+    told = msgspec.json.decode(msgspec.json.encode(collected.report))
+    assert told["timing"]["streams"][0]["sensor"] == "lidar"
+    assert told["provenance"]["made"] == "2024-05-06 07:08:09 UTC"
+    assert told["verdict"]["state"] in {"sound", "look"}
+
+
+EVIL = "<script>alert(1)</script>"
+QUOTED = "\" onload=\"alert(2)' onerror='x"
+TURNED = "a\u202eb\x00\x1b[31m\ud800"
+
+
+def evil_scene() -> Scene:
+    points = LidarPoints(np.ones((4, 3), np.float32))
+    frames = LazyFrames.of([LidarFrame(t, points) for t in (0, 10**8)], [0, 10**8])
+    row = np.array([[1.0, 1, 1, 1, 1, 1, 0, 0, 0]])
+    attribute = AttributePath(EVIL, (EVIL,), np.array([0]))
+    boxes = [
+        CuboidAnnotation(
+            k, CuboidPath(np.array([0]), row), label=label, stationary=True, attributes=(attribute,)
+        )
+        for k, label in enumerate((EVIL, QUOTED, TURNED, "]]></svg>", "{{ 7 * 7 }}", "&lt;b&gt;"))
+    ]
+    notices = tuple(
+        Notice(kind=NoticeKind.ASSUMED, code="x", place=place, message=f"`{EVIL}`")
+        for place in (EVIL, QUOTED, TURNED, "p", "q")
+    )
+    sensors = [
+        LidarSensor(name, frames, points_frame="world") for name in (EVIL, QUOTED, TURNED, "</style></title>")
+    ]
+    return Scene(
+        tuple(sensors),
+        annotations=tuple(boxes),
+        metadata={EVIL: EVIL, "sceneloom": {"euler_unit": "degrees", "euler_order": "xyz", QUOTED: TURNED}},
+        source=f"/drives/{EVIL}",
+        format=EVIL,
+        notices=notices,
+    )
+
+
+def test_what_a_file_says_stands_on_the_page_as_text():
+    text, page = page_of(evil_scene(), title=f"{EVIL}{QUOTED}")
+    check_sound(page)
+    check_sealed(text, page)
+    assert EVIL in page.text  # it is shown, not dropped
+    assert "{{ 7 * 7 }}" in page.text
+    assert not re.search("[\u202a-\u202e\x00\x1b]", text)
+    text.encode("utf-8")
+
+
+@pytest.mark.parametrize("drop", ["camera", "lidar"])
+def test_a_drive_without_one_kind_of_sensor_has_a_page(short, drop):
+    kept = tuple(sensor for sensor in short.sensors if sensor.type != drop)
+    text, page = page_of(replace(short, sensors=kept))
+    check_sound(page)
+    check_sealed(text, page)
+
+
+def test_a_drive_without_poses_and_annotations_has_a_page(short):
+    bare = replace(short.lidars[0], mount=None)
+    _, page = page_of(Scene((bare, short.cameras[0])))
+    check_sound(page)
+    assert "Not told:" in page.text
+
+
+def test_a_scene_of_nothing_has_a_page():
+    text, page = page_of(Scene(()))
+    check_sound(page)
+    check_sealed(text, page)
+    assert "no sensors" in page.text
+
+
+def test_a_scene_of_fixes_alone_has_a_map_with_north():
+    times = np.arange(0, 10 * 10**9, 10**9)
+    lla = np.column_stack([52.5 + 1e-4 * np.arange(10), np.full(10, 13.4), np.full(10, 40.0)])
+    none = np.full(10, np.nan)
+    _, page = page_of(Scene((GnssSensor("gnss", times, lla, none, none),)))
+    check_sound(page)
+    assert "North is up." in page.text
+    assert "52.50045° N, 13.40000° E" in page.text
+
+
+def test_huge_counts_make_no_huge_page():
+    times = np.arange(60_000, dtype=np.int64) * 10_000_000
+    times[30_000:] += 10**9
+    lla = np.column_stack(
+        [52.5 + 1e-7 * np.arange(len(times)), np.full(len(times), 13.4), np.zeros(len(times))]
+    )
+    none = np.full(len(times), np.nan)
+    notices = tuple(
+        Notice(kind=NoticeKind.SKIPPED, code="x", place=f"line {k}", message="left out") for k in range(5000)
+    )
+    text, page = page_of(Scene((GnssSensor("gnss", times, lla, none, none),), notices=notices))
+    check_sound(page)
+    assert len(text) < 300_000
+    assert "and 4,700 more" in page.text
+
+
+def test_colours_of_texts_have_contrast():
+    """Source of the formula: WCAG 2.2, relative luminance and contrast ratio."""
+    from importlib.resources import files
+
+    style = files("sceneloom.report.page").joinpath("style.css").read_text("utf-8")
+    blocks = {
+        "light": style.split("@media", maxsplit=1)[0],
+        "dark": style.split("prefers-color-scheme: dark")[1].split("* {", maxsplit=1)[0],
+        "print": style.split("@media print")[1].split("body {", maxsplit=1)[0],
+    }
+    pairs = [
+        *((text, ground) for text in ("ink", "faint", "link") for ground in ("paper", "panel")),
+        *((kind, f"{kind}-panel") for kind in ("bad", "warn", "good", "hint")),
+        *((text, "ground") for text in ("ink", "faint")),
+    ]
+    for name, block in blocks.items():
+        colours = dict(re.findall(r"--([a-z0-9-]+): (#[0-9a-f]{3,6});", block))
+        for text, ground in pairs:
+            assert contrast(colours[text], colours[ground]) >= 4.5, (name, text, ground)
+        for k in range(1, 9):
+            assert contrast(colours[f"s{k}"], colours["paper"]) >= 3.0, (name, k)
+
+
+def contrast(first: str, second: str) -> float:
+    light, dark = sorted((luminance(first), luminance(second)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+def luminance(colour: str) -> float:
+    digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+    parts = [int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

@@ -1,0 +1,89 @@
+"""Lengths, speeds, turns and north, held against ways that are known as formulas."""
+
+from dataclasses import replace
+
+import numpy as np
+import pymap3d
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.report.numbers.ways import MOST_CORNERS, ways_of
+from sceneloom.scene import GnssSensor, Scene, Trajectory
+
+RADIUS, SPEED, SECONDS = 40.0, 8.0, 20.0
+
+
+def circle(count: int = 401) -> Trajectory:
+    """A part of a circle at a constant speed, rising by 2 m; the ego looks ahead."""
+    t = np.linspace(0.0, SECONDS, count)
+    angle = SPEED * t / RADIUS
+    places = np.column_stack([RADIUS * np.sin(angle), RADIUS * (1 - np.cos(angle)), 0.1 * t])
+    turns = Rotation.from_euler("z", angle[:, None]).as_quat()
+    return Trajectory("way", np.rint(t * 1e9).astype(np.int64), places, turns)
+
+
+def fixes(way: Trajectory, north_deg: float) -> GnssSensor:
+    """What a receiver on the ego tells where north lies so much counter-clockwise from the world's x axis."""
+    north = np.radians(north_deg)
+    x, y, z = way.positions.T
+    along_north = x * np.cos(north) + y * np.sin(north)
+    along_east = x * np.sin(north) - y * np.cos(north)
+    lla = np.column_stack(pymap3d.enu2geodetic(along_east, along_north, z, 52.5, 13.4, 40.0))
+    accuracies = np.full(len(lla), 0.5)
+    return GnssSensor("gnss", way.timestamps_ns, lla, accuracies, accuracies)
+
+
+def test_length_speed_turn_and_climb_are_those_of_the_formula():
+    (found,) = ways_of(Scene((), trajectories={"way": circle()}), start_ns=0).ways
+    # the way rises by 0.1 m/s beside 8 m/s; chords of 0.05 s are 1e-6 shorter than arcs
+    length = np.hypot(SPEED, 0.1) * SECONDS
+    assert found.metres == pytest.approx(length, rel=1e-4)
+    assert found.mean_speed == pytest.approx(length / SECONDS, rel=1e-4)
+    # over half a second the chord is 0.05 % shorter than the arc
+    assert found.top_speed == pytest.approx(SPEED, rel=2e-3)
+    assert found.turned_deg == pytest.approx(np.degrees(SPEED * SECONDS / RADIUS), rel=1e-3)
+    assert (found.climb, found.descent) == (pytest.approx(2.0, abs=0.06), 0.0)  # steps below 5 cm are noise
+    assert found.farthest == pytest.approx(2 * RADIUS, rel=1e-3)
+    assert found.standing_share == 0.0
+
+
+def test_an_ego_that_stands_is_said_to_stand():
+    way = replace(circle(), positions=np.tile([5.0, 6.0, 7.0], (401, 1)))
+    (found,) = ways_of(Scene((), trajectories={"way": way}), start_ns=0).ways
+    assert (found.standing_share, found.metres, found.mean_speed) == (1.0, 0.0, 0.0)
+
+
+def test_a_long_way_is_told_by_few_corners():
+    (found,) = ways_of(Scene((), trajectories={"way": circle(20_001)}), start_ns=0).ways
+    assert len(found.corners) <= MOST_CORNERS
+    assert found.corners[-1].seconds == SECONDS
+
+
+@pytest.mark.parametrize("north_deg", [90.0, 25.0, -140.0])
+def test_north_is_found_from_the_fixes(north_deg):
+    way = circle()
+    scene = Scene((fixes(way, north_deg),), trajectories={"way": way})
+    found = ways_of(scene, start_ns=0)
+    assert (found.north.direction_deg - north_deg + 180) % 360 - 180 == pytest.approx(0.0, abs=0.01)
+    assert found.north.rms < 0.01
+    assert found.fixes[0].first_lla == pytest.approx((52.5, 13.4, 40.0))
+    assert found.fixes[0].accuracy_m == 0.5
+
+
+def test_fixes_of_an_ego_that_stands_do_not_tell_north():
+    way = circle()
+    still = replace(way, positions=np.zeros_like(way.positions))
+    assert ways_of(Scene((fixes(still, 90.0),), trajectories={"way": still}), start_ns=0).north is None
+
+
+def test_a_scene_without_anything_has_no_ways():
+    assert ways_of(Scene(()), start_ns=0).ways == ()
+
+
+def test_fixes_without_reception_are_no_places():
+    way = circle()
+    known = fixes(way, 90.0)
+    lla = known.positions_lla.copy()
+    lla[:100, :2] = 0.0
+    found = ways_of(Scene((replace(known, positions_lla=lla),)), start_ns=0)
+    assert (found.fixes[0].usable, found.fixes[0].count) == (301, 401)

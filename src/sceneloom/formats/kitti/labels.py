@@ -1,7 +1,7 @@
 """KITTI's text of labels and results, of the tracking and of the object benchmark."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +80,10 @@ class KittiLabels:
         """(N,) bool, whether a box in space is told."""
         have: BoolArray = np.all(self.sizes_hwl > 0, axis=1)
         return have
+
+    def with_frames(self, numbers: Sequence[int]) -> "KittiLabels":
+        """The same with other numbers of frames, by the old ones."""
+        return replace(self, frames=np.array([numbers[k] for k in self.frames.tolist()], np.int64))
 
     def select(self, rows: ArrayLike) -> "KittiLabels":
         """Keep some: (M,) numbers of rows, or (N,) bool."""

@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import OptionError, check_option_names
+from sceneloom.errors import check_option_names
 from sceneloom.formats.kitti.object import place
 from sceneloom.formats.kitti.object.reading import open_object
+from sceneloom.formats.kitti.object.writing import write_object
+from sceneloom.formats.kitti.written.holdings import OBJECT
 from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.scene import Scene
 
+_WRITING_OPTIONS: tuple[str, ...] = ()
 _READING_OPTIONS = ("lenient",)
 
 
@@ -20,8 +22,7 @@ class ObjectFormat:
     name = "kitti-object"
     suffixes: tuple[str, ...] = ("",)
     looks_like = "frames of KITTI's object benchmark (velodyne, image_2, calib, label_2)"
-    holds: Mapping[str, Holding] = MappingProxyType({})
-    writes = False
+    holds: Mapping[str, Holding] = OBJECT
 
     def recognises(self, path: Path) -> bool:
         """Say whether the path is such a folder."""
@@ -43,13 +44,14 @@ class ObjectFormat:
         return open_object(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
-        """Refuse.
+        """Write a scene so; `write_object` describes the options.
 
         Raises:
-            OptionError: always.
+            UnknownOptionError: an option is unknown.
+            OutputError: the folder exists, or cannot be written.
         """
-        del scene, overwrite, options
-        raise OptionError(f"{path}: {self.name} is only read")
+        check_option_names("writing KITTI's object benchmark", options, _WRITING_OPTIONS)
+        return write_object(scene, path, overwrite=overwrite, **options)
 
 
 FORMAT = ObjectFormat()

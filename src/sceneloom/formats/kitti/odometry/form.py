@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import OptionError, check_option_names
+from sceneloom.errors import check_option_names
 from sceneloom.formats.kitti.odometry import place
 from sceneloom.formats.kitti.odometry.reading import open_odometry
+from sceneloom.formats.kitti.odometry.writing import write_odometry
+from sceneloom.formats.kitti.written.holdings import ODOMETRY
 from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.scene import Scene
 
+_WRITING_OPTIONS: tuple[str, ...] = ("sequence",)
 _READING_OPTIONS = ("sequence", "lenient")
 
 
@@ -22,8 +24,7 @@ class OdometryFormat:
     looks_like = (
         "sequences of KITTI's odometry benchmark (sequences/00, poses/00.txt), with SemanticKITTI's labels"
     )
-    holds: Mapping[str, Holding] = MappingProxyType({})
-    writes = False
+    holds: Mapping[str, Holding] = ODOMETRY
 
     def recognises(self, path: Path) -> bool:
         """Say whether the path is such a folder."""
@@ -45,13 +46,14 @@ class OdometryFormat:
         return open_odometry(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
-        """Refuse.
+        """Write a scene so; `write_odometry` describes the options.
 
         Raises:
-            OptionError: always.
+            UnknownOptionError: an option is unknown.
+            OutputError: the folder exists, or cannot be written.
         """
-        del scene, overwrite, options
-        raise OptionError(f"{path}: {self.name} is only read")
+        check_option_names("writing KITTI's odometry benchmark", options, _WRITING_OPTIONS)
+        return write_odometry(scene, path, overwrite=overwrite, **options)
 
 
 FORMAT = OdometryFormat()

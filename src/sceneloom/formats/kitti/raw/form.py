@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import OptionError, check_option_names
+from sceneloom.errors import check_option_names
 from sceneloom.formats.kitti.raw import place
 from sceneloom.formats.kitti.raw.reading import open_raw
+from sceneloom.formats.kitti.raw.writing import write_raw
+from sceneloom.formats.kitti.written.holdings import RAW
 from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.scene import Scene
 
+_WRITING_OPTIONS = ("kind", "sequence")
 _READING_OPTIONS = ("sequence", "lenient")
 
 
@@ -20,8 +22,7 @@ class RawFormat:
     name = "kitti-raw"
     suffixes: tuple[str, ...] = ("",)
     looks_like = "a drive of KITTI's raw data (2011_09_26_drive_0001_sync), or the folder of its day"
-    holds: Mapping[str, Holding] = MappingProxyType({})
-    writes = False
+    holds: Mapping[str, Holding] = RAW
 
     def recognises(self, path: Path) -> bool:
         """Say whether the path is such a folder."""
@@ -43,13 +44,14 @@ class RawFormat:
         return open_raw(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
-        """Refuse.
+        """Write a scene so; `write_raw` describes the options.
 
         Raises:
-            OptionError: always.
+            UnknownOptionError: an option is unknown.
+            OutputError: the folder exists, or cannot be written.
         """
-        del scene, overwrite, options
-        raise OptionError(f"{path}: {self.name} is only read")
+        check_option_names("writing KITTI's raw data", options, _WRITING_OPTIONS)
+        return write_raw(scene, path, overwrite=overwrite, **options)
 
 
 FORMAT = RawFormat()

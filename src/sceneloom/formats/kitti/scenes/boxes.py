@@ -52,8 +52,8 @@ class LabelPlaces:
 def label_annotations(labels: KittiLabels, places: LabelPlaces) -> tuple[Annotation, ...]:
     """Give one annotation for each track, and for each object that has none.
 
-    Tracks have their numbers as ids, other objects `frame.row`; regions in which nothing counts, and objects without a
-    box in space, are boxes in pictures.
+    Tracks have their numbers as ids, other objects `frame.count`. Regions in which nothing counts, and objects without
+    a box in space, are boxes in pictures.
 
     Raises:
         DataError: a track stands twice in a frame.
@@ -101,10 +101,9 @@ def _objects(labels: KittiLabels, file: object) -> list[tuple[Identifier, Int64A
     seen: dict[tuple[int, int], int] = {}
     in_frame: dict[int, int] = defaultdict(int)
     for row, (frame, track) in enumerate(zip(labels.frames.tolist(), labels.track_ids.tolist(), strict=True)):
-        number = in_frame[frame]
-        in_frame[frame] += 1
         if track == NO_TRACK:
-            tracks[f"{frame:06d}.{number}"].append(row)
+            tracks[f"{frame:06d}.{in_frame[frame]}"].append(row)
+            in_frame[frame] += 1
             continue
         if (frame, track) in seen:
             raise DataError(file, f"frame {frame}", f"track {track} stands in it twice; expected once")

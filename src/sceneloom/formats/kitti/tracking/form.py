@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import OptionError, check_option_names
+from sceneloom.errors import check_option_names
 from sceneloom.formats.kitti.tracking import place
 from sceneloom.formats.kitti.tracking.reading import open_tracking
+from sceneloom.formats.kitti.tracking.writing import write_tracking
+from sceneloom.formats.kitti.written.holdings import TRACKING
 from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.scene import Scene
 
+_WRITING_OPTIONS: tuple[str, ...] = ("sequence",)
 _READING_OPTIONS = ("sequence", "lenient")
 
 
@@ -20,8 +22,7 @@ class TrackingFormat:
     name = "kitti-tracking"
     suffixes: tuple[str, ...] = ("",)
     looks_like = "sequences of KITTI's tracking benchmark (velodyne/0000, image_02/0000, label_02, calib)"
-    holds: Mapping[str, Holding] = MappingProxyType({})
-    writes = False
+    holds: Mapping[str, Holding] = TRACKING
 
     def recognises(self, path: Path) -> bool:
         """Say whether the path is such a folder."""
@@ -43,13 +44,14 @@ class TrackingFormat:
         return open_tracking(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
-        """Refuse.
+        """Write a scene so; `write_tracking` describes the options.
 
         Raises:
-            OptionError: always.
+            UnknownOptionError: an option is unknown.
+            OutputError: the folder exists, or cannot be written.
         """
-        del scene, overwrite, options
-        raise OptionError(f"{path}: {self.name} is only read")
+        check_option_names("writing KITTI's tracking benchmark", options, _WRITING_OPTIONS)
+        return write_tracking(scene, path, overwrite=overwrite, **options)
 
 
 FORMAT = TrackingFormat()

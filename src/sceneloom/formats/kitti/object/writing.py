@@ -1,0 +1,176 @@
+"""A scene as frames of KITTI's object benchmark: each with a calibration of its own, and without a common world."""
+
+from pathlib import Path
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.formats.kitti.labels import write_object_labels
+from sceneloom.formats.kitti.object.place import PICTURE_FOLDERS, recognises
+from sceneloom.formats.kitti.object.reading import FRAME_NS
+from sceneloom.formats.kitti.written.calibration_text import Mounted, write_calibration
+from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
+from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
+from sceneloom.formats.kitti.written.label_rows import LabelRows
+from sceneloom.formats.kitti.written.places import egos_at, is_lidar
+from sceneloom.formats.kitti.written.target import check_replaceable, kept_of
+from sceneloom.formats.kitti.written.timeline import NONE, Timeline, timeline_of
+from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.output import replacing
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Box2DAnnotation, CameraSensor, CuboidAnnotation, LidarSensor, Picture, Scene
+
+HELD = frozenset({LidarSensor, CameraSensor, CuboidAnnotation, Box2DAnnotation})
+"""Kinds of sensors and annotations that frames have a place for."""
+
+
+def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossReport:
+    """Write a scene as frames in a folder `training`.
+
+    Args:
+        scene: to be written.
+        path: the folder above `training`.
+        overwrite: replace a folder of such frames as a whole.
+
+    Returns:
+        What the folder could not hold.
+
+    Raises:
+        OutputError: the path exists, or cannot be written.
+        DataError: what the scene is read from is damaged.
+    """
+    check_replaceable(path, recognises, "folder of KITTI's object benchmark")
+    choice = choose(scene, tuple(PICTURE_FOLDERS), rectified=True, models=frozenset({"pinhole"}), rigid=False)
+    losses = [*dropped_parts(scene, HELD), *choice.losses]
+    timeline = timeline_of(choice, one_time=False)
+    numbers = _numbers(scene, timeline)
+    losses += [*timeline.losses, *_time_losses(scene, choice, timeline)]
+    with replacing(path, overwrite=overwrite, folder=True) as draft:
+        folder = draft / "training"
+        (folder / "calib").mkdir(parents=True)
+        pictures = {number: folder / kind for number, kind in PICTURE_FOLDERS.items()}
+        losses += write_frames(
+            choice,
+            timeline,
+            lambda k: f"{numbers[k]:06d}",
+            folder / "velodyne",
+            pictures,
+            lambda _, frame: losses.extend(point_time_loss(frame)),
+        )
+        places = _FramePlaces(choice, timeline)
+        rectified = [
+            write_calibration(
+                folder / "calib" / f"{numbers[k]:06d}.txt",
+                "object",
+                places.mounted(k),
+                _kept(scene, numbers[k]),
+            )
+            for k in range(len(timeline))
+        ]
+        losses += _write_labels(choice, timeline, numbers, places, rectified, folder / "label_2")
+    return LossReport.of(losses)
+
+
+def _numbers(scene: Scene, timeline: Timeline) -> list[int]:
+    """The numbers of frames: those that a scene of such frames had, else from 0 on."""
+    if kept_of(scene).get("benchmark") == "object":
+        return [time // FRAME_NS for time in timeline.timestamps_ns.tolist()]
+    return list(range(len(timeline)))
+
+
+def _time_losses(scene: Scene, choice: Choice, timeline: Timeline) -> list[Loss]:
+    """Frames have neither times nor a way: what of both a scene has is lost."""
+    if kept_of(scene).get("benchmark") == "object":
+        return []
+    losses = [
+        Loss(field=name, what="left out: frames have numbers and no times", count=count)
+        for name, count in (
+            ("sensors.lidar.frames.timestamp_ns", int((timeline.sweeps != NONE).sum())),
+            (
+                "sensors.camera.pictures.timestamp_ns",
+                sum(int((p != NONE).sum()) for p in timeline.pictures.values()),
+            ),
+        )
+        if count
+    ]
+    if choice.ego_path is not None:
+        what = "left out: every frame's world is its own lidar's frame"
+        losses.append(Loss(field="trajectories", what=what))
+    return losses
+
+
+def _kept(scene: Scene, number: int) -> dict[str, list[float]] | None:
+    """The entries of the calibration that a frame was read with."""
+    kept = kept_of(scene)
+    told = kept.get("calibration")
+    if kept.get("benchmark") != "object" or not isinstance(told, dict):
+        return None
+    row = told.get("frames", {}).get(str(number))
+    different = told.get("different", [])
+    return different[row] if isinstance(row, int) and 0 <= row < len(different) else None
+
+
+class _FramePlaces:
+    """Where the cameras are in each frame, and with which lenses: pictures may have their own."""
+
+    def __init__(self, choice: Choice, timeline: Timeline) -> None:
+        self._choice, self._timeline = choice, timeline
+
+    def picture(self, number: int, k: int) -> Picture | None:
+        """The picture of a camera in a frame."""
+        row = int(self._timeline.pictures[number][k])
+        return None if row == NONE else self._choice.cameras[number].pictures[row]
+
+    def lens(self, number: int, k: int) -> Camera:
+        """The lens of a frame's picture; the camera's own, where it has none or another kind."""
+        own, picture = self._choice.cameras[number].camera, self.picture(number, k)
+        return picture.camera if picture is not None and picture.camera.model == "pinhole" else own
+
+    def mounted(self, k: int) -> Mounted:
+        """How the sensors lie in a frame."""
+        choice = self._choice
+        lenses, mounts = {}, {}
+        for number, mount in choice.ego_from_camera.items():
+            picture = self.picture(number, k)
+            ego_from_camera = mount if picture is None or picture.mount is None else picture.mount
+            lenses[number] = self.lens(number, k)
+            mounts[number] = ego_from_camera.inverse() @ choice.ego_from_lidar
+        lidar_from_imu = None if is_lidar(choice) else choice.ego_from_lidar.inverse()
+        return Mounted(lenses, mounts, lidar_from_imu, choice.reference, choice.lidar is not None)
+
+
+def _write_labels(
+    choice: Choice,
+    timeline: Timeline,
+    numbers: list[int],
+    places: _FramePlaces,
+    rectified_from_lidar: list[RigidTransform],
+    folder: Path,
+) -> list[Loss]:
+    reference = choice.reference
+    if reference is None:
+        count = len(choice.scene.annotations)
+        what = "left out: boxes are told in the frame of a camera, and there is none"
+        return [Loss(field="annotations", what=what, count=count)] if count else []
+    egos = egos_at(choice, timeline.timestamps_ns)
+    world_from_rectified = [
+        ego @ choice.ego_from_lidar @ rectified.inverse()
+        for ego, rectified in zip(egos, rectified_from_lidar, strict=True)
+    ]
+    rows = LabelRows(
+        choice.scene,
+        timeline,
+        reference,
+        choice.cameras[reference],
+        world_from_rectified.__getitem__,
+        lambda k: places.lens(reference, k),
+        with_tracks=False,
+    )
+    labels = rows.labels()
+    write_object_labels(labels.with_frames(numbers), folder, frames=numbers)
+    tracked = sum(
+        isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns) > 1 for a in choice.scene.annotations
+    )
+    what = "frames know nothing of each other: an object is another one in each"
+    lost = (
+        [Loss(field="annotations.cuboid.id", what=what, count=tracked, fate=Fate.DROPPED)] if tracked else []
+    )
+    return [*rows.losses, *lost]

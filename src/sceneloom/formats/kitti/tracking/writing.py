@@ -1,0 +1,110 @@
+"""A scene as a sequence of KITTI's tracking benchmark."""
+
+from pathlib import Path
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.kitti.labels import format_labels
+from sceneloom.formats.kitti.tracking.place import PICTURE_FOLDERS, recognises
+from sceneloom.formats.kitti.written.calibration_text import write_calibration
+from sceneloom.formats.kitti.written.choice import choose, dropped_parts
+from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
+from sceneloom.formats.kitti.written.label_rows import LabelRows
+from sceneloom.formats.kitti.written.oxts_lines import oxts_lines
+from sceneloom.formats.kitti.written.places import egos_at, is_lidar, mounted_of
+from sceneloom.formats.kitti.written.target import check_replaceable, kept_calibration, kept_of
+from sceneloom.formats.kitti.written.timeline import timeline_of
+from sceneloom.formats.loss import Loss, LossReport
+from sceneloom.formats.output import replacing
+from sceneloom.formats.recording.written_times import seconds_text
+from sceneloom.scene import (
+    Box2DAnnotation,
+    CameraSensor,
+    CuboidAnnotation,
+    GnssSensor,
+    ImuSensor,
+    LidarSensor,
+    OdometrySensor,
+    Scene,
+)
+
+HELD = frozenset(
+    {LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation, Box2DAnnotation}
+)
+"""Kinds of sensors and annotations that a sequence has a place for."""
+
+
+def write_tracking(
+    scene: Scene, path: Path, *, overwrite: bool = False, sequence: str | None = None
+) -> LossReport:
+    """Write a scene as a sequence in a folder `training`.
+
+    Args:
+        scene: to be written.
+        path: the folder above `training`.
+        overwrite: replace a folder of such sequences as a whole.
+        sequence: its name, four digits; None for the one that the scene was read from, else "0000".
+
+    Returns:
+        What the folder could not hold.
+
+    Raises:
+        OptionError: the name is none.
+        OutputError: the path exists, or cannot be written.
+        DataError: what the scene is read from is damaged.
+    """
+    name = sequence or kept_of(scene).get("sequence") or "0000"
+    name = name if len(name) == 4 else f"{int(name):04d}" if name.isascii() and name.isdigit() else name
+    if not (len(name) == 4 and name.isascii() and name.isdigit()):
+        raise OptionError(f"sequence {name!r}; expected four digits, as 0000")
+    check_replaceable(path, recognises, "folder of KITTI's tracking benchmark")
+    choice = choose(scene, tuple(PICTURE_FOLDERS), rectified=True, models=frozenset({"pinhole"}))
+    losses = [*dropped_parts(scene, HELD), *choice.losses]
+    timeline = timeline_of(choice)
+    losses += timeline.losses
+    with replacing(path, overwrite=overwrite, folder=True) as draft:
+        folder = draft / "training"
+        for kind in ("calib", "label_02", "times"):
+            (folder / kind).mkdir(parents=True)
+        pictures = {number: folder / kind / name for number, kind in PICTURE_FOLDERS.items()}
+        losses += write_frames(
+            choice,
+            timeline,
+            "{:06d}".format,
+            folder / "velodyne" / name,
+            pictures,
+            lambda _, frame: losses.extend(point_time_loss(frame)),
+        )
+        with_imu = choice.ego_path is not None or not is_lidar(choice)
+        mounted = mounted_of(choice, with_imu=with_imu)
+        rectified_from_lidar = write_calibration(
+            folder / "calib" / f"{name}.txt", "tracking", mounted, kept_calibration(scene)
+        )
+        seconds = "".join(f"{seconds_text(time)}\n" for time in timeline.timestamps_ns.tolist())
+        (folder / "times" / f"{name}.txt").write_text(seconds, "utf-8", newline="\n")
+        if choice.ego_path is not None:
+            lines = oxts_lines(scene, choice.ego_path, timeline.timestamps_ns)
+            losses += lines.losses
+            (folder / "oxts").mkdir()
+            text = "".join(f"{line}\n" for line in lines.texts())
+            (folder / "oxts" / f"{name}.txt").write_text(text, "utf-8", newline="\n")
+        if choice.reference is not None:
+            egos = egos_at(choice, timeline.timestamps_ns)
+            ego_from_rectified = choice.ego_from_lidar @ rectified_from_lidar.inverse()
+            camera = choice.cameras[choice.reference]
+            rows = LabelRows(
+                choice.scene,
+                timeline,
+                choice.reference,
+                camera,
+                lambda frame: egos[frame] @ ego_from_rectified,
+                lambda _: camera.camera,
+                with_tracks=True,
+            )
+            text = "".join(f"{line}\n" for line in format_labels(rows.labels(), path))
+            losses += rows.losses
+        else:
+            text, lost = "", len(scene.annotations)
+            what = "left out: boxes are told in the frame of a camera, and there is none"
+            losses += [Loss(field="annotations", what=what, count=lost)] if lost else []
+        (folder / "label_02" / f"{name}.txt").write_text(text, "utf-8", newline="\n")
+    return LossReport.of(losses)

@@ -1,0 +1,61 @@
+"""Writing the sweeps and pictures of a synchronised folder, frame by frame."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from sceneloom.formats.kitti.written.choice import Choice
+from sceneloom.formats.kitti.written.files import SweepFiles, picture_losses, write_picture
+from sceneloom.formats.kitti.written.timeline import NONE, Timeline
+from sceneloom.formats.loss import Loss
+from sceneloom.scene import LidarFrame
+
+Name = Callable[[int], str]
+
+
+def write_frames(
+    choice: Choice,
+    timeline: Timeline,
+    name: Name,
+    sweeps: Path,
+    pictures: Mapping[int, Path],
+    told: Callable[[int, LidarFrame], None] | None = None,
+) -> list[Loss]:
+    """Write the files of all frames; each sweep and picture is read, written and let go.
+
+    Args:
+        choice: what is written.
+        timeline: the frames.
+        name: of a frame's files, without suffix.
+        sweeps: the folder of sweeps; it is made if there are any.
+        pictures: the folders of pictures, by number of the camera.
+        told: is given each sweep and its frame's number.
+
+    Returns:
+        What was lost.
+    """
+    writer = SweepFiles(choice)
+    losses = [loss for camera in choice.cameras.values() for loss in picture_losses(camera)]
+    if choice.lidar is not None and len(choice.lidar.frames):
+        sweeps.mkdir(parents=True)
+    for number, camera in choice.cameras.items():
+        if len(camera.pictures):
+            pictures[number].mkdir(parents=True)
+    for k in range(len(timeline)):
+        sweep = int(timeline.sweeps[k])
+        if choice.lidar is not None and sweep != NONE:
+            frame = choice.lidar.frames[sweep]
+            writer.write(frame, sweeps / f"{name(k)}.bin")
+            if told is not None:
+                told(k, frame)
+        for number, camera in choice.cameras.items():
+            row = int(timeline.pictures[number][k])
+            if row != NONE:
+                write_picture(camera.pictures[row], pictures[number] / f"{name(k)}.png")
+    return [*losses, *writer.losses]
+
+
+def point_time_loss(frame: LidarFrame) -> list[Loss]:
+    """The loss of a sweep's point times, where the target has none."""
+    count = len(frame.points) if frame.points.timestamps_ns is not None else 0
+    what = "left out: points have no times there"
+    return [Loss(field="sensors.lidar.frames.points.timestamps_ns", what=what, count=count)] if count else []

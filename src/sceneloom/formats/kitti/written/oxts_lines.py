@@ -1,0 +1,213 @@
+"""OXTS lines of a scene: from the way of the ego, the IMU and the satellite receiver."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.formats.kitti.oxts import FIELDS
+from sceneloom.formats.kitti.scenes.inertial import STREAMS
+from sceneloom.formats.loss import Fate, Loss
+from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
+from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.scene import GnssSensor, ImuSensor, PosePath, Scene
+
+UNTOLD = {"navstat": -1.0, "numsats": -1.0, "posmode": -1.0, "velmode": -1.0, "orimode": -1.0}
+"""What stands for states that nothing tells; of all other columns it is 0."""
+
+_SAME_PLACE = 1e-6
+_STEP_NS = 50_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OxtsLines:
+    """Lines of a unit.
+
+    Attributes:
+        values: (N, 30) float64, in the order of `FIELDS`.
+        losses: what they do not hold, and what was made up.
+    """
+
+    values: Float64Array
+    losses: tuple[Loss, ...]
+
+    def texts(self) -> list[str]:
+        """Each line, all digits."""
+        whole = len(FIELDS) - len(UNTOLD)
+        return [
+            " ".join([*(repr(value) for value in row[:whole]), *(str(int(value)) for value in row[whole:])])
+            for row in self.values.tolist()
+        ]
+
+
+def oxts_lines(scene: Scene, path: PosePath, timestamps_ns: Int64Array) -> OxtsLines:
+    """Give a line for each time.
+
+    Args:
+        scene: whose IMU and receiver are asked, the first of each.
+        path: `world_from_ego`, its axes east, north and up.
+        timestamps_ns: (N,) int64 [ns].
+    """
+    table = _Table(timestamps_ns)
+    imu = next((sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)), None)
+    gnss = next((sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)), None)
+    held = path.held(timestamps_ns)
+    beyond = (
+        0 if path.endless else int(((timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)).sum())
+    )
+    if beyond:
+        what = "beyond the way: its end poses written"
+        table.lose("trajectories.positions", what, beyond, Fate.APPROXIMATED)
+    turns = matrix_from_quaternion(held.quaternions_xyzw)
+    angles = cuboid_angles_from_rotation(turns, unit=AngleUnit.RADIANS, order="zyx")
+    table.put(("roll", "pitch", "yaw"), angles)
+    _put_places(table, scene, path, held.positions, gnss)
+    _put_motion(table, path, angles[:, 2])
+    _put_inertial(table, imu, angles)
+    _put_accuracies(table, gnss)
+    return OxtsLines(table.values, tuple(table.losses))
+
+
+class _Table:
+    def __init__(self, timestamps_ns: Int64Array) -> None:
+        self.timestamps_ns = timestamps_ns
+        self.values = np.zeros((len(timestamps_ns), len(FIELDS)))
+        self.losses: list[Loss] = []
+        for name, value in UNTOLD.items():
+            self.put((name,), np.full((len(timestamps_ns), 1), value))
+
+    def put(self, names: tuple[str, ...], values: Float64Array) -> None:
+        self.values[:, [FIELDS.index(name) for name in names]] = values
+
+    def of(self, names: tuple[str, ...]) -> Float64Array:
+        return self.values[:, [FIELDS.index(name) for name in names]]
+
+    def lose(self, name: str, what: str, count: int, fate: Fate, error: float | None = None) -> None:
+        self.losses.append(Loss(field=name, what=what, count=count, fate=fate, largest_error=error))
+
+
+def _put_places(
+    table: _Table, scene: Scene, path: PosePath, positions: Float64Array, gnss: GnssSensor | None
+) -> None:
+    """Latitude, longitude and altitude of the way: by the world's origin where it is known."""
+    names = ("lat", "lon", "alt")
+    if gnss is not None and np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
+        way = enu_from_geodetic(gnss.positions_lla, gnss.positions_lla[0])
+        if np.abs(way - positions).max(initial=0.0) <= _SAME_PLACE:
+            table.put(names, gnss.positions_lla)
+            return
+    origin, error = _origin(scene, path, gnss)
+    count = len(positions)
+    if origin is None:
+        origin = np.zeros(3)
+        what = "where on earth the world is, is not known: written as if its origin were at latitude and longitude 0"
+        table.lose("trajectories.positions", what, count, Fate.APPROXIMATED)
+    elif error is not None:
+        what = "placed on earth by the satellite receiver's fixes, taking the world's axes as east, north and up [m]"
+        table.lose("sensors.gnss.positions_lla", what, count, Fate.APPROXIMATED, error)
+    if count and np.linalg.norm(positions[0]) > _SAME_PLACE:
+        what = "read back, the world's origin is the first line's place"
+        table.lose("trajectories.positions", what, count, Fate.CONVERTED)
+    table.put(names, geodetic_from_enu(positions, origin))
+
+
+def _origin(
+    scene: Scene, path: PosePath, gnss: GnssSensor | None
+) -> tuple[Float64Array | None, float | None]:
+    """The world's origin on earth, (3,) latitude, longitude, altitude, and how far fixes are from the way it gives."""
+    told: Any = scene.metadata.get("sceneloom")
+    named: Any = told.get("enu_origin") if isinstance(told, Mapping) else None
+    if isinstance(named, Mapping):
+        return np.array([float(named[key]) for key in ("latitude", "longitude", "altitude")]), None
+    if gnss is None or not len(gnss.timestamps_ns):
+        return None, None
+    finite = np.isfinite(gnss.positions_lla).all(axis=1)
+    if not finite.any():
+        return None, None
+    first = gnss.positions_lla[finite][0]
+    fixes = enu_from_geodetic(gnss.positions_lla[finite], first)
+    shift = np.median(path.held(gnss.timestamps_ns[finite]).positions - fixes, axis=0)
+    origin: Float64Array = geodetic_from_enu(-shift, first)
+    error = float(np.abs(path.held(gnss.timestamps_ns[finite]).positions - fixes - shift).max())
+    return origin, error
+
+
+def _put_motion(table: _Table, path: PosePath, yaws: Float64Array) -> None:
+    """Velocities of the way, over a tenth of a second."""
+    ahead = path.held(table.timestamps_ns + _STEP_NS).positions
+    behind = path.held(table.timestamps_ns - _STEP_NS).positions
+    span_ns = np.full(len(yaws), 2 * _STEP_NS)
+    if not path.endless:
+        late = np.minimum(table.timestamps_ns + _STEP_NS, path.stop_ns)
+        span_ns = late - np.maximum(table.timestamps_ns - _STEP_NS, path.start_ns)
+    velocity = (ahead - behind) / (np.maximum(span_ns, 1)[:, None] / 1e9)
+    east, north, up = velocity.T
+    forward = east * np.cos(yaws) + north * np.sin(yaws)
+    left = north * np.cos(yaws) - east * np.sin(yaws)
+    table.put(STREAMS["velocity"], np.column_stack([north, east, forward, left, up]))
+
+
+def _put_inertial(table: _Table, imu: ImuSensor | None, angles: Float64Array) -> None:
+    """Accelerations and rates at the lines' times, in the unit's axes and in level ones."""
+    if imu is None:
+        return
+    level = _level_turns(angles)
+    for stream, levelled in (("accelerometer", "levelAcceleration"), ("gyroscope", "levelGyroscope")):
+        values = _at(table, imu, stream)
+        if values is not None:
+            table.put(STREAMS[stream], values)
+            table.put(STREAMS[levelled], np.einsum("nij,nj->ni", level, values))
+    for stream in ("velocity", "levelAcceleration", "levelGyroscope", "oxtsStatus"):
+        values = _at(table, imu, stream) if _same_times(table, imu, stream) else None
+        if values is not None:
+            table.put(STREAMS[stream], values)
+    for stream, samples in imu.streams.items():
+        kind = stream if stream in ("accelerometer", "gyroscope", "magnetometer") else "other"
+        if stream not in STREAMS:
+            table.lose(f"sensors.imu.streams.{kind}", f"{stream!r} left out", len(samples), Fate.DROPPED)
+        elif not _same_times(table, imu, stream):
+            what = "a value at the time of each line, between the nearest two; the others are left out"
+            table.lose(f"sensors.imu.streams.{kind}", what, len(samples), Fate.APPROXIMATED)
+
+
+def _level_turns(angles: Float64Array) -> Float64Array:
+    """What takes the unit's axes into level ones of the same heading, (N, 3, 3)."""
+    from sceneloom.geometry.euler import rotation_from_cuboid_angles
+
+    level = angles.copy()
+    level[:, 2] = 0.0
+    return rotation_from_cuboid_angles(level, unit=AngleUnit.RADIANS, order="zyx")
+
+
+def _same_times(table: _Table, imu: ImuSensor, stream: str) -> bool:
+    samples = imu.streams.get(stream)
+    return samples is not None and np.array_equal(samples.timestamps_ns, table.timestamps_ns)
+
+
+def _at(table: _Table, imu: ImuSensor, stream: str) -> Float64Array | None:
+    """The values of a stream at the lines' times, straight between the nearest two; None where it does not fit."""
+    samples = imu.streams.get(stream)
+    if samples is None or not len(samples) or samples.values.shape[1] != len(STREAMS[stream]):
+        return None
+    if _same_times(table, imu, stream):
+        return samples.values
+    start = int(samples.timestamps_ns[0])
+    own, wanted = (samples.timestamps_ns - start) / 1e9, (table.timestamps_ns - start) / 1e9
+    return np.column_stack([np.interp(wanted, own, column) for column in samples.values.T])
+
+
+def _put_accuracies(table: _Table, gnss: GnssSensor | None) -> None:
+    if gnss is None or not len(gnss.timestamps_ns):
+        return
+    nearest = np.clip(
+        np.searchsorted(gnss.timestamps_ns, table.timestamps_ns), 0, len(gnss.timestamps_ns) - 1
+    )
+    table.put(("pos_accuracy",), np.nan_to_num(gnss.accuracies[nearest], nan=0.0)[:, None])
+    if np.isfinite(gnss.vertical_accuracies).any():
+        table.lose("sensors.gnss.vertical_accuracies", "left out", len(gnss.timestamps_ns), Fate.DROPPED)
+    if not np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
+        what = "fixes are left out: lines have the places of the ego's way"
+        table.lose("sensors.gnss.positions_lla", what, len(gnss.timestamps_ns), Fate.APPROXIMATED)

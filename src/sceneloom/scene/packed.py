@@ -37,6 +37,11 @@ class UnpackedWhenAsked:
         packed: Packed | None = getattr(self, "_packed", None)
         return None if packed is None else len(packed)
 
+    def packed_records(self) -> Packed | None:
+        """Give the records of an object whose fields nobody has asked for yet, to copy them; None for any other."""
+        packed: Packed | None = getattr(self, "_packed", None)
+        return packed
+
     # type checkers would take any name for a field
     if not TYPE_CHECKING:
 

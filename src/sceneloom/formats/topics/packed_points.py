@@ -28,6 +28,22 @@ def unpack(record: CloudRecord, owner: str, place: str) -> Cloud:
     Raises:
         DataError: a field reaches beyond the point, or there are fewer bytes than points.
     """
+    rows = checked_rows(record, owner, place)
+    names = unique_names([field.name for field in record.fields])
+    columns = {
+        name: _column(rows, field)
+        for name, field in zip(names, record.fields, strict=True)
+        if not name.startswith(_PADDING)
+    }
+    return Cloud(Path(owner), len(rows), columns)
+
+
+def checked_rows(record: CloudRecord, owner: str, place: str) -> AnyArray:
+    """(N, stride) uint8, the bytes of each point.
+
+    Raises:
+        DataError: a field reaches beyond the point, or there are fewer bytes than points.
+    """
     stride = record.stride
     if stride <= 0 and (len(record.data) or record.count):
         raise DataError(owner, place, f"{stride} bytes from point to point; expected a positive number")
@@ -39,14 +55,7 @@ def unpack(record: CloudRecord, owner: str, place: str) -> Cloud:
                 "expected fields inside the point"
             )
             raise DataError(owner, place, problem)
-    rows = _rows(record, owner, place)
-    names = unique_names([field.name for field in record.fields])
-    columns = {
-        name: _column(rows, field)
-        for name, field in zip(names, record.fields, strict=True)
-        if not name.startswith(_PADDING)
-    }
-    return Cloud(Path(owner), len(rows), columns)
+    return _rows(record, owner, place)
 
 
 def _rows(record: CloudRecord, owner: str, place: str) -> AnyArray:
@@ -81,10 +90,14 @@ def _uneven_rows(
 
 
 def _column(rows: AnyArray, field: PackedField) -> AnyArray:
-    size = field.dtype.itemsize * field.count
-    column = np.ascontiguousarray(rows[:, field.offset : field.offset + size]).view(field.dtype)
-    native = column.astype(field.dtype.newbyteorder("="), copy=False)
-    return native[:, 0] if field.count == 1 else native
+    shape = (len(rows),) if field.count == 1 else (len(rows), field.count)
+    strides = (rows.strides[0], field.dtype.itemsize)[: len(shape)]
+    if len(rows) == 0:
+        return np.zeros(shape, field.dtype.newbyteorder("="))
+    # numbers picked out of the points one by one: copying the bytes of each takes ten times as long
+    column = np.ndarray(shape, field.dtype, rows, field.offset, strides)
+    native: AnyArray = column.astype(field.dtype.newbyteorder("="), order="C")
+    return native
 
 
 @dataclass(frozen=True, slots=True, eq=False)

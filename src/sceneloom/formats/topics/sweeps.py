@@ -13,8 +13,9 @@ from sceneloom.formats.clouds import Cloud, IntensityScale, PointMapping, PointT
 from sceneloom.formats.clouds.points import SweepClock, detect_scale
 from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.topics.kept_points import KeptPoints, can_be_kept
 from sceneloom.formats.topics.log import Topic, TopicLog
-from sceneloom.formats.topics.packed_points import unpack
+from sceneloom.formats.topics.packed_points import checked_rows, unpack
 from sceneloom.formats.topics.point_times import find_point_times
 from sceneloom.formats.topics.records import CloudRecord
 from sceneloom.geometry.rigid import RigidTransform
@@ -74,6 +75,13 @@ class CloudReader:
     def points(self, k: int) -> tuple[LidarPoints, dict[str, Any]]:
         """Read the points of message `k`, and what was left out of them."""
         record = self.record(k)
+        if self.whole and can_be_kept(record):
+            rows = checked_rows(record, self.log.name, self.place(k))
+            return LidarPoints.of_packed(KeptPoints(self, k, record, len(rows))), {}
+        return self.unpacked(k, record)
+
+    def unpacked(self, k: int, record: CloudRecord) -> tuple[LidarPoints, dict[str, Any]]:
+        """Take the points of message `k` apart, and count what was left out of them."""
         cloud = unpack(record, self.log.name, self.place(k))
         clock = SweepClock(int(self.stamps_ns[k]), int(self.starts_ns[k]), 0)
         mapping = self.mapping
@@ -85,7 +93,16 @@ class CloudReader:
             place = ": ".join(filter(None, (self.place(k), error.place)))
             raise DataError(self.log.name, place, error.problem) from None
         counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
-        return _placed(read.points, record.frame_from_points), {n: c for n, c in counts.items() if c}
+        points = _placed(read.points, record.frame_from_points)
+        return self._with_cameras(points), {n: c for n, c in counts.items() if c}
+
+    def _with_cameras(self, points: LidarPoints) -> LidarPoints:
+        """Take what coloured the points out of the further columns of a message of ours."""
+        index = points.extras.get("camera_index")
+        if index is None or index.dtype != np.uint8 or not self.whole:
+            return points
+        further = {name: column for name, column in points.extras.items() if name != "camera_index"}
+        return replace(points, camera_index=index, extras=MappingProxyType(further))
 
 
 def _placed(points: LidarPoints, frame_from_points: RigidTransform | None) -> LidarPoints:
@@ -107,10 +124,6 @@ class LidarReader:
             DataError: its message is wrong.
         """
         points, extras = self.clouds.points(k)
-        index = points.extras.get("camera_index")
-        if index is not None and index.dtype == np.uint8 and self.clouds.whole:
-            further = {name: column for name, column in points.extras.items() if name != "camera_index"}
-            points = replace(points, camera_index=index, extras=MappingProxyType(further))
         return LidarFrame(int(self.clouds.starts_ns[k]), points, MappingProxyType(extras))
 
 
@@ -128,7 +141,11 @@ class RadarReader:
         """
         points, extras = self.clouds.points(k)
         columns = dict(points.extras)
-        further = {"intensity": points.intensities, "ring": points.rings}
+        further = {
+            "intensity": points.intensities,
+            "ring": points.rings,
+            "camera_index": points.camera_index,
+        }
         columns |= {name: values for name, values in further.items() if values is not None}
         speed = speed_column(columns)
         lengths = None if speed is None else columns.pop(speed)

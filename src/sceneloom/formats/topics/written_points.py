@@ -1,12 +1,13 @@
 """Sweeps, cycles and maps as clouds of messages."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.formats.topics.dialect import Losses
+from sceneloom.formats.topics.kept_points import kept_record
 from sceneloom.formats.topics.packed_points import pack
 from sceneloom.formats.topics.records import CloudRecord
 from sceneloom.formats.topics.streams import Said
@@ -37,6 +38,11 @@ class CloudWriter:
         """Make the record of sweep `k`."""
         frame = sensor.frames[k]
         points = frame.points
+        kept = kept_record(points, frame.timestamp_ns)
+        if kept is not None:
+            self._note_frame(frame.extras)
+            yield self.topic, replace(kept, frame_id=self.frame_id)
+            return
         columns = _positions(points.positions)
         if points.intensities is not None:
             columns["intensity"] = points.intensities
@@ -123,5 +129,5 @@ def _colours(colors: AnyArray) -> dict[str, AnyArray]:
 def _offsets(timestamps_ns: AnyArray, stamp_ns: int) -> AnyArray:
     """Times of points from their sweep's stamp; too far for 32 bits, they go into floats, exact to 104 days."""
     offsets = timestamps_ns - stamp_ns
-    near = len(offsets) == 0 or int(np.abs(offsets).max()) <= _INT32
+    near = len(offsets) == 0 or bool(offsets.min() >= -_INT32 and offsets.max() <= _INT32)
     return offsets.astype(np.int32 if near else np.float64)

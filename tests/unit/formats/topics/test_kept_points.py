@@ -1,0 +1,64 @@
+"""Sweeps that go from one log into another stay packed, and are the same to whoever looks at them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.formats.topics.kept_points import kept_record
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
+
+pytest.importorskip("mcap")
+
+COUNT = 50
+STAMPS = np.array([1_000_000_000, 1_100_000_000])
+
+
+def points(k):
+    rows = np.random.default_rng(k)
+    return LidarPoints(
+        rows.normal(size=(COUNT, 3)).astype(np.float32),
+        intensities=np.arange(COUNT, dtype=np.uint8),
+        colors=rows.integers(0, 256, (COUNT, 3), np.uint8),
+        timestamps_ns=STAMPS[k] + np.arange(COUNT) * 1_000,
+        rings=np.arange(COUNT, dtype=np.uint16),
+        camera_index=np.full(COUNT, k, np.uint8),
+        extras={"range": rows.random(COUNT, np.float32)},
+    )
+
+
+@pytest.fixture
+def log(tmp_path):
+    frames = [LidarFrame(int(STAMPS[k]), points(k)) for k in range(2)]
+    scene = Scene((LidarSensor("top", LazyFrames.of(frames, STAMPS.tolist())),))
+    write_scene(scene, tmp_path / "log.mcap")
+    return tmp_path / "log.mcap"
+
+
+def test_sweeps_of_a_log_stay_packed_until_a_field_is_asked_for(log):
+    with open_scene(log) as scene:
+        frame = scene.lidars[0].frames[1]
+        assert (frame.points.packed_count(), len(frame.points)) == (COUNT, COUNT)
+        np.testing.assert_array_equal(frame.points.positions, points(1).positions)
+        assert frame.points.packed_count() is None
+
+
+def test_sweeps_copied_into_another_log_are_the_same(log, tmp_path):
+    with open_scene(log) as scene:
+        write_scene(scene, tmp_path / "copy.mcap")
+    with open_scene(tmp_path / "copy.mcap") as copy:
+        for k, frame in enumerate(copy.lidars[0].frames):
+            expected = points(k)
+            for name in ("positions", "intensities", "colors", "timestamps_ns", "rings", "camera_index"):
+                np.testing.assert_array_equal(getattr(frame.points, name), getattr(expected, name), name)
+            np.testing.assert_array_equal(frame.points.extras["range"], expected.extras["range"])
+
+
+def test_a_sweep_whose_time_was_moved_is_packed_anew(log):
+    with open_scene(log) as scene:
+        frame = scene.lidars[0].frames[0]
+        assert kept_record(frame.points, frame.timestamp_ns) is not None
+        moved = replace(frame, timestamp_ns=frame.timestamp_ns + 1)
+        assert kept_record(moved.points, moved.timestamp_ns) is None
+        assert kept_record(points(0), frame.timestamp_ns) is None

@@ -43,8 +43,12 @@ def _of_sensor(sensor: Any, holds: Holds) -> Iterator[Loss]:
         return
     for name in type(sensor).__dataclass_fields__:
         field = f"{kind}.{name}"
-        if field in MODEL_FIELDS and _is_said(getattr(sensor, name)):
+        value = getattr(sensor, name)
+        if field in MODEL_FIELDS and _is_said(value):
             yield from _told(f"sensors[{sensor.id}].{name}", holding_of(holds, field), 1)
+        elif isinstance(value, LazyFrames) and len(value):
+            frames = _of_all(field, holds)
+            yield from _told(f"sensors[{sensor.id}].{name}", frames, len(value))
 
 
 def _of_annotations(scene: Scene, holds: Holds) -> Iterator[Loss]:
@@ -79,7 +83,7 @@ def _of_all(kind: str, holds: Holds) -> Holding | None:
 def _is_said(value: Any) -> bool:
     if value is None or value is Coordinates.WORLD:
         return False
-    return not hasattr(value, "__len__") or len(value) > 0 or isinstance(value, LazyFrames)
+    return not hasattr(value, "__len__") or len(value) > 0
 
 
 def _told(field: str, holding: Holding | None, count: int) -> Iterator[Loss]:

@@ -34,6 +34,7 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "kitti-bin": "sceneloom.formats.clouds.form:KITTI_BIN",
         "nuscenes-bin": "sceneloom.formats.clouds.form:NUSCENES_BIN",
         "npz": "sceneloom.formats.clouds.form:NPZ",
+        "openlabel": "sceneloom.formats.openlabel:FORMAT",
     }
 )
 """Name of each format and the `module:object` that implements it."""

@@ -1,0 +1,80 @@
+"""Texts, numbers and the like as attributes."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.formats.openlabel.document import Part
+from sceneloom.formats.openlabel.gathering import Said
+from sceneloom.formats.openlabel.words import KEPT_WHOLE, PLAIN
+from sceneloom.scene import AttributePath
+
+TYPE = "openlabel_type"
+"""Further field of an attribute: the type of its data, where the value does not tell it."""
+
+_TAKEN = ("name", "val", "coordinate_system")
+
+
+def attribute(kind: str, name: str, rows: Sequence[Said]) -> AttributePath:
+    """What was said under one name, over time.
+
+    Raises:
+        DataError: a value is none of its kind.
+    """
+    ordered = sorted(rows, key=lambda row: (row.time_ns is not None, row.time_ns or 0))
+    values = tuple(_value(kind, row.part) for row in ordered)
+    times = [row.time_ns for row in ordered if row.time_ns is not None]
+    first = ordered[0].part.members()
+    further = {} if kind in KEPT_WHOLE else {key: first[key] for key in first if key not in _TAKEN}
+    if kind in KEPT_WHOLE:
+        further[TYPE] = kind
+    seen_by = first.get("coordinate_system") if kind in PLAIN else None
+    static = len(times) < len(values)
+    return AttributePath(
+        name,
+        values,
+        None if static else np.array(times, np.int64),
+        sensor_id=seen_by if isinstance(seen_by, str) else None,
+        static=True if static else None,
+        extras=MappingProxyType(further),
+    )
+
+
+def nested_attributes(rows: Iterable[Said]) -> tuple[AttributePath, ...]:
+    """The attributes that stand inside of elements of data."""
+    found: dict[tuple[str, str], list[Said]] = {}
+    for row in rows:
+        attributes = row.part.get("attributes")
+        if attributes is None:
+            continue
+        for kind in PLAIN:
+            for part in attributes.items(kind):
+                name = part.members().get("name")
+                found.setdefault((kind, name if isinstance(name, str) else kind), []).append(
+                    Said(row.time_ns, part)
+                )
+    return tuple(attribute(kind, name, parts) for (kind, name), parts in found.items())
+
+
+def _value(kind: str, part: Part) -> Any:
+    if kind in KEPT_WHOLE:
+        return {key: value for key, value in part.members().items() if key != "name"}
+    value = part.need("val").value
+    sound = _SOUND[kind](value)
+    if not sound:
+        raise part.need("val").fault(f"the value of a {kind}")
+    return tuple(value) if kind == "vec" else value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+_SOUND: Mapping[str, Callable[[Any], bool]] = {
+    "text": lambda value: isinstance(value, str),
+    "boolean": lambda value: isinstance(value, bool),
+    "num": _is_number,
+    "vec": lambda value: isinstance(value, list) and all(isinstance(v, str) or _is_number(v) for v in value),
+}

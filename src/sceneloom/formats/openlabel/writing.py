@@ -1,0 +1,349 @@
+"""A scene as an OpenLABEL file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.formats.field_losses import field_losses
+from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.openlabel.draft import Draft, Uids
+from sceneloom.formats.openlabel.holdings import HOLDS
+from sceneloom.formats.openlabel.ours import annotation_fields, attribute_fields
+from sceneloom.formats.openlabel.read_objects import KIND
+from sceneloom.formats.openlabel.reading import KEPT
+from sceneloom.formats.openlabel.words import EGO, OURS, SCHEMA_VERSION, WORLD
+from sceneloom.formats.openlabel.written_data import (
+    Datum,
+    attribute_data,
+    box_data,
+    cuboid_data,
+    keypoint_data,
+    shape_data,
+)
+from sceneloom.formats.openlabel.written_streams import Streams
+from sceneloom.formats.output import replacing
+from sceneloom.formats.recording.written_times import seconds_text
+from sceneloom.scene import (
+    Annotation,
+    Box2DAnnotation,
+    CameraCalibration,
+    Coordinates,
+    CuboidAnnotation,
+    EventAnnotation,
+    GroupAnnotation,
+    LabeledPointsAnnotation,
+    LinkAnnotation,
+    LocalizationAdjustment,
+    ObjectAnnotation,
+    PlainAnnotation,
+    PointsAnnotation,
+    Scene,
+    Sensor,
+    ShapeAnnotation,
+)
+from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.contents import KINDS
+from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import key_of
+
+_LEFT_OUT = (LocalizationAdjustment, CameraCalibration, PlainAnnotation)
+_NO_PLACE = "left out: OpenLABEL has no place for it"
+_SEEN = ("activations", "projections")
+
+
+def write_openlabel(scene: Scene, path: Path, *, overwrite: bool = False) -> LossReport:
+    """Write annotations, sensors without their frames, and the way of the ego.
+
+    Raises:
+        OutputError: the file exists, or cannot be written.
+        DataError: the metadata name an unknown frame of annotations.
+    """
+    writer = _Writer(scene)
+    with replacing(path, overwrite=overwrite) as draft:
+        draft.write_bytes(msgspec.json.encode({"openlabel": writer.document()}))
+    return LossReport.of(writer.losses)
+
+
+class _Writer:
+    """Turns a scene into the document, and keeps what it cannot hold."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.streams = Streams.of(scene)
+        self.losses = list(field_losses(scene, HOLDS))
+        self.draft = Draft(_frame_times(scene))
+        self.uids = Uids()
+        self.relations: dict[str, Any] = {}
+        in_world = annotations_frame(scene) is Coordinates.WORLD
+        self.system = WORLD if in_world else EGO
+        self.angles = CuboidAngles.of(scene)
+
+    def document(self) -> dict[str, Any]:
+        """The member `openlabel`."""
+        written = [one for one in self.scene.annotations if not isinstance(one, _LEFT_OUT)]
+        for annotation in written:
+            if not isinstance(annotation, LinkAnnotation):
+                self._element(annotation)
+        for annotation in written:
+            if isinstance(annotation, LinkAnnotation):
+                self._relation(annotation)
+        self.draft.close()
+        self._tell_way()
+        kept = self.scene.metadata.get("openlabel")
+        kept = {name: kept[name] for name in KEPT if name in kept} if isinstance(kept, Mapping) else {}
+        count = len(self.draft.times)
+        members = {
+            **kept,
+            "metadata": {**kept.get("metadata", {}), "schema_version": SCHEMA_VERSION, OURS: self._ours()},
+            "coordinate_systems": self.streams.systems(world=self.system == WORLD),
+            "streams": self.streams.members(),
+            "objects": self.draft.heads["object"],
+            "events": self.draft.heads["event"],
+            "relations": self.relations,
+            "frames": {str(number): self._frame(number) for number in range(count)},
+            "frame_intervals": [{"frame_start": 0, "frame_end": count - 1}] if count else [],
+        }
+        return {name: value for name, value in members.items() if value}
+
+    def _frame(self, number: int) -> dict[str, Any]:
+        time_ns = int(self.draft.times[number])
+        properties: dict[str, Any] = {"timestamp": seconds_text(time_ns)}
+        for name, value in (
+            ("transforms", self.streams.transforms(time_ns)),
+            ("streams", self.streams.syncs(time_ns)),
+        ):
+            properties.update({name: value} if value else {})
+        frame: dict[str, Any] = {"frame_properties": properties}
+        for kind, said in self.draft.frames.get(number, {}).items():
+            frame[f"{kind}s"] = {uid: {f"{kind}_data": data} for uid, data in said.items()}
+        return frame
+
+    def _ours(self) -> dict[str, Any]:
+        """What only we understand: fields of annotations, and metadata as far as JSON holds them."""
+        found: dict[str, Any] = dict(self.draft.ours)
+        names = list(self.scene.trajectories)
+        found.update({"trajectory": names[0]} if names and self.streams.way is not None else {})
+        own = {name: value for name, value in self.scene.metadata.items() if name != "openlabel"}
+        metadata = {name: value for name, value in own.items() if is_json(value)}
+        for name in own.keys() - metadata.keys():
+            self.losses.append(Loss(field=f"metadata.{name}", what="left out: JSON cannot say it"))
+        return {**found, **({"metadata": metadata} if metadata else {})}
+
+    def _element(self, annotation: Any) -> None:
+        kind = "event" if isinstance(annotation, EventAnnotation) else "object"
+        uid = self.uids.give(annotation.id)
+        further = annotation.extras.get(KIND)
+        further = dict(further) if isinstance(further, Mapping) else {}
+        head = {name: further[name] for name in ("ontology_uid", "resource_uid") if name in further}
+        name = further.get("name")
+        label = getattr(annotation, "label", None)
+        self.draft.heads[kind][uid] = {
+            "name": name if isinstance(name, str) else str(annotation.id),
+            "type": label or "",
+            **head,
+        }
+        fields = annotation_fields(annotation, label=False)
+        fields.update(_CLASS_FIELDS.get(type(annotation), lambda _: {})(annotation))
+        if isinstance(annotation, EventAnnotation):
+            stop_ns = annotation.start_ns + int(annotation.duration_ns or 0)
+            self.draft.heads[kind][uid]["frame_intervals"] = [
+                {
+                    "frame_start": self.draft.number(annotation.start_ns),
+                    "frame_end": self.draft.number(stop_ns),
+                }
+            ]
+        self.draft.say(kind, uid, self._data(annotation, further))
+        unsaid = self._attributes(kind, uid, annotation)
+        fields.update({"attributes": unsaid} if unsaid else {})
+        self._tell_fields(annotation)
+        self._keep(kind, uid, annotation, fields)
+
+    def _data(self, annotation: Annotation, further: Mapping[str, Any]) -> list[Datum]:
+        """The places of an annotation, if it has some."""
+        told = further.get("data")
+        told = dict(told) if isinstance(told, Mapping) else {}
+        name = told.pop("name", None)
+        data: list[Datum] = []
+        if isinstance(annotation, CuboidAnnotation):
+            data = list(cuboid_data(annotation, name or "cuboid", self.system, self.angles))
+        elif isinstance(annotation, Box2DAnnotation):
+            data = list(box_data(annotation, name or "bbox", self._camera(annotation.sensor_id)))
+        elif isinstance(annotation, ShapeAnnotation):
+            flat = annotation.dimensions == 2
+            system = self._camera(annotation.sensor_id) if flat else self.system
+            data = list(shape_data(annotation, name or annotation.type.value, system))
+        elif isinstance(annotation, PointsAnnotation):
+            return list(keypoint_data(annotation, self.system))
+        return [(time_ns, kind, {**told, **element}) for time_ns, kind, element in data]
+
+    def _camera(self, sensor_id: Any) -> str:
+        return self.streams.names.get(sensor_id, str(sensor_id))
+
+    def _attributes(self, kind: str, uid: str, annotation: Any) -> list[dict[str, Any]]:
+        """Write the attributes; give those that the data cannot hold."""
+        unsaid, seen = [], set()
+        for attribute in annotation.attributes:
+            data = attribute_data(attribute, self.streams.names)
+            key = None if not data else (data[0][1], attribute.name)
+            if data and key not in seen and not self._collides(annotation, attribute.name):
+                seen.add(key)
+                self.draft.say(kind, uid, data)
+                if attribute.timestamps_ns is None and not attribute.static:
+                    what = "an attribute without times is read back as one that holds always"
+                    field = f"annotations[{annotation.id}].attributes"
+                    self.losses.append(Loss(field=field, what=what, fate=Fate.CONVERTED))
+            elif is_json(list(attribute.values)):
+                unsaid.append(attribute_fields(attribute))
+            else:
+                field = f"annotations[{annotation.id}].attributes.{attribute.name}"
+                self.losses.append(Loss(field=field, what="left out: JSON cannot say it"))
+        return unsaid
+
+    def _collides(self, annotation: Any, name: str) -> bool:
+        """Whether an attribute of points would be taken for another."""
+        return isinstance(annotation, PointsAnnotation) and any(
+            attribute.name == name and attribute.point_index is not None
+            for attribute in annotation.attributes
+        )
+
+    def _tell_fields(self, annotation: Any) -> None:
+        """Tell what an annotation says that is not written."""
+        held = getattr(annotation, "path", None)
+        if held is not None and not len(held.timestamps_ns):
+            what = "it has no place at any time: read back as an object without one"
+            self.losses.append(Loss(field=f"annotations[{annotation.id}]", what=what))
+        for name in _SEEN:
+            count = len(getattr(annotation, name, ()))
+            if count:
+                field = f"annotations[{annotation.id}].{name}"
+                self.losses.append(Loss(field=field, what=_NO_PLACE, count=count))
+        path = getattr(annotation, "path", None)
+        further = [] if path is None else [name for name in path.extras if name != "rbbox"]
+        if further:
+            field = f"annotations[{annotation.id}].path.extras"
+            self.losses.append(Loss(field=field, what=_NO_PLACE, count=len(further)))
+
+    def _keep(self, kind: str, uid: str, annotation: Any, fields: dict[str, Any]) -> None:
+        """Keep the fields that only we understand, and the further ones that JSON can say."""
+        if is_json(dict(annotation.extras)):
+            fields["extras"] = dict(annotation.extras)
+        else:
+            field = f"annotations[{annotation.id}].extras"
+            self.losses.append(Loss(field=field, what="left out: JSON cannot say it"))
+        self.draft.ours.setdefault(kind, {})[uid] = fields
+
+    def _relation(self, link: LinkAnnotation) -> None:
+        ends = [self.uids.by_id.get(key_of(one)) for one in (link.from_id, link.to_id)]
+        if None in ends:
+            what = "left out: one of its ends is not written"
+            self.losses.append(Loss(field=f"annotations[{link.id}]", what=what))
+            return
+        uid = self.uids.give(link.id)
+        subject, other = ({"uid": str(end), "type": self._kind_of(str(end))} for end in ends)
+        further = link.extras.get(KIND)
+        further = dict(further) if isinstance(further, Mapping) else {}
+        self.relations[uid] = {
+            "name": further.get("name", str(link.id)),
+            "type": link.label or "",
+            "rdf_subjects": [subject],
+            "rdf_objects": [other],
+            **{name: further[name] for name in ("ontology_uid", "resource_uid") if name in further},
+        }
+        self._keep("relation", uid, link, annotation_fields(link, label=False))
+
+    def _kind_of(self, uid: str) -> str:
+        return "event" if uid in self.draft.heads["event"] else "object"
+
+    def _tell_way(self) -> None:
+        """Tell how the way of the ego is sampled, and of which sensors the ways."""
+        for name, way in list(self.scene.trajectories.items())[:1]:
+            if way.quaternions_xyzw is None:
+                self.losses.append(
+                    Loss(field=f"trajectories[{name}]", what="left out: it has no orientations")
+                )
+            elif not np.isin(way.timestamps_ns, self.draft.times).all():
+                what = "written at the times of the frames"
+                field = f"trajectories[{name}].timestamps_ns"
+                count = len(way.timestamps_ns)
+                self.losses.append(Loss(field=field, what=what, count=count, fate=Fate.APPROXIMATED))
+        for name, way in list(self.scene.trajectories.items())[1:]:
+            what = "left out: the format has one way of the ego"
+            self.losses.append(Loss(field=f"trajectories[{name}]", what=what, count=len(way.timestamps_ns)))
+
+
+def _labeled_points(annotation: LabeledPointsAnnotation) -> dict[str, Any]:
+    return {
+        "class": "labeled_points",
+        "type": annotation.type,
+        "labeled_points": [
+            {
+                "sensor_id": one.sensor_id,
+                "point_ids": one.point_ids.tolist(),
+                **({} if one.sensor_frame is None else {"sensor_frame": one.sensor_frame}),
+            }
+            for one in annotation.labeled_points
+        ],
+    }
+
+
+def _points(annotation: PointsAnnotation) -> dict[str, Any]:
+    return {
+        "class": "points",
+        "labels": None if annotation.labels is None else list(annotation.labels),
+        "paths": [
+            {"timestamps_ns": one.timestamps_ns.tolist(), "values": one.values.tolist(), "id": one.id}
+            for one in annotation.paths
+        ],
+    }
+
+
+_CLASS_FIELDS: Mapping[type[Any], Any] = {
+    LabeledPointsAnnotation: _labeled_points,
+    PointsAnnotation: _points,
+    GroupAnnotation: lambda _: {"class": "group"},
+    ObjectAnnotation: lambda annotation: (
+        {} if annotation.type == "object" else {"class": "object", "type": annotation.type}
+    ),
+    ShapeAnnotation: lambda annotation: {"shape": annotation.type.value},
+}
+"""Fields of classes that the format does not have."""
+
+
+def is_json(value: Any) -> bool:
+    """Whether JSON says a value as it is."""
+    try:
+        return bool(msgspec.json.decode(msgspec.json.encode(value)) == value)
+    except (TypeError, ValueError, OverflowError, msgspec.MsgspecError, RecursionError):
+        return False
+
+
+def _frame_times(scene: Scene) -> Int64Array:
+    """The times that the file has frames of: those of annotations, and of the first lidar's or camera's frames."""
+    found: list[Int64Array] = []
+    for annotation in scene.annotations:
+        if KINDS[type(annotation)] in {
+            "annotations.localization_adjustment",
+            "annotations.camera_calibration",
+        }:
+            continue
+        paths = [getattr(annotation, "path", None), *getattr(annotation, "paths", ())]
+        found += [path.timestamps_ns for path in paths if path is not None]
+        found += [
+            one.timestamps_ns
+            for one in getattr(annotation, "attributes", ())
+            if one.timestamps_ns is not None
+        ]
+        if isinstance(annotation, EventAnnotation):
+            stop_ns = annotation.start_ns + int(annotation.duration_ns or 0)
+            found.append(np.array([annotation.start_ns, stop_ns], np.int64))
+    sensors: list[Sensor] = [*scene.lidars, *scene.cameras]
+    references = [times for one in sensors if len(times := frame_times(one))]
+    found += references[:1]
+    if not any(len(times) for times in found):
+        found = [way.timestamps_ns for way in list(scene.trajectories.values())[:1]]
+    return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)

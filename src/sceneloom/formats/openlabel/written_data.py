@@ -1,0 +1,134 @@
+"""Annotations as elements of data."""
+
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.formats.openlabel.read_attributes import TYPE
+from sceneloom.formats.openlabel.read_geometry import RBBOX
+from sceneloom.formats.openlabel.words import ABSOLUTE
+from sceneloom.scene import (
+    AttributePath,
+    Box2DAnnotation,
+    CuboidAnnotation,
+    PointsAnnotation,
+    ShapeAnnotation,
+    ShapeType,
+)
+from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.keypoints import places_of
+
+Datum = tuple[int | None, str, dict[str, Any]]
+"""Time [ns], or None for always; type of the data; the element."""
+
+_CLOSED = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
+_POINTS = (ShapeType.POINT, ShapeType.POINT_2D, ShapeType.POINT_TOPDOWN)
+
+
+def cuboid_data(cuboid: CuboidAnnotation, name: str, system: str, angles: CuboidAngles) -> Iterator[Datum]:
+    """A cuboid in each row: centre, quaternion x y z w, sizes."""
+    values = cuboid.path.values
+    quaternions = angles.quaternions(values[:, 6:9])
+    rows = np.concatenate([values[:, 3:6], quaternions, values[:, :3]], axis=1).tolist()
+    for time_ns, row in zip(cuboid.path.timestamps_ns.tolist(), rows, strict=True):
+        yield time_ns, "cuboid", {"name": name, "val": row, "coordinate_system": system}
+
+
+def box_data(box: Box2DAnnotation, name: str, system: str) -> Iterator[Datum]:
+    """A box in each row: centre and size."""
+    values = box.path.values
+    rows = np.concatenate([values[:, :2] + values[:, 2:] / 2, values[:, 2:]], axis=1).tolist()
+    for time_ns, row in zip(box.path.timestamps_ns.tolist(), rows, strict=True):
+        yield time_ns, "bbox", {"name": name, "val": row, "coordinate_system": system}
+
+
+def shape_data(shape: ShapeAnnotation, name: str, system: str) -> Iterator[Datum]:
+    """A line, an area or a point in each row; areas that were turned boxes as these."""
+    times = shape.path.timestamps_ns.tolist()
+    turned = shape.path.extras.get(RBBOX)
+    if turned is not None and len(turned) == len(times):
+        for time_ns, row in zip(times, turned, strict=True):
+            yield time_ns, "rbbox", {"name": name, "val": list(row), "coordinate_system": system}
+        return
+    for time_ns, vertices in zip(times, shape.path.vertices, strict=True):
+        kind = f"{'point' if shape.type in _POINTS and len(vertices) == 1 else 'poly'}{shape.dimensions}d"
+        element: dict[str, Any] = {
+            "name": name,
+            "val": vertices.reshape(-1).tolist(),
+            "coordinate_system": system,
+        }
+        if kind.startswith("poly"):
+            element["closed"] = shape.type in _CLOSED or bool(shape.is_closed)
+        if kind == "poly2d":
+            element["mode"] = ABSOLUTE
+        yield time_ns, kind, element
+
+
+def keypoint_data(points: PointsAnnotation, system: str) -> Iterator[Datum]:
+    """A point in each row of each path, by the names that the points have."""
+    for k, path in enumerate(points.paths):
+        name = points.labels[k] if points.labels is not None and k < len(points.labels) else f"point{k}"
+        if path.values.shape[1] % 3:
+            continue
+        for time_ns, places in zip(path.timestamps_ns.tolist(), places_of(path.values).tolist(), strict=True):
+            for place in places:
+                yield time_ns, "point3d", {"name": f"{name}:{k}", "val": place, "coordinate_system": system}
+
+
+def attribute_data(attribute: AttributePath, systems: Mapping[Any, str]) -> list[Datum] | None:
+    """The values of an attribute; None where the format has no place for what it says.
+
+    Args:
+        attribute: of an object.
+        systems: names of coordinate systems by the ids of sensors.
+    """
+    kinds = {_kind(value, attribute) for value in attribute.values}
+    times = attribute.timestamps_ns
+    sound = len(kinds) == 1 and None not in kinds and attribute.point_index is None
+    if not sound or not (attribute.is_timed or (times is None and len(attribute.values) == 1)):
+        return None
+    if times is not None and len(np.unique(times)) < len(times):
+        return None
+    if attribute.sensor_id is not None and attribute.sensor_id not in systems:
+        return None
+    stamps: list[int | None] = [None] if times is None else times.tolist()
+    kind = str(next(iter(kinds)))
+    further = {name: value for name, value in attribute.extras.items() if name in {"type", "attributes"}}
+    if attribute.sensor_id is not None:
+        further["coordinate_system"] = systems[attribute.sensor_id]
+    return [
+        (stamp, kind, {"name": attribute.name, **further, **_told(kind, value)})
+        for stamp, value in zip(stamps, attribute.values, strict=True)
+    ]
+
+
+def _told(kind: str, value: Any) -> dict[str, Any]:
+    if isinstance(value, Mapping):
+        return dict(value)
+    return {"val": list(value) if kind == "vec" else value}
+
+
+def _kind(value: Any, attribute: AttributePath) -> str | None:
+    """The type of data that holds a value; None where none does."""
+    if isinstance(value, Mapping):
+        kind = attribute.extras.get(TYPE)
+        return kind if isinstance(kind, str) else None
+    return next((kind for kind, holds in _HOLDS.items() if holds(value)), None)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+_HOLDS: Mapping[str, Callable[[Any], bool]] = MappingProxyType(
+    {
+        "text": lambda value: isinstance(value, str),
+        "boolean": lambda value: isinstance(value, bool),
+        "num": _is_number,
+        "vec": lambda value: (
+            isinstance(value, tuple | list) and all(isinstance(v, str) or _is_number(v) for v in value)
+        ),
+    }
+)

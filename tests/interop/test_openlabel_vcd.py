@@ -1,0 +1,167 @@
+"""OpenLABEL files of VCD, the format's reference program, and ours in its hands.
+
+The golden file was written by VCD 6.0.3 with `programs/openlabel_vcd_write.py`, which also printed the corners. What is
+asked of VCD itself needs its environment: `SCENELOOM_OPENLABEL_PYTHON` names a Python that has `vcd` and `raillabel`.
+"""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sceneloom.formats.table import open_scene, write_scene
+from sceneloom.geometry.boxes import box_corners
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
+    CuboidAnnotation,
+    CuboidPath,
+    EventAnnotation,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    LinkAnnotation,
+    Scene,
+    ShapeAnnotation,
+    ShapeType,
+    Trajectory,
+    VertexPath,
+)
+from sceneloom.scene.angles import CuboidAngles
+
+HERE = Path(__file__).parent
+GOLDEN = HERE / "golden" / "openlabel_vcd.json"
+LIMIT_S = 120
+
+
+def corners_of(scene, cuboid):
+    values = cuboid.path.values
+    quaternions = CuboidAngles.of(scene).quaternions(values[:, 6:])
+    return np.stack(
+        [box_corners(row[3:6], row[:3], turn) for row, turn in zip(values, quaternions, strict=True)]
+    )
+
+
+def same_corners(found, expected):
+    """Corners in any order: each has one that lies on it."""
+    distances = np.linalg.norm(np.asarray(found)[:, None] - np.asarray(expected)[None], axis=2)
+    # the golden corners are rounded to nine digits
+    assert distances.min(axis=1).max() < 1e-8
+    assert distances.min(axis=0).max() < 1e-8
+
+
+def test_boxes_of_vcd_stand_where_vcd_puts_them():
+    expected = json.loads((HERE / "golden" / "openlabel_vcd_corners.json").read_text())["corners_odom"]
+    with open_scene(GOLDEN) as scene:
+        car = next(one for one in scene.annotations if one.type == "cuboid" and one.label == "Car")
+        for found, there in zip(corners_of(scene, car), expected, strict=True):
+            same_corners(found, there)
+
+
+def test_all_that_vcd_says_is_read():
+    with open_scene(GOLDEN) as scene:
+        by_id = {one.id: one for one in scene.annotations}
+        assert {type(one).__name__ for one in by_id.values()} == {
+            "ObjectAnnotation",
+            "CuboidAnnotation",
+            "Box2DAnnotation",
+            "ShapeAnnotation",
+            "EventAnnotation",
+            "LinkAnnotation",
+        }
+        assert by_id["0:bbox:shape2d"].path.values[0].tolist() == [80, 65, 40, 30]
+        assert by_id["0:bbox:shape2d"].sensor_id == "front"
+        assert by_id["0:bbox:shape2d"].attributes[0].values == (False, True, False)
+        assert by_id["0"].attributes[0].values == (0.0, 1.5, 3.0)
+        assert by_id["action:0"].duration_ns == 1_000_000_000
+        assert (by_id["relation:0"].from_id, by_id["relation:0"].to_id) == ("1", "action:0")
+        front = scene.sensor("front")
+        assert front.camera.coefficients == (-0.1, 0.02, 0.001, -0.002, 0.003)
+        # the camera looks along the vehicle's x axis
+        np.testing.assert_allclose(front.mount.rotate(np.array([0.0, 0.0, 1.0])), [1, 0, 0], atol=1e-12)
+        assert np.diff(scene.trajectories["vehicle-iso8855"].timestamps_ns).tolist() == [10**9, 10**9]
+
+
+# with VCD and RailLabel themselves
+
+
+@pytest.fixture(scope="module")
+def peer():
+    python = os.environ.get("SCENELOOM_OPENLABEL_PYTHON")
+    if not python:
+        pytest.skip("SCENELOOM_OPENLABEL_PYTHON names no Python with vcd and raillabel")
+
+    def run(program, *arguments):
+        done = subprocess.run(
+            [python, str(HERE / "programs" / program), *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout.strip().splitlines()[-1])
+
+    return run
+
+
+def drive():
+    stamps = np.arange(3) * 100_000_000 + 1_700_000_000_000_000_000
+    frames = [LidarFrame(int(t), LidarPoints(np.ones((1, 3), np.float32))) for t in stamps]
+    mount = RigidTransform.from_quaternion(np.array([1.0, 0.2, 1.9]), np.array([0.1, -0.2, 0.3, 0.9]))
+    rng = np.random.default_rng(1)
+    turns = rng.normal(size=(3, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    way = Trajectory("pose", stamps, rng.normal(scale=10, size=(3, 3)), turns)
+    values = np.concatenate(
+        [rng.uniform(1, 5, (3, 3)), rng.normal(size=(3, 3)), rng.uniform(-80, 80, (3, 3))], axis=1
+    )
+    box = CuboidAnnotation(
+        "car",
+        CuboidPath(stamps, values),
+        "Car",
+        attributes=(AttributePath("speed", (1.0, 2.0, 3.0), stamps),),
+    )
+    flat = Box2DAnnotation("car 2", "top", BoxPath(stamps[:1], np.array([[1.0, 2, 3, 4]])), "Car")
+    lane = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(stamps[:1], (rng.normal(size=(4, 3)),)))
+    event = EventAnnotation("stop", int(stamps[0]), 100_000_000, "Stop")
+    link = LinkAnnotation("l", "car", "stop", "does")
+    lidar = LidarSensor("top", LazyFrames.of(frames, stamps), mount=mount)
+    return Scene((lidar,), (box, flat, lane, event, link), {"pose": way}), mount
+
+
+def test_our_files_pass_the_schema_and_vcd_puts_boxes_and_sensors_where_we_do(tmp_path, peer):
+    scene, mount = drive()
+    write_scene(scene, tmp_path / "ours.json")
+    told = peer("openlabel_vcd_read.py", tmp_path / "ours.json")
+    assert told["errors"] == []
+    for number, found in enumerate(corners_of(scene, scene.annotations[0])):
+        same_corners(found, told["corners"][f"car {number}"])
+    way = scene.trajectories["pose"]
+    for k, found in enumerate(told["lidar_to_world"]):
+        ego = RigidTransform.from_quaternion(way.positions[k], way.quaternions_xyzw[k])
+        np.testing.assert_allclose(found, (ego @ mount).matrix, rtol=0, atol=1e-9)
+
+
+def test_a_file_written_by_vcd_now_is_read_as_the_golden_one(tmp_path, peer):
+    told = peer("openlabel_vcd_write.py", tmp_path / "theirs.json")
+    with open_scene(tmp_path / "theirs.json") as scene:
+        car = next(one for one in scene.annotations if one.type == "cuboid" and one.label == "Car")
+        for found, there in zip(corners_of(scene, car), told["corners_odom"], strict=True):
+            same_corners(found, there)
+
+
+def test_a_file_of_raillabel_is_read(tmp_path, peer):
+    told = peer("openlabel_raillabel_write.py", tmp_path / "rail.json")
+    with open_scene(tmp_path / "rail.json") as scene:
+        cuboid = next(one for one in scene.annotations if one.type == "cuboid")
+        np.testing.assert_allclose(cuboid.path.values[0, :6], told["size_and_place"], rtol=0, atol=1e-9)
+        assert cuboid.path.timestamps_ns.tolist() == told["timestamps_ns"]
+        camera = next(one for one in scene.sensors if one.id == "rgb_center")
+        assert [camera.camera.fx, camera.camera.cy] == told["fx_cy"]

@@ -1,0 +1,410 @@
+"""OpenLABEL files read and written: what comes back, what is told, and what is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError, OptionError, OutputError, UnknownOptionError
+from sceneloom.formats.loss import Fate
+from sceneloom.formats.openlabel import FORMAT
+from sceneloom.formats.table import find_format, open_scene, write_scene
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    Activation,
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
+    CameraSensor,
+    CuboidAnnotation,
+    CuboidPath,
+    EventAnnotation,
+    GnssSensor,
+    GroupAnnotation,
+    ImuSensor,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    LinkAnnotation,
+    LocalizationAdjustment,
+    ObjectAnnotation,
+    PlainAnnotation,
+    PointPath,
+    PointsAnnotation,
+    PosePath,
+    Scene,
+    ShapeAnnotation,
+    ShapeType,
+    Trajectory,
+    VertexPath,
+)
+
+T0 = 1_700_000_000_000_000_001
+TIMES = np.array([T0, T0 + 100_000_000, T0 + 200_000_000])
+MOUNT = RigidTransform.from_quaternion(np.array([1.5, 0.1, 1.2]), np.array([-0.5, 0.5, -0.5, 0.5]))
+
+
+def scene(*annotations, **fields):
+    frames = [LidarFrame(int(t), LidarPoints(np.ones((2, 3), np.float32))) for t in TIMES]
+    camera = Camera("brown_conrady", 640, 480, 500.0, 510.0, 320.0, 240.0, (-0.1, 0.02, 0.001, -0.002, 0.003))
+    empty = LazyFrames.of([], [])
+    sensors = (
+        LidarSensor("top", LazyFrames.of(frames, TIMES), mount=RigidTransform.identity()),
+        CameraSensor("front", camera, empty, mount=MOUNT),
+        CameraSensor(7, Camera("fisheye", 64, 48, 30.0, 30.0, 32.0, 24.0, (0.1, 0.0, 0.0, 0.0)), empty),
+        ImuSensor("imu", {}),
+        GnssSensor("gps", np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), np.zeros(0), mount=MOUNT),
+    )
+    half = np.sqrt(0.5)
+    way = Trajectory(
+        "vio",
+        TIMES,
+        np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0]]),
+        np.array([[0.0, 0, 0, 1], [0, 0, half, half], [0, 0, 0, 1]]),
+    )
+    return Scene(sensors, annotations=annotations, trajectories={"vio": way}, **fields)
+
+
+def there_and_back(tmp_path, one):
+    losses = write_scene(one, tmp_path / "a.json", overwrite=True)
+    return open_scene(tmp_path / "a.json"), losses
+
+
+def test_boxes_come_back_with_times_classes_and_attributes(tmp_path):
+    values = np.array(
+        [
+            [4, 2, 1.5, 10, 20, 1, 5, -10, 30],
+            [4, 2, 1.5, 11, 20, 1, 0, 0, 95],
+            [4, 2, 1.5, 12, 21, 1, 0, 0, -120.0],
+        ]
+    )
+    attributes = (
+        AttributePath("speed", (1.0, 2, 2.5), TIMES),
+        AttributePath("colour", ("red",), static=True),
+        AttributePath("lights", (("left", "brake"), ()), TIMES[:2], sensor_id="front"),
+        AttributePath("parked", (False,), static=True),
+    )
+    box = CuboidAnnotation("car 1", CuboidPath(TIMES, values), "Car", stationary=False, attributes=attributes)
+    found, losses = there_and_back(tmp_path, scene(box))
+    (back,) = found.annotations
+    assert (back.id, back.label, back.stationary) == ("car 1", "Car", False)
+    np.testing.assert_array_equal(back.path.timestamps_ns, TIMES)
+    np.testing.assert_array_equal(back.path.values[:, :6], values[:, :6])
+    # by way of quaternions: a few units of the last digit of 120 degrees
+    np.testing.assert_allclose(back.path.values[:, 6:], values[:, 6:], rtol=0, atol=1e-12)
+    by_name = {one.name: one for one in back.attributes}
+    assert {name: one.values for name, one in by_name.items()} == {one.name: one.values for one in attributes}
+    assert by_name["lights"].sensor_id == "front"
+    assert by_name["colour"].static
+    np.testing.assert_array_equal(by_name["speed"].timestamps_ns, TIMES)
+    assert not [loss for loss in losses if "annotations" in loss.field]
+
+
+def annotations_of_every_kind():
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
+    corner = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    ring = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+    ids = np.array([0, 5, 4_000_000_000], np.uint32)
+    yield Box2DAnnotation(
+        3, "front", BoxPath(TIMES, np.array([[1.5, 2, 30, 40], [2, 2, 30, 40], [3, 2, 31, 40.0]])), "Car"
+    )
+    yield ShapeAnnotation("3", ShapeType.POLYGON_2D, VertexPath(TIMES[:1], (square,)), "front", label="Mask")
+    yield ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(TIMES[:2], (corner, ring)), is_closed=True)
+    yield ShapeAnnotation("area", ShapeType.POLYGON_TOPDOWN, VertexPath(TIMES[:1], (ring,)), stationary=True)
+    yield ShapeAnnotation("dot", ShapeType.POINT_2D, VertexPath(TIMES[1:2], (square[:1],)), 7)
+    yield ShapeAnnotation("tip", ShapeType.POINT, VertexPath(TIMES[:1], (ring[1:2],)), parent_id="lane")
+    yield PointsAnnotation(
+        "joints", (PointPath(TIMES[:1], ring[:1], "a"), PointPath(TIMES[:2], ring[:2], 2)), ("head", "foot")
+    )
+    yield EventAnnotation("brakes", T0 + 5, 7, "Braking", sensor_id="top")
+    yield EventAnnotation("ends", T0, None)
+    yield LabeledPointsAnnotation(
+        "road", (LabeledPoints("top", ids, 1), LabeledPoints("top", ids[:1])), "Road", is_instance=False
+    )
+    yield ObjectAnnotation("thing", "Thing", parent_id="all", extras={"note": {"a": [1, None]}})
+    yield ObjectAnnotation(
+        "said", type="attributes", attributes=(AttributePath("odd", (1, "x", None), TIMES),)
+    )
+    yield GroupAnnotation("all", "Group")
+    yield LinkAnnotation("tie", "brakes", 3, "causes", is_bidirectional=False)
+
+
+KIND_IDS = [f"{one.type}-{one.id}" for one in annotations_of_every_kind()]
+
+
+@pytest.mark.parametrize("index", range(len(KIND_IDS)), ids=KIND_IDS)
+def test_every_kind_of_annotation_comes_back(tmp_path, index):
+    everything = list(annotations_of_every_kind())
+    found, losses = there_and_back(tmp_path, scene(*everything))
+    by_id = {(type(one.id), one.id): one for one in found.annotations}
+    assert len(by_id) == len(everything)
+    assert not [loss for loss in losses if loss.field.startswith("annotations")]
+    expected = everything[index]
+    same(by_id[type(expected.id), expected.id], expected)
+
+
+def same(found, expected):
+    assert type(found) is type(expected)
+    for name in type(expected).__dataclass_fields__:
+        one, other = getattr(found, name), getattr(expected, name)
+        if isinstance(other, tuple) and other and hasattr(other[0], "__dataclass_fields__"):
+            assert len(one) == len(other), name
+            for a, b in zip(one, other, strict=True):
+                same(a, b)
+        elif hasattr(other, "__dataclass_fields__"):
+            same(one, other)
+        elif isinstance(other, tuple) and other and isinstance(other[0], np.ndarray):
+            for a, b in zip(one, other, strict=True):
+                np.testing.assert_array_equal(a, b)
+        elif isinstance(other, np.ndarray):
+            np.testing.assert_array_equal(one, other, err_msg=name)
+        else:
+            assert one == other, name
+
+
+def test_sensors_come_back_without_frames_and_the_way_of_the_ego_with_all_digits(tmp_path):
+    one = scene()
+    found, losses = there_and_back(tmp_path, one)
+    assert [(type(s), s.id) for s in found.sensors] == [(type(s), s.id) for s in one.sensors]
+    assert found.sensor("front").camera == one.sensor("front").camera
+    assert found.sensor(7).camera == one.sensor(7).camera
+    np.testing.assert_allclose(found.sensor("front").mount.matrix, MOUNT.matrix, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found.sensor("gps").mount.matrix, MOUNT.matrix, rtol=0, atol=1e-15)
+    way = found.trajectories["vio"]
+    np.testing.assert_array_equal(way.timestamps_ns, TIMES)
+    np.testing.assert_array_equal(way.positions, one.trajectories["vio"].positions)
+    np.testing.assert_allclose(
+        way.quaternions_xyzw, one.trajectories["vio"].quaternions_xyzw, rtol=0, atol=1e-15
+    )
+    told = {loss.field: loss.fate for loss in losses}
+    assert told["sensors[top].frames"] is Fate.DROPPED
+    assert "frames-elsewhere" in {notice.code for notice in found.notices}
+    with pytest.raises(IndexError):
+        found.sensor("top").frames[0]
+
+
+def test_what_has_no_place_is_told(tmp_path):
+    seen = Activation("top", TIMES[:1], (5,))
+    box = CuboidAnnotation("a", CuboidPath(TIMES[:1], np.ones((1, 9)), extras={"x": 1}), activations=(seen,))
+    mend = LocalizationAdjustment("mend", PosePath.identity())
+    plain = PlainAnnotation("odd", "odd", {"v": 1})
+    second = Trajectory("other", TIMES, np.zeros((3, 3)))
+    one = scene(box, mend, plain, metadata={"city": "x", "bytes": np.ones(3)})
+    _, losses = there_and_back(tmp_path, replace(one, trajectories={**one.trajectories, "other": second}))
+    told = {loss.field for loss in losses if loss.fate is Fate.DROPPED}
+    assert {
+        "annotations[a].activations",
+        "annotations[a].path.extras",
+        "annotations.localization_adjustment",
+        "annotations.plain",
+        "metadata.bytes",
+        "trajectories[other]",
+    } <= told
+
+
+def test_metadata_come_back_as_they_were(tmp_path):
+    found, _ = there_and_back(tmp_path, scene(metadata={"city": "Bremen", "n": [1, {"a": None}]}))
+    assert {name: found.metadata[name] for name in ("city", "n")} == {"city": "Bremen", "n": [1, {"a": None}]}
+
+
+# what other programs write
+
+
+def document(**members):
+    return {"openlabel": {"metadata": {"schema_version": "1.0.0"}, **members}}
+
+
+def read(tmp_path, content, **options):
+    path = tmp_path / "b.json"
+    path.write_text(json.dumps(content) if isinstance(content, dict) else content, "utf-8")
+    assert find_format(path) is FORMAT
+    return open_scene(path, **options)
+
+
+def frame(stamp, data, **properties):
+    properties = {**({} if stamp is None else {"timestamp": stamp}), **properties}
+    return {"frame_properties": properties, "objects": {"1": {"object_data": data}}}
+
+
+OBJECT = {"1": {"name": "one", "type": "Car"}}
+
+
+def cuboid(*values, **further):
+    return {"cuboid": [{"name": "c", "val": list(values), **further}]}
+
+
+QUARTER = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
+
+
+def test_boxes_in_a_sensor_are_brought_to_the_root_of_its_coordinate_systems(tmp_path):
+    # the lidar looks to the left of a vehicle that stands at (100, 0, 0) in the map
+    systems = {
+        "map": {"type": "scene_cs", "parent": ""},
+        "car": {"type": "local_cs", "parent": "map"},
+        "lidar": {
+            "type": "sensor_cs",
+            "parent": "car",
+            "pose_wrt_parent": {"quaternion": QUARTER, "translation": [1, 0, 2]},
+        },
+    }
+    step = {
+        "src": "car",
+        "dst": "map",
+        "transform_src_to_dst": {"euler_angles": [0, 0, 0], "translation": [100, 0, 0]},
+    }
+    frames = {
+        "0": frame(
+            "10.5", cuboid(5, 0, 0, 0, 0, 0, 1, 4, 2, 1, coordinate_system="lidar"), transforms={"t": step}
+        )
+    }
+    found = read(tmp_path, document(coordinate_systems=systems, objects=OBJECT, frames=frames))
+    np.testing.assert_allclose(
+        found.annotations[0].path.values, [[4, 2, 1, 101, 5, 2, 0, 0, 90]], rtol=0, atol=1e-12
+    )
+    assert found.annotations[0].path.timestamps_ns.tolist() == [10_500_000_000]
+    backwards = {
+        "src": "map",
+        "dst": "car",
+        "transform_src_to_dst": {"matrix4x4": [1, 0, 0, -100, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]},
+    }
+    frames["0"]["frame_properties"]["transforms"] = {"t": backwards}
+    again = read(tmp_path, document(coordinate_systems=systems, objects=OBJECT, frames=frames))
+    np.testing.assert_allclose(again.annotations[0].path.values, found.annotations[0].path.values, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "time_ns"),
+    [
+        ("1700000000.000000001", 1_700_000_000_000_000_001),
+        ("2023-11-14T22:13:20.5Z", 1_700_000_000_500_000_000),
+        (1_700_000_000_000_000_001, 1_700_000_000_000_000_001),
+        (1_700_000_000_000_001, 1_700_000_000_000_001_000),
+        ("1700000000000", 1_700_000_000_000_000_000),
+        (0.25, 250_000_000),
+        (None, 300_000_000),
+    ],
+)
+def test_times_are_read_in_the_unit_that_makes_them_times(tmp_path, stamp, time_ns):
+    found = read(
+        tmp_path, document(objects=OBJECT, frames={"3": frame(stamp, cuboid(0, 0, 0, *QUARTER, 1, 1, 1))})
+    )
+    assert found.annotations[0].path.timestamps_ns.tolist() == [time_ns]
+    assert ("frame-times-assumed" in {notice.code for notice in found.notices}) is (stamp is None)
+
+
+def test_turned_boxes_are_polygons_and_go_back_as_turned_boxes(tmp_path):
+    frames = {"0": frame(1, {"rbbox": [{"name": "r", "val": [100, 50, 40, 20, np.pi / 2]}]})}
+    found = read(tmp_path, document(objects=OBJECT, frames=frames))
+    corners = found.annotations[0].path.vertices[0]
+    # a quarter turn exchanges width and height
+    np.testing.assert_allclose(np.ptp(corners, axis=0), [20, 40])
+    np.testing.assert_allclose(corners.mean(axis=0), [100, 50])
+    write_scene(found, tmp_path / "again.json")
+    data = json.loads((tmp_path / "again.json").read_text())["openlabel"]["frames"]["0"]["objects"]["1"][
+        "object_data"
+    ]
+    assert data["rbbox"][0]["val"] == [100, 50, 40, 20, np.pi / 2]
+
+
+def test_relative_polygons_are_summed_up_and_chain_codes_left_out(tmp_path):
+    relative = {"name": "p", "val": [5, 5, 1, 0, 0, 2], "mode": "MODE_POLY2D_RELATIVE", "closed": False}
+    coded = {"name": "q", "val": ["0", "0", "1"], "mode": "MODE_POLY2D_SRF6DCC", "closed": True}
+    found = read(tmp_path, document(objects=OBJECT, frames={"0": frame(1, {"poly2d": [relative, coded]})}))
+    np.testing.assert_array_equal(found.annotations[0].path.vertices[0], [[5, 5], [6, 5], [6, 7]])
+    assert found.annotations[0].type == "polyline_2d"
+    assert "poly2d-mode" in {notice.code for notice in found.notices}
+
+
+def test_matrices_and_whole_objects_are_attributes_and_come_back(tmp_path):
+    matrix = {"name": "m", "val": [1, 2], "width": 2, "height": 1, "channels": 1, "data_type": "float"}
+    static = {"text": [{"name": "plate", "val": "HB"}], "mat": [matrix]}
+    objects = {
+        "1": {"name": "one", "type": "Car", "object_data": {**static, **cuboid(1, 2, 3, 0, 0, 0, 1, 1, 1, 1)}}
+    }
+    kept = {"ontologies": {"0": "https://example.org"}, "tags": {"0": {"type": "x", "ontology_uid": "0"}}}
+    found = read(tmp_path, document(objects=objects, **kept))
+    (box,) = found.annotations
+    assert box.stationary
+    assert {one.name: one.values[0] for one in box.attributes}["plate"] == "HB"
+    write_scene(found, tmp_path / "again.json")
+    again = json.loads((tmp_path / "again.json").read_text())["openlabel"]
+    assert again["objects"]["1"]["object_data"]["mat"] == [matrix]
+    assert again["objects"]["1"]["name"] == "one"
+    assert {name: again[name] for name in kept} == kept
+
+
+@pytest.mark.parametrize(
+    ("members", "place", "problem"),
+    [
+        (
+            {"objects": OBJECT, "frames": {"0": frame(1, cuboid(1, 2))}},
+            "frames.0.objects.1.object_data.cuboid[0].val",
+            "9 or 10",
+        ),
+        (
+            {"objects": OBJECT, "frames": {"0": frame(1, cuboid(0, 0, 0, 9, 0, 0, 0, 1, 1, 1))}},
+            "val",
+            "length 1",
+        ),
+        ({"objects": OBJECT, "frames": {"0": frame("soon", {})}}, "timestamp", "soon"),
+        ({"objects": {}, "frames": {"0": frame(1, {})}}, "frames.0.objects.1", "entry"),
+        ({"objects": {"1": {"name": "x"}}}, "objects.1.type", "missing"),
+        ({"objects": OBJECT, "frames": {"x": {}}}, "frames.x", "whole number"),
+        ({"objects": OBJECT, "frames": {"0": frame(1, {"sphere": []})}}, "sphere", "a type of data out of"),
+        ({"streams": {"c": {"type": "eye"}}}, "streams.c.type", "camera"),
+        (
+            {"coordinate_systems": {"a": {"parent": "b", "pose_wrt_parent": {"matrix4x4": [1] * 16}}}},
+            "matrix4x4",
+            "last row",
+        ),
+        (
+            {
+                "relations": {
+                    "0": {
+                        "name": "r",
+                        "type": "t",
+                        "rdf_subjects": [{"type": "object", "uid": "9"}],
+                        "rdf_objects": [],
+                    }
+                }
+            },
+            "rdf_subjects[0]",
+            "uid",
+        ),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_place(tmp_path, members, place, problem):
+    with pytest.raises(DataError) as caught:
+        read(tmp_path, document(**members))
+    assert place in caught.value.place
+    assert problem in caught.value.problem
+
+
+def test_a_lenient_reading_leaves_out_what_is_wrong_and_counts_it(tmp_path):
+    objects = {"1": {"name": "one", "type": "Car"}, "2": {"name": "two", "type": "Car"}}
+    frames = {"0": frame(1, cuboid(1, 2))}
+    frames["0"]["objects"]["2"] = {"object_data": cuboid(0, 0, 0, 0, 0, 0, 1, 1, 1, 1)}
+    found = read(tmp_path, document(objects=objects, frames=frames), lenient=True)
+    assert [one.id for one in found.annotations] == ["2"]
+    assert [notice.count for notice in found.notices if notice.code == "elements"] == [1]
+
+
+@pytest.mark.parametrize("content", ['{"openlabel": ', '{"openlabel": 3}', '{"openlabel": {"objects": []}}'])
+def test_torn_and_other_files_are_refused(tmp_path, content):
+    with pytest.raises(DataError):
+        read(tmp_path, content)
+
+
+def test_options_and_targets_are_checked(tmp_path):
+    write_scene(scene(), tmp_path / "a.json")
+    with pytest.raises(OutputError):
+        write_scene(scene(), tmp_path / "a.json")
+    with pytest.raises(UnknownOptionError):
+        write_scene(scene(), tmp_path / "c.json", frame="world")
+    with pytest.raises(OptionError):
+        open_scene(tmp_path / "a.json", rate_hz=-1.0)

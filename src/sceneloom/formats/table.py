@@ -19,6 +19,8 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "recording": "sceneloom.formats.recording:FORMAT",
         "rig": "sceneloom.formats.rig:FORMAT",
         "mcap": "sceneloom.formats.mcap:FORMAT",
+        "ros1": "sceneloom.formats.ros:ROS1",
+        "ros2": "sceneloom.formats.ros:ROS2",
         "kitti-raw": "sceneloom.formats.kitti.raw:FORMAT",
         "kitti-object": "sceneloom.formats.kitti.object:FORMAT",
         "kitti-tracking": "sceneloom.formats.kitti.tracking:FORMAT",

@@ -19,13 +19,13 @@ from sceneloom.formats.mcap.records import (
     MAGIC,
     MESSAGE,
     Channel,
-    ChunkPlace,
     Fields,
     Op,
     Schema,
     read_channel,
     read_schema,
 )
+from sceneloom.formats.topics.chunks import ChunkPlace
 from sceneloom.formats.topics.file_bytes import FileBytes
 
 DIRECT = -1

@@ -126,7 +126,7 @@ def open_log(path: Path, ledger: Ledger) -> McapLog:
     except BaseException:
         file.close()
         raise
-    return McapLog(file, McapMessages(index), topics, MappingProxyType(entries))
+    return McapLog(file, McapMessages.of(index), topics, MappingProxyType(entries))
 
 
 def _topic(index: McapIndex, number: int, count: int) -> Topic:

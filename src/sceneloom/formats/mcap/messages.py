@@ -1,11 +1,9 @@
 """The messages of an MCAP file by their place in its index: whole ones, or only how they begin."""
 
 import struct
-import zlib
-from collections import OrderedDict
 from collections.abc import Iterator
-from threading import Lock
-from typing import Any
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -14,35 +12,27 @@ from sceneloom.errors import DataError
 from sceneloom.formats.mcap.compression import decompress
 from sceneloom.formats.mcap.index import DIRECT, LARGEST_CHUNK, Entries, McapIndex
 from sceneloom.formats.mcap.records import HEAD, MESSAGE, Op
-
-_KEPT_CHUNKS = 2
-"""Chunks that stay decompressed: messages that are read one after another mostly stand in one chunk."""
+from sceneloom.formats.topics.chunks import Chunks
 
 _BEFORE_DATA = HEAD.size + MESSAGE.size
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class McapMessages:
     """Gives the messages of a file; of chunks that had to be decompressed the latest ones are kept.
 
     Attributes:
         index: where they stand.
+        chunks: of the file.
     """
 
-    def __init__(self, index: McapIndex) -> None:
+    index: McapIndex
+    chunks: Chunks
+
+    @classmethod
+    def of(cls, index: McapIndex) -> Self:
         """Read nothing yet."""
-        self.index = index
-        self._begin()
-
-    def _begin(self) -> None:
-        self._chunks: OrderedDict[int, bytes] = OrderedDict()
-        self._lock = Lock()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"index": self.index}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.index = state["index"]
-        self._begin()
+        return cls(index, Chunks(index.file, index.chunks, decompress))
 
     def data(self, entries: Entries, k: int) -> memoryview:
         """Read the data of message `k` of a channel.
@@ -55,7 +45,7 @@ class McapMessages:
             length = self._length(self.index.file.read(offset, HEAD.size), 0, offset)
             content = self.index.file.read(offset + HEAD.size, length)
             return memoryview(content)[MESSAGE.size :]
-        content = self._chunk(chunk)
+        content = self.chunks.whole(chunk)
         start = offset + HEAD.size
         stop = start + self._length(content, offset, offset)
         if stop > len(content):
@@ -84,7 +74,7 @@ class McapMessages:
                     content = self.index.file.read_up_to(offset, _BEFORE_DATA + size)
                     yield self._head(content, 0, size, offset)
             else:
-                content = self._beginning(chunk, max(offsets) + _BEFORE_DATA + size)
+                content = self.chunks.beginning(chunk, max(offsets) + _BEFORE_DATA + size)
                 for offset in offsets:
                     yield self._head(content, offset, size, offset)
 
@@ -102,30 +92,6 @@ class McapMessages:
             problem = f"record {op} of {length} bytes where the index says that a message is"
             raise self._fault(f"byte {place}", problem)
         return int(length)
-
-    def _chunk(self, number: int) -> bytes:
-        with self._lock:
-            known = self._chunks.get(number)
-            if known is not None:
-                self._chunks.move_to_end(number)
-                return known
-        place = self.index.chunks[number]
-        content = self._beginning(number, place.full_size)
-        if len(content) != place.full_size or (place.crc and zlib.crc32(content) != place.crc):
-            raise self._fault(f"chunk {number}", "damaged: its checksum is another one, or it is cut off")
-        with self._lock:
-            self._chunks[number] = content
-            while len(self._chunks) > _KEPT_CHUNKS:
-                self._chunks.popitem(last=False)
-        return content
-
-    def _beginning(self, number: int, size: int) -> bytes:
-        place = self.index.chunks[number]
-        stored = self.index.file.read(place.start, place.size)
-        try:
-            return decompress(place.compression, stored, min(size, place.full_size))
-        except ValueError as error:
-            raise self._fault(f"chunk {number}", str(error)) from error
 
     def _fault(self, place: str, problem: str) -> DataError:
         return DataError(self.index.file.path, place, problem)

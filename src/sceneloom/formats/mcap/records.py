@@ -62,25 +62,6 @@ class Channel:
     metadata: Mapping[str, str] = field(default_factory=lambda: NO_FIELDS)
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkPlace:
-    """Where the records of a chunk stand.
-
-    Attributes:
-        start: place of their first byte in the file.
-        size: how many bytes they are there.
-        full_size: how many they are once they are not compressed.
-        compression: "" for none, "lz4" or "zstd".
-        crc: checksum of the bytes that are not compressed, 0 for none.
-    """
-
-    start: int
-    size: int
-    full_size: int
-    compression: str
-    crc: int
-
-
 class Fields:
     """Reads the fields of a record one after another; what does not fit raises ValueError."""
 

@@ -84,17 +84,20 @@ def survey(log: TopicLog, ledger: Ledger, *, stamps: str | None) -> Survey:
             fixed = topic.kind is Kind.LENS or _are_fixed([r for _, row in rows[topic.number] for r in row])
             times.append(TopicTimes(topic, first, kept, fixed))
     settled = settle_times([row for row in times if len(row.stamps_ns)], log.name, ledger, wanted=stamps)
+    # our own writer moves scenes that begin before 0 where a format knows no such times
+    moved_ns = int(found.notes.root.get("time_shift_ns", 0))
     for row in times:
         number = row.topic.number
+        settled[number] = settled.get(number, row.stamps_ns) - moved_ns
         if number in rows:
-            counted = settled.get(number, row.stamps_ns) - row.stamps_ns
+            counted = settled[number] - row.stamps_ns
             found.records[number] = [
                 _moved(record, int(shift))
                 for (_, records), shift in zip(rows[number], counted.tolist(), strict=True)
                 for record in records
             ]
         else:
-            found.times_ns[number] = settled.get(number, row.stamps_ns)
+            found.times_ns[number] = settled[number]
     return found
 
 

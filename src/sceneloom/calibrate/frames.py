@@ -1,6 +1,6 @@
 """The frames that a calibration is judged and repaired by: a picture, and the points of a sweep at its time."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -120,6 +120,7 @@ def calibration_frames(
     lidar_id: Identifier | None = None,
     most: int = MOST,
     *,
+    rows: Sequence[int] | None = None,
     ego: EgoMotion | None = None,
 ) -> tuple[CalibrationFrame, ...]:
     """Gather frames spread over a drive: pictures of a camera, each with the sweep nearest in time.
@@ -130,6 +131,7 @@ def calibration_frames(
     Args:
         camera_id, lidar_id: None for the scene's first ones.
         most: so many at most, evenly spread.
+        rows: numbers of the pictures, rising, instead.
         ego: the ego's way; None to take or find one.
 
     Raises:
@@ -141,7 +143,10 @@ def calibration_frames(
     if most < 1:
         raise OptionError(f"{most} frames; expected at least 1")
     camera, lidar = chosen_camera(scene, camera_id), chosen_lidar(scene, lidar_id)
-    found = tuple(_frames(scene, camera, lidar, most, _known_way(scene) if ego is None else ego))
+    if rows is None:
+        count = len(camera.pictures)
+        rows = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+    found = tuple(_frames(scene, camera, lidar, rows, _known_way(scene) if ego is None else ego))
     if not found:
         raise DataError(
             scene.source,
@@ -231,7 +236,7 @@ def _lidar_place(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, reach_
 
 
 def _frames(
-    scene: Scene, camera: CameraSensor, lidar: LidarSensor, most: int, ego: EgoMotion | None
+    scene: Scene, camera: CameraSensor, lidar: LidarSensor, rows: Sequence[int], ego: EgoMotion | None
 ) -> Iterator[CalibrationFrame]:
     samples = scene.samples(
         reference=camera.id,
@@ -241,8 +246,7 @@ def _frames(
         trajectory=ego if needs_ego(scene) else None,
     )
     places = _Places.of(scene, camera, lidar, ego)
-    rows = np.unique(np.linspace(0, len(samples) - 1, min(most, len(samples))).round().astype(int))
-    for row in rows.tolist():
+    for row in rows:
         sample = samples[row]
         picture, sweep = sample.pictures[camera.id], sample.sweeps[lidar.id]
         if picture is not None and sweep is not None:

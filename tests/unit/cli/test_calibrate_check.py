@@ -23,6 +23,14 @@ def test_machines_get_all_parts_with_reasons(call, recording):
     assert all(item["reason"] for item in health["items"])
 
 
+def test_planes_are_judged_where_they_are_asked_for(call, recording):
+    outcome = call("calibrate", recording, "--check", "--planes", "--json")
+    planes = json.loads(outcome.out)["items"][-1]
+    # eight beams show no plane
+    assert (planes["name"], planes["verdict"]) == ("planes", "cannot tell")
+    assert planes["reason"].endswith(("expected 3", "expected 150"))
+
+
 def test_unknown_sensors_and_full_folders_are_refused_at_once(call, recording, tmp_path):
     unknown = call("calibrate", recording, "--camera", "left")
     assert (unknown.code, "camera0" in unknown.err) == (2, True)
@@ -77,7 +85,7 @@ def test_a_folder_of_lists_alone_is_judged_by_its_boxes(call, folder):
         (("--pictures", "look"), 2, "--pictures does not count here"),
         (("--camera", "front"), 2, "--camera does not count here"),
         (("--sequence", "0009"), 1, "sequence 0009"),
-        (("--refine", "--sequence", "0001"), 2, "--sequence does not count here"),
+        (("--refine", "--sequence", "0001"), 2, "no camera with pictures"),
     ],
 )
 def test_what_a_folder_of_lists_cannot_do_is_told(call, folder, words, code, problem):

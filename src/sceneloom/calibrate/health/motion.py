@@ -12,12 +12,10 @@ Source: Shiu and Ahmad 1989, "Calibration of Wrist-Mounted Robotic Sensors by So
 the Form AX = XB"; rotation vectors: Park and Martin 1994; sandwich by clusters: Liang and Zeger 1986.
 """
 
-import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.calibrate.health.check import CalibrationHealth
-from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
+from sceneloom.calibrate.health.verdicts import Item, judge
 from sceneloom.geometry.rotations import (
     matrix_from_quaternion,
     multiply_quaternions,
@@ -29,7 +27,6 @@ MOTION = "motion"
 _LEAST_STEPS, _LEAST_TURN_DEG = 20, 8.0
 _BLOCKS = 10
 _ROUNDS = 15
-_OFF = (Verdict.WRONG, Verdict.DRIFTING)
 
 
 def judge_motion(camera_turns: Float64Array, lidar_turns: Float64Array, rotation: Float64Array) -> Item:
@@ -104,18 +101,3 @@ def _cross(vectors: Float64Array) -> Float64Array:
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-
-
-def with_motion(health: CalibrationHealth, item: Item) -> CalibrationHealth:
-    """Add what turning says: it is coarse, so it never makes a calibration good, but it may make it doubtful or wrong.
-
-    Where all else calls the calibration good and turning does not, nothing can be told of all of it.
-    """
-    verdict = health.verdict
-    if item.verdict in _OFF:
-        if verdict is Verdict.GOOD:
-            verdict = Verdict.CANNOT_TELL
-            item = msgspec.structs.replace(item, reason=f"{item.reason}, but the rest agrees with it")
-        elif verdict is not Verdict.WRONG:
-            verdict = item.verdict
-    return msgspec.structs.replace(health, verdict=verdict, items=(*health.items, item))

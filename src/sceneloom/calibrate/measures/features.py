@@ -153,6 +153,11 @@ def _around_view(frame: CalibrationFrame) -> Int64Array:
     return rows
 
 
+def visible_points(frame: CalibrationFrame) -> Int64Array:
+    """The points of a frame that its picture shows under the stated calibration, (V,)."""
+    return _seen(frame, _around_view(frame))[1]
+
+
 def _seen(frame: CalibrationFrame, chosen: Int64Array) -> tuple[int, Int64Array]:
     """The points that the camera sees under the stated calibration, hidden ones left out."""
     points = np.ascontiguousarray(frame.points_lidar[chosen])

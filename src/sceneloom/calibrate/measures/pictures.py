@@ -63,8 +63,7 @@ def measured_picture(
     Args:
         widths: names of the widths at which edges are wanted.
     """
-    factor = max(int(min(camera.fx, camera.fy) / _PIXELS_PER_RADIAN + 0.25), 1)
-    small, lens = _reduced(grey, camera, factor)
+    small, lens = reduced_picture(grey, camera)
     smoothed = blur(small, _SMOOTHED_PX)
     across, down = ndimage.sobel(smoothed, 1) / 8.0, ndimage.sobel(smoothed, 0) / 8.0
     strength = np.hypot(across, down)
@@ -80,8 +79,9 @@ def measured_picture(
     return MeasuredPicture(lens, lens_vector(lens), small, edges, evened(blur(small, _GREY_PX)), plain)
 
 
-def _reduced(grey: Float32Array, camera: Camera, factor: int) -> tuple[Float32Array, Camera]:
-    """Average blocks of pixels; what is left over at the right and the bottom is cut."""
+def reduced_picture(grey: Float32Array, camera: Camera) -> tuple[Float32Array, Camera]:
+    """Average blocks of pixels to what the lens tells apart at 0.08 degrees; what is left over at the ends is cut."""
+    factor = max(int(min(camera.fx, camera.fy) / _PIXELS_PER_RADIAN + 0.25), 1)
     height, width = grey.shape[0] // factor, grey.shape[1] // factor
     if factor == 1 or height < 2 or width < 2:
         return grey, camera

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.calibrate.health.boxes import health_of_boxes
-from sceneloom.calibrate.health.motion import judge_motion, with_motion
+from sceneloom.calibrate.health.coarse import with_coarse
+from sceneloom.calibrate.health.motion import judge_motion
 from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
 
 AXES = Rotation.from_matrix([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -49,11 +50,11 @@ def test_a_drive_that_hardly_turns_or_is_hardly_seen_cannot_tell(more):
 def test_turning_makes_nothing_good_but_may_contradict():
     untold = health_of_boxes(None, source="made up", camera_id=0, lidar_id=0, frames=0)
     good, wrong = (judge("motion", np.radians([d, 0.0]), np.zeros((2, 2))) for d in (0.0, 9.0))
-    assert with_motion(untold, good).verdict is Verdict.CANNOT_TELL
-    assert with_motion(untold, wrong).verdict is Verdict.WRONG
+    assert with_coarse(untold, good).verdict is Verdict.CANNOT_TELL
+    assert with_coarse(untold, wrong).verdict is Verdict.WRONG
     right = type(untold)(
         **{f: getattr(untold, f) for f in untold.__struct_fields__} | {"verdict": Verdict.GOOD}
     )
-    assert with_motion(right, Item.unknown("motion", "stood")).verdict is Verdict.GOOD
-    doubtful = with_motion(right, wrong)
+    assert with_coarse(right, Item.unknown("motion", "stood")).verdict is Verdict.GOOD
+    doubtful = with_coarse(right, wrong)
     assert (doubtful.verdict, ", but " in doubtful.item("motion").reason) == (Verdict.CANNOT_TELL, True)

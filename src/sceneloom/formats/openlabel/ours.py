@@ -24,6 +24,7 @@ from sceneloom.scene import (
     ShapeAnnotation,
     ShapeType,
 )
+from sceneloom.scene.types import NO_FIELDS
 
 Kind = TypeVar("Kind", bound=Annotation)
 
@@ -131,6 +132,7 @@ def attribute_of(said: Mapping[str, Any]) -> AttributePath:
         said.get("sensor_id"),
         said.get("static"),
         said.get("point_index"),
+        said.get("extras") or NO_FIELDS,
     )
 
 
@@ -144,6 +146,7 @@ def attribute_fields(attribute: AttributePath) -> dict[str, Any]:
         "sensor_id": attribute.sensor_id,
         "static": attribute.static,
         "point_index": attribute.point_index,
+        "extras": dict(attribute.extras) or None,
     }
     return {name: value for name, value in fields.items() if value is not None}
 

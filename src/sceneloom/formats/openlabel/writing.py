@@ -17,6 +17,7 @@ from sceneloom.formats.openlabel.read_objects import KIND
 from sceneloom.formats.openlabel.reading import KEPT
 from sceneloom.formats.openlabel.words import EGO, OURS, SCHEMA_VERSION, WORLD
 from sceneloom.formats.openlabel.written_data import (
+    FURTHER,
     Datum,
     attribute_data,
     box_data,
@@ -29,6 +30,7 @@ from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.scene import (
     Annotation,
+    AttributePath,
     Box2DAnnotation,
     CameraCalibration,
     Coordinates,
@@ -193,16 +195,24 @@ class _Writer:
             if data and key not in seen and not self._collides(annotation, attribute.name):
                 seen.add(key)
                 self.draft.say(kind, uid, data)
+                self._tell_further(annotation, attribute)
                 if attribute.timestamps_ns is None and not attribute.static:
                     what = "an attribute without times is read back as one that holds always"
                     field = f"annotations[{annotation.id}].attributes"
                     self.losses.append(Loss(field=field, what=what, fate=Fate.CONVERTED))
-            elif is_json(list(attribute.values)):
+            elif is_json([*attribute.values, dict(attribute.extras)]):
                 unsaid.append(attribute_fields(attribute))
             else:
                 field = f"annotations[{annotation.id}].attributes.{attribute.name}"
                 self.losses.append(Loss(field=field, what="left out: JSON cannot say it"))
         return unsaid
+
+    def _tell_further(self, annotation: Any, attribute: AttributePath) -> None:
+        unsaid = attribute.extras.keys() - FURTHER
+        if unsaid:
+            field = f"annotations[{annotation.id}].attributes.{attribute.name}"
+            what = f"further fields left out: {', '.join(sorted(unsaid))}"
+            self.losses.append(Loss(field=field, what=what))
 
     def _collides(self, annotation: Any, name: str) -> bool:
         """Whether an attribute of points would be taken for another."""

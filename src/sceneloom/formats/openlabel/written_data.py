@@ -77,6 +77,10 @@ def keypoint_data(points: PointsAnnotation, system: str) -> Iterator[Datum]:
                 yield time_ns, "point3d", {"name": f"{name}:{k}", "val": place, "coordinate_system": system}
 
 
+FURTHER = frozenset({"type", "attributes", TYPE})
+"""Further fields of an attribute that its data say."""
+
+
 def attribute_data(attribute: AttributePath, systems: Mapping[Any, str]) -> list[Datum] | None:
     """The values of an attribute; None where the format has no place for what it says.
 
@@ -95,7 +99,7 @@ def attribute_data(attribute: AttributePath, systems: Mapping[Any, str]) -> list
         return None
     stamps: list[int | None] = [None] if times is None else times.tolist()
     kind = str(next(iter(kinds)))
-    further = {name: value for name, value in attribute.extras.items() if name in {"type", "attributes"}}
+    further = {name: value for name, value in attribute.extras.items() if name in FURTHER - {TYPE}}
     if attribute.sensor_id is not None:
         further["coordinate_system"] = systems[attribute.sensor_id]
     return [

@@ -1,8 +1,8 @@
 """Frames of KITTI's object benchmark as a scene.
 
 The frames come from many drives: each has a calibration of its own, and nothing tells when it was or where. One scene
-holds them so: the ego is the lidar and stands still, so that every frame's world is its own lidar's frame; frame N is
-at N seconds; each picture has the lens and the mounting of its frame.
+holds them so: the ego is the lidar and stands still, so that every frame's world is its own lidar's frame; the frames
+are a second apart, in the order of their numbers; each picture has the lens and the mounting of its frame.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array, read_only
+from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import read_bytes
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
@@ -127,22 +127,23 @@ def _open(folder: Path, ledger: Ledger) -> Scene:
         raise DataError(
             folder, "", "holds no frame with a calibration; expected calib/000000.txt for each frame"
         )
-    path = PosePath(*_still(every))
+    times = FrameTimes(every)
+    path = PosePath(*_still(len(every)))
     sensors: list[Sensor] = []
     if len(sweeps):
         sensors.append(
-            lidar_sensor(sweeps, sweeps.numbers * FRAME_NS, RigidTransform.identity(), path, ledger)
+            lidar_sensor(sweeps, times.of(sweeps.numbers), RigidTransform.identity(), path, ledger)
         )
     for number, files in pictures.items():
         if len(files) or (number == 2 and len(labels)):
-            sensors.append(_camera(number, files, calibrations, folder, ledger))
-    message = "frames have no times and no common world: frame N is at N s, in the frame of its own lidar"
+            sensors.append(_camera(number, files, calibrations, times, ledger))
+    message = "frames have no times and no common world: they are a second apart, each in the frame of its own lidar"
     ledger.note(NoticeKind.ASSUMED, "frames-apart", str(folder), message)
     return Scene(
         tuple(sensors),
-        annotations=_annotations(labels, calibrations, ledger),
-        trajectories=MappingProxyType({WAY: Trajectory(WAY, *_still(every))}),
-        metadata=kitti_metadata("object", calibration=_plain(calibrations)),
+        annotations=_annotations(labels, calibrations, times, ledger),
+        trajectories=MappingProxyType({WAY: Trajectory(WAY, *_still(len(every)))}),
+        metadata=kitti_metadata("object", numbers=every.tolist(), calibration=_plain(calibrations)),
         source=str(folder),
         format="kitti-object",
         notices=ledger.notices,
@@ -155,17 +156,36 @@ def _plain(calibrations: FrameCalibrations) -> dict[str, object]:
     return {"different": different, "frames": {str(k): row for k, row in calibrations.chosen.items()}}
 
 
-def _still(numbers: Int64Array) -> tuple[Int64Array, np.ndarray, np.ndarray]:
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameTimes:
+    """When frames are.
+
+    Attributes:
+        numbers: (N,) int64, of all frames, rising.
+    """
+
+    numbers: Int64Array
+
+    def of(self, numbers: Int64Array) -> Int64Array:
+        """The times of some frames, (M,) int64 [ns]."""
+        return np.searchsorted(self.numbers, numbers).astype(np.int64) * FRAME_NS
+
+
+def _still(count: int) -> tuple[Int64Array, Float64Array, Float64Array]:
     """Times, places and turns of an ego that stands at the origin."""
-    count = len(numbers)
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-    return read_only(numbers * FRAME_NS), read_only(np.zeros((count, 3))), read_only(turns)
+    return (
+        read_only(np.arange(count, dtype=np.int64) * FRAME_NS),
+        read_only(np.zeros((count, 3))),
+        read_only(turns),
+    )
 
 
 def _camera(
-    number: int, files: NumberedFiles, calibrations: FrameCalibrations, folder: Path, ledger: Ledger
+    number: int, files: NumberedFiles, calibrations: FrameCalibrations, times: FrameTimes, ledger: Ledger
 ) -> CameraSensor:
     """A camera whose pictures have lenses and mountings of their own; its own are those of its first picture."""
+    folder = files.folder.parent
     frames = files.numbers.tolist() or sorted(calibrations.chosen)[:1]
     for frame in frames:
         if number not in calibrations.of(frame).projections:
@@ -178,7 +198,7 @@ def _camera(
         size = first.usual_size(number) or (1242, 375)
         message = f"without pictures, they are taken as {size[0]}x{size[1]}"
         ledger.note(NoticeKind.ASSUMED, "picture-size", str(folder), message)
-    stamps = read_only(files.numbers * FRAME_NS)
+    stamps = read_only(times.of(files.numbers))
     chosen = tuple(calibrations.chosen[frame] for frame in files.numbers.tolist())
     reader = FramedPictures(files.paths, files.names, stamps, number, calibrations.different, chosen)
     pictures: LazyFrames[Picture] = LazyFrames(stamps, reader)
@@ -203,7 +223,7 @@ def _poses(
 
 
 def _annotations(
-    files: NumberedFiles, calibrations: FrameCalibrations, ledger: Ledger
+    files: NumberedFiles, calibrations: FrameCalibrations, times: FrameTimes, ledger: Ledger
 ) -> tuple[Annotation, ...]:
     found: list[KittiLabels] = []
     for path in files.paths:
@@ -221,6 +241,4 @@ def _annotations(
         np.stack([rectified[row].quaternion_xyzw for row in rows]),
         np.zeros(len(rows), np.uint8),
     )
-    return label_annotations(
-        labels, LabelPlaces(labels.frames * FRAME_NS, places, camera_id(2), files.folder)
-    )
+    return label_annotations(labels, LabelPlaces(times.of(labels.frames), places, camera_id(2), files.folder))

@@ -54,6 +54,7 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
             folder / "velodyne",
             pictures,
             lambda _, frame: losses.extend(point_time_loss(frame)),
+            own_lenses=True,
         )
         places = _FramePlaces(choice, timeline)
         rectified = [
@@ -71,8 +72,10 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
 
 def _numbers(scene: Scene, timeline: Timeline) -> list[int]:
     """The numbers of frames: those that a scene of such frames had, else from 0 on."""
-    if kept_of(scene).get("benchmark") == "object":
-        return [time // FRAME_NS for time in timeline.timestamps_ns.tolist()]
+    kept = kept_of(scene).get("numbers")
+    rows = [divmod(time, FRAME_NS) for time in timeline.timestamps_ns.tolist()]
+    if isinstance(kept, list) and all(rest == 0 and 0 <= row < len(kept) for row, rest in rows):
+        return [int(kept[row]) for row, _ in rows]
     return list(range(len(timeline)))
 
 

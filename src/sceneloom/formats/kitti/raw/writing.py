@@ -16,7 +16,7 @@ from sceneloom.formats.kitti.raw.written_sweeps import TurnWriter
 from sceneloom.formats.kitti.raw.written_tracklets import tracklets_of
 from sceneloom.formats.kitti.scenes.inertial import IMU_ID
 from sceneloom.formats.kitti.written.choice import PARALLEL_WITHIN, Choice, choose, dropped_parts, ego_way
-from sceneloom.formats.kitti.written.files import picture_losses, write_picture
+from sceneloom.formats.kitti.written.files import check_lens, picture_losses, write_picture
 from sceneloom.formats.kitti.written.oxts_lines import oxts_lines
 from sceneloom.formats.kitti.written.places import egos_at, is_lidar, mounted_of
 from sceneloom.formats.kitti.written.target import check_replaceable, kept_of
@@ -144,6 +144,7 @@ def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> list[Loss]:
                 lines.append("")
                 continue
             picture = choice.cameras[number].pictures[row]
+            check_lens(choice.cameras[number], picture)
             write_picture(picture, folder / camera_folders()[number] / "data" / f"{k:010d}.png")
             lines.append(format_stamp(picture.timestamp_ns))
     for number, lines in stamps.items():
@@ -164,6 +165,7 @@ def _write_extract(choice: Choice, folder: Path) -> list[Loss]:
         place = folder / camera_folders()[number]
         (place / "data").mkdir(parents=True)
         for k, picture in enumerate(camera.pictures):
+            check_lens(camera, picture)
             write_picture(picture, place / "data" / f"{k:010d}.png")
         stamps = [format_stamp(time) for time in camera.pictures.timestamps_ns.tolist()]
         _write_lines(place / "timestamps.txt", stamps)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, UInt32Array
 from sceneloom.editing.sensor_frames import points_change
-from sceneloom.errors import PoseError
+from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.rig.pictures import PictureFile
@@ -36,6 +36,21 @@ def write_picture(picture: Picture, path: Path) -> None:
     Image.fromarray(np.ascontiguousarray(rgb[..., 0]) if is_grey else rgb).save(
         path, "PNG", compress_level=_COMPRESSION
     )
+
+
+def check_lens(camera: CameraSensor, picture: Picture) -> None:
+    """Refuse a picture of another size than its camera's: a folder with one calibration has one lens for all.
+
+    Raises:
+        CalibrationError: it has another size.
+    """
+    own, other = camera.camera, picture.camera
+    if (own.width, own.height) != (other.width, other.height):
+        raise CalibrationError(
+            f"camera {camera.id!r}: its picture at {picture.timestamp_ns} ns is {other.width}x{other.height}, others "
+            f"are {own.width}x{own.height}; expected one size for all: of KITTI's folders those of the object benchmark "
+            "hold a lens for each picture (`--to kitti-object`)"
+        )
 
 
 def picture_losses(camera: CameraSensor) -> list[Loss]:

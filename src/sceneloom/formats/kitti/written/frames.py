@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from sceneloom.formats.kitti.written.choice import Choice
-from sceneloom.formats.kitti.written.files import SweepFiles, picture_losses, write_picture
+from sceneloom.formats.kitti.written.files import SweepFiles, check_lens, picture_losses, write_picture
 from sceneloom.formats.kitti.written.timeline import NONE, Timeline
 from sceneloom.formats.loss import Loss
 from sceneloom.scene import LidarFrame
@@ -19,6 +19,8 @@ def write_frames(
     sweeps: Path,
     pictures: Mapping[int, Path],
     told: Callable[[int, LidarFrame], None] | None = None,
+    *,
+    own_lenses: bool = False,
 ) -> list[Loss]:
     """Write the files of all frames; each sweep and picture is read, written and let go.
 
@@ -29,9 +31,13 @@ def write_frames(
         sweeps: the folder of sweeps; it is made if there are any.
         pictures: the folders of pictures, by number of the camera.
         told: is given each sweep and its frame's number.
+        own_lenses: whether pictures may have lenses of their own.
 
     Returns:
         What was lost.
+
+    Raises:
+        CalibrationError: a picture has another size than its camera's others.
     """
     writer = SweepFiles(choice)
     losses = [loss for camera in choice.cameras.values() for loss in picture_losses(camera)]
@@ -50,7 +56,10 @@ def write_frames(
         for number, camera in choice.cameras.items():
             row = int(timeline.pictures[number][k])
             if row != NONE:
-                write_picture(camera.pictures[row], pictures[number] / f"{name(k)}.png")
+                picture = camera.pictures[row]
+                if not own_lenses:
+                    check_lens(camera, picture)
+                write_picture(picture, pictures[number] / f"{name(k)}.png")
     return [*losses, *writer.losses]
 
 

@@ -142,7 +142,9 @@ ODOMETRY: Mapping[str, Holding] = MappingProxyType(
         "annotations.labeled_points.id": converted("names and numbers of SemanticKITTI"),
         "annotations.labeled_points.label": converted("a number of SemanticKITTI, where it has one"),
         "annotations.labeled_points.is_instance": converted("whether it has a number of its own"),
-        "annotations.labeled_points.labeled_points": approximated("points of sweeps whose class has a number"),
+        "annotations.labeled_points.labeled_points": approximated(
+            "points of sweeps whose class has a number"
+        ),
         "annotations.labeled_points.labeled_points.sensor_id": _NUMBERED,
         "annotations.labeled_points.labeled_points.extras": _NO_PLACE,
     }

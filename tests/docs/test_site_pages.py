@@ -1,0 +1,110 @@
+"""The pages of the documentation site that are made while it is built."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from sceneloom.cli.main import sceneloom as command_line
+
+HOOKS = Path(__file__).parents[2] / "docs" / "hooks"
+
+
+@pytest.fixture
+def hook(monkeypatch):
+    """Import a module of the site's hooks."""
+    monkeypatch.syspath_prepend(str(HOOKS))
+    loaded = []
+
+    def load(name):
+        loaded.append(name)
+        return importlib.import_module(name)
+
+    yield load
+    for name in (*loaded, "links"):
+        sys.modules.pop(name, None)
+
+
+def test_every_command_has_a_page_with_all_of_its_options(hook):
+    pages = hook("commands").command_pages(command_line, "sceneloom")
+    blur = pages["commands/edit-blur.md"]
+    assert blur.startswith("# sceneloom edit blur\n\nHide faces")
+    assert "sceneloom edit blur PATH [OPTIONS]" in blur
+    assert "| `--fill [blur|pixelate|black]` |" in blur
+    assert "[default: 0.1]" in blur
+    context = click.Context(command_line)
+    for name in command_line.list_commands(context):
+        command = command_line.get_command(context, name)
+        if not isinstance(command, click.Group):
+            page = pages[f"commands/{name}.md"]
+            assert all(
+                option.opts[0] in page for option in command.params if isinstance(option, click.Option)
+            )
+            assert f"({name}.md)" in pages["commands/index.md"]
+
+
+def test_every_package_with_public_names_that_is_listed_has_a_page(hook):
+    pages = hook("reference").reference_pages()
+    assert pages["reference/sceneloom.scene.md"] == "# sceneloom.scene\n\n::: sceneloom.scene\n"
+    assert "[`sceneloom.pipeline.sharing`](sceneloom.pipeline.sharing.md)" in pages["reference/index.md"]
+
+
+@pytest.mark.parametrize(
+    ("text", "origin", "page", "expected"),
+    [
+        ("[a](docs/motion.md#x)", "README.md", "index.md", "[a](motion.md#x)"),
+        ("[a](sfs.md)", "docs/formats/rig.md", "formats/rig.md", "[a](sfs.md)"),
+        ("[a](../CONTRIBUTING.md)", "docs/ARCHITECTURE.md", "ARCHITECTURE.md", "[a](CONTRIBUTING.md)"),
+        ("[a](../../README.md)", "docs/formats/rig.md", "formats/rig.md", "[a](../index.md)"),
+        (
+            "[a](../examples/02_fuse_a_drive.py)",
+            "docs/fusion.md",
+            "fusion.md",
+            "[a](examples/02_fuse_a_drive.md)",
+        ),
+        ("![a](docs/pictures/depth.jpg)", "README.md", "index.md", "![a](pictures/depth.jpg)"),
+        ("[a](../LICENSE)", "docs/motion.md", "motion.md", "[a](files/LICENSE)"),
+        ("[a](https://x.org/y.md) [b](#c)", "README.md", "index.md", "[a](https://x.org/y.md) [b](#c)"),
+        ("```\n[a](docs/motion.md)\n```", "README.md", "index.md", "```\n[a](docs/motion.md)\n```"),
+    ],
+)
+def test_links_lead_to_pages_of_the_site(hook, text, origin, page, expected):
+    assert hook("links").with_site_links(text, origin, page, lambda _: None) == expected
+
+
+def test_files_outside_the_docs_are_asked_for(hook):
+    wanted = []
+    hook("links").with_site_links(
+        "[a](../LICENSE) [b](motion.md)", "docs/fusion.md", "fusion.md", wanted.append
+    )
+    assert wanted == ["LICENSE"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a\n| b |\n| - |\nc", "a\n\n| b |\n| - |\n\nc"),
+        ("a\n- b\n- c\n  d\n- e", "a\n\n- b\n- c\n  d\n- e"),
+        ("a\n```sh\n| no |\n- no\n```\n| b |", "a\n\n```sh\n| no |\n- no\n```\n\n| b |"),
+        ("1. a\n   ```\n   b\n   ```\n2. c", "1. a\n   ```\n   b\n   ```\n\n2. c"),
+    ],
+)
+def test_blocks_begin_after_a_blank_line(hook, text, expected):
+    assert hook("layout").spaced(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("page", "is_fetched"),
+    [
+        ('<script src="https://cdn.example/x.js"></script>', True),
+        ('<link rel="stylesheet" href="//fonts.example/a.css">', True),
+        ("@import url(https://fonts.example/a.css)", True),
+        ("a { background: url('http://x.example/y.png') }", True),
+        ('<a href="https://example.org">a link is fetched by those who follow it</a>', False),
+        ('<script src="assets/x.js"></script><link rel="canonical" href="https://example.org/">', False),
+    ],
+)
+def test_what_a_browser_would_fetch_from_elsewhere_is_found(hook, page, is_fetched):
+    assert (hook("outside").fetched_from_elsewhere(page) is not None) is is_fetched

@@ -48,8 +48,10 @@ def fields_meant(place: str, kinds: Mapping[str, str]) -> tuple[str, ...]:
         return tuple(field for field in MODEL_FIELDS if field.rpartition(".")[2] in _TOGETHER[place])
     for pattern, ours in _WORDS:
         place = pattern.sub(ours, place)
-    found = (_fields_at(name) for name in _by_kind(place, kinds))
-    return tuple(dict.fromkeys(field for fields in found for field in fields))
+    names = _by_kind(place, kinds)
+    # of all kinds, those that have such a field; the others have no further field of that name
+    found = [field for name in names for field in _at_or_below(name)]
+    return tuple(dict.fromkeys(found or [field for name in names for field in _above(name)]))
 
 
 def _by_kind(place: str, kinds: Mapping[str, str]) -> list[str]:
@@ -77,16 +79,17 @@ def _plain(place: str) -> str:
     return place
 
 
-def _fields_at(name: str) -> list[str]:
-    """The field of that name, those below it, or the one that it is a part of; further fields are `extras`."""
-    below = [field for field in MODEL_FIELDS if field == name or field.startswith(f"{name}.")]
-    if below:
-        return below
+def _at_or_below(name: str) -> list[str]:
+    """The field of that name, or those below it."""
+    return [field for field in MODEL_FIELDS if field == name or field.startswith(f"{name}.")]
+
+
+def _above(name: str) -> list[str]:
+    """The field that one of that name is a part of; further fields are `extras`."""
     above = name.rpartition(".")[0]
     while above:
-        if above in MODEL_FIELDS:
-            return [above]
-        if f"{above}.extras" in MODEL_FIELDS:
-            return [f"{above}.extras"]
+        for field in (above, f"{above}.extras"):
+            if field in MODEL_FIELDS:
+                return [field]
         above = above.rpartition(".")[0]
     return []

@@ -1,0 +1,82 @@
+"""What a path is told to be where no format claims it, or more than one does."""
+
+from pathlib import Path
+
+import pytest
+
+from sceneloom.errors import OptionError, UnknownFormatError
+from sceneloom.formats import table
+from sceneloom.formats.table import (
+    FORMATS,
+    find_format,
+    format_for_output,
+    format_named,
+    open_scene,
+    reads,
+    writes,
+)
+
+
+def log_line(folder: Path) -> None:
+    (folder / "data.jsonl").write_text('{"time":1.0,"groundTruth":{"position":{"x":0,"y":0,"z":0}}}\n')
+
+
+def test_two_formats_in_one_folder_are_both_named_and_one_can_be_chosen(tmp_path):
+    log_line(tmp_path)
+    (tmp_path / "rig.toml").write_text("[sensors.top]\n")
+    with pytest.raises(
+        UnknownFormatError, match=r"more than one reader claims this: recording, .*; rig, .*--read-as"
+    ):
+        find_format(tmp_path)
+    with open_scene(tmp_path, format="recording") as scene:
+        assert scene.format == "recording"
+
+
+def test_a_folder_of_drives_names_what_is_inside(tmp_path):
+    (tmp_path / "monday").mkdir()
+    log_line(tmp_path / "monday")
+    with pytest.raises(UnknownFormatError, match=r"no reader knows this; inside are .*monday \(recording\)"):
+        find_format(tmp_path)
+
+
+def test_a_path_that_nothing_knows_lists_all_formats_that_are_read(tmp_path):
+    (tmp_path / "notes.doc").write_text("hello")
+    with pytest.raises(UnknownFormatError) as caught:
+        find_format(tmp_path / "notes.doc")
+    named = [name for name in FORMATS if reads(format_named(name))]
+    assert all(f"{name}, {format_named(name).looks_like}" in str(caught.value) for name in named)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_no_format_claims_an_empty_folder_or_a_file_of_noise(name, tmp_path):
+    (tmp_path / "noise").write_bytes(bytes(range(256)) * 9)
+    (tmp_path / "empty").write_bytes(b"")
+    (tmp_path / "folder").mkdir()
+    form = format_named(name)
+    claimed = [entry.name for entry in tmp_path.iterdir() if reads(form) and form.recognises(entry)]
+    assert claimed == []
+
+
+class Twin:
+    """A format with the suffix of another."""
+
+    name, suffixes, looks_like, reads, holds = "twin", (".sfs",), "its twin", False, {}
+
+
+def test_a_suffix_of_two_formats_asks_for_a_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "FORMATS", {**FORMATS, "twin": f"{__name__}:Twin"})
+    monkeypatch.setattr(table, "format_named", lambda name: Twin if name == "twin" else format_named(name))
+    with pytest.raises(OptionError, match=r"belongs to several formats; say `--to sfs` or `--to twin`"):
+        format_for_output(tmp_path / "drive.sfs")
+
+
+def test_every_suffix_names_one_format_that_is_written(tmp_path):
+    for name in FORMATS:
+        form = format_named(name)
+        for suffix in form.suffixes if writes(form) else ():
+            if suffix:
+                assert format_for_output(tmp_path / f"drive{suffix}").name == name, suffix
+
+
+def test_a_name_without_a_suffix_is_a_recording(tmp_path):
+    assert format_for_output(tmp_path / "drive").name == "recording"

@@ -1,6 +1,6 @@
 """Lidar sweeps, radar cycles and maps of points."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -58,9 +58,12 @@ class LidarView:
     painter: CloudPainter
     as_measured: bool
     tell: Tell
+    _sensor_source: PoseSource = field(init=False)
+    _source: PoseSource = field(init=False)
 
     def __post_init__(self) -> None:
-        _, problem = self.places.source(self.lidar)
+        self._sensor_source, problem = self.places.source(self.lidar)
+        self._source = self._points_source()
         if problem is not None and self.lidar.points_frame is PointsFrame.SENSOR:
             self.tell("not-placed", f"sensors[{self.lidar.id!r}]", problem)
 
@@ -75,30 +78,29 @@ class LidarView:
         """Log sweep `k`; give the time that it is shown at, and its points in the frame of `path` if they are shown."""
         frame = self.lidar.frames[k]
         time_ns, rr = frame.reference_ns, sdk()
-        sensor_source, _ = self.places.source(self.lidar)
-        shown_from_sensor = pose_at(sensor_source, time_ns)
+        shown_from_sensor = pose_at(self._sensor_source, time_ns)
         if shown_from_sensor is not None:
             self.stream.log(
                 time_ns, self.stream.path(WORLD, SENSORS, self.lidar.id), transform(shown_from_sensor)
             )
-        source = self._points_source(sensor_source)
-        shown_from_points = pose_at(source, time_ns)
+        in_sensor = self.lidar.points_frame is PointsFrame.SENSOR
+        shown_from_points = shown_from_sensor if in_sensor else pose_at(self._source, time_ns)
         if shown_from_points is None:
             self.tell("beyond-the-way", f"sensors[{self.lidar.id!r}].frames", _BEYOND)
             return time_ns, None
-        positions = self._at_one_moment(frame, source, time_ns)
+        positions = self._at_one_moment(frame, time_ns)
         above = self._heights(positions, shown_from_points, shown_from_sensor)
         cloud = rr.Points3D(
             positions, colors=self.painter.paint(frame.points, above), radii=ui_points(_POINT_SIZE)
         )
-        placed = () if self.lidar.points_frame is PointsFrame.SENSOR else (transform(shown_from_points),)
+        placed = () if in_sensor else (transform(shown_from_points),)
         self.stream.log(time_ns, self.path, *placed, cloud, kind="sweeps", size=16 * len(positions))
         return time_ns, positions
 
-    def _points_source(self, sensor_source: PoseSource) -> PoseSource:
+    def _points_source(self) -> PoseSource:
         """What takes the points as stored to where they are shown."""
         if self.lidar.points_frame is PointsFrame.SENSOR:
-            return sensor_source
+            return self._sensor_source
         reach_ns, path = scene_period_ns(self.places.scene), PosePath.identity()
         if self.lidar.points_frame is PointsFrame.EGO:
             try:
@@ -108,8 +110,8 @@ class LidarView:
                 return PoseSource(path, RigidTransform.identity())
         return self.places.shown(PoseSource(path, RigidTransform.identity(), reach_ns))
 
-    def _at_one_moment(self, frame: LidarFrame, source: PoseSource, time_ns: int) -> Float32Array:
-        times = frame.points.timestamps_ns
+    def _at_one_moment(self, frame: LidarFrame, time_ns: int) -> Float32Array:
+        source, times = self._source, frame.points.timestamps_ns
         still = self.as_measured or source.path.endless or times is None or len(times) == 0
         longest_ns = _LONGEST_SWEEP * sweep_period_ns(self.lidar)
         if still or times is None or np.ptp(times) == 0 or np.ptp(times) > longest_ns:
@@ -159,7 +161,7 @@ def lidar_view(
     return LidarView(stream, places, lidar, CloudPainter(colour_by), as_measured, tell)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class RadarView:
     """Shows the cycles of one radar: points, and an arrow for the way that each makes in a second."""
 
@@ -167,15 +169,18 @@ class RadarView:
     places: Places
     radar: RadarSensor
     tell: Tell
+    _source: PoseSource = field(init=False)
 
-    def log(self, k: int) -> None:
+    def __post_init__(self) -> None:
+        self._source, problem = self.places.source(self.radar)
+        if problem is not None:
+            self.tell("not-placed", f"sensors[{self.radar.id!r}]", problem)
+
+    def log(self, k: int, _: None) -> None:
         """Log cycle `k`."""
         rr, frame = sdk(), self.radar.frames[k]
         time_ns, points = frame.timestamp_ns, frame.points
-        source, problem = self.places.source(self.radar)
-        if problem is not None:
-            self.tell("not-placed", f"sensors[{self.radar.id!r}]", problem)
-        pose = pose_at(source, time_ns)
+        pose = pose_at(self._source, time_ns)
         if pose is None:
             self.tell("beyond-the-way", f"sensors[{self.radar.id!r}].frames", _BEYOND)
             return

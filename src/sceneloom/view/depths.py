@@ -67,7 +67,7 @@ class DepthView:
     frames: Any
     straightener: Straightener
 
-    def log(self, k: int) -> None:
+    def log(self, k: int, _: None) -> None:
         """Log image `k`."""
         frame: DepthFrame = self.frames[k]
         stream = self.camera.stream
@@ -126,7 +126,7 @@ class FusedDepthView:
     entries: tuple[_Entry, ...]
     maps: dict[Identifier, Undistortion | None]
 
-    def log(self, k: int) -> None:
+    def log(self, k: int, _: None) -> None:
         """Log image `k`."""
         entry = self.entries[k]
         depths = _read(self.folder / entry.file)

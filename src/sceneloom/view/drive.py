@@ -1,9 +1,8 @@
 """One drive, ready to be logged: what there is of it, in the order of time."""
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +13,9 @@ from sceneloom.scene import (
     DepthCameraSensor,
     Finding,
     Identifier,
+    LidarSensor,
+    PlainAnnotation,
+    PlainSensor,
     PointsSensor,
     RadarSensor,
     Scene,
@@ -33,12 +35,15 @@ from sceneloom.view.found_files import read_detections, read_tracks
 from sceneloom.view.layout import Facts
 from sceneloom.view.motion import show_motion
 from sceneloom.view.objects import ObjectsView, by_camera
-from sceneloom.view.pictures import CameraView, PlacedCamera, with_straight_lenses
+from sceneloom.view.pictures import CameraView, PlacedCamera, ShownPicture, with_straight_lenses
 from sceneloom.view.places import Places, find_places
 from sceneloom.view.remarks import Told, find_mistakes, log_remarks
 from sceneloom.view.report import DriveShown
 from sceneloom.view.settings import ViewSettings
 from sceneloom.view.stream import Stream
+
+_READ_BY_THREADS = frozenset({"recording", "sfs"})
+"""Formats in which each camera has a reader of its own, so that several may be read at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,19 +135,19 @@ class _Run:
 
     def feeds(self) -> list[Feed]:
         """All that has a time, sensor by sensor."""
-        scene, settings = self.view.scene, self.view.settings
+        scene, every = self.view.scene, self.view.settings.every
         feeds = [self._sweeps(lidar, first=lidar is scene.lidars[0]) for lidar in scene.lidars]
         for sensor in scene.sensors:
             if isinstance(sensor, RadarSensor):
                 shown = RadarView(self.stream, self.view.places, sensor, self.view.told)
-                feeds.append(_thinned(sensor.frames.timestamps_ns, settings.every, shown.log))
+                feeds.append(_thinned(Feed(sensor.frames.timestamps_ns, shown.log), every))
             elif isinstance(sensor, CameraSensor):
                 feeds.append(self._pictures(sensor))
             elif isinstance(sensor, DepthCameraSensor):
                 feeds += self._depths(sensor)
         return [*feeds, *self._accompanying()]
 
-    def _sweeps(self, lidar: Any, *, first: bool) -> Feed:
+    def _sweeps(self, lidar: LidarSensor, *, first: bool) -> Feed:
         settings = self.view.settings
         shown = lidar_view(
             self.stream,
@@ -154,37 +159,42 @@ class _Run:
         )
         self.lidars.append(shown)
 
-        def log(k: int) -> None:
+        def log(k: int, _: None) -> None:
             time_ns, positions = shown.log(k)
             if positions is not None:
                 self.labelled.log(lidar.id, k, shown.path, time_ns, positions)
             if first:
                 self.annotations.note(time_ns)
 
-        return _thinned(lidar.frames.timestamps_ns, settings.every, log)
+        return _thinned(Feed(lidar.frames.timestamps_ns, log), settings.every)
 
     def _pictures(self, sensor: CameraSensor) -> Feed:
         """Pictures, and at once all that is drawn into them, which is small."""
         view, every = self.view, self.view.settings.every
-        placed = PlacedCamera(
-            self.stream, view.places, sensor, view.told, has_pinhole=key_of(sensor.id) not in view.bent
-        )
-        shown = CameraView(placed, sensor.pictures)
+        times_ns = sensor.pictures.timestamps_ns
+        self.annotations.log_in_pictures(sensor.id, np.unique(times_ns[::every]))
+        has_pinhole = key_of(sensor.id) not in view.bent
+        shown = CameraView(self._placed(sensor, times_ns, has_pinhole=has_pinhole), sensor.pictures)
         counts_moments = not view.scene.lidars and sensor is view.scene.cameras[0]
-        self.annotations.log_in_pictures(sensor.id, np.unique(sensor.pictures.timestamps_ns[::every]))
 
-        def log(k: int) -> None:
-            shown.log(k)
+        def log(k: int, prepared: ShownPicture | None) -> None:
+            shown.log(shown.prepare(k) if prepared is None else prepared)
             if counts_moments:
-                self.annotations.note(int(sensor.pictures.timestamps_ns[k]))
+                self.annotations.note(int(times_ns[k]))
 
-        return _thinned(sensor.pictures.timestamps_ns, every, log)
+        ahead = view.scene.format in _READ_BY_THREADS
+        return _thinned(Feed(times_ns, log, shown.prepare if ahead else None), every)
+
+    def _placed(
+        self, sensor: CameraSensor | DepthCameraSensor, times_ns: Int64Array, *, has_pinhole: bool = True
+    ) -> PlacedCamera:
+        placed = PlacedCamera(self.stream, self.view.places, sensor, self.view.told, has_pinhole=has_pinhole)
+        placed.log_poses(np.unique(times_ns[:: self.view.settings.every]))
+        return placed
 
     def _depths(self, sensor: DepthCameraSensor) -> list[Feed]:
-        feed = depth_feed(
-            PlacedCamera(self.stream, self.view.places, sensor, self.view.told), sensor, self.view.told
-        )
-        return [] if feed is None else [_thinned(feed.times_ns, self.view.settings.every, feed.log)]
+        feed = depth_feed(self._placed(sensor, sensor.frames.timestamps_ns), sensor, self.view.told)
+        return [] if feed is None else [_thinned(feed, self.view.settings.every)]
 
     def _accompanying(self) -> list[Feed]:
         """What files beside the drive hold."""
@@ -205,19 +215,28 @@ class _Run:
         return [_within(feed, span_ns) for feed in feeds]
 
 
-def _thinned(times_ns: Int64Array, every: int, log: Callable[[int], None]) -> Feed:
+def _thinned(feed: Feed, every: int) -> Feed:
     """Every Nth moment, in the order of time."""
-    rows = np.arange(0, len(times_ns), every)
-    rows = rows[np.argsort(times_ns[rows], kind="stable")]
-    return Feed(times_ns[rows], lambda k: log(int(rows[k])))
+    rows = np.arange(0, len(feed), every)
+    return _chosen(feed, rows[np.argsort(feed.times_ns[rows], kind="stable")])
 
 
 def _within(feed: Feed, span_ns: tuple[int, int] | None) -> Feed:
     """The moments of a file that lie in the shown part of its drive."""
     if span_ns is None:
         return feed
-    rows = np.flatnonzero((feed.times_ns >= span_ns[0]) & (feed.times_ns <= span_ns[1]))
-    return Feed(feed.times_ns[rows], lambda k: feed.log(int(rows[k])))
+    return _chosen(feed, np.flatnonzero((feed.times_ns >= span_ns[0]) & (feed.times_ns <= span_ns[1])))
+
+
+def _chosen(feed: Feed, rows: Int64Array) -> Feed:
+    """Some moments of a feed: (M,) numbers of them."""
+    numbers: list[int] = rows.tolist()
+    prepare = feed.prepare
+    return Feed(
+        feed.times_ns[rows],
+        lambda k, prepared: feed.log(numbers[k], prepared),
+        None if prepare is None else lambda k: prepare(numbers[k]),
+    )
 
 
 def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = None) -> DriveShown:
@@ -229,7 +248,9 @@ def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = No
     """
     scene, told = view.scene, view.told
     show_motion(stream, view.places, scene)
+    span_ns = time_span(scene) or (0, 0)
     findings = find_mistakes(view.measured) if view.settings.findings else ()
+    log_remarks(stream, span_ns[0], (*scene.notices, *view.places.notices), findings)
     run = _Run(
         view,
         stream,
@@ -240,13 +261,11 @@ def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = No
     feeds = run.feeds()
     total = sum(map(len, feeds))
     lenient = bool(view.settings.reading.get("lenient"))
-    for done, _ in enumerate(play([_tolerant(feed, told) if lenient else feed for feed in feeds]), start=1):
+    for done, _ in enumerate(play(feeds, partial(_passed_over, told, lenient)), start=1):
         if progress is not None:
             progress(done, total)
     run.annotations.finish()
-    span_ns = time_span(scene) or (0, 0)
-    notices = (*scene.notices, *view.places.notices, *told.notices)
-    log_remarks(stream, span_ns[0], notices, findings)
+    log_remarks(stream, span_ns[0], told.notices, ())
     return _shown(run, span_ns, findings)
 
 
@@ -259,6 +278,10 @@ def _log_lasting(run: _Run) -> None:
             path = stream.path("world", "clouds", sensor.id)
             positions = (sensor.positions - view.places.origin_world).astype(np.float32)
             run.labelled.log(sensor.id, None, path, None, positions)
+    for kind, things in (("sensors", scene.sensors), ("annotations", scene.annotations)):
+        for one in things:
+            if isinstance(one, PlainSensor | PlainAnnotation):
+                view.told("not-shown", f"{kind}[{one.id!r}]", f"nothing is known of the type {one.type!r}")
     show_corrections(stream, view.places, scene.annotations, view.told)
     show_events(stream, scene.annotations)
     show_attributes(stream, scene)
@@ -266,16 +289,12 @@ def _log_lasting(run: _Run) -> None:
     list_annotations(stream, scene)
 
 
-def _tolerant(feed: Feed, told: Told) -> Feed:
-    """Pass over moments that cannot be read, and tell it."""
-
-    def log(k: int) -> None:
-        try:
-            feed.log(k)
-        except DataError as error:
-            told("unreadable", error.place or error.file, error.problem)
-
-    return Feed(feed.times_ns, log)
+def _passed_over(told: Told, lenient: bool, error: Exception) -> bool:  # noqa: FBT001 - bound by `partial`
+    """Whether to go on after a moment that cannot be read, and tell it."""
+    if not (lenient and isinstance(error, DataError)):
+        return False
+    told("unreadable", error.place or error.file, error.problem)
+    return True
 
 
 def _shown(run: _Run, span_ns: tuple[int, int], findings: tuple[Finding, ...]) -> DriveShown:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
 from sceneloom.scene import EventAnnotation, GnssSensor, Identifier, ImuSensor, Scene
 from sceneloom.view.annotations.relations import RELATIONS
 from sceneloom.view.annotations.states import ATTRIBUTES, EVENTS, LIST
@@ -21,6 +21,8 @@ from sceneloom.view.stream import TIME, escaped
 
 _BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
 """Where the eye stands behind the ego, and where it looks [m]."""
+_MOVED = 2.0
+"""How far the ego must have come for its way to tell where forward is [m]."""
 _IN_PICTURES = ("annotations", "tracks", "detections")
 """What has a place in the world and is shown through the lenses, too."""
 _BACKGROUND = (16, 18, 22)
@@ -34,9 +36,10 @@ class Facts:
         root: the drive's entity.
         title: its name.
         cameras: those with pictures.
-        eye, target: (3,) float64 [m], where the eye is in the world, and what it looks at.
+        eye, target: (3,) [m], where the eye is, and what it looks at: in the ego's frame if it follows the ego.
         follows: whether the eye moves with the ego.
-        imu, gnss, plan, earth, events, attributes, relations, listed: whether there is anything of it.
+        curves: of each inertial unit, its id and the names of its streams.
+        gnss, plan, earth, events, attributes, relations, listed: whether there is anything of it.
     """
 
     root: str
@@ -45,7 +48,7 @@ class Facts:
     eye: tuple[float, ...]
     target: tuple[float, ...]
     follows: bool
-    imu: bool
+    curves: tuple[tuple[Identifier, tuple[str, ...]], ...]
     gnss: bool
     plan: bool
     earth: bool
@@ -71,7 +74,11 @@ class Facts:
             eye=eye,
             target=target,
             follows=places.path is not None,
-            imu=any(isinstance(sensor, ImuSensor) and sensor.streams for sensor in scene.sensors),
+            curves=tuple(
+                (one.id, tuple(one.streams))
+                for one in scene.sensors
+                if isinstance(one, ImuSensor) and one.streams
+            ),
             gnss=gnss,
             plan=gnss or places.path is not None,
             earth=gnss and settings.map_tiles,
@@ -83,17 +90,21 @@ class Facts:
 
 
 def _eye(places: Places) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Behind and above the ego where the drive begins, looking where it faces."""
-    position, forward = np.zeros(3), np.array([1.0, 0.0, 0.0])
-    if places.path is not None:
-        position = places.path.positions[0] - places.origin_world
-        turned = rotate_vectors(places.path.quaternions_xyzw[:1], np.array([[1.0, 0.0, 0.0]]))[0]
-        way = places.path.positions[min(len(places.path.positions) - 1, 200)] - places.path.positions[0]
-        level = np.array([*(way if np.linalg.norm(way[:2]) > 1.0 else turned)[:2], 0.0])
-        length = float(np.linalg.norm(level))
-        forward = level / length if length > 1e-6 else forward
-    eye = position - _BEHIND * forward + (0.0, 0.0, _ABOVE)
-    return tuple(eye.tolist()), tuple((position + _AHEAD * forward).tolist())
+    """Behind and above the ego, looking where it goes; seen from the ego, whose axes may point anywhere."""
+    forward, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    path = places.path
+    if path is not None:
+        back = conjugate_quaternion(path.quaternions_xyzw[:1])
+        up = rotate_vectors(back, up[None])[0]
+        steps = np.linalg.norm(path.positions - path.positions[0], axis=1)
+        way = path.positions[int(np.argmax(steps > _MOVED))] - path.positions[0]
+        if steps.max() > _MOVED:
+            forward = rotate_vectors(back, way[None])[0]
+        forward = forward - (forward @ up) * up
+        length = float(np.linalg.norm(forward))
+        forward = forward / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    eye = _ABOVE * up - _BEHIND * forward
+    return tuple(eye.tolist()), tuple((_AHEAD * forward).tolist())
 
 
 def layout(drives: Sequence[Facts]) -> Any:
@@ -119,27 +130,33 @@ def layout(drives: Sequence[Facts]) -> Any:
 
 def _drive(facts: Facts) -> Any:
     rrb = blueprint_sdk()
-    world = rrb.Spatial3DView(
-        origin=f"{facts.root}/{WORLD}",
-        name=f"{facts.title}: world",
-        background=_BACKGROUND,
-        line_grid=True,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=facts.eye,
-            look_target=facts.target,
-            eye_up=(0.0, 0.0, 1.0),
-            **({"tracking_entity": f"{facts.root}/{WORLD}/{EGO}"} if facts.follows else {}),
-        ),
-    )
+    worlds = [_world(facts, "world", follows=facts.follows)]
+    if facts.follows:
+        worlds.append(_world(facts, "from afar", follows=False))
+    top = rrb.Tabs(*worlds, active_tab=0) if len(worlds) > 1 else worlds[0]
     tabs = rrb.Tabs(*_tabs(facts), active_tab=0)
-    left = rrb.Vertical(world, tabs, row_shares=[3, 1])
+    left = rrb.Vertical(top, tabs, row_shares=[3, 1])
     if not facts.cameras:
         return _named(left, facts)
     pictures = [_camera(facts, camera_id) for camera_id in facts.cameras]
     columns = 1 if len(pictures) <= 3 else 2
     side = rrb.Grid(*pictures, grid_columns=columns) if len(pictures) > 1 else pictures[0]
     return rrb.Horizontal(left, side, column_shares=[3, 2], name=facts.title)
+
+
+def _world(facts: Facts, name: str, *, follows: bool) -> Any:
+    """The world with the eye behind the ego; or, of a drive that moves, all of it, the eye where the viewer puts it."""
+    rrb = blueprint_sdk()
+    world = f"{facts.root}/{WORLD}"
+    eye = {"position": facts.eye, "look_target": facts.target} if follows or not facts.follows else {}
+    return rrb.Spatial3DView(
+        origin=f"{world}/{EGO}" if follows else world,
+        contents=f"+ {world}/**",
+        name=name,
+        background=_BACKGROUND,
+        line_grid=not follows,
+        eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, **eye),
+    )
 
 
 def _named(container: Any, facts: Facts) -> Any:
@@ -162,8 +179,12 @@ def _tabs(facts: Facts) -> list[Any]:
     ]
     if facts.gnss:
         views.append(rrb.TimeSeriesView(origin=f"{root}/{GNSS}", name="satellite fixes"))
-    if facts.imu:
-        views.append(rrb.TimeSeriesView(origin=f"{root}/{IMU}", name="inertial unit"))
+    for sensor_id, streams in facts.curves:
+        plots = [
+            rrb.TimeSeriesView(origin=f"{root}/{IMU}/{escaped(sensor_id)}/{escaped(name)}", name=name)
+            for name in streams
+        ]
+        views.append(rrb.Horizontal(*plots, name=str(sensor_id)))
     if facts.plan:
         views.append(rrb.Spatial2DView(origin=f"{root}/{MAP}", name="map [m]", background=_BACKGROUND))
     if facts.earth:

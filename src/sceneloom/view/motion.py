@@ -1,6 +1,6 @@
 """The ego's way, and what IMU and satellite receivers say, as curves and maps."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.pictures.canvas import Colour
 from sceneloom.scene import GnssSensor, ImuSensor, PosePath, Scene, VectorSamples
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed
@@ -65,6 +66,8 @@ def show_motion(stream: Stream, places: Places, scene: Scene) -> MotionShown:
 def _show_ego(stream: Stream, places: Places) -> None:
     rr, path = sdk(), places.path
     for name, way in places.scene.trajectories.items():
+        if places.ego is not None and name == places.ego.name and path is not None:
+            continue  # it is the way of the ego, drawn below
         line = _line(way.positions - places.origin_world)
         stream.static(stream.path(WORLD, WAYS, name), _strips(line, colour_of_name(name), name))
     if path is None:
@@ -75,10 +78,16 @@ def _show_ego(stream: Stream, places: Places) -> None:
     entity = stream.path(WORLD, EGO)
     stream.columns(path.timestamps_ns[rows], entity, transform_columns(samples, every), kind="ego poses")
     stream.static(entity, rr.TransformAxes3D(1.5))
-    stream.static(stream.path(WORLD, WAYS, "of the ego"), _strips(samples.positions, _WAY, "way of the ego"))
+    stream.static(
+        stream.path(WORLD, WAYS, _way_name(places)), _strips(samples.positions, _WAY, _way_name(places))
+    )
 
 
-def _strips(line: Float64Array, colour: tuple[int, int, int], name: str) -> object:
+def _way_name(places: Places) -> str:
+    return "ego" if places.ego is None else places.ego.name
+
+
+def _strips(line: Float64Array, colour: Colour, name: str) -> object:
     return sdk().LineStrips3D(
         [line],
         colors=np.array([one_packed(colour)], np.uint32),
@@ -104,12 +113,20 @@ def _show_imu(stream: Stream, sensor: ImuSensor) -> None:
         _curves(stream, stream.path(IMU, sensor.id, name), samples, axes, _UNITS.get(name, ""))
 
 
-def _curves(stream: Stream, path: str, samples: VectorSamples, names: Iterable[str], unit: str) -> None:
+def _curves(
+    stream: Stream,
+    path: str,
+    samples: VectorSamples,
+    names: Iterable[str],
+    unit: str,
+    *,
+    colours: Sequence[Colour] = _AXIS_COLOURS,
+) -> None:
     """Log a vector over time; of very long streams every Nth sample."""
     rr = sdk()
     titles = [f"{name} [{unit}]" if unit else name for name in names]
-    colours = [_AXIS_COLOURS[k % 3] for k in range(len(titles))]
-    stream.static(path, rr.SeriesLines(names=titles, colors=colours))
+    chosen = [colours[k % len(colours)] for k in range(len(titles))]
+    stream.static(path, rr.SeriesLines(names=titles, colors=chosen))
     step = -(-len(samples) // _MOST_SAMPLES) or 1
     times_ns, values = samples.timestamps_ns[::step], samples.values[::step]
     for start in range(0, len(times_ns), _ROWS_AT_ONCE):
@@ -135,15 +152,16 @@ def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
         lat_lon=[lla[:, :2]], colors=np.array([colour], np.uint32), radii=np.array([-1.5], np.float32)
     )
     stream.static(stream.path(EARTH, sensor.id, "way"), way)
-    columns = {"height [m]": lla[:, 2], "accuracy [m]": sensor.accuracies[finite]}
-    columns["vertical accuracy [m]"] = sensor.vertical_accuracies[finite]
-    for name, values in columns.items():
+    curves = (
+        ("height", lla[:, 2], _AXIS_COLOURS[2]),
+        ("accuracy", sensor.accuracies[finite], _AXIS_COLOURS[0]),
+        ("vertical accuracy", sensor.vertical_accuracies[finite], _AXIS_COLOURS[1]),
+    )
+    for name, values, curve in curves:
         known = np.isfinite(values)
         if known.any():
             samples = VectorSamples(times_ns[known], np.ascontiguousarray(values[known, None]))
-            _curves(
-                stream, stream.path(GNSS, sensor.id, name.split(" [", maxsplit=1)[0]), samples, [name], ""
-            )
+            _curves(stream, stream.path(GNSS, sensor.id, name), samples, [name], "m", colours=(curve,))
 
 
 def _map_origin(places: Places, receivers: list[GnssSensor]) -> Float64Array | None:
@@ -180,9 +198,7 @@ def _show_plan(
     return shown
 
 
-def _plan_line(
-    stream: Stream, names: tuple[str | int, ...], enu: Float64Array, colour: tuple[int, int, int]
-) -> None:
+def _plan_line(stream: Stream, names: tuple[str | int, ...], enu: Float64Array, colour: Colour) -> None:
     strip = _on_plan(_line(enu))
     line = sdk().LineStrips2D(
         [strip], colors=np.array([one_packed(colour)], np.uint32), radii=np.array([-1.0], np.float32)
@@ -195,7 +211,7 @@ def _plan_marks(
     names: tuple[str | int, ...],
     times_ns: np.ndarray,
     enu: Float64Array,
-    colour: tuple[int, int, int],
+    colour: Colour,
 ) -> None:
     rows = _thinned(len(enu), _MOST_POSES)
     marks = sdk().Points2D.columns(

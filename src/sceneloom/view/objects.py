@@ -74,7 +74,7 @@ class ObjectsView:
         """Its moments in order."""
         return Feed(np.array([moment.timestamp_ns for moment in self.moments], np.int64), self.log)
 
-    def log(self, k: int) -> None:
+    def log(self, k: int, _: None) -> None:
         """Log the objects of one moment."""
         moment, base = self.moments[k], self.stream.path(WORLD, *self.names)
         named = moment.ids if self.has_history else moment.labels

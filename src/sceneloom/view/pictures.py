@@ -5,19 +5,28 @@ from typing import Any
 
 import numpy as np
 
+from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.undistortion import undistorted_camera
 from sceneloom.editing.undistortion import undistort_scene
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.sfs.write_pictures import encode_jpeg
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Identifier, Picture, Scene
+from sceneloom.scene import (
+    CameraCalibration,
+    CameraSensor,
+    DepthCameraSensor,
+    Identifier,
+    LazyFrames,
+    Picture,
+    Scene,
+)
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.types import Key, key_of
 from sceneloom.view.clouds import SENSORS, WORLD
 from sceneloom.view.feeds import Tell
-from sceneloom.view.places import Places
-from sceneloom.view.poses import pose_at, transform
+from sceneloom.view.places import Places, poses_within_reach
+from sceneloom.view.poses import pose_at, transform, transform_columns
 from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import Stream
 
@@ -28,9 +37,9 @@ _QUALITY = 88
 _JPEG_START = b"\xff\xd8"
 _CORNER = 0.5
 """The viewer counts pixels from the picture's corner, lenses from the centre of the first one."""
-_FRUSTUM = 2.5
-"""How far before the camera its picture hangs [m]."""
-_FINEST = 0.5
+_FRUSTUM, _HALF_WIDTH = 2.5, 1.2
+"""How far before the camera its picture hangs at most, and half of how wide it is at most [m]."""
+_FINEST = 0.7
 """A straightened picture magnifies its middle by this or more, of what one without empty borders would: a lens that
 sees very far aside shows less of its border then, and its middle stays sharp."""
 
@@ -42,6 +51,9 @@ def with_straight_lenses(scene: Scene, tell: Tell) -> tuple[Scene, frozenset[Key
         The scene, and the cameras whose lens no pinhole can stand for: their pictures hang nowhere.
     """
     bent = [camera for camera in scene.cameras if camera.camera.model != "pinhole"]
+    # a calibration that gives a camera another lens is shown beside the one at hand, not applied
+    calibrations = tuple(one for one in scene.annotations if isinstance(one, CameraCalibration))
+    scene = replace(scene, annotations=tuple(one for one in scene.annotations if one not in calibrations))
     kept_bent = set()
     for sensor in bent:
         place = f"sensors[{sensor.id!r}]"
@@ -57,7 +69,7 @@ def with_straight_lenses(scene: Scene, tell: Tell) -> tuple[Scene, frozenset[Key
                 place,
                 f"pictures of its {sensor.camera.model} lens are shown without distortion",
             )
-    return scene, frozenset(kept_bent)
+    return replace(scene, annotations=(*scene.annotations, *calibrations)), frozenset(kept_bent)
 
 
 def _kept_share(camera: Camera) -> float:
@@ -66,6 +78,15 @@ def _kept_share(camera: Camera) -> float:
     if whole >= _FINEST * valid:
         return 1.0
     return (1.0 - _FINEST) * valid / (valid - whole)
+
+
+def straight_lens(camera: Camera) -> Camera:
+    """The pinhole that is shown for a lens.
+
+    Raises:
+        CalibrationError: none can stand for it.
+    """
+    return camera if camera.model == "pinhole" else undistorted_camera(camera, keep=_kept_share(camera))
 
 
 def pinhole(camera: Camera) -> Any:
@@ -77,7 +98,7 @@ def pinhole(camera: Camera) -> Any:
         image_from_camera=matrix,
         resolution=[camera.width, camera.height],
         camera_xyz=rr.ViewCoordinates.RDF,
-        image_plane_distance=_FRUSTUM,
+        image_plane_distance=min(_FRUSTUM, _HALF_WIDTH * 2 * camera.fx / camera.width),
     )
 
 
@@ -120,16 +141,22 @@ class PlacedCamera:
         if problem is not None:
             self.tell("not-placed", f"sensors[{self.sensor.id!r}]", problem)
 
-    def log(self, time_ns: int, lens: Camera, mount: RigidTransform | None) -> None:
-        """Log the pose at a time [ns], by the picture's own mounting where it has one."""
-        pose = pose_at(self._source.mounted(mount), time_ns)
-        if pose is None:
+    def log_poses(self, times_ns: Int64Array) -> None:
+        """Log the poses at the times of all pictures, (N,) [ns], by the camera's own mounting."""
+        poses, rows = poses_within_reach(self._source, times_ns)
+        if len(rows) < len(times_ns):
             self.tell(
                 "beyond-the-way",
                 f"sensors[{self.sensor.id!r}]",
-                "its place is not known at the time of a picture",
+                f"its place is not known at {len(times_ns) - len(rows)} of {len(times_ns)} times",
             )
-        else:
+        path = camera_path(self.stream, self.sensor.id)
+        self.stream.columns(times_ns[rows], path, transform_columns(poses, rows))
+
+    def log(self, time_ns: int, lens: Camera, mount: RigidTransform | None) -> None:
+        """Log what is the picture's own at a time [ns]: another mounting, another lens."""
+        pose = None if mount is None else pose_at(self._source.mounted(mount), time_ns)
+        if pose is not None:
             self.stream.log(time_ns, camera_path(self.stream, self.sensor.id), transform(pose))
         if self.has_pinhole and lens != self._lens:
             self._lens = lens
@@ -137,18 +164,29 @@ class PlacedCamera:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ShownPicture:
+    """A picture with the JPEG file that is shown."""
+
+    picture: Picture
+    content: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CameraView:
     """Shows the pictures of one camera."""
 
     camera: PlacedCamera
-    pictures: Any
+    pictures: LazyFrames[Picture]
 
-    def log(self, k: int) -> None:
-        """Log picture `k`."""
-        picture: Picture = self.pictures[k]
-        stream, sensor_id = self.camera.stream, self.camera.sensor.id
-        content = jpeg_of(picture)
+    def prepare(self, k: int) -> ShownPicture:
+        """Read picture `k`, and encode it where it is no JPEG yet."""
+        picture = self.pictures[k]
+        return ShownPicture(picture, jpeg_of(picture))
+
+    def log(self, shown: ShownPicture) -> None:
+        """Log a picture."""
+        stream, picture = self.camera.stream, shown.picture
         self.camera.log(picture.timestamp_ns, picture.camera, picture.mount)
-        image = sdk().EncodedImage(contents=content, media_type="image/jpeg")
-        path = picture_path(stream, sensor_id)
-        stream.log(picture.timestamp_ns, path, image, kind="pictures", size=len(content))
+        image = sdk().EncodedImage(contents=shown.content, media_type="image/jpeg")
+        path = picture_path(stream, self.camera.sensor.id)
+        stream.log(picture.timestamp_ns, path, image, kind="pictures", size=len(shown.content))

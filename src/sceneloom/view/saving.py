@@ -9,6 +9,7 @@ from typing import Any
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene
 from sceneloom.formats.output import check_output, replacing
+from sceneloom.scene import Scene
 from sceneloom.scene.span import time_span
 from sceneloom.scene.types import Progress
 from sceneloom.view.drive import DriveView, check_single, log_drive, prepare_drive
@@ -24,7 +25,7 @@ SUFFIX = ".rrd"
 
 @contextmanager
 def opened_drives(
-    paths: Sequence[str | Path], settings: ViewSettings, *, progress: Progress | None = None
+    sources: Sequence[str | Path | Scene], settings: ViewSettings, *, progress: Progress | None = None
 ) -> Iterator[tuple[DriveView, ...]]:
     """Open drives, each under a root of its own name.
 
@@ -34,23 +35,29 @@ def opened_drives(
         DataError: the content of one is wrong.
         PoseError: the named trajectory cannot be used.
     """
-    if not paths:
+    if not sources:
         raise OptionError("no drive to show; expected one or more paths")
-    check_single(len(paths), settings)
+    check_single(len(sources), settings)
     with ExitStack() as stack:
-        names = _roots(paths)
-        scenes = [stack.enter_context(open_scene(path, **settings.reading)) for path in paths]
+        names = _roots(sources)
+        scenes = [
+            source
+            if isinstance(source, Scene)
+            else stack.enter_context(open_scene(source, **settings.reading))
+            for source in sources
+        ]
         yield tuple(
             prepare_drive(scene, name, settings, progress=progress)
             for scene, name in zip(scenes, names, strict=True)
         )
 
 
-def _roots(paths: Sequence[str | Path]) -> list[str]:
+def _roots(sources: Sequence[str | Path | Scene]) -> list[str]:
     """Names of the files without their suffixes, each once."""
     roots: list[str] = []
-    for path in paths:
-        stem = Path(str(path)).resolve().stem or "drive"
+    for source in sources:
+        place = source.source if isinstance(source, Scene) else str(source)
+        stem = Path(place).resolve().stem or "drive"
         taken = sum(root == stem or root.startswith(f"{stem} (") for root in roots)
         roots.append(f"{stem} ({taken + 1})" if taken else stem)
     return roots
@@ -84,7 +91,7 @@ def log_drives(
 
 
 def save_view(
-    paths: Sequence[str | Path],
+    sources: Sequence[str | Path | Scene],
     output: str | Path,
     *,
     settings: ViewSettings | None = None,
@@ -94,7 +101,7 @@ def save_view(
     """Save drives with a layout of the viewer to a file that `rerun FILE` opens.
 
     Args:
-        paths: of recordings, scenes, …; each is under a root of its own.
+        sources: paths of recordings, scenes, …, or scenes that are open; each is under a root of its own.
         output: the file, which ends in `.rrd`.
         settings: what is shown, and how.
         overwrite: whether the file may be replaced.
@@ -113,7 +120,7 @@ def save_view(
         raise OptionError(f"{target}: expected a name that ends in {SUFFIX}")
     check_output(target, overwrite=overwrite)
     with (
-        opened_drives(paths, settings or ViewSettings(), progress=progress) as views,
+        opened_drives(sources, settings or ViewSettings(), progress=progress) as views,
         replacing(target, overwrite=overwrite) as draft,
     ):
         recording = new_recording(views)

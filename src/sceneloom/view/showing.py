@@ -13,6 +13,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from sceneloom.errors import OptionError, OutputError
+from sceneloom.scene import Scene
 from sceneloom.scene.types import Progress
 from sceneloom.view.layout import layout
 from sceneloom.view.page import LOOPBACK, guarded_page
@@ -51,7 +52,7 @@ def has_screen(environment: Mapping[str, str] | None = None) -> bool:
 
 
 def show_view(
-    paths: Sequence[str | Path],
+    sources: Sequence[str | Path | Scene],
     *,
     settings: ViewSettings | None = None,
     web: bool = False,
@@ -63,7 +64,7 @@ def show_view(
     The viewer listens on this machine only, sends no usage data and writes nothing to the home folder.
 
     Args:
-        paths: of recordings, scenes, …; each is under a root of its own.
+        sources: paths of recordings, scenes, …, or scenes that are open; each is under a root of its own.
         settings: what is shown, and how.
         web: in a browser in place of a window: until the program is interrupted.
         ready: told when the viewer runs, before anything is logged.
@@ -85,7 +86,7 @@ def show_view(
     started = time.perf_counter()
     wanted = settings or ViewSettings()
     with (
-        opened_drives(paths, wanted, progress=progress) as views,
+        opened_drives(sources, wanted, progress=progress) as views,
         _viewer(web=web, map_tiles=wanted.map_tiles) as viewer,
     ):
         if ready is not None:

@@ -2,12 +2,13 @@
 
 import numpy as np
 
+from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene import Annotation, CameraCalibration, LocalizationAdjustment
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed
 from sceneloom.view.feeds import Tell
-from sceneloom.view.pictures import camera_path, pinhole
+from sceneloom.view.pictures import camera_path, pinhole, straight_lens
 from sceneloom.view.places import Places
 from sceneloom.view.poses import transform_columns
 from sceneloom.view.sdk import sdk
@@ -54,10 +55,10 @@ def _show_calibration(stream: Stream, annotation: CameraCalibration, tell: Tell)
         else:
             rows = np.arange(len(poses.positions))
             stream.columns(annotation.poses.timestamps_ns, entity, transform_columns(poses, rows))
-    lens = annotation.intrinsics
-    if lens is not None and lens.model == "pinhole":
-        stream.static(f"{entity}/lens", pinhole(lens))
-    elif lens is not None:
-        tell("lens-left", f"annotations[{annotation.id!r}]", f"its {lens.model} lens is not drawn")
+    if annotation.intrinsics is not None:
+        try:
+            stream.static(f"{entity}/lens", pinhole(straight_lens(annotation.intrinsics)))
+        except CalibrationError as error:
+            tell("lens-left", f"annotations[{annotation.id!r}]", f"its lens is not drawn: {error}")
     stream.static(entity, sdk().TransformAxes3D(0.5))
     stream.count("camera calibrations", 1)

@@ -30,14 +30,18 @@ _FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 @click.option(
     "--start", type=options.not_negative, metavar="S", help="Begin S seconds after the first time stamp."
 )
-@click.option("--end", "stop", type=options.positive, metavar="S", help="End before S seconds after it.")
+@click.option(
+    "--stop", "--end", "stop", type=options.positive, metavar="S", help="End before S seconds after it."
+)
 @click.option(
     "--every",
     type=click.IntRange(min=1),
     metavar="N",
     help="Every Nth sweep, picture, … of each sensor. [default: 1]",
 )
-@click.option("--sensors", metavar="ID,…", help="Show these sensors only.")
+@click.option(
+    "--sensor", "--sensors", "sensors", metavar="ID,…", help="The only sensors to show. [default: all]"
+)
 @options.way(further="`identity`: it stood still")
 @click.option(
     "--as-measured", is_flag=True, help="Leave points where they were measured while the sensor moved."

@@ -87,3 +87,12 @@ def test_fixes_without_reception_are_no_places():
     lla[:100, :2] = 0.0
     found = ways_of(Scene((replace(known, positions_lla=lla),)), start_ns=0)
     assert (found.fixes[0].usable, found.fixes[0].count) == (301, 401)
+
+
+def test_north_is_taken_as_the_scene_states_it():
+    way = circle()
+    said = {"sceneloom": {"enu_origin": {"latitude": 52.5, "longitude": 13.4, "altitude": 40.0}}}
+    scene = Scene((fixes(way, 90.0),), trajectories={"way": way}, metadata=said)
+    found = ways_of(scene, start_ns=0).north
+    assert (found.direction_deg, found.rms) == (90.0, None)
+    assert found.shift == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)

@@ -8,7 +8,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.geometry.geodesy import geodetic_from_enu
 from sceneloom.pictures.depth_scale import COARSE_DIGITS, round_up
 from sceneloom.report.drawings.axes import tick_text
-from sceneloom.report.drawings.svg import Svg, series
+from sceneloom.report.drawings.svg import Svg, series, shortened
 from sceneloom.report.numbers.ways import Ways
 
 WIDTH, MOST_HEIGHT, LEAST_HEIGHT = 720.0, 480.0, 240.0
@@ -52,13 +52,18 @@ def draw_plan(ways: Ways) -> Svg | None:
     _grid(svg, middle, scale, height)
     for look, name, dots in fixes:
         for x, y in placed(dots):
-            svg.circle(x, y, 2.2, f"fill {look}", title=name)
+            svg.circle(x, y, 2.2, f"fill {look}", title=shortened(name, 60))
     for look, name, line in lines:
         drawn = placed(line)
-        svg.path(drawn, look, title=name)
-        svg.circle(*drawn[0], 5, f"start {look.split()[-1]}", title=f"{name}: start")
+        svg.path(drawn, look, title=shortened(name, 60))
+        svg.circle(*drawn[0], 5, f"start {look.split()[-1]}", title=f"{shortened(name, 60)}: start")
         svg.rectangle(
-            drawn[-1][0] - 4, drawn[-1][1] - 4, 8, 8, f"fill {look.split()[-1]}", title=f"{name}: end"
+            drawn[-1][0] - 4,
+            drawn[-1][1] - 4,
+            8,
+            8,
+            f"fill {look.split()[-1]}",
+            title=f"{shortened(name, 60)}: end",
         )
     _scale_bar(svg, scale, height)
     _compass(svg, north=_is_north_up(ways))

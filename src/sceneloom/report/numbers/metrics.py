@@ -10,6 +10,7 @@ from sceneloom.evaluate.tracking import compare_tracks
 from sceneloom.evaluate.tracking.comparison import TrackingReport
 from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.scene import Scene, Trajectory
+from sceneloom.scene.poses import same_way
 
 TRUTH = "groundTruth"
 """The name of trajectories that are taken for the truth."""
@@ -44,7 +45,7 @@ def metrics_of(
     reference = true_way if true_way is not None else next(iter(scene.trajectories.values()), None)
     if true_way is not None:
         for name, way in scene.trajectories.items():
-            if name != TRUTH:
+            if name != TRUTH and not same_way(way, true_way):
                 collected.compare(way, true_way)
     for name in compare:
         if reference is None:

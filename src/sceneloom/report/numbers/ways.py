@@ -1,5 +1,7 @@
 """Where the ego went: its ways through the world, satellite fixes, heights and speeds."""
 
+from collections.abc import Mapping
+
 import msgspec
 import numpy as np
 
@@ -150,7 +152,8 @@ def ways_of(scene: Scene, *, start_ns: int, found_now: frozenset[str] = frozense
         ways=tuple(ways),
         fixes=tuple(_fixes(receiver, origin, start_ns) for receiver in receivers),
         origin_lla=_three(origin),
-        north=_north(trajectories[0], receivers[0], origin) if ways else None,
+        north=_stated_north(scene, origin)
+        or (_north(trajectories[0], receivers[0], origin) if ways else None),
     )
 
 
@@ -278,6 +281,21 @@ def _fixes(receiver: GnssSensor, origin_lla: Float64Array, start_ns: int) -> Fix
 def _three(values: Float64Array | Int64Array) -> tuple[float, float, float]:
     a, b, c = (float(value) for value in values)
     return a, b, c
+
+
+def _stated_north(scene: Scene, origin_lla: Float64Array) -> North | None:
+    """North where the scene says that its axes are east, north and up at a place, and was not moved since."""
+    ours = scene.metadata.get("sceneloom")
+    if not isinstance(ours, Mapping) or "world_from_file" in ours:
+        return None
+    said = ours.get("enu_origin")
+    if not isinstance(said, Mapping):
+        return None
+    known = [said.get(name) for name in ("latitude", "longitude", "altitude")]
+    if not all(isinstance(value, int | float) and np.isfinite(value) for value in known):
+        return None
+    shift = enu_from_geodetic(origin_lla[None], np.array(known, np.float64))[0]
+    return North(direction_deg=90.0, shift=_three(shift))
 
 
 def _north(way: Trajectory, receiver: GnssSensor, origin_lla: Float64Array) -> North | None:

@@ -16,7 +16,8 @@ class Drawing:
         text: what it shows, for those who cannot see it.
         svg: the drawing.
         caption: how it is to be read, for all.
-        kind: "plot"; "wide" takes the whole width, and on small screens is moved sideways; "map" takes it, too.
+        kind: "plot"; "tall" stands beside several plots; "wide" takes the whole width, and on small screens is moved
+            sideways; "map" takes it, too.
         named: the looks in it that stand for something, each with its name.
     """
 
@@ -87,7 +88,8 @@ class Section:
     Attributes:
         key: its anchor.
         name: its heading.
-        missing: why it lacks something.
+        missing: why it lacks something that might be there.
+        absent: what the drive does not have, so that there is nothing to tell; a sentence.
         facts: names and values that come first.
         blocks: what it consists of.
     """
@@ -95,5 +97,6 @@ class Section:
     key: str
     name: str
     missing: str | None = None
+    absent: str | None = None
     facts: Sequence[tuple[str, str]] = ()
     blocks: Sequence[Block] = ()

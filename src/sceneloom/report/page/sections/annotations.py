@@ -33,7 +33,9 @@ def annotations_section(report: DriveReport, album: Album) -> Section:
     labels = report.labels
     missing = report.left_out.get("annotations")
     if labels is None:
-        return Section(key="annotations", name="Annotations", missing=missing or "there are no annotations")
+        return Section(
+            key="annotations", name="Annotations", missing=missing, absent="There are no annotations."
+        )
     rows = [_row(numbers) for numbers in labels.classes[:MOST_CLASSES]]
     rest = labels.classes[MOST_CLASSES:]
     more = f"{len(rest)} further classes with {sum(c.objects for c in rest):,} objects." if rest else ""

@@ -31,9 +31,8 @@ def calibration_section(report: DriveReport, album: Album) -> Section:
         told = f"A quick check by {frames} pictures of each camera; `sceneloom calibrate DRIVE --check` takes more."
         blocks.append(Block(lines=[told], faint=True))
     missing = report.left_out.get("calibration")
-    if missing is None and not photos and not report.calibration:
-        missing = "there is no camera with pictures beside a lidar with sweeps, or they could not be brought together"
-    return Section(key="calibration", name="Calibration", missing=missing, blocks=blocks)
+    absent = None if photos or report.calibration else "There are no points in pictures to judge it by."
+    return Section(key="calibration", name="Calibration", missing=missing, absent=absent, blocks=blocks)
 
 
 def _check(check: CalibrationCheck) -> Block:

@@ -47,8 +47,7 @@ def coverage_section(report: DriveReport) -> Section:
         Table("Cameras", _CAMERAS, [_camera_row(camera, report) for camera in coverage.cameras]),
     ]
     missing = report.left_out.get("coverage")
-    if missing is None and not coverage.clouds and not coverage.cameras:
-        missing = "there is no lidar, radar or camera"
+    absent = None if coverage.clouds or coverage.cameras else "There is no lidar, radar or camera."
     facts = [
         ("Horizon seen by lidars", percent(coverage.lidar_share, 0)),
         ("By cameras", percent(coverage.camera_share, 0)),
@@ -58,6 +57,7 @@ def coverage_section(report: DriveReport) -> Section:
         key="coverage",
         name="Coverage",
         missing=missing,
+        absent=absent,
         facts=facts if coverage.clouds or coverage.cameras else [],
         blocks=[
             Block(drawings=drawings),
@@ -84,7 +84,7 @@ def _around(coverage: Coverage) -> list[Drawing]:
         "direction, from the sensor. Wedges: the middle rows of the pictures; their length means nothing."
     )
     text = "; ".join([*reaches, *looks])
-    return [Drawing("Around the ego", text, svg, caption, named=named_shapes(coverage))]
+    return [Drawing("Around the ego", text, svg, caption, kind="tall", named=named_shapes(coverage))]
 
 
 def _plots(cloud: CloudCoverage) -> list[Drawing]:

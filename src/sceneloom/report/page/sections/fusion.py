@@ -25,7 +25,10 @@ def fusion_section(report: DriveReport, album: Album) -> Section:
     missing = report.left_out.get("fusion")
     if fusion is None:
         return Section(
-            key="fusion", name="Fusion", missing=missing or "there is no lidar whose points could be fused"
+            key="fusion",
+            name="Fusion",
+            missing=missing,
+            absent="There is no lidar whose points could be fused.",
         )
     rows = [_row(camera, fusion) for camera in fusion.cameras]
     facts = [

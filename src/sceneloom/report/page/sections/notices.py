@@ -44,8 +44,8 @@ def notices_section(report: DriveReport) -> Section:
         table = Table("What the drive lost when it was written", _COLUMNS, rows)
         blocks.append(Block(heading=f"Losses: {len(rows):,}", tables=[table]))
     blocks += _conversions(report)
-    missing = None if report.notices or report.losses else "nothing was assumed, repaired, left out or lost"
-    return Section(key="notices", name="Notices and losses", missing=missing, blocks=blocks)
+    told = None if report.notices or report.losses else "Nothing was assumed, repaired, left out or lost."
+    return Section(key="notices", name="Notices and losses", absent=told, blocks=blocks)
 
 
 def _conversions(report: DriveReport) -> list[Block]:

@@ -33,8 +33,8 @@ def timing_section(report: DriveReport) -> Section:
         Block(heading="Intervals", drawings=_intervals(streams)) if _intervals(streams) else Block(),
     ]
     facts = [("All streams together", percent(timing.overlap_share, 0))] if len(streams) > 1 else []
-    missing = None if streams else "no stream has a time stamp"
-    return Section(key="timing", name="Timing and gaps", missing=missing, facts=facts, blocks=blocks)
+    absent = None if streams else "No stream has a time stamp."
+    return Section(key="timing", name="Timing and gaps", absent=absent, facts=facts, blocks=blocks)
 
 
 def _overview(timing: Timing) -> list[Drawing]:

@@ -38,12 +38,11 @@ def trajectory_section(report: DriveReport) -> Section:
         Table("Satellite fixes", _FIXES, [_fixes_row(fixes) for fixes in ways.fixes]),
     ]
     missing = report.left_out.get("trajectory")
-    if missing is None and not ways.ways and not ways.fixes:
-        missing = "there are neither poses of the ego nor satellite fixes"
     return Section(
         key="trajectory",
         name="Trajectory and map",
         missing=missing,
+        absent=None if ways.ways or ways.fixes else "There are neither poses of the ego nor satellite fixes.",
         blocks=[
             Block(drawings=_plan(ways)),
             Block(drawings=plots),
@@ -114,7 +113,7 @@ def _way_row(way: Way) -> list[str]:
         fixed(way.top_speed, 2),
         percent(way.standing_share, 0),
         NOTHING if way.turned_deg is None else fixed(way.turned_deg, 0),
-        f"{way.lowest:.1f} to {way.highest:.1f}",
+        f"{fixed(way.lowest, 1)} to {fixed(way.highest, 1)}",
         f"{way.climb:.1f} / {way.descent:.1f}",
     ]
 

@@ -1,0 +1,117 @@
+"""The page about a drive in a real browser: nothing it complains of, nothing that leaves, all of it readable."""
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.report import ReportSettings, write_report
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Notice, NoticeKind, Scene
+from sceneloom.simulate import CameraSpec, Faults, LidarSpec, SensorFaults, simulate_street
+
+SCRIPT = Path(__file__).with_name("report_in_browser.js")
+LIMIT_S = 240
+EVIL = "<img src=x onerror=alert(1)><script>alert(2)</script>"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A Chromium and the folder of modules with playwright-core; tests are skipped without them."""
+    if shutil.which("node") is None:
+        pytest.skip("no node")
+    program, modules = os.environ.get("SCENELOOM_BROWSER", ""), os.environ.get("SCENELOOM_NODE_MODULES", "")
+    if not program or not modules:
+        pytest.skip(
+            "no browser: set SCENELOOM_BROWSER to a Chromium and SCENELOOM_NODE_MODULES, with playwright-core"
+        )
+    if not Path(modules, "playwright-core").is_dir():
+        pytest.fail(f"SCENELOOM_NODE_MODULES={modules} has no playwright-core")
+    return program, modules
+
+
+def evil() -> Scene:
+    """A scene whose every name is markup."""
+    points = LidarPoints(np.random.default_rng(0).normal(0, 10, (50, 3)).astype(np.float32))
+    frames = LazyFrames.of([LidarFrame(t, points) for t in (0, 10**8)], [0, 10**8])
+    notice = Notice(kind=NoticeKind.ASSUMED, code="x", place=EVIL, message=EVIL)
+    return Scene(
+        (LidarSensor(EVIL, frames),), source=EVIL, format=EVIL, notices=(notice,), metadata={EVIL: EVIL}
+    )
+
+
+@pytest.fixture(scope="module")
+def seen(browser, tmp_path_factory):
+    """What the browser says of three pages: a drive with gaps, a scene of nothing, one of hostile names."""
+    folder = tmp_path_factory.mktemp("pages")
+    camera = CameraSpec(Camera("pinhole", 192, 128, 120.0, 120.0, 95.5, 63.5))
+    faults = Faults({"camera0": SensorFaults(lost_frames=(3, 4, 9))})
+    lidar = LidarSpec(beams=16, steps=180)
+    drive = simulate_street(1, frames=14, lidar=lidar, cameras=(camera,), faults=faults)
+    scenes = {"drive": drive.scene, "empty": Scene(()), "evil": evil()}
+    pages = []
+    for name, scene in scenes.items():
+        pages.append(str(folder / f"{name}.html"))
+        write_report(scene, pages[-1], settings=ReportSettings(quick=True))
+    program, modules = browser
+    done = subprocess.run(
+        ["node", str(SCRIPT), program, str(folder), *pages],
+        env={**os.environ, "NODE_PATH": modules},
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+PAGES = ("drive.html", "empty.html", "evil.html")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_browser_has_nothing_to_complain_of_and_nothing_leaves(seen, page):
+    found = seen[page]
+    assert found["messages"] == []
+    assert found["dialogs"] == []
+    # the page itself, once for each view
+    assert len(found["requests"]) == len(found["views"])
+    assert all(request.startswith("file:") and request.endswith(page) for request in found["requests"])
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_it_fits_a_phone_and_a_screen_in_the_light_and_in_the_dark(seen, page):
+    for view in seen[page]["views"]:
+        assert view["overflow"] <= 0, (view["width"], view["scheme"])
+        assert view["clipped"] == [], (view["width"], view["scheme"])
+        assert view["small"] == [], (view["width"], view["scheme"])
+        assert view["unseen"] == 0
+        assert {"Verdict", "Timing and gaps", "Coverage", "Provenance"} <= set(view["headings"])
+    light, dark = (v["background"] for v in seen[page]["views"][:2])
+    assert (light, dark) == ("rgb(255, 255, 255)", "rgb(20, 22, 26)")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_all_texts_have_contrast(seen, page):
+    for view in seen[page]["views"]:
+        assert view["faint"] == [], (view["width"], view["scheme"])
+    assert seen["drive.html"]["views"][0]["texts"] > 200
+
+
+def test_pictures_and_drawings_are_there(seen):
+    view = seen["drive.html"]["views"][0]
+    assert view["images"] >= 4
+    assert view["drawings"] >= 8
+
+
+def test_it_can_be_used_by_keyboard_and_printed(seen):
+    found = seen["drive.html"]
+    assert found["keyboard"]["first"] == "skip"
+    assert {"A", "SUMMARY"} <= set(found["keyboard"]["reached"])
+    assert found["keyboard"]["opened"]
+    assert found["printed"] > 10_000
+    assert found["printedBackground"] == "rgb(255, 255, 255)"

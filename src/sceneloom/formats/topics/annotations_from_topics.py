@@ -12,20 +12,36 @@ from sceneloom.formats.topics.notes import attributes_from
 from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import Boxes2DRecord, Boxes3DRecord, Kind
 from sceneloom.formats.topics.survey import Survey
-from sceneloom.scene import Annotation, CameraSensor, NoticeKind, Sensor
-
-_TOPICS = (Kind.IMAGE, Kind.PICTURE, Kind.VIDEO)
+from sceneloom.scene import Annotation, NoticeKind
 
 
-def read_annotations(survey: Survey, places: Places, sensors: Sequence[Sensor]) -> list[Annotation]:
-    """Make the annotations of all topics of boxes, those that notes speak of as these say."""
-    found = [*_cuboids(survey, places), *_boxes_2d(survey, sensors)]
+def read_annotations(survey: Survey, places: Places, cameras: Mapping[str, Any]) -> list[Annotation]:
+    """Make the annotations of all topics of boxes, those that notes speak of as these say.
+
+    Args:
+        survey: of all topics.
+        places: of all frames.
+        cameras: ids by the topics of their pictures.
+    """
+    found = [*_cuboids(survey, places), *_boxes_2d(survey, cameras)]
     notes = {(str(note.get("topic")), str(note.get("key"))): note for note in survey.notes.annotations}
     order = {key: row for row, key in enumerate(notes)}
     noted = [
         (order.get(key, len(order)), _with_note(annotation, notes.get(key))) for key, annotation in found
     ]
-    return [annotation for _, annotation in sorted(noted, key=lambda row: row[0])]
+    return _with_unique_ids([annotation for _, annotation in sorted(noted, key=lambda row: row[0])])
+
+
+def _with_unique_ids(annotations: Sequence[Annotation]) -> list[Annotation]:
+    """Number ids that are there once more: an object may be a cuboid and a box in pictures."""
+    taken: dict[Any, int] = {}
+    found = []
+    for annotation in annotations:
+        key = type(annotation.id), annotation.id
+        taken[key] = taken.get(key, 0) + 1
+        again = taken[key] > 1
+        found.append(replace(annotation, id=f"{annotation.id}~{taken[key]}") if again else annotation)
+    return found
 
 
 def _cuboids(survey: Survey, places: Places) -> list[tuple[Key, Annotation]]:
@@ -40,15 +56,14 @@ def _cuboids(survey: Survey, places: Places) -> list[tuple[Key, Annotation]]:
     return [(key, annotation) for key, annotation in made if annotation is not None]
 
 
-def _boxes_2d(survey: Survey, sensors: Sequence[Sensor]) -> list[tuple[Key, Annotation]]:
+def _boxes_2d(survey: Survey, cameras: Mapping[str, Any]) -> list[tuple[Key, Annotation]]:
     found: list[tuple[Key, Annotation]] = []
-    cameras = [sensor for sensor in sensors if isinstance(sensor, CameraSensor)]
     noted = {note["boxes_topic"]: note["id"] for note in survey.notes.sensors if "boxes_topic" in note}
     for topic in survey.topics(Kind.BOXES_2D):
         records = survey.of(topic, Boxes2DRecord)
         camera = noted.get(topic.name)
         if camera is None:
-            camera = _camera_of(topic, cameras, survey)
+            camera = _camera_of(topic, cameras)
         if camera is None:
             message = "boxes in pictures of a camera that is not told"
             place = f"{survey.log.name}: {topic.name}"
@@ -64,15 +79,10 @@ def _boxes_2d(survey: Survey, sensors: Sequence[Sensor]) -> list[tuple[Key, Anno
     return _with_own_ids(found)
 
 
-def _camera_of(topic: Topic, cameras: Sequence[CameraSensor], survey: Survey) -> Any:
+def _camera_of(topic: Topic, cameras: Mapping[str, Any]) -> Any:
     """The camera whose topic stands beside that of boxes; the only one where there is only one."""
-    if len(cameras) == 1:
-        return cameras[0].id
-    names = {other.name: other for other in survey.topics(*_TOPICS)}
-    name = nearest(topic.name, names)
-    if name is None:
-        return None
-    return next((camera.id for camera in cameras if name.strip("/").startswith(str(camera.id))), None)
+    name = nearest(topic.name, cameras) or (next(iter(cameras)) if len(cameras) == 1 else None)
+    return None if name is None else cameras[name]
 
 
 def _with_own_ids(found: Sequence[tuple[Key, Annotation]]) -> list[tuple[Key, Annotation]]:

@@ -17,6 +17,11 @@ TAILS = frozenset(
 LENS_TAILS = frozenset({"camera_info", "calibration", "camera_calibration", "info", "intrinsics"})
 
 
+_SAYING = (
+    TAILS | LENS_TAILS | {"annotations", "detections", "detections_2d", "boxes", "bounding_boxes", "objects"}
+)
+
+
 def parts_of(topic: str) -> list[str]:
     """The parts of a topic's name."""
     return [part for part in topic.split("/") if part]
@@ -53,12 +58,25 @@ def nearness(topic: str, other: str) -> int:
 
 
 def nearest(topic: str, others: Iterable[str]) -> str | None:
-    """The topic that shares most parts with another one, at least all but the ones that say what messages are."""
-    base = parts_of(base_of(topic))
-    found = [(nearness(topic, other), -len(parts_of(other)), other) for other in others]
-    # a camera's lens stands beside its pictures: /front/image_raw and /front/camera_info
-    good = [row for row in found if row[0] >= max(1, min(len(base), len(parts_of(row[2])) - 1))]
-    return max(good)[2] if good else None
+    """The topic that belongs to the same sensor as another one: /front/camera_info to /front/image_raw.
+
+    Without the last parts, which say what messages are, one of the two names has to begin with the other.
+    """
+    base = _bare(topic)
+    found = []
+    for other in others:
+        bare = _bare(other)
+        shared = nearness("/".join(base), "/".join(bare))
+        if shared >= max(1, min(len(base), len(bare))):
+            found.append((shared, -len(bare), other))
+    return max(found)[2] if found else None
+
+
+def _bare(topic: str) -> list[str]:
+    parts = parts_of(topic)
+    while len(parts) > 1 and parts[-1] in _SAYING:
+        parts.pop()
+    return parts
 
 
 def topic_part(identifier: str | int) -> str:

@@ -95,8 +95,9 @@ def scene_from_topics(
         _draft_all(found, drafts)
         places, trajectories = _place(found, drafts, ego=ego, world=world)
         sensors = noted_sensors(found, drafts.clouds, drafts.cameras, places)
-        sensors += _foreign_sensors(found, drafts, places, {sensor.id for sensor in sensors})
-        annotations = read_annotations(found, places, sensors)
+        cameras = {note["topic"]: note["id"] for note in found.notes.sensors if note.get("type") == "camera"}
+        sensors += _foreign_sensors(found, drafts, places, {sensor.id for sensor in sensors}, cameras)
+        annotations = read_annotations(found, places, cameras)
         fields = noted_scene_fields(found.notes, metadata, form)
     except BaseException:
         closing()
@@ -201,8 +202,10 @@ RESERVED_NAMES = frozenset({"gnss", "lidar", "identity"})
 """Names of ways that are computed."""
 
 
-def _foreign_sensors(found: Survey, drafts: Drafts, places: Places, taken: set[Any]) -> list[Sensor]:
-    """The sensors that no note of ours speaks of."""
+def _foreign_sensors(
+    found: Survey, drafts: Drafts, places: Places, taken: set[Any], camera_ids: dict[str, Any]
+) -> list[Sensor]:
+    """The sensors that no note of ours speaks of; the ids of cameras are noted down by their topics."""
     noted = {name for note in found.notes.sensors for name in _topics_of(note)}
     topics = [
         topic
@@ -222,6 +225,8 @@ def _foreign_sensors(found: Survey, drafts: Drafts, places: Places, taken: set[A
             mount = places.mount(draft.frame_id)
             poses = places.poses(draft.frame_id, mount, draft.frames.timestamps_ns)
             sensors.append(draft.sensor(identifier, mount=mount, poses=poses))
+            if not draft.is_depth:
+                camera_ids[topic.name] = identifier
         elif topic.kind is Kind.FIX:
             fixes = found.of(topic, FixRecord)
             mount = places.mount(fixes[0].frame_id) if fixes else None

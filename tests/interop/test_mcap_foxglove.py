@@ -1,0 +1,347 @@
+"""MCAP files that the reference library writes with Foxglove's own classes, and ours as that library reads them."""
+
+import base64
+import io
+import json
+from importlib import import_module
+
+import numpy as np
+import pytest
+import simplejpeg
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+from tests.properties.planted import planted_scene
+
+import sceneloom
+from sceneloom.errors import DataError
+from sceneloom.formats.mcap.schemas import schema_bytes
+from sceneloom.scene import (
+    Box2DAnnotation,
+    CameraSensor,
+    CuboidAnnotation,
+    DepthCameraSensor,
+    GnssSensor,
+    LidarSensor,
+    PointsFrame,
+)
+
+EPOCH_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 100_000_000
+SPEED = 10.0
+RGB = np.random.default_rng(3).integers(0, 255, (8, 12, 3), np.uint8)
+
+
+def foxglove(name):
+    return getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
+
+
+def time(stamp_ns):
+    return {"seconds": stamp_ns // 10**9, "nanos": stamp_ns % 10**9}
+
+
+def turn_left(angle=np.pi / 2):
+    return {"z": np.sin(angle / 2), "w": np.cos(angle / 2)}
+
+
+class Log:
+    """Writes a file as any other program would."""
+
+    def __init__(self, **options):
+        self.stream = io.BytesIO()
+        self.writer = Writer(self.stream, **{"compression": CompressionType.NONE, **options})
+        self.writer.start(profile="", library="another program")
+        self.channels = {}
+
+    def add(self, topic, name, stamp_ns, *, late_ns=5_000_000, **fields):
+        if (topic, name) not in self.channels:
+            schema = self.writer.register_schema(f"foxglove.{name}", "protobuf", schema_bytes(foxglove(name)))
+            self.channels[topic, name] = self.writer.register_channel(topic, "protobuf", schema)
+        content = foxglove(name)(**fields).SerializeToString()
+        self.writer.add_message(self.channels[topic, name], stamp_ns + late_ns, content, stamp_ns)
+
+    def add_other(self, topic, name, encoding, content, stamp_ns):
+        if (topic, name) not in self.channels:
+            schema = self.writer.register_schema(name, encoding, b"")
+            self.channels[topic, name] = self.writer.register_channel(
+                topic, encoding.removesuffix("schema"), schema
+            )
+        self.writer.add_message(self.channels[topic, name], stamp_ns, content, stamp_ns)
+
+    def saved(self, path):
+        self.writer.finish()
+        path.write_bytes(self.stream.getvalue())
+        return path
+
+
+def cloud_fields(stamp_ns, points, frame="lidar_top"):
+    table = np.zeros(
+        len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("pad", "<f4"), ("t", "<u4"), ("i", "u1")]
+    )
+    for axis, column in zip("xyz", points.T, strict=True):
+        table[axis] = column
+    table["t"] = np.linspace(0, 0.99 * PERIOD_NS, len(points))
+    table["i"] = np.arange(len(points)) % 256
+    offsets = {"x": (0, 7), "y": (4, 7), "z": (8, 7), "t": (16, 5), "intensity": (20, 1)}
+    return {
+        "timestamp": time(stamp_ns),
+        "frame_id": frame,
+        "point_stride": table.dtype.itemsize,
+        "fields": [{"name": n, "offset": o, "type": t} for n, (o, t) in offsets.items()],
+        "data": table.tobytes(),
+    }
+
+
+POINTS = np.random.default_rng(1).normal(0, 20, (500, 3)).astype(np.float32)
+K = [100.0, 0, 5.5, 0, 101.0, 3.5, 0, 0, 1]
+
+
+def drive(**options):
+    """A car that goes 10 m/s along x; its lidar sits 2 m above it and looks left, its camera looks ahead."""
+    log = Log(**options)
+    fixed = [
+        {"timestamp": time(EPOCH_NS), "parent_frame_id": "base_link", "child_frame_id": "lidar_top",
+         "translation": {"z": 2.0}, "rotation": turn_left()},
+        {"timestamp": time(EPOCH_NS), "parent_frame_id": "base_link", "child_frame_id": "front_optical",
+         "translation": {"x": 1.5}, "rotation": {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}},
+    ]  # fmt: skip
+    log.add("/tf_static", "FrameTransforms", EPOCH_NS, transforms=fixed)
+    for k in range(5):
+        stamp = EPOCH_NS + k * PERIOD_NS
+        log.add(
+            "/tf", "FrameTransform", stamp, timestamp=time(stamp), parent_frame_id="map", child_frame_id="base_link",
+            translation={"x": SPEED * k * 0.1}, rotation={"w": 1.0},
+        )  # fmt: skip
+        log.add("/top/points", "PointCloud", stamp, **cloud_fields(stamp, POINTS))
+        jpeg = simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
+        log.add("/front/image/compressed", "CompressedImage", stamp, timestamp=time(stamp), frame_id="front_optical",
+                format="jpeg", data=jpeg)  # fmt: skip
+        log.add("/front/camera_info", "CameraCalibration", stamp, timestamp=time(stamp), frame_id="front_optical",
+                width=12, height=8, distortion_model="plumb_bob", K=K, D=[0.1, -0.05, 0.001, 0.002, 0.01])  # fmt: skip
+        log.add("/side/image", "RawImage", stamp, timestamp=time(stamp), frame_id="side", width=12, height=8,
+                encoding="bgr8", step=36, data=np.ascontiguousarray(RGB[:, :, ::-1]).tobytes())  # fmt: skip
+        depth = (np.arange(96).reshape(8, 12) * 100).astype("<u2")
+        log.add("/depth/image", "RawImage", stamp, timestamp=time(stamp), frame_id="front_optical", width=12,
+                height=8, encoding="16UC1", step=24, data=depth.tobytes())  # fmt: skip
+        log.add("/gnss/fix", "LocationFix", stamp, timestamp=time(stamp), frame_id="base_link", latitude=48.0 + k,
+                longitude=11.0, altitude=500.0, position_covariance_type=2,
+                position_covariance=[4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0])  # fmt: skip
+        # an object that stands at (50, 3, 1) in the world, told in the frame of the car, turned by 0.3
+        log.add("/objects", "SceneUpdate", stamp, entities=[{
+            "timestamp": time(stamp), "frame_id": "base_link", "id": "car 7",
+            "metadata": [{"key": "category", "value": "car"}, {"key": "score", "value": "0.75"}],
+            "cubes": [{"pose": {"position": {"x": 50 - SPEED * k * 0.1, "y": 3, "z": 1}, "orientation": turn_left(0.3)},
+                       "size": {"x": 4, "y": 2, "z": 1.5}}],
+        }])  # fmt: skip
+        corners = [(10.0, 20.0), (15.0, 20.0), (15.0, 28.0), (10.0, 28.0)]
+        log.add("/front/annotations", "ImageAnnotations", stamp, points=[{
+            "timestamp": time(stamp), "type": 2, "points": [{"x": x, "y": y} for x, y in corners],
+            "metadata": [{"key": "id", "value": "box 1"}, {"key": "class", "value": "person"}],
+        }], circles=[{"timestamp": time(stamp)}])  # fmt: skip
+        log.add("/rosout", "Log", stamp, message="hello")
+    return log
+
+
+OPTIONS = {
+    "plain": {},
+    "lz4": {"compression": CompressionType.LZ4, "chunk_size": 4000},
+    "zstd": {"compression": CompressionType.ZSTD},
+    "no chunks": {"use_chunking": False},
+    "no summary": {
+        "index_types": IndexType.NONE, "repeat_channels": False, "repeat_schemas": False, "use_statistics": False,
+        "use_summary_offsets": False,
+    },
+    "no index of messages": {"index_types": IndexType.CHUNK, "compression": CompressionType.ZSTD},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+def test_a_drive_that_another_program_wrote_is_read_whatever_its_chunks_and_index(options, tmp_path):
+    with sceneloom.open(drive(**options).saved(tmp_path / "drive.mcap")) as scene:
+        assert scene.format == "mcap"
+        kinds = {sensor.id: type(sensor) for sensor in scene.sensors}
+        assert kinds == {
+            "top": LidarSensor, "front": CameraSensor, "side": CameraSensor, "depth": DepthCameraSensor,
+            "gnss": GnssSensor,
+        }  # fmt: skip
+        for name in ("top", "front", "side", "depth"):
+            sensor = scene.sensor(name)
+            frames = sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
+            np.testing.assert_array_equal(frames.timestamps_ns, EPOCH_NS + PERIOD_NS * np.arange(5))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    with sceneloom.open(drive().saved(tmp_path_factory.mktemp("foxglove") / "drive.mcap")) as opened:
+        yield opened
+
+
+def test_points_come_with_brightness_and_times_in_their_unit(scene):
+    lidar = scene.sensor("top")
+    points = lidar.frames[3].points
+    np.testing.assert_array_equal(points.positions, POINTS)
+    np.testing.assert_array_equal(points.intensities, np.arange(500) % 256)
+    expected = EPOCH_NS + 3 * PERIOD_NS + np.linspace(0, 0.99 * PERIOD_NS, 500).astype(np.int64)
+    np.testing.assert_array_equal(points.timestamps_ns, expected)
+    assert lidar.points_frame is PointsFrame.SENSOR
+    assert any(n.code == "point-times-assumed" and "nanoseconds" in n.message for n in scene.notices)
+
+
+def test_fixed_transforms_are_mountings_and_moving_ones_the_way_of_the_ego(scene):
+    np.testing.assert_allclose(
+        scene.sensor("top").mount.matrix,
+        [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]],
+        atol=1e-15,
+    )
+    # forward of the camera is x of the car
+    np.testing.assert_allclose(
+        scene.sensor("front").mount.rotate(np.array([0, 0, 1.0])), [1, 0, 0], atol=1e-15
+    )
+    way = scene.trajectories["tf"]
+    np.testing.assert_array_equal(way.positions[:, 0], SPEED * 0.1 * np.arange(5))
+    poses = scene.sensor("front").poses
+    np.testing.assert_allclose(poses.positions[:, 0], 1.5 + SPEED * 0.1 * np.arange(5), atol=1e-12)
+    assert scene.sensor("side").mount is None
+    assert any(n.code == "frames-missing" and "'side'" in n.message for n in scene.notices)
+
+
+def test_a_calibration_beside_the_pictures_is_their_lens_and_a_camera_without_one_is_told(scene):
+    lens = scene.sensor("front").camera
+    assert (lens.model, lens.fx, lens.fy, lens.cx, lens.cy) == ("brown_conrady", 100.0, 101.0, 5.5, 3.5)
+    assert lens.coefficients == (0.1, -0.05, 0.001, 0.002, 0.01)
+    assert scene.sensor("side").camera.model == "unknown"
+    assert any(n.code == "lens-missing" and "/side/image" in n.place for n in scene.notices)
+
+
+def test_pictures_are_those_that_were_written(scene):
+    picture = scene.sensor("front").pictures[2]
+    assert picture.encoded() == simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
+    np.testing.assert_array_equal(picture.rgb, simplejpeg.decode_jpeg(picture.encoded(), "RGB"))
+    np.testing.assert_array_equal(scene.sensor("side").pictures[4].rgb, RGB)
+    # 16UC1 counts millimetres
+    depth = scene.sensor("depth").frames[0].depth
+    np.testing.assert_allclose(depth, np.arange(96).reshape(8, 12) * 0.1, rtol=1e-6)
+
+
+def test_boxes_of_one_id_are_one_object_in_the_world(scene):
+    cuboids = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
+    assert [(a.id, a.label) for a in cuboids] == [("car 7", "car")]
+    rows = cuboids[0].path.values
+    np.testing.assert_allclose(rows[:, :6], np.tile([4, 2, 1.5, 50, 3, 1], (5, 1)), atol=1e-12)
+    np.testing.assert_allclose(rows[:, 6:], np.tile([0, 0, np.rad2deg(0.3)], (5, 1)), atol=1e-12)
+    assert [(a.name, a.values) for a in cuboids[0].attributes] == [("score", (0.75,))]
+    boxes = [a for a in scene.annotations if isinstance(a, Box2DAnnotation)]
+    assert [(a.id, a.label, a.sensor_id) for a in boxes] == [("box 1", "person", "front")]
+    np.testing.assert_array_equal(boxes[0].path.values, np.tile([10, 20, 5, 8], (5, 1)))
+
+
+def test_fixes_have_the_deviation_of_their_variance(scene):
+    gnss = scene.sensor("gnss")
+    np.testing.assert_array_equal(gnss.positions_lla[:, 0], 48.0 + np.arange(5))
+    np.testing.assert_array_equal(gnss.accuracies, [2.0] * 5)
+    np.testing.assert_array_equal(gnss.vertical_accuracies, [3.0] * 5)
+
+
+def test_what_is_not_read_is_counted(scene):
+    told = {notice.code: notice for notice in scene.notices}
+    assert told["unknown-messages"].count == 5
+    assert "foxglove.Log" in told["unknown-messages"].message
+    assert told["drawings-not-read"].count == 5
+
+
+def test_messages_in_json_say_the_same(tmp_path):
+    log = Log()
+    fields = cloud_fields(EPOCH_NS, POINTS)
+    content = {
+        "timestamp": {"sec": EPOCH_NS // 10**9, "nsec": 5},
+        "frame_id": "lidar",
+        "pose": {"position": {"x": 1, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}},
+        "point_stride": fields["point_stride"],
+        "fields": fields["fields"],
+        "data": base64.b64encode(fields["data"]).decode(),
+    }
+    log.add_other("/points", "foxglove.PointCloud", "jsonschema", json.dumps(content).encode(), EPOCH_NS)
+    with sceneloom.open(log.saved(tmp_path / "drive.mcap")) as scene:
+        (lidar,) = scene.lidars
+        assert lidar.frames.timestamps_ns.tolist() == [EPOCH_NS + 5]
+        # the pose says where the points' origin is in their frame
+        np.testing.assert_allclose(lidar.frames[0].points.positions, POINTS + np.array([1, 0, 0]), atol=1e-5)
+
+
+def decoded(path):
+    """Topic, schema and message of a file, as the reference library and Foxglove's classes have them."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_summary().statistics.message_count > 0
+        for schema, channel, message in reader.iter_messages():
+            if channel.message_encoding == "json":
+                yield channel.topic, schema.name, message, json.loads(message.data)
+                continue
+            found = foxglove(schema.name.removeprefix("foxglove."))()
+            found.ParseFromString(message.data)
+            yield channel.topic, schema.name, message, found
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_what_we_write_the_reference_library_reads(compression, tmp_path):
+    source = planted_scene(odd=False)
+    path = tmp_path / "drive.mcap"
+    sceneloom.write(source, path, compression=compression)
+    found = list(decoded(path))
+    assert not [1 for *_, message, _ in found if message.publish_time != message.log_time]
+    clouds = [
+        m
+        for topic, name, _, m in found
+        if name == "foxglove.PointCloud" and topic == f"/{source.lidars[0].id}/points"
+    ]
+    assert len(clouds) == len(source.lidars[0].frames)
+    for cloud, frame in zip(clouds, source.lidars[0].frames, strict=True):
+        dtypes = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
+        table = np.frombuffer(
+            cloud.data,
+            {
+                "names": [f.name for f in cloud.fields],
+                "formats": [dtypes[f.type] for f in cloud.fields],
+                "offsets": [f.offset for f in cloud.fields],
+                "itemsize": cloud.point_stride,
+            },
+        )
+        np.testing.assert_array_equal(
+            np.stack([table[axis] for axis in "xyz"], axis=1), frame.points.positions
+        )
+        assert cloud.timestamp.ToNanoseconds() == frame.timestamp_ns
+    schemas = {name for _, name, _, _ in found}
+    assert {"foxglove.FrameTransform", "foxglove.CameraCalibration", "foxglove.SceneUpdate"} <= schemas
+
+
+def test_a_video_goes_through_packet_by_packet(data_dir, tmp_path):
+    path = tmp_path / "drive.mcap"
+    with sceneloom.open(data_dir / "recordings" / "kitti_drive") as source:
+        report = sceneloom.write(source, path)
+        packets = [m for _, name, _, m in decoded(path) if name == "foxglove.CompressedVideo"]
+        assert len(packets) == 12
+        assert all(bytes(packet.data).startswith(b"\x00\x00\x00\x01") for packet in packets)
+        assert any(loss.field == "sensors.camera.video" and "B frames" in loss.what for loss in report)
+        with sceneloom.open(path) as scene:
+            mine, theirs = scene.cameras[0].pictures, source.cameras[0].pictures
+            np.testing.assert_array_equal(mine.timestamps_ns, theirs.timestamps_ns)
+            for k in (0, 1, 11):
+                np.testing.assert_array_equal(mine[k].rgb, theirs[k].rgb)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD], ids=["plain", "zstd"])
+def test_a_file_that_was_cut_off_is_refused_or_read_as_far_as_it_is_whole(compression, tmp_path):
+    whole = drive(compression=compression, chunk_size=3000).saved(tmp_path / "whole.mcap").read_bytes()
+    counts = []
+    for cut in np.linspace(len(whole) - 1, 2_000, 9).astype(int):
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(whole[:cut])
+        with pytest.raises(DataError, match=r"not finished|--lenient"):
+            sceneloom.open(path)
+        with sceneloom.open(path, lenient=True) as scene:
+            counts.append(sum(len(lidar.frames) for lidar in scene.lidars))
+            assert any(notice.code == "mcap-unfinished" for notice in scene.notices)
+            for lidar in scene.lidars:
+                assert [len(frame.points) for frame in lidar.frames] == [500] * len(lidar.frames)
+    assert counts[0] == 5
+    assert counts == sorted(counts, reverse=True)
+    assert counts[-1] < 5

@@ -233,10 +233,16 @@ def format_for_output(path: Path) -> Format:
     Raises:
         OptionError: no format, or more than one, that is written has that suffix.
     """
-    suffix = path.suffix.lower()
-    if not suffix:
+    if not path.suffix:
         return format_named(_OF_FOLDERS)
-    found = [form for form in map(format_named, written_formats()) if suffix in form.suffixes]
+    endings = [
+        (suffix, form)
+        for form in map(format_named, written_formats())
+        for suffix in form.suffixes
+        if suffix and path.name.lower().endswith(suffix)
+    ]
+    longest = max((len(suffix) for suffix, _ in endings), default=0)
+    found = [form for suffix, form in endings if len(suffix) == longest]
     if len(found) == 1:
         return found[0]
     if found:

@@ -37,6 +37,8 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "nuscenes-bin": "sceneloom.formats.clouds.form:NUSCENES_BIN",
         "npz": "sceneloom.formats.clouds.form:NPZ",
         "openlabel": "sceneloom.formats.openlabel:FORMAT",
+        "colmap": "sceneloom.formats.colmap:FORMAT",
+        "nerfstudio": "sceneloom.formats.nerfstudio:FORMAT",
     }
 )
 """Name of each format and the `module:object` that implements it."""

@@ -8,7 +8,6 @@ from sceneloom.formats.clouds.folder import holds_kind, near_miss
 from sceneloom.formats.clouds.holdings import holds_of
 from sceneloom.formats.clouds.kinds import KINDS
 from sceneloom.formats.clouds.opening import CloudReading, open_clouds
-from sceneloom.formats.clouds.saving import CloudSaving, write_clouds
 from sceneloom.formats.loss import LossReport
 from sceneloom.scene import Scene
 
@@ -20,9 +19,7 @@ class CloudFormat:
         """Take the kind of that name."""
         self._kind = KINDS[name]
         self.name = name
-        self.suffixes: tuple[str, ...] = tuple(
-            ending for ending in self._kind.endings if ending.count(".") == 1
-        )
+        self.suffixes: tuple[str, ...] = self._kind.endings
         self.looks_like = f"{self._kind.told}: one, or a folder of them"
         self.holds = holds_of(name)
 
@@ -53,6 +50,8 @@ class CloudFormat:
             OptionError: a path that is a file is given for several frames.
             OutputError: the output exists, or cannot be written.
         """
+        from sceneloom.formats.clouds.saving import CloudSaving, write_clouds
+
         given = {name: value for name, value in options.items() if value is not None}
         check_option_names("writing clouds", given, tuple(CloudSaving.__dataclass_fields__))
         return write_clouds(scene, Path(path), self._kind, CloudSaving(**given), overwrite=overwrite)

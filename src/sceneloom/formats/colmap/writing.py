@@ -1,0 +1,71 @@
+"""A scene as a COLMAP model with its pictures."""
+
+from pathlib import Path
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.formats.colmap.model_files import (
+    LENS_MODELS,
+    ColmapCamera,
+    ColmapImage,
+    colmap_camera,
+    write_binary,
+    write_text,
+)
+from sceneloom.formats.field_losses import field_losses
+from sceneloom.formats.loss import LossReport
+from sceneloom.formats.output import replacing
+from sceneloom.formats.posed_pictures.holdings import HOLDS
+from sceneloom.formats.posed_pictures.lenses import told_lens
+from sceneloom.formats.posed_pictures.map_points import map_points
+from sceneloom.formats.posed_pictures.settings import PosedSettings
+from sceneloom.formats.posed_pictures.views import PosedScene, View
+from sceneloom.scene import Scene
+
+
+def write_colmap(
+    scene: Scene, path: Path, settings: PosedSettings, *, model: str = "txt", overwrite: bool = False
+) -> LossReport:
+    """Write a folder `images` and a folder `sparse/0`.
+
+    Raises:
+        OptionError: the scene has no pictures.
+        PoseError: it is not known where a camera was.
+        DataError: a picture or a sweep cannot be read.
+        CalibrationError: COLMAP has no model for a lens.
+        OutputError: the folder exists, or cannot be written.
+    """
+    posed = PosedScene.of(scene, settings)
+    lenses = _Lenses(posed)
+    with replacing(path, overwrite=overwrite, folder=True) as draft:
+        folder = draft / "sparse" / "0"
+        folder.mkdir(parents=True)
+        images = []
+        for number, view in enumerate(posed.views(), 1):
+            posed.save_picture(view, draft / "images")
+            pose = view.world_from_camera.inverse()
+            images.append(ColmapImage(number, lenses.number(view), view.name, pose))
+        points = map_points(posed)
+        if model in {"txt", "both"}:
+            write_text(folder, lenses.cameras, images, points)
+        if model in {"bin", "both"}:
+            write_binary(folder, lenses.cameras, images, points)
+    return LossReport.of((*field_losses(scene, HOLDS), *posed.origin_losses, *posed.losses))
+
+
+class _Lenses:
+    """The lenses of the pictures seen so far, each once."""
+
+    def __init__(self, posed: PosedScene) -> None:
+        self._posed = posed
+        self._numbers: dict[Camera, int] = {}
+        self.cameras: list[ColmapCamera] = []
+
+    def number(self, view: View) -> int:
+        """The number of the lens of a picture."""
+        camera = view.picture.camera
+        if camera not in self._numbers:
+            told = told_lens(camera, LENS_MODELS, view.sensor_id)
+            self._posed.losses += [] if told.loss is None else [told.loss]
+            self.cameras.append(colmap_camera(len(self.cameras) + 1, told.camera))
+            self._numbers[camera] = len(self.cameras)
+        return self._numbers[camera]

@@ -1,0 +1,131 @@
+"""A scene as nerfstudio's folder.
+
+Source: "Data conventions" of nerfstudio's documentation: camera axes x right, y up, z back; world z up; the matrices
+take the camera into the world. Rays go through pixel centres at halves, so that principal points are counted from the
+corner of the first pixel. k1, k2, k3 of `OPENCV` are the radial polynomial; those of `OPENCV_FISHEYE` are OpenCV's.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.formats.clouds.columns import FrameColumns
+from sceneloom.formats.clouds.frame_files import write_ply
+from sceneloom.formats.field_losses import field_losses
+from sceneloom.formats.loss import Loss, LossReport
+from sceneloom.formats.output import replacing
+from sceneloom.formats.posed_pictures.holdings import HOLDS
+from sceneloom.formats.posed_pictures.lenses import Models, ToldLens, coefficients, told_lens
+from sceneloom.formats.posed_pictures.map_points import MapPoints, map_points
+from sceneloom.formats.posed_pictures.settings import PosedSettings
+from sceneloom.formats.posed_pictures.views import PosedScene, View
+from sceneloom.scene import Identifier, Scene
+
+_MISSING = ("k4", "k5", "k6", "lx", "ly", "s1", "s2", "s3", "s4", "tx", "ty")
+CAMERA_MODELS: Mapping[str, Models] = MappingProxyType(
+    {"OPENCV": {"pinhole": (), "brown_conrady": _MISSING}, "OPENCV_FISHEYE": {"fisheye": ()}}
+)
+"""Our models, and the coefficients of each that nerfstudio does not have, by its name for them."""
+
+_NAMES = ("k1", "k2", "k3", "k4", "p1", "p2")
+_CORNER = 0.5
+POINTS_FILE = "points.ply"
+_GL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def write_nerfstudio(
+    scene: Scene, path: Path, settings: PosedSettings, *, overwrite: bool = False
+) -> LossReport:
+    """Write a folder with `transforms.json`, `images` and `points.ply`.
+
+    Raises:
+        OptionError: the scene has no pictures.
+        PoseError: it is not known where a camera was.
+        DataError: a picture or a sweep cannot be read.
+        CalibrationError: nerfstudio has no model for a lens.
+        OutputError: the folder exists, or cannot be written.
+    """
+    posed = PosedScene.of(scene, settings)
+    lenses = _Lenses(_camera_model(scene), posed)
+    with replacing(path, overwrite=overwrite, folder=True) as draft:
+        frames = []
+        for view in posed.views():
+            posed.save_picture(view, draft / "images")
+            frames.append(_frame(view, lenses.camera(view)))
+        content: dict[str, Any] = {
+            "camera_model": lenses.model,
+            "applied_transform": posed.origin_world.inverse().matrix[:3].tolist(),
+            "frames": frames,
+        }
+        points = map_points(posed)
+        if len(points.positions):
+            content["ply_file_path"] = POINTS_FILE
+            _write_points(draft / POINTS_FILE, points)
+        text = msgspec.json.format(msgspec.json.encode(content), indent=1)
+        (draft / "transforms.json").write_bytes(text)
+    return LossReport.of((*field_losses(scene, HOLDS), *posed.origin_losses, *posed.losses))
+
+
+def _frame(view: View, camera: Camera) -> dict[str, Any]:
+    named = {} if camera.model == "pinhole" else coefficients(camera)
+    return {
+        "file_path": f"images/{view.name}",
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.fx,
+        "fl_y": camera.fy,
+        "cx": camera.cx + _CORNER,
+        "cy": camera.cy + _CORNER,
+        **{name: named.get(name, 0.0) for name in _NAMES},
+        "transform_matrix": (view.world_from_camera.matrix @ _GL_FROM_OPTICAL).tolist(),
+    }
+
+
+def _camera_model(scene: Scene) -> str:
+    """The one model that all pictures are told in: the first that holds all lenses, else the one that is less off."""
+    cameras = [camera for camera in scene.cameras if len(camera.pictures)]
+    costs: dict[str, float] = {}
+    for name, models in CAMERA_MODELS.items():
+        costs[name] = sum(_cost(one.camera, models, one.id) for one in cameras)
+        if not costs[name]:
+            break
+    return min(costs, key=costs.__getitem__)
+
+
+def _cost(camera: Camera, models: Models, sensor_id: Identifier) -> float:
+    """How bad a lens is told by some models: 0 where it is exact, the worst error [px] otherwise."""
+    try:
+        told = told_lens(camera, models, sensor_id)
+    except CalibrationError:
+        return np.inf
+    return 0.0 if told.loss is None else 1.0 + float(told.loss.largest_error or 0.0)
+
+
+class _Lenses:
+    """The lenses of the pictures seen so far."""
+
+    def __init__(self, model: str, posed: PosedScene) -> None:
+        self.model = model
+        self._posed = posed
+        self._told: dict[Camera, ToldLens] = {}
+
+    def camera(self, view: View) -> Camera:
+        """The lens of a picture in the model of all."""
+        exact = view.picture.camera
+        if exact not in self._told:
+            self._told[exact] = told_lens(exact, CAMERA_MODELS[self.model], view.sensor_id)
+            loss = self._told[exact].loss
+            self._posed.losses += [] if loss is None else [loss]
+        return self._told[exact].camera
+
+
+def _write_points(path: Path, points: MapPoints) -> None:
+    losses: list[Loss] = []
+    columns = FrameColumns(points.positions.astype(np.float32), points.colors, None, 255.0)
+    write_ply(path, columns, "points", losses.append)

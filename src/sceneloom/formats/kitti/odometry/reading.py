@@ -58,17 +58,18 @@ def _open(place: OdometrySequence, ledger: Ledger) -> Scene:
     sweeps = numbered_files(folder / "velodyne", SWEEPS, ledger)
     pictures = {number: numbered_files(folder / name, PICTURES, ledger) for number, name in CAMERAS.items()}
     labels = numbered_files(folder / "labels", LABELS, ledger)
-    calibration = _calibration(folder / "calib.txt", pictures, sweeps)
+    calibration = _calibration(folder / "calib.txt", sweeps)
     times = _times(place, [files for files in (sweeps, *pictures.values()) if len(files)], ledger)
+    told_by = folder / "times.txt"
+    sweeps = frames_within(sweeps, len(times), told_by, ledger)
+    pictures = {k: frames_within(files, len(times), told_by, ledger) for k, files in pictures.items()}
     ways = _ways(place, times, calibration.rectified_from_lidar.inverse(), ledger)
     path = next((way.poses for way in ways.values()), None)
     sensors: list[Sensor] = []
-    sweeps = frames_within(sweeps, len(times), folder / "times.txt", ledger)
     if len(sweeps):
         stamps = times[sweeps.numbers]
         sensors.append(lidar_sensor(sweeps, stamps, RigidTransform.identity(), path, ledger))
-    for number, found in pictures.items():
-        files = frames_within(found, len(times), folder / "times.txt", ledger)
+    for number, files in pictures.items():
         if len(files):
             if number not in calibration.projections:
                 raise DataError(folder / "calib.txt", "", f"no P{number}; expected that of {CAMERAS[number]}")
@@ -87,11 +88,10 @@ def _open(place: OdometrySequence, ledger: Ledger) -> Scene:
     )
 
 
-def _calibration(path: Path, pictures: dict[int, NumberedFiles], sweeps: NumberedFiles) -> KittiCalibration:
+def _calibration(path: Path, sweeps: NumberedFiles) -> KittiCalibration:
     if not path.is_file():
         raise DataError(path, "", "is missing; expected P0 to P3, and Tr for the lidar")
-    needs_lidar = len(sweeps) > 0 and any(len(files) for files in pictures.values())
-    return read_calibration(path, needs_lidar=needs_lidar)
+    return read_calibration(path, needs_lidar=len(sweeps) > 0)
 
 
 def _times(place: OdometrySequence, found: list[NumberedFiles], ledger: Ledger) -> Int64Array:

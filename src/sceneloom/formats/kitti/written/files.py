@@ -48,8 +48,8 @@ def check_lens(camera: CameraSensor, picture: Picture) -> None:
     if (own.width, own.height) != (other.width, other.height):
         raise CalibrationError(
             f"camera {camera.id!r}: its picture at {picture.timestamp_ns} ns is {other.width}x{other.height}, others "
-            f"are {own.width}x{own.height}; expected one size for all: of KITTI's folders those of the object benchmark "
-            "hold a lens for each picture (`--to kitti-object`)"
+            f"are {own.width}x{own.height}; expected one size for all: frames of KITTI's object benchmark "
+            "have a lens each (`--to kitti-object`)"
         )
 
 

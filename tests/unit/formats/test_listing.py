@@ -1,0 +1,46 @@
+"""The table of formats in the documentation against the formats."""
+
+from pathlib import Path
+
+import pytest
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.listing import FormatListing, list_formats, list_holdings
+from sceneloom.formats.loss import Fate
+from sceneloom.formats.table import FORMATS, format_named, writes
+from sceneloom.scene.contents import MODEL_FIELDS
+
+PAGE = Path(__file__).parents[3] / "docs" / "converting.md"
+
+
+def row(form: FormatListing) -> str:
+    """The row that the page has to have."""
+    page = "../trajectories.md" if form.trajectory else f"formats/{form.name}.md"
+    name = f"`{form.name}`" if form.trajectory else f"[{form.name}]({page})"
+    suffixes = " ".join(f"`{suffix}`" for suffix in form.suffixes if suffix) or (
+        f"`--to {form.name}`" if form.name != "recording" else "none"
+    )
+    both = " | ".join("yes" if can else "no" for can in (form.reads, form.writes))
+    return f"| {name} | {both} | {suffixes if form.writes else ''} | {form.looks_like} |".replace("  ", " ")
+
+
+@pytest.mark.parametrize("form", list_formats(), ids=lambda form: form.name)
+def test_the_page_says_of_each_format_what_the_code_says(form):
+    assert row(form) in PAGE.read_text().splitlines(), f"docs/converting.md lacks: {row(form)}"
+
+
+def test_the_page_lists_no_format_that_is_not_there():
+    rows = [line for line in PAGE.read_text().splitlines() if line.startswith(("| [", "| `"))]
+    assert sorted(rows) == sorted(map(row, list_formats()))
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if writes(format_named(name))])
+def test_a_format_that_is_written_says_something_of_every_field(name):
+    assert list(list_holdings(name)) == list(MODEL_FIELDS)
+
+
+def test_a_format_that_is_only_read_holds_nothing_and_an_unknown_one_is_refused():
+    assert list_holdings("rig") == {}
+    assert list_holdings("tum")["sensors.lidar.id"].fate == Fate.DROPPED
+    with pytest.raises(OptionError, match="no format or form 'nope'"):
+        list_holdings("nope")

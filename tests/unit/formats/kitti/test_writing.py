@@ -1,0 +1,222 @@
+"""Scenes written as KITTI's folders and read again: the same lenses, mountings, ways, points and boxes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project
+from sceneloom.errors import OptionError, OutputError
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.formats.loss import Fate
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.scene import (
+    CuboidAnnotation,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    PointsFrame,
+    Scene,
+)
+from sceneloom.scene.at import cuboid_poses
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.simulate import CameraSpec, GnssSpec, ImuSpec, LidarSpec, camera_mount, simulate_street
+
+FORMATS = ("kitti-raw", "kitti-object", "kitti-tracking", "kitti-odometry")
+PINHOLE = Camera("pinhole", 80, 28, 45.0, 45.5, 39.5, 13.5)
+BENT = Camera("brown_conrady", 80, 28, 45.0, 45.5, 39.5, 13.5, (-0.2, 0.05, 0.001, -0.002, 0.01))
+WIDE = Camera("fisheye", 80, 40, 30.0, 30.0, 39.5, 19.5, (0.02, -0.004, 0.001, 0.0))
+POINTS = np.array([[12.0, 1.5, -0.6], [20.0, -3.0, 0.4]])
+
+
+def street(*lenses):
+    """A drive whose sweeps and pictures are made once."""
+    cameras = [CameraSpec(lens, camera_mount(pitch_deg=1.0 + k)) for k, lens in enumerate(lenses)]
+    scene = simulate_street(
+        3, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=cameras, imu=ImuSpec(rate_hz=50.0), gnss=GnssSpec()
+    ).scene  # fmt: skip
+    made = {}
+    for lidar in scene.lidars:
+        made[lidar.id] = {"frames": LazyFrames.of(list(lidar.frames), lidar.frames.timestamps_ns)}
+    for camera in scene.cameras:
+        pictures = [picture.loaded() for picture in camera.pictures]
+        made[camera.id] = {"pictures": LazyFrames.of(pictures, camera.pictures.timestamps_ns)}
+    return replace(
+        scene, sensors=tuple(replace(sensor, **made.get(sensor.id, {})) for sensor in scene.sensors)
+    )
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return street(PINHOLE)
+
+
+def first_pose(scene, sensor, time_ns):
+    way = next(iter(scene.trajectories.values())).poses
+    at = PoseSource(way, sensor.mount).at(np.array([time_ns], np.int64))
+    return RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
+
+
+def turned_pixels(scene):
+    """Where the first camera sees points of the lidar's frame."""
+    camera, lidar = scene.cameras[0], scene.lidars[0]
+    return project(camera.camera, (camera.mount.inverse() @ lidar.mount).apply(POINTS))[0]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_points_pictures_and_calibration_come_back(drive, name, tmp_path):
+    write_scene(drive, tmp_path / "out", format=name)
+    back = open_scene(tmp_path / "out")
+    assert back.format == name
+    for before, after in zip(drive.lidars[0].frames, back.lidars[0].frames, strict=True):
+        np.testing.assert_array_equal(after.points.positions, before.points.positions)
+        np.testing.assert_array_equal(after.points.intensities, before.points.intensities)
+    for before, after in zip(drive.cameras[0].pictures, back.cameras[0].pictures, strict=True):
+        np.testing.assert_array_equal(after.rgb, before.rgb)
+    np.testing.assert_allclose(turned_pixels(back), turned_pixels(drive), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["kitti-raw", "kitti-tracking", "kitti-odometry"])
+def test_the_way_comes_back_but_for_its_world(drive, name, tmp_path):
+    write_scene(drive, tmp_path / "out", format=name)
+    back = open_scene(tmp_path / "out")
+    times = back.lidars[0].frames.timestamps_ns
+    moves = [
+        first_pose(scene, scene.lidars[0], times[0]).inverse() @ first_pose(scene, scene.lidars[0], times[-1])
+        for scene in (drive, back)
+    ]
+    # text has all digits, but east and north at the first place are turned by 1e-6 against those at the origin
+    np.testing.assert_allclose(moves[1].matrix, moves[0].matrix, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["kitti-raw", "kitti-object", "kitti-tracking"])
+def test_boxes_come_back_where_the_lidar_sees_them(drive, name, tmp_path):
+    write_scene(drive, tmp_path / "out", format=name)
+    back = open_scene(tmp_path / "out")
+    first = drive.lidars[0].frames[0]
+    raw_times = drive.lidars[0].frames.timestamps_ns + first.reference_ns - first.timestamp_ns
+    row = 1
+    now = back.lidars[0].frames.timestamps_ns[row]
+    lidars = [
+        (drive, first_pose(drive, drive.lidars[0], raw_times[row])),
+        (back, first_pose(back, back.lidars[0], now)),
+    ]
+    centers = []
+    for scene, world_from_lidar in lidars:
+        time = raw_times[row] if scene is drive else now
+        boxes = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
+        poses = [cuboid_poses(box, [time]) for box in boxes]
+        there = [pose.centers_world[0] for pose in poses if pose.there[0]]
+        centers.append(world_from_lidar.inverse().apply(np.array(there)))
+    before, after = centers
+    assert len(after) == len(before) if name == "kitti-raw" else 0 < len(after) < len(before)
+    nearest = np.linalg.norm(after[:, None] - before[None], axis=2).min(axis=1)
+    assert nearest.max() < 2e-6  # labels have six decimals
+
+
+def test_boxes_that_no_picture_shows_are_told(drive, tmp_path):
+    losses = write_scene(drive, tmp_path / "out", format="kitti-tracking")
+    back = open_scene(tmp_path / "out")
+    boxes = [a for a in drive.annotations if isinstance(a, CuboidAnnotation)]
+    (lost,) = [loss for loss in losses if loss.field == "annotations.cuboid"]
+    assert lost.fate == Fate.DROPPED
+    assert lost.count == len(boxes) - len(back.annotations)
+
+
+def test_a_distorted_lens_stays_in_an_extract_and_is_resampled_for_a_sync(tmp_path):
+    scene = street(BENT)
+    write_scene(scene, tmp_path / "whole", format="kitti-raw")
+    whole = open_scene(tmp_path / "whole").cameras[0]
+    assert whole.camera.model == "brown_conrady"
+    assert whole.camera.coefficients[:5] == BENT.coefficients
+    losses = write_scene(scene, tmp_path / "flat", format="kitti-raw", kind="sync")
+    flat = open_scene(tmp_path / "flat")
+    assert flat.cameras[0].camera.model == "pinhole"
+    assert "sensors.camera.pictures.rgb" in {loss.field for loss in losses if loss.fate == Fate.APPROXIMATED}
+    assert (tmp_path / "flat/1970_01_01/1970_01_01_drive_0001_sync").is_dir()
+
+
+def test_lenses_and_directions_that_a_folder_cannot_hold_are_told(tmp_path):
+    scene = street(WIDE, PINHOLE)
+    losses = write_scene(scene, tmp_path / "out", format="kitti-tracking")
+    back = open_scene(tmp_path / "out")
+    assert [camera.id for camera in back.cameras] == ["camera2"]
+    told = {loss.what for loss in losses}
+    assert any("turned by 1° against camera 'camera0'" in what for what in told)
+    assert any("a fisheye lens replaced by a pinhole" in what for what in told)
+
+
+def test_points_in_the_world_are_brought_back_into_the_lidars_frame(drive, tmp_path):
+    lidar, frame = drive.lidars[0], drive.lidars[0].frames[1]
+    way = next(iter(drive.trajectories.values())).poses
+    at = PoseSource(way, lidar.mount).at(frame.points.timestamps_ns)
+    world = rotate_vectors(at.quaternions_xyzw, frame.points.positions) + at.positions
+    placed = replace(frame, points=replace(frame.points, positions=world.astype(np.float32)))
+    frames = LazyFrames.of([placed], [frame.timestamp_ns])
+    scene = replace(drive, sensors=(replace(lidar, frames=frames, points_frame=PointsFrame.WORLD),))
+    losses = write_scene(scene, tmp_path / "out", format="kitti-odometry")
+    after = open_scene(tmp_path / "out").lidars[0].frames[0].points
+    np.testing.assert_allclose(after.positions, frame.points.positions, atol=2e-5)  # float32 at 100 m
+    (told,) = [loss for loss in losses if loss.field == "sensors.lidar.frames.points.positions"]
+    assert told.fate == Fate.CONVERTED
+
+
+def test_labelled_points_get_semantic_kittis_numbers(drive, tmp_path):
+    ids = np.arange(5, dtype=np.uint32)
+    parts = (LabeledPoints("lidar", ids, 1),)
+    labelled = Scene(
+        drive.sensors,
+        annotations=(
+            LabeledPointsAnnotation("a", parts, label="Road", is_instance=False),
+            LabeledPointsAnnotation(
+                "b", (LabeledPoints("lidar", ids[3:], 1),), label="car", is_instance=True
+            ),
+            LabeledPointsAnnotation("c", (LabeledPoints("lidar", ids[:2], 0),), label="spaceship"),
+        ),
+        trajectories=drive.trajectories,
+    )
+    losses = write_scene(labelled, tmp_path / "out", format="kitti-odometry")
+    found = np.fromfile(tmp_path / "out/sequences/00/labels/000001.label", "<u4")
+    assert found[:6].tolist() == [40, 40, 40, 10 | 1 << 16, 10 | 1 << 16, 0]
+    told = {loss.field: loss for loss in losses}
+    assert told["annotations.labeled_points.label"].count == 2
+    assert told["annotations.labeled_points.labeled_points.point_ids"].count == 2
+    assert {a.id for a in open_scene(tmp_path / "out").annotations} == {"road", "car 1"}
+
+
+def test_a_scene_without_a_way_or_lidar_is_written_as_far_as_it_goes(drive, tmp_path):
+    pictures = Scene(drive.cameras)
+    for name in FORMATS:
+        write_scene(pictures, tmp_path / name, format=name)
+        assert len(open_scene(tmp_path / name).cameras[0].pictures) == 3
+
+
+def test_other_peoples_folders_are_left_alone(drive, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/letter.txt").write_text("dear")
+    for name in FORMATS:
+        with pytest.raises(OutputError, match=r"holds something that is no folder of KITTI's"):
+            write_scene(drive, tmp_path / "mine", format=name, overwrite=True)
+    write_scene(drive, tmp_path / "own", format="kitti-object")
+    with pytest.raises(OutputError, match=r"exists already"):
+        write_scene(drive, tmp_path / "own", format="kitti-object")
+    write_scene(drive, tmp_path / "own", format="kitti-object", overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "problem"),
+    [
+        ("kitti-raw", {"kind": "both"}, "kind 'both'; expected one of sync, extract"),
+        ("kitti-raw", {"sequence": "a"}, "sequence 'a'; expected up to four digits"),
+        ("kitti-tracking", {"sequence": "12345"}, "sequence '12345'; expected four digits"),
+        ("kitti-odometry", {"sequence": "x"}, "sequence 'x'; expected two digits"),
+        ("kitti-object", {"sequence": "x"}, "option 'sequence'"),
+    ],
+)
+def test_options_that_cannot_be_followed_are_refused(drive, tmp_path, name, options, problem):
+    with pytest.raises(OptionError) as caught:
+        write_scene(drive, tmp_path / "out", format=name, **options)
+    assert problem in str(caught.value)
+    assert not (tmp_path / "out").exists()

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+from functools import cache
 from importlib import import_module
 
 import numpy as np
@@ -29,6 +30,11 @@ EPOCH_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
 SPEED = 10.0
 RGB = np.random.default_rng(3).integers(0, 255, (8, 12, 3), np.uint8)
+
+
+@cache
+def planted():
+    return planted_scene(odd=False)
 
 
 def foxglove(name):
@@ -283,7 +289,7 @@ def decoded(path):
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 def test_what_we_write_the_reference_library_reads(compression, tmp_path):
-    source = planted_scene(odd=False)
+    source = planted()
     path = tmp_path / "drive.mcap"
     sceneloom.write(source, path, compression=compression)
     found = list(decoded(path))

@@ -38,7 +38,6 @@ def distro_store(distro: str) -> Any:
     return store
 
 
-@cache
 def store_of(connection: Connection, distro: str | None) -> Any:
     """Give the types that a connection's messages are read with: the bag's own definition counts.
 
@@ -47,20 +46,26 @@ def store_of(connection: Connection, distro: str | None) -> Any:
         OptionError: there is no such distribution.
     """
     if connection.definition:
-        store = get_typestore(Stores.EMPTY)
-        try:
-            if connection.form == "ros2idl":
-                store.register(get_types_from_idl(connection.definition))
-            else:
-                store.register(get_types_from_msg(connection.definition, connection.type))
-        except (TypesysError, KeyError, ValueError) as error:
-            raise ValueError(f"a definition of {connection.type} that cannot be read: {error}") from error
-        if connection.type not in store.fielddefs:
-            raise ValueError(f"the bag's definition of {connection.type} does not define it")
-        return store
+        return _defined(connection.type, connection.definition, connection.form)
     store = distro_store(distro or USUAL_DISTRO[connection.encoding])
     if connection.type not in store.fielddefs:
         raise ValueError(
             f"the bag does not define {connection.type}, and neither does ROS {distro or 'by itself'}"
         )
+    return store
+
+
+@cache
+def _defined(name: str, definition: str, form: str) -> Any:
+    """The types that a text defines."""
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if form == "ros2idl":
+            store.register(get_types_from_idl(definition))
+        else:
+            store.register(get_types_from_msg(definition, name))
+    except (TypesysError, KeyError, ValueError) as error:
+        raise ValueError(f"a definition of {name} that cannot be read: {error}") from error
+    if name not in store.fielddefs:
+        raise ValueError(f"the bag's definition of {name} does not define it")
     return store

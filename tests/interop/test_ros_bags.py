@@ -1,0 +1,562 @@
+"""Bags that rosbags writes, read by us; and ours, read by rosbags."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import simplejpeg
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from tests.properties.planted import planted_scene
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.ros.definitions import DEFINITIONS
+from sceneloom.formats.table import find_format
+from sceneloom.scene import (
+    Box2DAnnotation,
+    CameraSensor,
+    CuboidAnnotation,
+    DepthCameraSensor,
+    GnssSensor,
+    ImuSensor,
+    LidarSensor,
+    RadarSensor,
+)
+
+EPOCH_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 100_000_000
+DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+RGB = np.random.default_rng(3).integers(0, 255, (8, 12, 3), np.uint8)
+POINTS = np.random.default_rng(1).normal(0, 20, (400, 3)).astype(np.float32)
+
+
+@cache
+def planted():
+    return planted_scene(odd=False)
+
+
+@cache
+def store_of(version):
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    for name, text in DEFINITIONS.items():
+        if name not in store.fielddefs:
+            store.register(get_types_from_msg(text, name))
+    return store
+
+
+class Bag:
+    """Writes a bag as any other program would; 5 ms pass until a message is received."""
+
+    def __init__(self, path, kind, **options):
+        self.version = 1 if kind == "ros1" else 2
+        self.store = store_of(self.version)
+        if kind == "ros1":
+            self.path = path.with_suffix(".bag")
+            self.writer = Writer1(self.path)
+        else:
+            self.path = path
+            self.writer = Writer2(path, version=8, storage_plugin=StoragePlugin[kind])
+        for name, arguments in options.items():
+            getattr(self.writer, name)(*arguments)
+        self.connections = {}
+        self.writer.open()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.writer.close()
+
+    def make(self, name, *values, **fields):
+        return self.store.types[name](*values, **fields)
+
+    def header(self, stamp_ns, frame):
+        number = (0,) if self.version == 1 else ()
+        time = self.make("builtin_interfaces/msg/Time", stamp_ns // 10**9, stamp_ns % 10**9)
+        return self.make("std_msgs/msg/Header", *number, time, frame)
+
+    def add(self, topic, kind, message, received_ns):
+        if (topic, kind) not in self.connections:
+            self.connections[topic, kind] = self.writer.add_connection(topic, kind, typestore=self.store)
+        serialise = self.store.serialize_ros1 if self.version == 1 else self.store.serialize_cdr
+        self.writer.write(self.connections[topic, kind], received_ns, serialise(message, kind))
+
+    def send(self, topic, kind, stamp_ns, frame, *values, late_ns=5_000_000, **fields):
+        message = self.make(kind, self.header(stamp_ns, frame), *values, **fields)
+        self.add(topic, kind, message, stamp_ns + late_ns)
+
+    def vector(self, *values):
+        return self.make("geometry_msgs/msg/Vector3", *map(float, values))
+
+    def turn(self, *values):
+        return self.make("geometry_msgs/msg/Quaternion", *map(float, values))
+
+    def pose(self, place, turn=(0, 0, 0, 1)):
+        return self.make(
+            "geometry_msgs/msg/Pose",
+            self.make("geometry_msgs/msg/Point", *map(float, place)),
+            self.turn(*turn),
+        )
+
+    def transform(self, topic, stamp_ns, parent, child, place, turn=(0, 0, 0, 1)):
+        moved = self.make("geometry_msgs/msg/Transform", self.vector(*place), self.turn(*turn))
+        stamped = self.make("geometry_msgs/msg/TransformStamped", self.header(stamp_ns, parent), child, moved)
+        name = "tf2_msgs/msg/TFMessage"
+        self.add(topic, name, self.make(name, [stamped]), stamp_ns)
+
+    def cloud(
+        self, topic, stamp_ns, frame, table, *, received_ns=None, step=None, order="<", height=1, offsets=None
+    ):
+        offsets = offsets or {}
+        fields = [
+            self.make("sensor_msgs/msg/PointField", name, offsets.get(name, int(offset)), DATATYPES[dtype.base.str[1:]],
+                      int(np.prod(dtype.shape, dtype=int)))
+            for name, (dtype, offset, *_) in table.dtype.fields.items()
+        ]  # fmt: skip
+        width, step = len(table) // height, step or table.dtype.itemsize
+        name = "sensor_msgs/msg/PointCloud2"
+        message = self.make(
+            name, self.header(stamp_ns, frame), height, width, fields, order == ">", step, step * width,
+            table.view(np.uint8).reshape(-1) if len(table) else np.zeros(0, np.uint8), True,
+        )  # fmt: skip
+        self.add(topic, name, message, stamp_ns + 5_000_000 if received_ns is None else received_ns)
+
+    def lens(self, topic, stamp_ns, frame, model, coefficients, size=(12, 8)):
+        k = np.array([100.0, 0, 5.5, 0, 101.0, 3.5, 0, 0, 1])
+        region = self.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
+        names = "DKRP" if self.version == 1 else "dkrp"
+        numbers = dict(
+            zip(names, (np.array(coefficients), k, np.eye(3).reshape(-1), np.zeros(12)), strict=True)
+        )
+        self.send(topic, "sensor_msgs/msg/CameraInfo", stamp_ns, frame, height=size[1], width=size[0],
+                  distortion_model=model, binning_x=0, binning_y=0, roi=region, **numbers)  # fmt: skip
+
+    def image(self, topic, stamp_ns, frame, encoding, pixels, *, order="<"):
+        data = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
+        height, width = pixels.shape[:2]
+        self.send(topic, "sensor_msgs/msg/Image", stamp_ns, frame, height, width, encoding, int(order == ">"),
+                  len(data) // height, data)  # fmt: skip
+
+
+def packed(points, *further, order="<"):
+    """Points with further columns: names, dtypes and values."""
+    table = np.zeros(
+        len(points), [(axis, f"{order}f4") for axis in "xyz"] + [(n, order + t) for n, t, _ in further]
+    )
+    for axis, column in zip("xyz", points.T, strict=True):
+        table[axis] = column
+    for name, _, values in further:
+        table[name] = values
+    return table
+
+
+def drive(path, kind, **options):
+    """A car that goes 10 m/s along x of the map, in a frame odom that was moved by 100 m."""
+    with Bag(path, kind, **options) as bag:
+        bag.transform(
+            "/tf_static", EPOCH_NS, "base_link", "lidar", (0, 0, 2), (0, 0, np.sqrt(0.5), np.sqrt(0.5))
+        )
+        bag.transform("/tf_static", EPOCH_NS, "base_link", "camera", (1.5, 0, 0), (-0.5, 0.5, -0.5, 0.5))
+        bag.transform("/tf_static", EPOCH_NS, "base_link", "imu", (0, 0, 0), (0, 0, 1, 0))
+        for k in range(4):
+            stamp = EPOCH_NS + k * PERIOD_NS
+            bag.transform("/tf", stamp, "map", "odom", (100, 0, 0.001 * k))
+            bag.transform("/tf", stamp, "odom", "base_link", (k, 0, 0))
+            seconds = np.linspace(0, 0.0999, len(POINTS))
+            bag.cloud("/lidar/points", stamp, "lidar", packed(POINTS, ("ring", "u2", np.arange(400) % 16),
+                      ("intensity", "f4", np.arange(400) % 200), ("time", "f4", seconds)))  # fmt: skip
+            bag.cloud("/radar/points", stamp, "lidar", packed(POINTS[:5], ("velocity", "f4", np.arange(5))))
+            jpeg = np.frombuffer(simplejpeg.encode_jpeg(RGB, 95, "RGB", "444"), np.uint8)
+            bag.send(
+                "/front/image_raw/compressed",
+                "sensor_msgs/msg/CompressedImage",
+                stamp,
+                "camera",
+                "rgb8; jpeg",
+                jpeg,
+            )
+            bag.lens("/front/camera_info", stamp, "camera", "equidistant", [0.1, 0.02, 0.003, 0.0004])
+            bag.image(
+                "/depth/image", stamp, "camera", "32FC1", np.linspace(1, 5, 96, dtype="<f4").reshape(8, 12)
+            )
+            bag.send("/imu/data", "sensor_msgs/msg/Imu", stamp, "imu", bag.turn(0, 0, 0, 1), np.full(9, -1.0),
+                     bag.vector(0.1, 0.2, 0.3), np.zeros(9), bag.vector(1, 2, 9.8), np.zeros(9))  # fmt: skip
+            bag.send("/gps/fix", "sensor_msgs/msg/NavSatFix", stamp, "base_link",
+                     bag.make("sensor_msgs/msg/NavSatStatus", 0, 1), 48.0 + k, 11.0, 500.0,
+                     np.diag([4.0, 4.0, 9.0]).reshape(-1), 2)  # fmt: skip
+            spread = np.arange(36.0).reshape(6, 6)
+            body = bag.make(
+                "geometry_msgs/msg/PoseWithCovariance", bag.pose((k, 5, 0)), (spread + spread.T).reshape(-1)
+            )
+            still = bag.make("geometry_msgs/msg/Twist", bag.vector(0, 0, 0), bag.vector(0, 0, 0))
+            twist = bag.make("geometry_msgs/msg/TwistWithCovariance", still, np.zeros(36))
+            bag.send("/slam/odometry", "nav_msgs/msg/Odometry", stamp, "odom", "base_link", body, twist)
+            told = bag.make("vision_msgs/msg/ObjectHypothesis", "car", 0.75)
+            nowhere = bag.make("geometry_msgs/msg/PoseWithCovariance", bag.pose((0, 0, 0)), np.zeros(36))
+            results = [bag.make("vision_msgs/msg/ObjectHypothesisWithPose", told, nowhere)]
+            box = bag.make("vision_msgs/msg/BoundingBox3D", bag.pose((50 - k, 3, 1)), bag.vector(4, 2, 1.5))
+            seen = bag.make("vision_msgs/msg/Detection3D", bag.header(stamp, "base_link"), results, box, "7")
+            bag.send("/objects", "vision_msgs/msg/Detection3DArray", stamp, "base_link", [seen])
+            center = bag.make("vision_msgs/msg/Pose2D", bag.make("vision_msgs/msg/Point2D", 6.0, 4.0), 0.0)
+            flat = bag.make("vision_msgs/msg/BoundingBox2D", center, 4.0, 2.0)
+            seen = bag.make("vision_msgs/msg/Detection2D", bag.header(stamp, "camera"), results, flat, "b")
+            bag.send("/front/detections", "vision_msgs/msg/Detection2DArray", stamp, "camera", [seen])
+            bag.add("/chatter", "std_msgs/msg/String", bag.make("std_msgs/msg/String", "hello"), stamp)
+    return bag.path
+
+
+KINDS = ("ros1", "SQLITE3", "MCAP")
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def scene(request, tmp_path_factory):
+    with sceneloom.open(drive(tmp_path_factory.mktemp("bag") / "drive", request.param)) as opened:
+        yield opened
+
+
+def test_topics_become_sensors_under_their_names(scene):
+    assert {sensor.id: type(sensor) for sensor in scene.sensors} == {
+        "lidar": LidarSensor, "radar": RadarSensor, "front": CameraSensor, "depth": DepthCameraSensor, "imu": ImuSensor,
+        "gps": GnssSensor,
+    }  # fmt: skip
+    told = {notice.code: notice for notice in scene.notices}
+    assert told["unknown-messages"].count == 4
+    assert "std_msgs/msg/String" in told["unknown-messages"].message
+    assert any(n.code == "fields-not-read" and "velocities" in n.message for n in scene.notices)
+
+
+def test_sweeps_have_lasers_brightness_and_times_from_their_stamp(scene):
+    frame = scene.lidars[0].frames[2]
+    stamp = EPOCH_NS + 2 * PERIOD_NS
+    assert frame.timestamp_ns == stamp
+    np.testing.assert_array_equal(frame.points.positions, POINTS)
+    np.testing.assert_array_equal(frame.points.rings, np.arange(400) % 16)
+    np.testing.assert_array_equal(frame.points.intensities, np.arange(400) % 200)
+    # a float32 of seconds resolves 8 ns at a tenth of a second
+    np.testing.assert_allclose(frame.points.timestamps_ns - stamp, np.linspace(0, 99.9e6, 400), atol=8)
+
+
+def test_speeds_of_a_radar_go_along_the_line_of_sight(scene):
+    points = scene.sensor("radar").frames[0].points
+    np.testing.assert_array_equal(points.lengths, np.arange(5))
+    expected = POINTS[:5] / np.linalg.norm(POINTS[:5], axis=1, keepdims=True)
+    np.testing.assert_allclose(points.directions, expected, atol=1e-6)
+
+
+def test_the_tree_of_frames_places_sensors_and_tells_the_way(scene):
+    np.testing.assert_allclose(
+        scene.lidars[0].mount.matrix, [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]], atol=1e-15
+    )
+    way = scene.trajectories["tf"]
+    np.testing.assert_allclose(way.positions, [[100 + k, 0, 0.001 * k] for k in range(4)], atol=1e-12)
+    chosen = next(notice for notice in scene.notices if notice.code == "frames-chosen")
+    assert "'base_link' is the ego, 'map' the world; odom could be it, too" in chosen.message
+    np.testing.assert_allclose(scene.sensor("front").poses.positions[1], [102.5, 0, 0.001], atol=1e-12)
+
+
+def test_odometry_is_a_way_with_its_covariance_turn_before_place(scene):
+    way = scene.trajectories["slam"]
+    np.testing.assert_array_equal(way.positions, [[k, 5, 0] for k in range(4)])
+    spread = np.arange(36.0).reshape(6, 6)
+    spread = spread + spread.T
+    np.testing.assert_array_equal(way.covariances[0][:3, :3], spread[3:, 3:])
+    np.testing.assert_array_equal(way.covariances[0][3:, 3:], spread[:3, :3])
+    np.testing.assert_array_equal(way.covariances[0][:3, 3:], spread[3:, :3])
+
+
+def test_lenses_pictures_and_depths_are_read(scene):
+    camera = scene.sensor("front")
+    assert camera.camera.model == "fisheye"
+    assert camera.camera.coefficients == (0.1, 0.02, 0.003, 0.0004)
+    jpeg = simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
+    np.testing.assert_array_equal(camera.pictures[3].rgb, simplejpeg.decode_jpeg(jpeg, "RGB"))
+    depth = scene.sensor("depth").frames[1].depth
+    np.testing.assert_array_equal(depth, np.linspace(1, 5, 96, dtype=np.float32).reshape(8, 12))
+
+
+def test_an_imu_that_is_turned_is_told_in_the_axes_of_the_ego(scene):
+    streams = scene.sensor("imu").streams
+    # half a turn about z
+    np.testing.assert_allclose(streams["accelerometer"].values, np.tile([-1, -2, 9.8], (4, 1)), atol=1e-12)
+    np.testing.assert_allclose(streams["gyroscope"].values, np.tile([-0.1, -0.2, 0.3], (4, 1)), atol=1e-12)
+    assert "orientation" not in streams  # its covariance begins with -1: there is none
+    assert scene.sensor("gps").accuracies.tolist() == [2.0] * 4
+
+
+def test_boxes_are_objects_in_the_world_and_in_pictures(scene):
+    (cuboid,) = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
+    assert (cuboid.id, cuboid.label) == ("7", "car")
+    expected = [[4, 2, 1.5, 150, 3, 1 + 0.001 * k, 0, 0, 0] for k in range(4)]
+    np.testing.assert_allclose(cuboid.path.values, expected, atol=1e-12)
+    (box,) = [a for a in scene.annotations if isinstance(a, Box2DAnnotation)]
+    assert (box.id, box.sensor_id) == ("b", "front")
+    np.testing.assert_array_equal(box.path.values, np.tile([4, 3, 4, 2], (4, 1)))
+
+
+PACKED = {
+    "bz2": ("ros1", {"set_compression": (Writer1.CompressionFormat.BZ2,)}),
+    "lz4": ("ros1", {"set_compression": (Writer1.CompressionFormat.LZ4,)}),
+    "messages": ("SQLITE3", {"set_compression": (CompressionMode.MESSAGE, CompressionFormat.ZSTD)}),
+    "chunks": ("MCAP", {"set_compression": (CompressionMode.STORAGE, CompressionFormat.ZSTD)}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "options"), PACKED.values(), ids=PACKED)
+def test_bags_that_are_packed_are_read_like_others(kind, options, tmp_path):
+    with sceneloom.open(drive(tmp_path / "drive", kind, **options)) as scene:
+        assert len(scene.sensors) == 6
+        np.testing.assert_array_equal(scene.lidars[0].frames[3].points.positions, POINTS)
+        np.testing.assert_array_equal(
+            scene.lidars[0].frames.timestamps_ns, EPOCH_NS + PERIOD_NS * np.arange(4)
+        )
+
+
+def test_a_bag_that_is_packed_as_a_whole_says_how_to_unpack_it(tmp_path):
+    path = drive(
+        tmp_path / "drive", "SQLITE3", set_compression=(CompressionMode.FILE, CompressionFormat.ZSTD)
+    )
+    with pytest.raises(DataError, match="zstd -d"):
+        sceneloom.open(path)
+
+
+TIMES = {
+    "nanoseconds from the stamp": ("t", "u4", 0, 1e9),
+    "microseconds from the stamp": ("offset_time", "u4", 0, 1e6),
+    "seconds before the stamp": ("time", "f4", -0.1, 1.0),
+    "seconds of the clock": ("timestamp", "f8", EPOCH_NS / 1e9, 1.0),
+    "milliseconds in floats": ("time", "f8", 0, 1e3),
+}
+
+
+@pytest.mark.parametrize(("name", "dtype", "zero", "unit"), TIMES.values(), ids=TIMES)
+def test_times_of_points_are_understood_by_their_type_and_range(name, dtype, zero, unit, tmp_path):
+    offsets = np.linspace(0, 0.099, 400)
+    with Bag(tmp_path / "drive", "SQLITE3") as bag:
+        for k in range(3):
+            values = (offsets + zero + (k * 0.1 if zero > 1 else 0)) * unit
+            bag.cloud("/points", EPOCH_NS + k * PERIOD_NS, "lidar", packed(POINTS, (name, dtype, values)))
+    with sceneloom.open(bag.path) as scene:
+        frame = scene.lidars[0].frames[1]
+        start = EPOCH_NS + PERIOD_NS + (zero * 1e9 if -1 < zero < 0 else 0)
+        # float64 seconds resolve 0.24 µs at today's epoch, whole microseconds half a one
+        np.testing.assert_allclose(frame.points.timestamps_ns - start, offsets * 1e9, atol=1100)
+        assert abs(frame.timestamp_ns - start) < 1000
+        assert name not in frame.points.extras
+
+
+def test_a_column_that_fits_no_unit_of_time_is_kept_as_it_is(tmp_path):
+    with Bag(tmp_path / "drive", "SQLITE3") as bag:
+        bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS, ("t", "f4", np.full(400, 7e5))))
+    with sceneloom.open(bag.path) as scene:
+        points = scene.lidars[0].frames[0].points
+        assert points.timestamps_ns is None
+        assert points.extras["t"][0] == 7e5
+        assert any(notice.code == "point-times-not-used" for notice in scene.notices)
+
+
+def test_big_endian_points_in_rows_are_read(tmp_path):
+    with Bag(tmp_path / "drive", "SQLITE3") as bag:
+        bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS, order=">"), order=">", height=4)
+    with sceneloom.open(bag.path) as scene:
+        np.testing.assert_array_equal(scene.lidars[0].frames[0].points.positions, POINTS)
+
+
+IMAGES = {
+    "rgb8": RGB,
+    "bgr8": RGB[:, :, ::-1],
+    "rgba8": np.dstack([RGB, np.zeros((8, 12), np.uint8)]),
+    "rgb16": RGB.astype("<u2") << 8,
+}
+
+
+@pytest.mark.parametrize(("encoding", "pixels"), IMAGES.items(), ids=IMAGES)
+def test_raw_pictures_are_read_whatever_their_encoding(encoding, pixels, tmp_path):
+    with Bag(tmp_path / "drive", "ros1") as bag:
+        bag.image("/cam/image_raw", EPOCH_NS, "cam", encoding, pixels)
+    with sceneloom.open(bag.path) as scene:
+        np.testing.assert_array_equal(scene.cameras[0].pictures[0].rgb, RGB)
+
+
+def test_grey_pictures_are_repeated_and_mosaics_filled(tmp_path):
+    plane = np.full((8, 12), 40, np.uint8)
+    mosaic = plane.copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = 200, 90  # red, and blue, of rggb
+    with Bag(tmp_path / "drive", "SQLITE3") as bag:
+        bag.image(
+            "/grey/image_raw", EPOCH_NS, "cam", "mono16", (plane * np.uint16(256)).astype(">u2"), order=">"
+        )
+        bag.image("/mosaic/image_raw", EPOCH_NS, "cam", "bayer_rggb8", mosaic)
+    with sceneloom.open(bag.path) as scene:
+        np.testing.assert_array_equal(scene.sensor("grey").pictures[0].rgb, np.full((8, 12, 3), 40))
+        np.testing.assert_array_equal(
+            scene.sensor("mosaic").pictures[0].rgb, np.tile([200, 40, 90], (8, 12, 1))
+        )
+
+
+def read_by_rosbags(path):
+    """Topic, time and message of each message, as rosbags has them."""
+    with AnyReader([path]) as reader:
+        for connection, time_ns, content in reader.messages():
+            yield connection.topic, time_ns, reader.deserialize(content, connection.msgtype)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("drive.bag", {}), ("drive.ros2", {"storage": "sqlite3"}), ("drive.ros2", {"storage": "mcap"})],
+)
+def test_what_we_write_rosbags_reads(name, options, tmp_path):
+    source = planted()
+    path = tmp_path / name
+    sceneloom.write(source, path, **options)
+    found = list(read_by_rosbags(path))
+    lidar = source.lidars[0]
+    clouds = [m for _, _, m in found if type(m).__name__.endswith("PointCloud2") and m.header.frame_id]
+    mine = [m for m in clouds if m.width == len(lidar.frames[0].points)]
+    assert mine
+    for message in mine[:1]:
+        dtypes = {number: dtype for dtype, number in DATATYPES.items()}
+        table = np.frombuffer(
+            message.data.tobytes(),
+            {
+                "names": [f.name for f in message.fields],
+                "formats": [dtypes[f.datatype] for f in message.fields],
+                "offsets": [f.offset for f in message.fields],
+                "itemsize": message.point_step,
+            },
+        )
+        np.testing.assert_array_equal(
+            np.stack([table[a] for a in "xyz"], axis=1), lidar.frames[0].points.positions
+        )
+    names = {type(message).__name__ for _, _, message in found}
+    assert {n.rpartition("__")[2] for n in names} >= {
+        "TFMessage",
+        "CameraInfo",
+        "Imu",
+        "NavSatFix",
+        "Odometry",
+    }
+    assert find_format(path).name == ("ros1" if name.endswith(".bag") else "ros2")
+
+
+def test_a_bag_in_mcap_is_ros_own_and_no_file_of_foxglove(tmp_path):
+    path = drive(tmp_path / "drive", "MCAP")
+    (file,) = path.glob("*.mcap")
+    assert find_format(path).name == find_format(file).name == "ros2"
+    with sceneloom.open(file) as scene:
+        assert len(scene.sensors) == 6
+
+
+# ------------------------------------------------------------------ bad input
+
+
+def test_fields_beyond_the_point_are_refused_with_their_place(tmp_path):
+    with Bag(tmp_path / "drive", "ros1") as bag:
+        bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS), offsets={"z": 10})
+    with pytest.raises(
+        DataError, match=r"/points\[0\].*'z' takes bytes 10 to 14 of each point, which has 12"
+    ):
+        sceneloom.open(bag.path)
+    with sceneloom.open(bag.path, lenient=True) as scene:
+        assert scene.sensors == ()
+        assert any(notice.code == "topics-at-fault" for notice in scene.notices)
+
+
+def test_fewer_bytes_than_points_are_refused(tmp_path):
+    with Bag(tmp_path / "drive", "ros1") as bag:
+        bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS), step=16)
+    with pytest.raises(DataError, match="4800 bytes for 400 points of 16; expected 6400"):
+        sceneloom.open(bag.path)
+
+
+def test_sweeps_without_points_are_sweeps(tmp_path):
+    with Bag(tmp_path / "drive", "MCAP") as bag:
+        bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS[:0], ("intensity", "f4", [])))
+        bag.cloud(
+            "/points", EPOCH_NS + PERIOD_NS, "lidar", packed(POINTS, ("intensity", "f4", np.full(400, 0.5)))
+        )
+    with sceneloom.open(bag.path) as scene:
+        assert [len(frame.points) for frame in scene.lidars[0].frames] == [0, 400]
+        assert scene.lidars[0].frames[1].points.intensities[0] == 128
+
+
+def test_stamps_of_0_and_repeated_ones_are_told(tmp_path):
+    with Bag(tmp_path / "drive", "ros1") as bag:
+        for k, stamp in enumerate((EPOCH_NS, 0, EPOCH_NS + 2 * PERIOD_NS, EPOCH_NS + 2 * PERIOD_NS)):
+            bag.cloud("/points", stamp, "lidar", packed(POINTS), received_ns=EPOCH_NS + k * PERIOD_NS)
+    with sceneloom.open(bag.path) as scene:
+        assert (scene.lidars[0].frames.timestamps_ns - EPOCH_NS).tolist() == [0, PERIOD_NS, 2 * PERIOD_NS]
+        told = {notice.code: notice.count for notice in scene.notices}
+        assert told["stamps-zero"] == 1
+        assert told["repeated-stamps"] == 1
+
+
+def test_stamps_of_two_clocks_are_refused_unless_one_is_chosen(tmp_path):
+    with Bag(tmp_path / "drive", "SQLITE3") as bag:
+        for k in range(3):
+            bag.cloud("/points", EPOCH_NS + k * PERIOD_NS, "lidar", packed(POINTS))
+            # this camera counts from when it was switched on
+            bag.send("/cam/image_raw/compressed", "sensor_msgs/msg/CompressedImage", 5 * 10**9 + k * PERIOD_NS, "cam",
+                     "jpeg", np.frombuffer(simplejpeg.encode_jpeg(RGB), np.uint8),
+                     late_ns=EPOCH_NS - 5 * 10**9)  # fmt: skip
+    with pytest.raises(DataError, match=r"mixed time bases: .* but of /cam/image_raw/compressed"):
+        sceneloom.open(bag.path)
+    for options in ({"lenient": True}, {"stamps": "receive"}):
+        with sceneloom.open(bag.path, **options) as scene:
+            assert (scene.cameras[0].pictures.timestamps_ns - EPOCH_NS).tolist() == [
+                0,
+                PERIOD_NS,
+                2 * PERIOD_NS,
+            ]
+    with sceneloom.open(bag.path, stamps="header") as scene:
+        assert scene.cameras[0].pictures.timestamps_ns[0] == 5 * 10**9
+    with pytest.raises(OptionError, match="header, receive"):
+        sceneloom.open(bag.path, stamps="mine")
+
+
+def test_a_camera_without_camera_info_is_told(tmp_path):
+    with Bag(tmp_path / "drive", "SQLITE3") as bag:
+        bag.image("/cam/image_raw", EPOCH_NS, "cam", "rgb8", RGB)
+    with sceneloom.open(bag.path) as scene:
+        assert any(notice.code == "lens-missing" for notice in scene.notices)
+        np.testing.assert_array_equal(scene.cameras[0].pictures[0].rgb, RGB)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_that_was_cut_off_is_refused_or_read_as_far_as_it_is_whole(kind, tmp_path):
+    path = drive(tmp_path / "drive", kind)
+    file = (
+        path if path.is_file() else next(file for file in path.iterdir() if file.suffix in {".db3", ".mcap"})
+    )
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(len(whole) * 0.6)])
+    with pytest.raises(DataError, match=r"cut off|not finished|--lenient|cannot be read|damaged|malformed"):
+        sceneloom.open(path)
+    try:
+        scene = sceneloom.open(path, lenient=True)
+    except DataError:
+        assert kind == "SQLITE3"  # a database that lost its pages may be none at all
+        return
+    with scene:
+        assert all(len(frame.points) == 400 for lidar in scene.lidars for frame in lidar.frames)
+
+
+def test_bags_without_definitions_are_read_with_those_of_a_distribution(tmp_path):
+    import sqlite3
+
+    path = drive(tmp_path / "drive", "SQLITE3")
+    (file,) = path.glob("*.db3")
+    with sqlite3.connect(file) as database:
+        database.execute("DROP TABLE message_definitions")
+        database.execute("UPDATE topics SET type='my_msgs/msg/Own' WHERE name='/chatter'")
+    database.close()
+    for options in ({}, {"distro": "jazzy"}):
+        with sceneloom.open(path, **options) as scene:
+            np.testing.assert_array_equal(scene.lidars[0].frames[0].points.positions, POINTS)
+            assert any("my_msgs/msg/Own" in notice.message for notice in scene.notices)
+    with pytest.raises(OptionError, match=r"distro 'fortran'; expected one of .*humble"):
+        sceneloom.open(path, distro="fortran")

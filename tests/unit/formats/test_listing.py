@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from tests.test_documentation import SHARED_PAGES
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.listing import FormatListing, list_formats, list_holdings
@@ -15,7 +16,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "converting.md"
 
 def row(form: FormatListing) -> str:
     """The row that the page has to have."""
-    page = "../trajectories.md" if form.trajectory else f"formats/{form.name}.md"
+    page = f"formats/{SHARED_PAGES.get(form.name, form.name)}.md"
     name = f"`{form.name}`" if form.trajectory else f"[{form.name}]({page})"
     suffixes = " ".join(f"`{suffix}`" for suffix in form.suffixes if suffix) or (
         f"`--to {form.name}`" if form.name != "recording" else "none"

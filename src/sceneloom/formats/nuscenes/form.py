@@ -1,27 +1,28 @@
 """What the nuScenes schema offers to the table of formats."""
 
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import OptionError, check_option_names
+from sceneloom.errors import check_option_names
 from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
+from sceneloom.formats.nuscenes.holdings import HOLDS
 from sceneloom.formats.nuscenes.place import near_miss, table_folders
 from sceneloom.formats.nuscenes.scene_from_tables import open_nuscenes
+from sceneloom.formats.nuscenes.writing import write_nuscenes
 from sceneloom.scene import Scene
 
 _READING_OPTIONS = ("lenient", "sequence", "keyframes")
+_WRITING_OPTIONS = ("version", "keyframe_rate_hz", "pictures")
 
 
 class NuscenesFormat:
     """Data sets in the nuScenes schema."""
 
     name = "nuscenes"
-    suffixes: tuple[str, ...] = (".nuscenes",)
+    suffixes: tuple[str, ...] = ("",)
     looks_like = "a folder with v1.0-mini/sample_data.json and the other tables of the nuScenes schema"
-    writes = False
-    holds: Holds = MappingProxyType({})
+    holds: Holds = HOLDS
 
     def recognises(self, path: Path) -> bool:
         """Say whether the path is a folder with the tables of a data set, or the folder of the tables itself."""
@@ -43,15 +44,14 @@ class NuscenesFormat:
         return open_nuscenes(path, **options)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
-        """Refuse for now.
+        """Write a scene as a data set; `write_nuscenes` describes the options.
 
         Raises:
-            OptionError: always.
+            UnknownOptionError: an option is unknown.
+            OutputError: the folder exists, or cannot be written.
         """
-        del scene, overwrite, options
-        raise OptionError(
-            f"{path}: nuScenes is only read; write a scene file (drive.sfs) or a recording (a folder)"
-        )
+        check_option_names("writing nuScenes", options, _WRITING_OPTIONS)
+        return write_nuscenes(scene, path, overwrite=overwrite, **options)
 
 
 FORMAT = NuscenesFormat()

@@ -104,12 +104,23 @@ class CycleFiles:
         Raises:
             DataError: the file is missing, cut off or no cloud.
         """
-        cloud = read_pcd(self.frames.files[k])
+        cloud = _returns(read_pcd(self.frames.files[k]))
         positions = _positions(cloud)
         directions, lengths = _velocities(cloud, positions)
         further = {name: read_only(c) for name, c in cloud.columns.items() if name not in "xyz"}
         points = RadarPoints(positions, directions, lengths, extras=MappingProxyType(further))
         return RadarFrame(self.frames.stamp(k), points, self.frames.extras(k))
+
+
+def _returns(cloud: Cloud) -> Cloud:
+    """The returns of a cycle: one without any has a single row that is no number.
+
+    Source: class RadarPointCloud of the development kit.
+    """
+    first = [cloud.columns[axis][:1] for axis in "xyz" if axis in cloud.columns]
+    if not any(np.isnan(value).any() for value in first):
+        return cloud
+    return Cloud(cloud.file, 0, {name: column[:0] for name, column in cloud.columns.items()})
 
 
 def _velocities(cloud: Cloud, positions: Float32Array) -> tuple[Float32Array | None, Float32Array | None]:

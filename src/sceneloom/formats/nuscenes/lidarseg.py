@@ -5,6 +5,7 @@ Source: "lidarseg" of the schema; the class of a point is a uint8, the `index` o
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -53,6 +54,7 @@ def build_labelled_points(tables: SceneTables, ledger: Ledger) -> tuple[LabeledP
             labeled_points=tuple(sorted(entries, key=lambda entry: entry.sensor_frame or 0)),
             label=categories[index].name,
             is_instance=False,
+            extras=MappingProxyType({"index": index}),
         )
         for index, entries in sorted(found.items())
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.nuscenes.frames import CycleFiles, FrameFiles, PictureFiles, SweepFiles
+from sceneloom.formats.nuscenes.keyframes import KEY_FRAMES
 from sceneloom.formats.nuscenes.selection import SceneTables, SensorData, file_of
 from sceneloom.formats.nuscenes.tables import CalibratedSensorRow, Quaternion
 from sceneloom.formats.poses import GREATEST_NORM_ERROR
@@ -153,7 +155,7 @@ def _build_lidar(tables: SceneTables, data: SensorData) -> Sensor:
         frames=LazyFrames(files.timestamps_ns, SweepFiles(files)),
         poses=_poses(tables, data, mounts),
         mount=mounts[data.calibrations[0].token],
-        extras=_tokens(data),
+        extras=_about(data),
     )
 
 
@@ -164,7 +166,7 @@ def _build_radar(tables: SceneTables, data: SensorData) -> Sensor:
         frames=LazyFrames(files.timestamps_ns, CycleFiles(files)),
         poses=_poses(tables, data, mounts),
         mount=mounts[data.calibrations[0].token],
-        extras=_tokens(data),
+        extras=_about(data),
     )
 
 
@@ -180,13 +182,18 @@ def _build_camera(tables: SceneTables, data: SensorData) -> Sensor:
         pictures=LazyFrames(files.timestamps_ns, reader),
         poses=_poses(tables, data, mounts),
         mount=common,
-        extras=_tokens(data),
+        extras=_about(data),
     )
 
 
-def _tokens(data: SensorData) -> Mapping[str, str]:
+def _about(data: SensorData) -> Mapping[str, Any]:
+    """What the tables say about a sensor that the model has no other place for."""
     return MappingProxyType(
-        {"token": data.sensor.token, "calibrated_sensor_token": data.calibrations[0].token}
+        {
+            "token": data.sensor.token,
+            "calibrated_sensor_token": data.calibrations[0].token,
+            KEY_FRAMES: tuple(row.timestamp for row in data.rows if row.is_key_frame),
+        }
     )
 
 

@@ -198,7 +198,11 @@ def content_of(modality: str, k: int) -> bytes:
         return lidar_rows(40 + k, k).tobytes()
     if modality == "radar":
         rows = radar_rows(5 + k, k)
-        return RADAR_HEAD.format(fields=" ".join(rows.dtype.names), count=len(rows)).encode() + rows.tobytes()
+        return (
+            RADAR_HEAD.format(fields=" ".join(rows.dtype.names), count=len(rows)).encode()
+            + rows.tobytes()
+            + b"\n"
+        )
     from io import BytesIO
 
     file = BytesIO()

@@ -1,0 +1,230 @@
+"""What of a scene goes into the tables, found out before anything is written."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.editing.undistortion import undistort_scene
+from sceneloom.formats.field_losses import field_losses
+from sceneloom.formats.file_names import file_stems
+from sceneloom.formats.kitti.written.choice import ego_way
+from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.nuscenes.further_fields import further_fields
+from sceneloom.formats.nuscenes.holdings import HOLDS
+from sceneloom.formats.nuscenes.keyframes import Samples, Written, choose_samples, stamps_of
+from sceneloom.formats.nuscenes.tables import LogRow, SceneRow
+from sceneloom.formats.nuscenes.written_tables import token_of
+from sceneloom.formats.recording.written_mounts import mounting
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraSensor, LidarSensor, PosePath, RadarSensor, Scene
+from sceneloom.scene.contents import KINDS
+from sceneloom.scene.types import key_of
+
+VERSION = "v1.0-sceneloom"
+"""The name of the folder of tables, where the scene was not read from one."""
+
+_MODALITIES: Mapping[type[Any], str] = {LidarSensor: "lidar", RadarSensor: "radar", CameraSensor: "camera"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """One sensor of a data set.
+
+    Attributes:
+        name: the channel.
+        folder: the name of its folders.
+        sensor: what is written.
+        mount: `ego_from_sensor`; identity where it is not known.
+    """
+
+    name: str
+    folder: str
+    sensor: Written
+    mount: RigidTransform
+
+    @property
+    def modality(self) -> str:
+        """`lidar`, `radar` or `camera`."""
+        return _MODALITIES[type(self.sensor)]
+
+    @property
+    def token(self) -> str:
+        """Of the row in sensor.json."""
+        return token_of("sensor", self.name)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WritingPlan:
+    """What is written.
+
+    Attributes:
+        scene: all of it; lenses are pinholes already.
+        version: name of the folder of tables.
+        about: rows of scene.json and log.json.
+        channels: the sensors.
+        samples: the samples.
+        ego_path: `world_from_ego`, or None where it is not known.
+        losses: what is known to be lost.
+    """
+
+    scene: Scene
+    version: str
+    about: tuple[SceneRow, LogRow]
+    channels: tuple[Channel, ...]
+    samples: Samples
+    ego_path: PosePath | None
+    losses: list[Loss] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, scene: Scene, path: Path, version: str | None, rate_hz: float | None) -> "WritingPlan":
+        """Look through a scene.
+
+        Raises:
+            CalibrationError: a lens cannot be computed with.
+            DataError: no sensor has a frame.
+            OptionError: the rate is no number above 0.
+        """
+        losses = [loss for loss in field_losses(scene, HOLDS) if loss.fate is Fate.DROPPED]
+        losses += further_fields(scene)
+        scene = _with_pinholes(scene, losses)
+        way = ego_way(scene)
+        if way is None:
+            what = "not known: the ego is taken to stand at the world's origin"
+            losses.append(Loss(field="trajectories.positions", what=what, fate=Fate.APPROXIMATED))
+        if len(scene.trajectories) > 1:
+            what = "left out: the tables hold one way of the ego"
+            losses.append(Loss(field="trajectories", what=what, count=len(scene.trajectories) - 1))
+        channels = _channels(scene, way, losses)
+        losses += _lost_poses(scene, channels)
+        about = _about(scene, path)
+        samples = choose_samples(
+            scene, [channel.sensor for channel in channels], rate_hz=rate_hz, name=about[0].name
+        )
+        return cls(scene, version or _version(scene), about, channels, samples, way, losses)
+
+    def egos_at(self, stamps_ns: Int64Array) -> list[RigidTransform]:
+        """`world_from_ego` at each time; beyond the way its end poses hold."""
+        if self.ego_path is None:
+            return [RigidTransform.identity()] * len(stamps_ns)
+        held = self.ego_path.held(stamps_ns)
+        return [
+            RigidTransform.from_quaternion(place, turn)
+            for place, turn in zip(held.positions, held.quaternions_xyzw, strict=True)
+        ]
+
+    def beyond(self, stamps_ns: Int64Array) -> int:
+        """How many times are beyond the ego's way."""
+        path = self.ego_path
+        if path is None or path.endless:
+            return 0
+        return int(((stamps_ns < path.start_ns) | (stamps_ns > path.stop_ns)).sum())
+
+
+def _lost_poses(scene: Scene, channels: Sequence[Channel]) -> list[Loss]:
+    """Say that poses of the ego between frames are not in the tables."""
+    way = next((way for way in scene.trajectories.values() if way.quaternions_xyzw is not None), None)
+    if way is None:
+        return []
+    frames = np.concatenate([[0][:0], *(stamps_of(channel.sensor) for channel in channels)])
+    lost = int((~np.isin(way.timestamps_ns, frames)).sum())
+    new = int((~np.isin(frames, way.timestamps_ns)).sum())
+    told = (
+        ("poses between frames are left out", lost, Fate.DROPPED),
+        ("poses at frames are found between those that are told", new, Fate.APPROXIMATED),
+    )
+    return [
+        Loss(field="trajectories.positions", what=what, count=count, fate=fate)
+        for what, count, fate in told
+        if count
+    ]
+
+
+def _with_pinholes(scene: Scene, losses: list[Loss]) -> Scene:
+    """Resample the pictures of other lenses, since all of nuScenes' pictures are undistorted."""
+    bent = [camera for camera in scene.cameras if camera.camera.model != "pinhole" and len(camera.pictures)]
+    if not bent:
+        return scene
+    for camera in bent:
+        what = f"{camera.id!r}: a {camera.camera.model} lens replaced by a pinhole, and its pictures resampled for it"
+        losses += [
+            Loss(field=f"sensors.camera.{name}", what=what, fate=Fate.APPROXIMATED)
+            for name in ("camera", "pictures.rgb", "pictures.encoded")
+        ]
+    return undistort_scene(scene, cameras=[camera.id for camera in bent])
+
+
+def _channels(scene: Scene, way: PosePath | None, losses: list[Loss]) -> tuple[Channel, ...]:
+    kinds: tuple[type[Any], ...] = tuple(_MODALITIES)
+    found: list[Any] = [sensor for kind in kinds for sensor in scene.sensors if isinstance(sensor, kind)]
+    losses += [
+        Loss(field=KINDS[type(sensor)], what=f"{sensor.id!r} has no frame, and is left out")
+        for sensor in found
+        if not len(stamps_of(sensor))
+    ]
+    framed = [sensor for sensor in found if len(stamps_of(sensor))]
+    names = _unique([str(sensor.id) for sensor in framed])
+    folders = file_stems(names)
+    return tuple(
+        Channel(name, folder, sensor, _mount(sensor, way, losses))
+        for name, folder, sensor in zip(names, folders, framed, strict=True)
+    )
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    return [name if names.index(name) == k else f"{name}~{k}" for k, name in enumerate(names)]
+
+
+def _mount(sensor: Any, way: PosePath | None, losses: list[Loss]) -> RigidTransform:
+    mount, lost = mounting(sensor, way)
+    losses += lost
+    if mount is not None:
+        return mount
+    what = f"{sensor.id!r}: not known; written as if it were where the ego is"
+    losses.append(Loss(field=f"{KINDS[type(sensor)]}.mount", what=what, fate=Fate.APPROXIMATED))
+    return RigidTransform.identity()
+
+
+def _kept(scene: Scene, name: str) -> Mapping[str, Any]:
+    """What a scene that was read from nuScenes keeps of it."""
+    about: Any = scene.metadata.get("nuscenes")
+    rows = about.get(name) if isinstance(about, Mapping) else None
+    return rows if isinstance(rows, Mapping) else {}
+
+
+def _version(scene: Scene) -> str:
+    about: Any = scene.metadata.get("nuscenes")
+    told = about.get("version") if isinstance(about, Mapping) else None
+    return told if isinstance(told, str) and is_version(told) else VERSION
+
+
+def is_version(name: str) -> bool:
+    """Whether a name may be that of a folder of tables."""
+    plain = name.replace(".", "").replace("-", "").replace("_", "")
+    return name.startswith("v") and name[1:2].isdigit() and plain.isascii() and plain.isalnum()
+
+
+def _about(scene: Scene, path: Path) -> tuple[SceneRow, LogRow]:
+    told, log = _kept(scene, "scene"), _kept(scene, "log")
+    name = str(told.get("name") or path.stem)
+    row = SceneRow(
+        token=str(told.get("token") or token_of("scene", name)),
+        name=name,
+        description=str(told.get("description") or ""),
+        log_token=str(log.get("token") or token_of("log", name)),
+    )
+    fields = {key: str(log.get(key) or "") for key in ("vehicle", "date_captured", "location")}
+    return row, LogRow(token=row.log_token, logfile=str(log.get("logfile") or name), **fields)
+
+
+def sensor_key(sensor: Written) -> Any:
+    """What labelled points call a sensor by."""
+    return key_of(sensor.id)
+
+
+def differences_us(stamps_ns: Int64Array, stamps_us: Int64Array) -> float:
+    """How far times are off by being whole microseconds, at most [ns]."""
+    return float(np.abs(stamps_ns - stamps_us * 1000).max(initial=0))

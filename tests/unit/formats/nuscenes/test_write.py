@@ -1,0 +1,340 @@
+"""Drives written in the nuScenes schema: valid tables, the same again when read, and what they cannot hold told."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.unit.formats.nuscenes.schema_folder import CAMERA_MOUNT, lidar_rows, street
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError, OptionError, OutputError
+from sceneloom.formats.loss import Fate
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    AttributePath,
+    CameraSensor,
+    CuboidAnnotation,
+    CuboidPath,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Picture,
+    PointsFrame,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+    Scene,
+    Trajectory,
+)
+from sceneloom.scene.angles import CuboidAngles
+
+KEYS = {
+    "scene": ("log_token", "first_sample_token", "last_sample_token"),
+    "sample": ("scene_token",),
+    "sample_data": ("sample_token", "ego_pose_token", "calibrated_sensor_token"),
+    "calibrated_sensor": ("sensor_token",),
+    "instance": ("category_token", "first_annotation_token", "last_annotation_token"),
+    "sample_annotation": ("sample_token", "instance_token"),
+}
+TABLE_OF = {"first_sample": "sample", "last_sample": "sample", "first_annotation": "sample_annotation"}
+TABLE_OF["last_annotation"] = "sample_annotation"
+
+
+def tables_of(folder):
+    return {path.stem: json.loads(path.read_text("utf-8")) for path in folder.glob("v*/*.json")}
+
+
+def check_tables(folder):
+    """Every token is unique and leads somewhere, chains go through all rows, files are there."""
+    tables = tables_of(folder)
+    tokens = {name: [row["token"] for row in rows] for name, rows in tables.items()}
+    assert all(len(set(found)) == len(found) for found in tokens.values())
+    for name, keys in KEYS.items():
+        for row in tables[name]:
+            for key in keys:
+                other = key.removesuffix("_token")
+                assert row[key] in tokens[TABLE_OF.get(other, other)], (name, key)
+    for name in ("sample", "sample_data", "sample_annotation"):
+        rows = {row["token"]: row for row in tables[name]}
+        for token, row in rows.items():
+            assert not row["next"] or rows[row["next"]]["prev"] == token
+            assert not row["prev"] or rows[row["prev"]]["next"] == token
+    for row in tables["sample_data"]:
+        assert (folder / row["filename"]).is_file()
+        assert row["filename"].startswith("samples/" if row["is_key_frame"] else "sweeps/")
+    return tables
+
+
+def with_classes(tables):
+    for k in (0, 2, 4):
+        token = f"scene-0001-LIDAR_TOP-{k}"
+        labels = np.zeros(40 + k, np.uint8)
+        labels[3:9] = 17
+        name = tables.file(f"lidarseg/v1.0-mini/{token}_lidarseg.bin", labels.tobytes())
+        tables.add("lidarseg", token, sample_data_token=token, filename=name)
+    return tables
+
+
+def test_what_was_read_from_nuscenes_is_written_again_without_a_loss(tmp_path):
+    source = with_classes(street(tmp_path / "a")).write()
+    scene = sceneloom.open(source)
+    losses = sceneloom.write(scene, tmp_path / "b", format="nuscenes")
+    assert len(losses) == 0
+    before, after = tables_of(source), check_tables(tmp_path / "b")
+    same = {
+        "sample": ("token", "timestamp", "next", "prev"),
+        "sample_data": ("timestamp", "is_key_frame", "sample_token", "width", "height"),
+        "ego_pose": ("timestamp", "translation"),
+        "sample_annotation": ("sample_token", "instance_token", "size", "translation", "num_lidar_pts"),
+        "scene": ("token", "name", "description", "nbr_samples", "first_sample_token"),
+        "log": ("token", "logfile", "location"),
+    }
+    for table, fields in same.items():
+        rows = [[row[field] for field in fields] for row in before[table]]
+        assert sorted(map(str, rows)) == sorted(str([row[f] for f in fields]) for row in after[table]), table
+    for row, again in zip(before["sample_annotation"], after["sample_annotation"], strict=True):
+        assert np.allclose(np.abs(np.dot(row["rotation"], again["rotation"])), 1, atol=1e-12)
+    attributes = {row["token"]: row["name"] for row in after["attribute"]}
+    found = [[attributes[token] for token in row["attribute_tokens"]] for row in after["sample_annotation"]]
+    assert found == [["vehicle.parked"], ["vehicle.moving"], ["vehicle.moving"]]
+    for name in ("sweeps", "samples"):
+        files = {path.parent.name: [] for path in (source / name).glob("*/*")}
+        for folder in files:
+            contents = [
+                sorted(path.read_bytes() for path in (root / name / folder).iterdir())
+                for root in (source, tmp_path / "b")
+            ]
+            assert contents[0] == contents[1], (name, folder)
+    labels = sorted((tmp_path / "b" / "lidarseg" / "v1.0-mini").iterdir())
+    assert len(labels) == 3
+    assert {row["name"]: row["index"] for row in after["category"]} == {"vehicle.car": 17, "noise": 0}
+
+
+def test_writing_is_the_same_again(tmp_path):
+    scene = sceneloom.open(street(tmp_path / "a").write())
+    for name in ("b", "c"):
+        (tmp_path / name).mkdir()
+        sceneloom.write(scene, tmp_path / name / "drive", format="nuscenes")
+    files = [
+        sorted(p.relative_to(tmp_path / n) for p in (tmp_path / n).rglob("*") if p.is_file()) for n in "bc"
+    ]
+    assert files[0] == files[1]
+    assert all((tmp_path / "b" / f).read_bytes() == (tmp_path / "c" / f).read_bytes() for f in files[0])
+
+
+SECOND = 1_000_000_000
+
+
+def drive(*, points_frame=PointsFrame.SENSOR, sweeps=11, annotations=(), lens=None, radar=None):
+    """A drive at 10 Hz without anything of nuScenes in it; the ego drives 10 m/s along x."""
+    stamps = np.arange(sweeps, dtype=np.int64) * (SECOND // 10) + 5 * SECOND
+    mount = RigidTransform(Rotation.from_euler("z", 30, degrees=True).as_matrix(), np.array([1.0, 0.2, 1.8]))
+    quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (sweeps, 1))
+    way = Trajectory("gt", stamps, np.outer(np.arange(sweeps), [1.0, 0, 0]), quaternions)
+    sweep = [
+        LidarFrame(int(t), LidarPoints(lidar_rows(20, k)[:, :3].copy(), intensities=np.full(20, 9, np.uint8)))
+        for k, t in enumerate(stamps)
+    ]
+    lidar = LidarSensor("lid ar/1", LazyFrames.of(sweep, stamps), mount=mount, points_frame=points_frame)
+    lens = lens or Camera("pinhole", 64, 48, 40.0, 40.0, 31.5, 23.5)
+    rgb = np.random.default_rng(1).integers(0, 256, (48, 64, 3)).astype(np.uint8)
+    shots = [Picture.of(int(t) + 20_000_400, lens, rgb) for t in stamps]
+    camera = CameraSensor(
+        7,
+        lens,
+        LazyFrames.of(shots, [shot.timestamp_ns for shot in shots]),
+        mount=RigidTransform(CAMERA_MOUNT.as_matrix(), np.array([1.5, 0.0, 1.5])),
+    )
+    sensors = (lidar, camera) if radar is None else (lidar, camera, radar)
+    return Scene(sensors, tuple(annotations), trajectories={"gt": way}, source="drive")
+
+
+def test_samples_are_two_a_second_unless_somebody_says_otherwise(tmp_path):
+    scene = drive()
+    sceneloom.write(scene, tmp_path / "a", format="nuscenes")
+    tables = check_tables(tmp_path / "a")
+    assert [row["timestamp"] for row in tables["sample"]] == [5_000_000, 5_500_000, 6_000_000]
+    keys = [row for row in tables["sample_data"] if row["is_key_frame"]]
+    assert sorted(row["timestamp"] for row in keys) == [
+        *(5_000_000, 5_020_000, 5_500_000, 5_520_000, 6_000_000, 6_020_000),
+    ]
+    # what lies between samples belongs to the one that follows
+    sweep = next(row for row in tables["sample_data"] if row["timestamp"] == 5_100_000)
+    assert sweep["sample_token"] == tables["sample"][1]["token"]
+    sceneloom.write(scene, tmp_path / "b", format="nuscenes", keyframe_rate_hz=10)
+    assert len(tables_of(tmp_path / "b")["sample"]) == 11
+    assert not (tmp_path / "b" / "sweeps").exists()
+
+
+@pytest.mark.parametrize("points_frame", PointsFrame)
+def test_points_stay_where_they_are_in_the_world(tmp_path, points_frame):
+    scene = drive(points_frame=points_frame)
+    sceneloom.write(scene, tmp_path / "a", format="nuscenes")
+    again = sceneloom.open(tmp_path / "a").lidars[0]
+    assert again.id == "lid ar/1"
+    k = 4
+    lidar, ego = scene.lidars[0], RigidTransform(np.eye(3), np.array([4.0, 0.0, 0.0]))
+    into_world = {
+        "sensor": ego @ lidar.mount,
+        "ego": ego,
+        "world": RigidTransform.identity(),
+    }[points_frame]
+    expected = into_world.apply(lidar.frames[k].points.positions)
+    pose = RigidTransform.from_quaternion(again.poses.positions[k], again.poses.quaternions_xyzw[k])
+    found = pose.apply(again.frames[k].points.positions)
+    assert np.allclose(found, expected, atol=1e-5)  # float32 of up to 35 m
+    assert again.frames[k].points.intensities.tolist() == [9] * 20
+
+
+def box(identifier, stamps, *, label="car", size=(4.6, 1.9, 1.7), **fields):
+    rows = [[*size, 10.0 + k, -2.0, 0.9, 0.0, 0.0, 20.0 + 10 * k] for k in range(len(stamps))]
+    return CuboidAnnotation(
+        identifier, CuboidPath(np.array(stamps, np.int64), np.array(rows)), label=label, **fields
+    )
+
+
+def test_boxes_are_told_at_the_samples_and_between_stamps_of_their_paths(tmp_path):
+    stamps = [5 * SECOND, 6 * SECOND]
+    said = AttributePath("attributes", (("vehicle.moving",), ()), np.array(stamps, np.int64))
+    seen = AttributePath("visibility", ("v40-60", "unheard"), np.array(stamps, np.int64))
+    other = AttributePath("speed", (1.0,), static=True)
+    car = box(12, stamps, label=None, attributes=(said, seen, other))
+    standing = box("sign", [5 * SECOND], stationary=True)
+    gone = box("gone", [50 * SECOND])
+    losses = sceneloom.write(drive(annotations=(car, standing, gone)), tmp_path / "a", format="nuscenes")
+    tables = check_tables(tmp_path / "a")
+    assert [row["nbr_annotations"] for row in tables["instance"]] == [3, 3]
+    middle = tables["sample_annotation"][1]
+    assert middle["translation"] == [10.5, -2.0, 0.9]
+    assert middle["size"] == [1.9, 4.6, 1.7]
+    turn = Rotation.from_quat(np.roll(middle["rotation"], -1))
+    assert np.allclose(turn.as_euler("ZYX", degrees=True), [25, 0, 0])
+    levels = {row["token"]: row["level"] for row in tables["visibility"]}
+    assert [levels.get(row["visibility_token"]) for row in tables["sample_annotation"][:3]] == [
+        *("v40-60", "v40-60", None),
+    ]
+    names = {row["token"]: row["name"] for row in tables["category"]}
+    assert [names[row["category_token"]] for row in tables["instance"]] == ["unknown", "car"]
+    assert tables["instance"][1]["token"] == "sign"
+    told = {(loss.field, loss.fate): loss.count for loss in losses}
+    assert told["annotations.cuboid.path.values", Fate.APPROXIMATED] == 3
+    assert told["annotations.cuboid", Fate.DROPPED] == 1
+    assert told["annotations.cuboid.attributes", Fate.DROPPED] == 1
+
+
+def test_points_in_boxes_are_counted_where_nobody_told_their_number(tmp_path):
+    scene = drive(annotations=(box("car", [5 * SECOND], size=(20.0, 16.0, 18.0), stationary=True),))
+    sceneloom.write(scene, tmp_path / "a", format="nuscenes", keyframe_rate_hz=10)
+    rows = tables_of(tmp_path / "a")["sample_annotation"]
+    values = scene.annotations[0].path.values[0]
+    turn = Rotation.from_quat(CuboidAngles.of(scene).quaternions(values[6:]))
+    expected = []
+    for k in range(11):
+        world = scene.lidars[0].mount.apply(scene.lidars[0].frames[k].points.positions) + np.array([k, 0, 0])
+        inside = np.abs(turn.inv().apply(world - values[3:6])) <= values[:3] / 2
+        expected.append(int(inside.all(axis=1).sum()))
+    assert sum(expected) > 10
+    assert [row["num_lidar_pts"] for row in rows] == expected
+    said = AttributePath("num_lidar_pts", (77,), static=True)
+    told = drive(annotations=(box("car", [5 * SECOND], stationary=True, attributes=(said,)),))
+    sceneloom.write(told, tmp_path / "b", format="nuscenes")
+    assert {row["num_lidar_pts"] for row in tables_of(tmp_path / "b")["sample_annotation"]} == {77}
+
+
+def test_pictures_of_other_lenses_are_resampled_and_that_is_told(tmp_path):
+    bent = Camera("brown_conrady", 64, 48, 40.0, 40.0, 31.5, 23.5, (-0.2, *(0.0,) * 15))
+    losses = sceneloom.write(drive(lens=bent, sweeps=2), tmp_path / "a", format="nuscenes")
+    fates = {loss.field: loss.fate for loss in losses}
+    assert fates["sensors.camera.camera"] == Fate.APPROXIMATED
+    assert fates["sensors.camera.pictures.rgb"] == Fate.APPROXIMATED
+    camera = sceneloom.open(tmp_path / "a").cameras[0]
+    assert camera.camera.model == "pinhole"
+    assert camera.pictures[0].rgb.shape == (48, 64, 3)
+
+
+def test_pictures_as_png_lose_nothing(tmp_path):
+    scene = drive(sweeps=2)
+    losses = sceneloom.write(scene, tmp_path / "a", format="nuscenes", pictures="png")
+    again = sceneloom.open(tmp_path / "a").cameras[0]
+    assert np.array_equal(again.pictures[1].rgb, scene.cameras[0].pictures[1].rgb)
+    assert "sensors.camera.pictures.rgb" not in {loss.field for loss in losses}
+    rounded = next(loss for loss in losses if loss.field == "sensors.camera.pictures.timestamp_ns")
+    assert (rounded.count, rounded.largest_error) == (2, 400.0)
+
+
+def radar(frames):
+    stamps = [5 * SECOND + k * SECOND // 10 for k in range(len(frames))]
+    made = [RadarFrame(t, points) for t, points in zip(stamps, frames, strict=True)]
+    return RadarSensor("radar", LazyFrames.of(made, stamps), mount=RigidTransform.identity())
+
+
+def test_radars_without_returns_and_upward_speeds_are_written_too(tmp_path):
+    positions = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
+    directions = np.array([[0.6, 0.8, 0], [0, 0.6, 0.8]], np.float32)
+    full = RadarPoints(positions, directions, np.array([5, -10], np.float32))
+    none = np.zeros((0, 3), np.float32)
+    scene = drive(radar=radar([full, RadarPoints(none)]), sweeps=2)
+    losses = sceneloom.write(scene, tmp_path / "a", format="nuscenes")
+    again = sceneloom.open(tmp_path / "a").sensor("radar")
+    assert len(again.frames[1].points) == 0
+    found = again.frames[0].points
+    assert np.array_equal(found.positions, positions)
+    assert np.allclose(found.directions * found.lengths[:, None], [[3, 4, 0], [0, -6, 0]], atol=1e-6)
+    lost = next(loss for loss in losses if loss.field == "sensors.radar.frames.points.directions")
+    assert lost.largest_error == pytest.approx(8.0)
+
+
+def test_classes_of_points_get_numbers_and_points_without_one_are_noise(tmp_path):
+    rows = np.array([2, 5], np.uint32)
+    road = LabeledPointsAnnotation(
+        "a", (LabeledPoints("lid ar/1", rows, 0), LabeledPoints("lid ar/1", rows, 1)), label="road"
+    )
+    single = LabeledPointsAnnotation("b", (), label="car", is_instance=True)
+    losses = sceneloom.write(drive(annotations=(road, single)), tmp_path / "a", format="nuscenes")
+    again = sceneloom.open(tmp_path / "a")
+    noise, found = again.annotations
+    assert (noise.label, found.label, found.extras["index"]) == ("noise", "road", 1)
+    assert [entry.sensor_frame for entry in found.labeled_points] == [0]
+    assert found.labeled_points[0].point_ids.tolist() == [2, 5]
+    told = {loss.what: loss.count for loss in losses if "labeled_points" in loss.field}
+    assert told["points without a class are written as `noise`"] == 18
+    assert told["classes of sweeps between samples are left out"] == 1
+    assert told["points of single objects, or without a class, are left out"] == 1
+
+
+def test_nobody_elses_folder_is_replaced(tmp_path):
+    target = tmp_path / "a"
+    target.mkdir()
+    (target / "thesis.txt").write_text("mine")
+    with pytest.raises(OutputError, match="holds something that is no data set of nuScenes"):
+        sceneloom.write(drive(), target, format="nuscenes", overwrite=True)
+    sceneloom.write(drive(), tmp_path / "b", format="nuscenes")
+    with pytest.raises(OutputError, match="exists already"):
+        sceneloom.write(drive(), tmp_path / "b", format="nuscenes")
+    sceneloom.write(drive(sweeps=2), tmp_path / "b", format="nuscenes", overwrite=True)
+    assert len(tables_of(tmp_path / "b")["sample"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"keyframe_rate_hz": 0}, "keyframe_rate_hz 0"),
+        ({"version": "../up"}, r"version '../up'; expected a name such as v1.0-mini"),
+        ({"pictures": "h264"}, "pictures 'h264'; nuScenes takes copy, png"),
+        ({"speed": 1}, "speed"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(tmp_path, options, message):
+    with pytest.raises(OptionError, match=message):
+        sceneloom.write(drive(), tmp_path / "a", format="nuscenes", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_without_a_frame_is_refused(tmp_path):
+    with pytest.raises(DataError, match="holds no sweep, radar cycle or picture"):
+        sceneloom.write(Scene(()), tmp_path / "a", format="nuscenes")

@@ -12,6 +12,7 @@ from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatE
 from sceneloom.formats.clouds.names import name_of_time, numbers_of_names, stem_of, times_of_names
 from sceneloom.formats.loss import Fate
 from sceneloom.formats.table import find_format, open_scene, write_scene
+from sceneloom.pipeline.converting.job import convert
 from sceneloom.scene import (
     CuboidAnnotation,
     CuboidPath,
@@ -343,6 +344,15 @@ def test_options_that_do_not_count_are_refused(tmp_path, scene):
     for options in ({"points_frame": "moon"}, {"rate_hz": 0.0}):
         with pytest.raises(OptionError):
             open_scene(tmp_path / "o", **options)
+
+
+def test_one_kind_becomes_another_without_loss(tmp_path, scene):
+    write_scene(scene, tmp_path / "first", format="pcd")
+    report = convert(tmp_path / "first", tmp_path / "second", to="ply", strict=True)
+    assert not [fate for fate in report.fields if fate.fate in {Fate.APPROXIMATED, Fate.DROPPED}]
+    found = open_scene(tmp_path / "second").lidars[0]
+    for one, other in zip(found.frames, scene.lidars[0].frames, strict=True):
+        same(one.points, other.points)
 
 
 def test_frames_of_clouds_go_to_other_processes(tmp_path, scene):

@@ -120,9 +120,13 @@ def _placed(
     if SENSOR_POSES in folder.beside and frame in {None, PointsFrame.SENSOR}:
         return replace(sensor, poses=_way(folder.beside[SENSOR_POSES], ledger).poses)
     if frame is None:
-        told = "it is not said in which frame the points are; taken as the sensor's, say `points_frame` for another"
+        told = (
+            "it is not said where the points are; taken as on the ego, say `points_frame` for another frame"
+        )
         ledger.note(NoticeKind.ASSUMED, "cloud-frame-assumed", str(folder.place), told)
-    return replace(sensor, points_frame=frame or PointsFrame.SENSOR)
+    if frame is PointsFrame.WORLD:
+        return replace(sensor, points_frame=frame)
+    return replace(sensor, points_frame=frame or PointsFrame.SENSOR, mount=RigidTransform.identity())
 
 
 def _way(path: Path, ledger: Ledger) -> Trajectory:

@@ -1,6 +1,6 @@
 """The lidar frames of a scene written as files of points."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,6 @@ from sceneloom.formats.clouds.kinds import CloudKind
 from sceneloom.formats.clouds.names import name_of_time
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
-from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.scene import Coordinates, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
@@ -30,7 +29,7 @@ from sceneloom.scene.span import scene_period_ns
 _MOVES: Mapping[PointsFrame, Callable[[Scene], Scene]] = MappingProxyType(
     {PointsFrame.SENSOR: to_sensor, PointsFrame.EGO: to_ego, PointsFrame.WORLD: to_world}
 )
-_WRITTEN = {"file", "head", "dropped_points", "clipped_intensities"}
+_WRITTEN = {"file", "dropped_points", "clipped_intensities"}
 """Further fields of frames that only say from which file they were read, and how."""
 
 
@@ -68,7 +67,7 @@ def write_clouds(
     if saving.frame is not None and any(lidar.points_frame != saving.frame for lidar in scene.lidars):
         scene = _MOVES[PointsFrame(saving.frame)](scene)
     lidars = _chosen(scene, saving.lidar)
-    losses = list(field_losses(scene, _table(kind, scene)))
+    losses = list(_of_fields(scene, kind))
     losses += [
         Loss(field=f"sensors[{lidar.id}]", what="left out: another lidar was asked for")
         for lidar in scene.lidars
@@ -82,15 +81,20 @@ def write_clouds(
     return LossReport.of(losses)
 
 
-def _table(kind: CloudKind, scene: Scene) -> Holds:
-    """The table of the kind, without rows that only hold for some scenes: the writer tells these."""
-    quiet = ("id", "coordinates", "points_frame", "poses", "frames")
-    kept = dict(holds_of(kind.name))
-    for name in quiet:
-        kept.pop(f"sensors.lidar.{name}", None)
-    if all(set(lidar.extras) <= {"intensity_max"} for lidar in scene.lidars):
-        kept.pop("sensors.lidar.extras", None)
-    return kept
+def _of_fields(scene: Scene, kind: CloudKind) -> Iterator[Loss]:
+    """What becomes of the scene, but for what depends on the frames, and for what this scene does not have."""
+    table = dict(holds_of(kind.name))
+    for name in ("id", "coordinates", "points_frame", "poses", "mount", "extras"):
+        table.pop(f"sensors.lidar.{name}", None)
+    yield from field_losses(scene, table)
+    for lidar in scene.lidars:
+        if lidar.mount is not None and not np.array_equal(lidar.mount.matrix, np.eye(4)):
+            what = "left out: the poses beside the clouds say where they are in the world"
+            yield Loss(field=f"sensors[{lidar.id}].mount", what=what)
+        further = [name for name in lidar.extras if name != "intensity_max"]
+        if further:
+            what = f"left out: files of points say nothing of the device: {', '.join(further)}"
+            yield Loss(field=f"sensors[{lidar.id}].extras", what=what)
 
 
 def _chosen(scene: Scene, lidar: str | None) -> list[LidarSensor]:

@@ -12,6 +12,10 @@ from sceneloom.errors import DataError, OptionError, SceneloomError, UnknownForm
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
+READ_WITH = "reading_options"
+"""Name of the parameter that holds reading options which have no flag of their own."""
+
+
 def _stacked(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
     return lambda command: reduce(lambda inner, option: option(inner), reversed(options), command)
 
@@ -75,6 +79,13 @@ reading = _stacked(
         "format",
         metavar="NAME",
         help="The drive's format, where its content does not decide: a name out of `sceneloom formats`.",
+    ),
+    click.option(
+        "--read-with",
+        READ_WITH,
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="An option of the drive's format, such as `world=odom` of bags; each format's page lists its own.",
     ),
     click.option("--lenient", is_flag=True, help="Skip what is broken, count it, and go on."),
     click.option(
@@ -298,4 +309,5 @@ def settings(flag: str, pairs: Iterable[str]) -> dict[str, str]:
 
 def said(**values: Any) -> dict[str, Any]:
     """The options that the user said; the others are left to the library's defaults."""
-    return {name: value for name, value in values.items() if value not in {None, False}}
+    further = settings("--read-with", values.pop(READ_WITH, ()))
+    return {**{name: value for name, value in values.items() if value not in {None, False}}, **further}

@@ -62,6 +62,7 @@ MEANINGS = {
     "--profile": (CHOICE, "`scale`: "),
     "--quiet": (FLAG, ""),
     "--read-as": (TEXT, "The drive's format"),
+    "--read-with": (TEXT, "An option of the drive's format"),
     "--sequence": (TEXT, ""),
     "--session": (TEXT, "The rig"),
     "--start": (NUMBER, "Begin S seconds after the first time stamp"),

@@ -153,12 +153,13 @@ def _view_and_kind(frame: FusedFrame, number: int) -> tuple[FusedView | None, st
 
 def _told(kind: str, frame: FusedFrame, view: FusedView | None) -> tuple[str, str]:
     """Title and text of a picture."""
-    camera = "the camera" if view is None else f"camera {view.camera_id}"
+    name = "" if view is None else str(view.camera_id)
+    camera = f"camera {name}"
     points = f"{0 if view is None else int(view.visible.sum()):,} points of lidar {frame.lidar_id}"
     cloud = f"One sweep of lidar {frame.lidar_id} in the colours of the pictures"
     titles = {
-        "overlay": f"{camera}: points over the picture",
-        "depth": f"{camera}: depth image",
+        "overlay": f"{name}: points over the picture",
+        "depth": f"{name}: depth image",
         "above": f"Lidar {frame.lidar_id} from above",
         "perspective": f"Lidar {frame.lidar_id} in perspective",
     }
@@ -168,4 +169,4 @@ def _told(kind: str, frame: FusedFrame, view: FusedView | None) -> tuple[str, st
         "above": f"{cloud}, as a map with a grid in metres",
         "perspective": f"{cloud}, seen from behind and above the ego",
     }
-    return titles[kind][0].upper() + titles[kind][1:], texts[kind]
+    return titles[kind], texts[kind]

@@ -219,7 +219,7 @@ def _count(scene: Scene, looks: _Looks, moments: int) -> None:
 def _classes(table: BoxTable, looks: _Looks) -> tuple[ClassNumbers, ...]:
     by_label: dict[str, list[int]] = {}
     for row, annotation in enumerate(table.annotations):
-        by_label.setdefault(annotation.label or OTHER, []).append(row)
+        by_label.setdefault(str(annotation.label or OTHER), []).append(row)
     columns = _Columns.of(looks)
     classes = [_class(label, rows, table.annotations, columns, looks) for label, rows in by_label.items()]
     return tuple(sorted(classes, key=lambda numbers: (-numbers.objects, numbers.label)))

@@ -238,7 +238,9 @@ def _from_coverage(evidence: Evidence) -> Iterator[Advice]:
                 remedy="Look whether the sensor was covered or cut off; leave these sweeps out.",
                 section="coverage",
             )
-        silent = [k for k, count in enumerate(cloud.rings) if count == 0]
+        # the numbers of a sensor's lasers may begin anywhere
+        first = next((k for k, count in enumerate(cloud.rings) if count), 0)
+        silent = [k for k, count in enumerate(cloud.rings) if count == 0 and k > first]
         if silent:
             yield Advice(
                 severity=Severity.HINT,

@@ -2,6 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Iterator
+from functools import partial
 from importlib.resources import files
 from itertools import count
 from typing import Any
@@ -58,7 +59,7 @@ def render_page(report: DriveReport, album: Album) -> str:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=_plain,
+        finalize=partial(_plain, whole=_source_path(report), name=report.name),
         loader=jinja2.FunctionLoader(_resource),
     )
     environment.filters["drawn"] = lambda drawing: _drawn(drawing, next(numbers))
@@ -104,9 +105,22 @@ def _resource(name: str) -> str:
     return files("sceneloom.report.page").joinpath(name).read_text("utf-8")
 
 
-def _plain(value: Any) -> Any:
-    """Take characters out of a text that no page may hold; markup of our own stays as it is."""
-    return plain(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
+def _source_path(report: DriveReport) -> str:
+    """The path of the drive where it says more than its name; empty otherwise."""
+    source = report.summary.source
+    return source if "/" in source or "\\" in source else ""
+
+
+def _plain(value: Any, *, whole: str, name: str) -> Any:
+    """Take characters out of a text that no page may hold, and where on its machine the drive lies.
+
+    Markup of our own stays as it is.
+    """
+    if not isinstance(value, str) or hasattr(value, "__html__"):
+        return value
+    if whole:
+        value = value.replace(f"{whole}/", "").replace(whole, name)
+    return plain(value)
 
 
 def _drawn(drawing: Drawing, number: int) -> str:

@@ -96,9 +96,10 @@ def _plots(cloud: CloudCoverage) -> list[Drawing]:
         told = f"Half of the points lie within {cloud.range_median:.0f} m, 95 % within {cloud.range_95:.0f} m"
         found.append(Drawing(f"Points of {cloud.sensor} by range", told, svg))
     if len(cloud.rings) > 1:
-        names = [str(k) for k in range(len(cloud.rings))]
-        svg = columns(names, cloud.rings, x_name="number of the ring", y_name="points of a sweep")
-        told = f"{len(cloud.rings)} rings with {min(cloud.rings):,.0f} to {max(cloud.rings):,.0f} points of a sweep"
+        first = next(k for k, number in enumerate(cloud.rings) if number)
+        names, rings = [str(k) for k in range(first, len(cloud.rings))], cloud.rings[first:]
+        svg = columns(names, rings, x_name="number of the ring", y_name="points of a sweep")
+        told = f"{len(rings)} rings with {min(rings):,.0f} to {max(rings):,.0f} points of a sweep"
         found.append(Drawing(f"Points of {cloud.sensor} by ring", told, svg))
     return found
 
@@ -133,7 +134,7 @@ def _cloud_row(cloud: CloudCoverage) -> list[str]:
         f"{cloud.range_median:.1f} / {cloud.range_95:.1f} / {cloud.range_max:.1f}",
         f"{cloud.lowest_deg:.1f} to {cloud.highest_deg:.1f}",
         percent(cloud.horizon_share, 0),
-        count(len(cloud.rings)) if cloud.rings else NOTHING,
+        count(sum(number > 0 for number in cloud.rings)) if cloud.rings else NOTHING,
         percent(cloud.nowhere_share),
         ", ".join(has) or NOTHING,
     ]

@@ -61,9 +61,8 @@ def _conversions(report: DriveReport) -> list[Block]:
     ]
     dropped = [f"{each.format}: {', '.join(each.dropped)}" for each in report.conversions if each.dropped]
     total = sum(report.conversions[0].fates.values())
-    table = Table(
-        f"What formats would make of the {total} kinds of fields that the drive holds", _FATES, rows
-    )
+    title = f"What formats would make of the {total} kinds of fields that the drive holds"
+    table = Table(title, _FATES, rows, folded=True)
     told = "`sceneloom convert DRIVE OUT --loss F` tells of a conversion what became of every value."
     return [
         Block(heading="In other formats", tables=[table], list_title="What would be dropped", listed=dropped),

@@ -134,7 +134,8 @@ def _fixes_row(fixes: Fixes) -> list[str]:
 
 def place_text(lla: tuple[float, float, float]) -> str:
     """Latitude and longitude."""
-    return f"{degrees_text(lla[0], 'NS')}, {degrees_text(lla[1], 'EW')}"
+    told = f"{degrees_text(lla[0], 'NS')}, {degrees_text(lla[1], 'EW')}"
+    return told.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def _north(ways: Ways) -> list[str]:

@@ -98,7 +98,7 @@ class Meter:
 
 def megabytes(status: str, name: str) -> float:
     """One line of a process's status [MB]."""
-    return float(status.split(f"{name}:")[1].split()[0]) * 1024 / 1e6
+    return float(status.split(f"{name}:")[1].split(maxsplit=1)[0]) * 1024 / 1e6
 
 
 def save(drive: Path, target: Path) -> dict[str, float]:
@@ -141,9 +141,10 @@ def main() -> None:
             told = json.loads(done.stdout)
             kept = max(told["wall"], told["processor"]) < 1.0 and told["own_mb"] < 1000
             print(
-                f"{drive.name:10s} {told['seconds']:5.1f} s: {told['wall']:.2f} s of the wall and {told['processor']:.2f} s "
-                f"of the processor a second of the drive, {told['own_mb']:.0f} MB and {told['mapped_mb']:.0f} MB of mapped "
-                f"files, file {told['size_mb']:.0f} MB: {'kept' if kept else 'MISSED'}"
+                f"{drive.name:10s} {told['seconds']:5.1f} s: {told['wall']:.2f} s of the wall and "
+                f"{told['processor']:.2f} s of the processor a second of the drive, {told['own_mb']:.0f} MB and "
+                f"{told['mapped_mb']:.0f} MB of mapped files, file {told['size_mb']:.0f} MB: "
+                f"{'kept' if kept else 'MISSED'}"
             )
 
 

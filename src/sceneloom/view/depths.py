@@ -24,6 +24,9 @@ _STEPS_PER_METRE = 256
 """Shown depths are whole steps of 1/256 m, as in KITTI's depth images: 4 mm, up to 256 m."""
 _LARGEST = 65535
 
+DEPTH = "depth"
+"""The entity of fused depth images, below that of the pictures that they belong to."""
+
 
 def depth_image(depths: Float32Array) -> Any:
     """An image of depths (H, W) [m], 0 for none, as the viewer takes it."""
@@ -132,8 +135,8 @@ class FusedDepthView:
         depths = _read(self.folder / entry.file)
         undistortion = self.maps.get(entry.camera)
         if undistortion is not None:
-            _, depths = Straightener(undistortion).straight(undistortion.source, depths)
-        path = f"{picture_path(self.stream, entry.camera)}/depth"
+            depths = Straightener(undistortion).straight(undistortion.source, depths)[1]
+        path = f"{picture_path(self.stream, entry.camera)}/{DEPTH}"
         self.stream.log(
             entry.picture_ns, path, depth_image(depths), kind="fused depth images", size=2 * depths.size
         )

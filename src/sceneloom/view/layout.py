@@ -11,6 +11,7 @@ from sceneloom.scene import EventAnnotation, GnssSensor, Identifier, ImuSensor, 
 from sceneloom.view.annotations.relations import RELATIONS
 from sceneloom.view.annotations.states import ATTRIBUTES, EVENTS, LIST
 from sceneloom.view.clouds import SENSORS, WORLD
+from sceneloom.view.depths import DEPTH
 from sceneloom.view.motion import EARTH, EGO, GNSS, IMU, MAP
 from sceneloom.view.pictures import PICTURE
 from sceneloom.view.places import Places
@@ -23,7 +24,7 @@ _BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
 """Where the eye stands behind the ego, and where it looks [m]."""
 _MOVED = 2.0
 """How far the ego must have come for its way to tell where forward is [m]."""
-_IN_PICTURES = ("annotations", "tracks", "detections")
+_IN_PICTURES = ("annotations", "tracks/boxes", "tracks/history")
 """What has a place in the world and is shown through the lenses, too."""
 _BACKGROUND = (16, 18, 22)
 
@@ -39,7 +40,7 @@ class Facts:
         eye, target: (3,) [m], where the eye is, and what it looks at: in the ego's frame if it follows the ego.
         follows: whether the eye moves with the ego.
         curves: of each inertial unit, its id and the names of its streams.
-        gnss, plan, earth, events, attributes, relations, listed: whether there is anything of it.
+        depths, gnss, plan, earth, events, attributes, relations, listed: whether there is anything of it.
     """
 
     root: str
@@ -49,6 +50,7 @@ class Facts:
     target: tuple[float, ...]
     follows: bool
     curves: tuple[tuple[Identifier, tuple[str, ...]], ...]
+    depths: bool
     gnss: bool
     plan: bool
     earth: bool
@@ -79,6 +81,7 @@ class Facts:
                 for one in scene.sensors
                 if isinstance(one, ImuSensor) and one.streams
             ),
+            depths=settings.depth is not None,
             gnss=gnss,
             plan=gnss or places.path is not None,
             earth=gnss and settings.map_tiles,
@@ -164,11 +167,17 @@ def _named(container: Any, facts: Facts) -> Any:
 
 
 def _camera(facts: Facts, camera_id: Identifier) -> Any:
+    """The pictures of a camera with what is drawn into them and what the lens sees of the world; its fused depths."""
+    rrb = blueprint_sdk()
     path = f"{facts.root}/{WORLD}/{SENSORS}/{escaped(camera_id)}/{PICTURE}"
     through = [f"+ {facts.root}/{WORLD}/{name}/**" for name in _IN_PICTURES]
-    return blueprint_sdk().Spatial2DView(
-        origin=path, contents=["+ $origin/**", *through], name=str(camera_id)
+    pictures = rrb.Spatial2DView(
+        origin=path, contents=["+ $origin/**", f"- $origin/{DEPTH}/**", *through], name=str(camera_id)
     )
+    if not facts.depths:
+        return pictures
+    depths = rrb.Spatial2DView(origin=path, contents=[f"+ $origin/{DEPTH}/**"], name=f"{camera_id}: depth")
+    return rrb.Tabs(pictures, depths, active_tab=0, name=str(camera_id))
 
 
 def _tabs(facts: Facts) -> list[Any]:

@@ -8,6 +8,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.detections.noise import radius_squared
 from sceneloom.geometry.rotations import quaternion_from_matrix
 from sceneloom.scene import Identifier, Support, TrackedObjects
+from sceneloom.view.annotations.cuboids import EDGES
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed
 from sceneloom.view.feeds import Feed
@@ -18,8 +19,8 @@ from sceneloom.view.stream import Stream
 CERTAINTY = 0.95
 """An ellipsoid holds the middle of its object with this probability."""
 _HISTORY_NS = 3_000_000_000
-_LARGEST_SIGMA = 30.0
-"""Ellipsoids of objects of which less is known are not drawn [m]."""
+_LARGEST = 10.0
+"""Ellipsoids with a longer half axis would hide the others, and are not drawn [m]."""
 _THIN, _THICK = -1.0, -2.0
 
 
@@ -98,6 +99,7 @@ class ObjectsView:
             colors=colours,
             radii=np.where(by_sweep, _THICK, _THIN).astype(np.float32),
             labels=self._names(moment),
+            fill_mode=EDGES,
         )
         said = rr.AnyValues(
             id=[str(one) for one in moment.ids.tolist()],
@@ -117,12 +119,13 @@ class ObjectsView:
     def _ellipsoids(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
         covariances = moment.covariances[:, :3, :3]
         half_sizes, turns = ellipsoid(covariances, degrees_of_freedom=self.degrees_of_freedom)
-        known = (half_sizes > 0).all(axis=1) & (half_sizes < _LARGEST_SIGMA * 3).all(axis=1)
+        known = (half_sizes > 0).all(axis=1) & (half_sizes < _LARGEST).all(axis=1)
         shown = sdk().Ellipsoids3D(
             centers=(moment.centers - self.origin)[known],
             half_sizes=half_sizes[known],
             quaternions=turns[known],
             colors=colours[known],
+            fill_mode=EDGES,
         )
         self.stream.log(moment.timestamp_ns, f"{base}/certainty", shown)
 

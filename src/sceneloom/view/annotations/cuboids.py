@@ -1,6 +1,7 @@
 """Cuboids with the way that each has come."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,15 @@ TRAIL_WIDTH = -1.5
 _MOVED = 0.5
 """What moved less than that in all has no trail [m]."""
 _POINTS_OF_TRAIL = 24
+
+
+EDGES = "majorwireframe"
+"""Boxes are drawn as their edges: what is in them stays in sight."""
+
+
+def edges_only() -> Any:
+    """What makes boxes be drawn as edges, for an entity that is given boxes over time."""
+    return sdk().Boxes3D.from_fields(fill_mode=EDGES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +58,7 @@ class CuboidLayer:
             labels=chosen_by_moment([name_of(one) for one in group.annotations], there),
         )
         cut = boxes.partition(there.sum(axis=0))
+        group.stream.static(group.path, edges_only())
         group.stream.columns(times_ns, group.path, cut, group.details(there, times_ns), kind="cuboid moments")
         self._trails(times_ns, there)
 
@@ -111,6 +122,7 @@ def show_standing(group: Group, angles: CuboidAngles, origin: Float64Array) -> N
         colors=np.full(len(poses), group.colour, np.uint32),
         labels=[name_of(one) for one in group.annotations],
         show_labels=False,
+        fill_mode=EDGES,
     )
     group.stream.static(group.path, boxes, group.lasting_details())
     group.stream.count("standing cuboids", len(poses))

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Int64Array
-from sceneloom.scene import Annotation, AttributePath, Identifier
+from sceneloom.scene import Activation, Annotation, AttributePath, Identifier
 from sceneloom.scene.at import attribute_at
 from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import Stream
@@ -54,11 +54,13 @@ class Group:
             return ()
         rows = np.argwhere(there.T)
         said = [attributes_at(annotation, times_ns) for annotation in self.annotations]
+        seen = [_seen_by(annotation, times_ns) for annotation in self.annotations]
         values = {
             "id": [str(self.annotations[a].id) for _, a in rows.tolist()],
             "attributes": [said[a][m] for m, a in rows.tolist()],
             "parent": [str(self.annotations[a].parent_id or "") for _, a in rows.tolist()],
             "links": [self.links.get(self.annotations[a].id, "") for _, a in rows.tolist()],
+            "seen_by": [seen[a][m] for m, a in rows.tolist()],
         }
         kept = {name: column for name, column in values.items() if name == "id" or any(column)}
         columns: Iterable[Any] = sdk().AnyValues.columns(**kept).partition(there.sum(axis=0))
@@ -114,6 +116,20 @@ def attributes_at(annotation: Any, times_ns: Int64Array) -> list[str]:
         attribute_text({name: column[m] for name, column in values.items() if column[m] is not None})
         for m in range(len(times_ns))
     ]
+
+
+def _seen_by(annotation: Any, times_ns: Int64Array) -> list[str]:
+    """The sensors whose activations say that they see an annotation at times (M,) [ns]."""
+    activations: tuple[Activation, ...] = getattr(annotation, "activations", ())
+    sensors: list[list[str]] = [[] for _ in times_ns]
+    for activation in activations:
+        starts = activation.timestamps_ns
+        lasts = (0,) * len(starts) if activation.durations_ns is None else activation.durations_ns
+        stops = starts + np.array(lasts, np.float64).astype(np.int64)
+        active = (starts[:, None] <= times_ns) & (times_ns <= stops[:, None])
+        for m in np.flatnonzero(active.any(axis=0)).tolist():
+            sensors[m].append(str(activation.sensor_id))
+    return [", ".join(found) for found in sensors]
 
 
 def attribute_name(attribute: AttributePath) -> str:

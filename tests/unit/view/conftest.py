@@ -1,0 +1,127 @@
+"""Saved views as Rerun's own reader gives them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.properties.planted import planted_scene
+
+pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'sceneloom[view]'")
+
+from sceneloom.scene import Scene
+from sceneloom.view import ViewReport, ViewSettings, save_view
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one entity was given at one time."""
+
+    time_ns: int | None
+    frame: int | None
+    values: dict[str, Any]
+
+    def array(self, name: str) -> np.ndarray:
+        """A component as an array."""
+        return np.array(self.values[name])
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A saved view.
+
+    Attributes:
+        report: what was told of it.
+        rows: of each entity, in the order of time; what holds always first.
+        timelines: all that there are.
+        layout: components of the layout with their values.
+    """
+
+    report: ViewReport
+    rows: dict[str, list[Row]] = field(default_factory=dict)
+    timelines: set[str] = field(default_factory=set)
+    layout: list[tuple[str, Any]] = field(default_factory=list)
+
+    def timed(self, path: str, component: str) -> list[Row]:
+        """The rows of an entity that have a component and a time."""
+        return [row for row in self.rows[path] if row.time_ns is not None and component in row.values]
+
+    def lasting(self, path: str, component: str) -> Any:
+        """A component that holds at all times."""
+        return next(
+            row.values[component]
+            for row in self.rows[path]
+            if row.time_ns is None and component in row.values
+        )
+
+
+def nanoseconds(value: Any) -> int:
+    """A time stamp of either kind."""
+    return int(value.value)
+
+
+def read_saved(path: Path, report: ViewReport) -> Saved:
+    """Read a file through Rerun's reader."""
+    from rerun.chunk import RrdReader
+
+    reader, saved = RrdReader(path), Saved(report)
+    for chunk in reader.stream():
+        batch = chunk.to_record_batch()
+        saved.timelines.update(chunk.timeline_names)
+        columns = {name: batch.column(name) for name in batch.schema.names if not name.startswith("rerun.")}
+        for k in range(batch.num_rows):
+            time = columns.get("time")
+            values = {
+                name: column[k].as_py()
+                for name, column in columns.items()
+                if name not in {"time", "frame"} and column[k].is_valid
+            }
+            known = time is not None and time[k].is_valid
+            row = Row(
+                nanoseconds(time[k]) if known else None,
+                int(columns["frame"][k].as_py()) if known else None,
+                {name: value for name, value in values.items() if value is not None},
+            )
+            saved.rows.setdefault(str(chunk.entity_path), []).append(row)
+    for rows in saved.rows.values():
+        rows.sort(key=lambda row: (row.time_ns is not None, row.time_ns or 0))
+    for entry in reader.blueprints():
+        for chunk in reader.stream(store=entry):
+            batch = chunk.to_record_batch()
+            saved.layout.extend(
+                (name, batch.column(name)[k].as_py())
+                for name in batch.schema.names
+                if ":" in name
+                for k in range(batch.num_rows)
+            )
+    return saved
+
+
+Save = Callable[..., Saved]
+
+
+@pytest.fixture
+def save(tmp_path: Path) -> Save:
+    """Save scenes, and read what was saved."""
+
+    def run(*sources: Any, **settings: Any) -> Saved:
+        target = tmp_path / "drive.rrd"
+        wanted = ViewSettings(**{"findings": False, **settings})
+        return read_saved(target, save_view(sources, target, settings=wanted, overwrite=True))
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def planted() -> Scene:
+    """A drive with every sensor and every type of annotation."""
+    return planted_scene(odd=False)
+
+
+@pytest.fixture(scope="session")
+def planted_saved(planted: Scene, tmp_path_factory: pytest.TempPathFactory) -> Saved:
+    """That drive as a saved view."""
+    target = tmp_path_factory.mktemp("views") / "planted.rrd"
+    return read_saved(target, save_view([planted], target))

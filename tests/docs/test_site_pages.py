@@ -1,6 +1,8 @@
 """The pages of the documentation site that are made while it is built."""
 
+import ast
 import importlib
+import json
 import sys
 from pathlib import Path
 
@@ -108,3 +110,15 @@ def test_blocks_begin_after_a_blank_line(hook, text, expected):
 )
 def test_what_a_browser_would_fetch_from_elsewhere_is_found(hook, page, is_fetched):
     assert (hook("outside").fetched_from_elsewhere(page) is not None) is is_fetched
+
+
+@pytest.mark.parametrize(
+    "notebook", sorted(HOOKS.parents[1].glob("examples/notebooks/*.ipynb")), ids=lambda path: path.stem
+)
+def test_notebooks_are_kept_without_outputs_and_their_code_can_be_parsed(notebook):
+    found = json.loads(notebook.read_text("utf-8"))
+    assert (found["nbformat"], found["cells"][0]["cell_type"]) == (4, "markdown")
+    for cell in found["cells"]:
+        if cell["cell_type"] == "code":
+            assert (cell["outputs"], cell["execution_count"]) == ([], None)
+            ast.parse("".join(cell["source"]))

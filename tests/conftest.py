@@ -78,6 +78,18 @@ def scale_python() -> str:
     return found
 
 
+@pytest.fixture(scope="session")
+def pykitti_python() -> str:
+    """A Python interpreter that has pykitti; tests against it are skipped without one."""
+    interpreter = os.environ.get("SCENELOOM_PYKITTI_PYTHON", "")
+    if not interpreter:
+        pytest.skip("no interpreter with pykitti: set SCENELOOM_PYKITTI_PYTHON")
+    found = shutil.which(interpreter)
+    if found is None:
+        pytest.fail(f"SCENELOOM_PYKITTI_PYTHON={interpreter} is not a program")
+    return found
+
+
 def _encode_sfs(header: dict[str, Any], *, index_type: type = int, **item_fields: Any) -> bytes:
     """Write a JSON-binary container the slow, obvious way; `item_fields` replace fields of every item."""
     items, blobs = [], bytes(4)

@@ -70,7 +70,7 @@ class PointLabels:
         if number is None:
             what = f"{annotation.label!r} left out: SemanticKITTI has no number for it"
             count = sum(len(part.point_ids) for part in annotation.labeled_points)
-            self.losses.append(Loss(field="annotations.labeled_points.label", what=what, count=count))
+            self.losses.append(Loss(field="annotations.labeled_points", what=what, count=count))
             return None
         if not annotation.is_instance:
             return number

@@ -8,6 +8,7 @@ import numpy as np
 
 from sceneloom.editing.undistortion import undistort_scene
 from sceneloom.formats.kitti.scenes.sensors import LIDAR_ID, camera_id
+from sceneloom.formats.kitti.written.target import kept_of
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.written_mounts import mounting
 from sceneloom.geometry.rigid import RigidTransform
@@ -58,7 +59,7 @@ def choose(
 
     Args:
         scene: to be written.
-        slots: the numbers of cameras, the preferred one first; an id that says a number gets it.
+        slots: the numbers of cameras, the preferred one first.
         rectified: whether all cameras must look the same way.
         rigid: whether one mounting of each sensor holds for all frames; what it does not say is then a loss.
         models: lenses that the target holds; pictures of others are resampled to a pinhole's.
@@ -69,7 +70,7 @@ def choose(
     losses: list[Loss] = []
     path = ego_way(scene)
     lidar, ego_from_lidar = _lidar(scene, path, losses)
-    named = _numbered(scene.cameras, slots, losses)
+    named = _numbered(scene, slots, losses)
     mounts: dict[int, RigidTransform] = {}
     for number, camera in list(named.items()):
         mount, lost = mounting(camera, path)
@@ -116,13 +117,16 @@ def _lidar(
     return first, RigidTransform.identity() if mount is None else mount
 
 
-def _numbered(
-    cameras: Sequence[CameraSensor], slots: Sequence[int], losses: list[Loss]
-) -> dict[int, CameraSensor]:
-    """Give cameras their numbers: those that their ids say, then the free ones, in order."""
-    named = {number: camera for camera in cameras for number in slots if camera.id == camera_id(number)}
+def _numbered(scene: Scene, slots: Sequence[int], losses: list[Loss]) -> dict[int, CameraSensor]:
+    """Give cameras their numbers: of a scene that was read from KITTI's those of their ids, then the free ones."""
+    named = {
+        number: camera
+        for camera in scene.cameras
+        for number in slots
+        if camera.id == camera_id(number) and kept_of(scene)
+    }
     free = [number for number in slots if number not in named]
-    for camera in cameras:
+    for camera in scene.cameras:
         if camera in named.values():
             continue
         if not free:
@@ -130,7 +134,8 @@ def _numbered(
             continue
         number = free.pop(0)
         named[number] = camera
-        losses.append(_renamed("sensors.camera.id", camera.id, camera_id(number)))
+        if camera.id != camera_id(number):
+            losses.append(_renamed("sensors.camera.id", camera.id, camera_id(number)))
     return named
 
 

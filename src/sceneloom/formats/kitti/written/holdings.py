@@ -10,6 +10,9 @@ _NUMBERED = converted("cameras are numbered 0 to 3, the lidar is `velodyne`")
 _BY_NAME = dropped("it is given anew from where files are")
 _TEXT = converted("decimals of text, all digits")
 _LABEL = converted("six decimals of text")
+_FRAMES = approximated("numbers of frames, whose times count")
+_ALONG = approximated("along the ego's way with the mounting, at the frames' times")
+_FROM_LIDAR = approximated("as seen from the lidar: no file says where the ego is")
 
 _SENSORS: Mapping[str, Holding] = MappingProxyType(
     {
@@ -62,17 +65,17 @@ _BOXES: Mapping[str, Holding] = MappingProxyType(
     {
         "annotations.order": converted("by frame, then as they were"),
         "annotations.cuboid.label": converted("a word without blanks"),
-        "annotations.cuboid.path.timestamps_ns": converted("numbers of frames"),
+        "annotations.cuboid.path.timestamps_ns": _FRAMES,
         "annotations.cuboid.path.values": approximated("upright boxes in frames whose pictures show them"),
         "annotations.cuboid.attributes": approximated(
             "truncated, occluded, alpha and score; others are dropped"
         ),
         "annotations.cuboid.projections.sensor_id": converted("the reference camera"),
-        "annotations.cuboid.projections.timestamps_ns": converted("numbers of frames"),
+        "annotations.cuboid.projections.timestamps_ns": _FRAMES,
         "annotations.cuboid.projections.boxes": _LABEL,
         "annotations.box_2d.label": converted("a word without blanks"),
         "annotations.box_2d.sensor_id": converted("the reference camera"),
-        "annotations.box_2d.path.timestamps_ns": converted("numbers of frames"),
+        "annotations.box_2d.path.timestamps_ns": _FRAMES,
         "annotations.box_2d.path.values": _LABEL,
         "annotations.box_2d.attributes": approximated("truncated, occluded and alpha; others are dropped"),
     }
@@ -90,7 +93,7 @@ RAW: Mapping[str, Holding] = MappingProxyType(
         "annotations.order": KEPT,
         "annotations.cuboid.id": dropped("tracklets have none"),
         "annotations.cuboid.label": KEPT,
-        "annotations.cuboid.path.timestamps_ns": converted("numbers of frames"),
+        "annotations.cuboid.path.timestamps_ns": _FRAMES,
         "annotations.cuboid.path.values": approximated(
             "one size, in the lidar's frame, in all frames of a run"
         ),
@@ -104,6 +107,8 @@ TRACKING: Mapping[str, Holding] = MappingProxyType(
         **_SENSORS,
         **_MOTION,
         **_BOXES,
+        "sensors.lidar.poses": _ALONG,
+        "sensors.camera.poses": _ALONG,
         "sensors.lidar.frames.timestamp_ns": _ONE_TIME,
         "sensors.camera.pictures.timestamp_ns": _ONE_TIME,
         "annotations.cuboid.id": converted("numbers of tracks"),
@@ -116,6 +121,8 @@ OBJECT: Mapping[str, Holding] = MappingProxyType(
     {
         **_SENSORS,
         **_BOXES,
+        "sensors.lidar.mount": _FROM_LIDAR,
+        "sensors.camera.mount": _FROM_LIDAR,
         "sensors.lidar.poses": dropped("every frame's world is its own lidar's frame"),
         "sensors.camera.poses": dropped("every frame's world is its own lidar's frame"),
         "sensors.lidar.frames.timestamp_ns": _NO_TIME,
@@ -131,8 +138,12 @@ OBJECT: Mapping[str, Holding] = MappingProxyType(
 ODOMETRY: Mapping[str, Holding] = MappingProxyType(
     {
         **_SENSORS,
+        "sensors.lidar.poses": _ALONG,
+        "sensors.camera.poses": _ALONG,
         "sensors.lidar.frames.timestamp_ns": _ONE_TIME,
         "sensors.camera.pictures.timestamp_ns": _ONE_TIME,
+        "sensors.lidar.mount": _FROM_LIDAR,
+        "sensors.camera.mount": _FROM_LIDAR,
         "sensors.odometry.poses": approximated("a pose for each frame, where no trajectory is told"),
         "trajectories.name": converted("it is `groundTruth`"),
         "trajectories.timestamps_ns": approximated("a pose for each frame"),

@@ -1,0 +1,104 @@
+"""Folders that we write, read by pykitti: the same points, pictures, times, places and calibrations."""
+
+import json
+import subprocess
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_street
+
+RAW = """
+import json, sys, types
+for name in ("cv2", "pandas"):  # its reader of tracking wants them, which is not asked here
+    sys.modules[name] = types.ModuleType(name)
+import pykitti
+drive = pykitti.raw(sys.argv[1], sys.argv[2], sys.argv[3])
+print(json.dumps({
+    "times": [t.strftime("%Y-%m-%d %H:%M:%S.%f") for t in drive.timestamps],
+    "points": [drive.get_velo(k).tolist() for k in range(len(drive.velo_files))],
+    "picture": __import__("numpy").asarray(drive.get_cam2(1)).tolist(),
+    "way": [o.T_w_imu.tolist() for o in drive.oxts],
+    "K": drive.calib.K_cam2.tolist(), "cam2_velo": drive.calib.T_cam2_velo.tolist(),
+    "velo_imu": drive.calib.T_velo_imu.tolist(), "accelerations": [o.packet.az for o in drive.oxts],
+}))
+"""
+ODOMETRY = """
+import json, sys, types
+for name in ("cv2", "pandas"):
+    sys.modules[name] = types.ModuleType(name)
+import pykitti
+drive = pykitti.odometry(sys.argv[1], sys.argv[2])
+print(json.dumps({
+    "times": [t.total_seconds() for t in drive.timestamps],
+    "points": [drive.get_velo(k).tolist() for k in range(len(drive.velo_files))],
+    "picture": __import__("numpy").asarray(drive.get_cam2(1)).tolist(),
+    "poses": [p.tolist() for p in drive.poses],
+    "K": drive.calib.K_cam2.tolist(), "cam2_velo": drive.calib.T_cam2_velo.tolist(),
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def drive():
+    camera = CameraSpec(Camera("pinhole", 160, 48, 90.0, 90.0, 79.5, 23.5), camera_mount())
+    return simulate_street(5, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,)).scene
+
+
+def run(python, program, *arguments):
+    done = subprocess.run(
+        [python, "-c", program, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def check_common(found, back):
+    lidar, camera = back.lidars[0], back.cameras[0]
+    for told, frame in zip(found["points"], lidar.frames, strict=True):
+        np.testing.assert_array_equal(np.array(told, np.float32)[:, :3], frame.points.positions)
+        np.testing.assert_allclose(np.array(told)[:, 3] * 255, frame.points.intensities, atol=1e-4)
+    np.testing.assert_array_equal(found["picture"], camera.pictures[1].rgb)
+    np.testing.assert_allclose(found["K"], camera.camera.matrix, atol=1e-12)
+    camera_from_lidar = camera.mount.inverse() @ lidar.mount
+    np.testing.assert_allclose(found["cam2_velo"], camera_from_lidar.matrix, atol=1e-12)
+
+
+def test_raw_drives_are_read_there(pykitti_python, drive, tmp_path):
+    write_scene(drive, tmp_path / "out", format="kitti-raw", kind="sync")
+    back = open_scene(tmp_path / "out")
+    found = run(pykitti_python, RAW, tmp_path / "out", "1970_01_01", "0001")
+    check_common(found, back)
+    way = back.trajectories["oxts"]
+    times = np.array(found["times"], "datetime64[us]").astype(np.int64)
+    np.testing.assert_array_equal(times, way.timestamps_ns // 1000)
+    np.testing.assert_allclose(found["velo_imu"], back.lidars[0].mount.inverse().matrix, atol=1e-12)
+    np.testing.assert_array_equal(
+        found["accelerations"], back.sensor("imu").streams["accelerometer"].values[:, 2]
+    )
+    poses = way.poses.interpolate(way.timestamps_ns)
+    for told, position in zip(found["way"], poses.positions, strict=True):
+        # theirs is a Mercator projection on a sphere: 0.7 % off the ellipsoid's metres at the equator
+        np.testing.assert_allclose(
+            np.array(told)[:3, 3], position, atol=0.01 * (1 + np.linalg.norm(position))
+        )
+
+
+def test_odometry_sequences_are_read_there(pykitti_python, drive, tmp_path):
+    write_scene(drive, tmp_path / "out", format="kitti-odometry")
+    back = open_scene(tmp_path / "out")
+    found = run(pykitti_python, ODOMETRY, tmp_path / "out", "00")
+    # of cameras 1 to 3 they take the horizontal shift only; of a single camera there is none
+    check_common(found, back)
+    np.testing.assert_allclose(found["times"], back.lidars[0].frames.timestamps_ns / 1e9, atol=1e-6)
+    camera_from_lidar = (back.cameras[0].mount.inverse() @ back.lidars[0].mount).matrix
+    way = back.trajectories["groundTruth"].poses.interpolate(back.lidars[0].frames.timestamps_ns)
+    for told, position in zip(found["poses"], way.positions, strict=True):
+        lidar_pose = np.linalg.inv(camera_from_lidar) @ np.array(told) @ camera_from_lidar
+        np.testing.assert_allclose(lidar_pose[:3, 3], position, atol=1e-9)

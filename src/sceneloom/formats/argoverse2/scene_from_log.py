@@ -12,6 +12,7 @@ from sceneloom.formats.argoverse2.feather import POSE_COLUMNS, poses_of, read_co
 from sceneloom.formats.argoverse2.place import POSES, find_log
 from sceneloom.formats.argoverse2.sensors import build_cameras, build_lidars, read_mounts
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.option_values import as_flag
 from sceneloom.scene import NoticeKind, Scene, Trajectory
 
 TRAJECTORY = "pose"
@@ -24,8 +25,8 @@ def open_argoverse2(
     path: Path,
     *,
     sequence: str | None = None,
-    one_lidar: bool = False,
-    distorted: bool = False,
+    one_lidar: bool | str = False,
+    distorted: bool | str = False,
     lenient: bool = False,
 ) -> Scene:
     """Open a log; pictures and points are read when asked for, boxes and poses at once.
@@ -39,9 +40,10 @@ def open_argoverse2(
 
     Raises:
         DataError: a file is missing or wrong.
-        OptionError: there is no such log, or none was chosen of several.
+        OptionError: there is no such log, none was chosen of several, or an option is neither true nor false.
         MissingExtraError: pyarrow is not installed.
     """
+    joined, bent = as_flag("one_lidar", one_lidar), as_flag("distorted", distorted)
     log = find_log(path, sequence)
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
@@ -49,8 +51,8 @@ def open_argoverse2(
         poses = None if trajectory is None else trajectory.poses
         mounts = read_mounts(log)
         sensors = (
-            *build_lidars(log, mounts, poses, one_lidar=one_lidar, ledger=ledger),
-            *build_cameras(log, mounts, poses, distorted=distorted, ledger=ledger),
+            *build_lidars(log, mounts, poses, one_lidar=joined, ledger=ledger),
+            *build_cameras(log, mounts, poses, distorted=bent, ledger=ledger),
         )
         annotations = build_cuboids(log, poses, ledger)
         if (log / "map").is_dir():

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError
 from sceneloom.formats.nuscenes.written_tables import token_of
 from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Scene
 
@@ -83,10 +83,7 @@ def choose_samples(scene: Scene, sensors: list[Written], *, rate_hz: float | Non
 
     Raises:
         DataError: no sensor has a frame.
-        OptionError: the rate is no number above 0.
     """
-    if rate_hz is not None and not 0 < rate_hz < float("inf"):
-        raise OptionError(f"keyframe_rate_hz {rate_hz}; expected samples a second, above 0")
     framed = [sensor for sensor in sensors if len(stamps_of(sensor))]
     if not framed:
         raise DataError(scene.source, "", "holds no sweep, radar cycle or picture that nuScenes could hold")

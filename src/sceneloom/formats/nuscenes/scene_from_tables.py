@@ -12,6 +12,7 @@ from sceneloom.formats.nuscenes.lidarseg import build_labelled_points
 from sceneloom.formats.nuscenes.place import find_place
 from sceneloom.formats.nuscenes.selection import SceneTables, select
 from sceneloom.formats.nuscenes.sensors import build_sensors, trajectory_of
+from sceneloom.formats.option_values import as_flag
 from sceneloom.geometry.euler import AngleUnit
 from sceneloom.scene import Annotation, NoticeKind, Scene
 
@@ -25,7 +26,7 @@ _EMPTY_TABLE = 4
 
 
 def open_nuscenes(
-    path: Path, *, sequence: str | None = None, keyframes: bool = False, lenient: bool = False
+    path: Path, *, sequence: str | None = None, keyframes: bool | str = False, lenient: bool = False
 ) -> Scene:
     """Open one scene; pictures and points are read when asked for, boxes and classes of points at once.
 
@@ -42,7 +43,7 @@ def open_nuscenes(
     place = find_place(path)
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        tables = select(place, sequence, ledger, keyframes=keyframes)
+        tables = select(place, sequence, ledger, keyframes=as_flag("keyframes", keyframes))
         trajectory = trajectory_of(tables, ledger)
         sensors = build_sensors(tables, ledger)
         annotations: tuple[Annotation, ...] = (

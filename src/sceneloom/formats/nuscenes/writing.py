@@ -33,6 +33,7 @@ from sceneloom.formats.nuscenes.written_frames import (
 )
 from sceneloom.formats.nuscenes.written_labels import PointClasses, category_rows
 from sceneloom.formats.nuscenes.written_tables import TableWriter, placed, token_of, write_table
+from sceneloom.formats.option_values import as_positive
 from sceneloom.formats.output import replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, LidarSensor, Picture, PointsFrame, RadarFrame, Scene
@@ -50,7 +51,7 @@ def write_nuscenes(
     *,
     overwrite: bool = False,
     version: str | None = None,
-    keyframe_rate_hz: float | None = None,
+    keyframe_rate_hz: float | str | None = None,
     pictures: str = "copy",
 ) -> LossReport:
     """Write a scene as a data set; frames are read, written and let go one by one.
@@ -76,8 +77,9 @@ def write_nuscenes(
         raise OptionError(f"pictures {pictures!r}; nuScenes takes {', '.join(PICTURES)}")
     if version is not None and not is_version(version):
         raise OptionError(f"version {version!r}; expected a name such as v1.0-mini")
+    rate_hz = None if keyframe_rate_hz is None else as_positive("keyframe_rate_hz", keyframe_rate_hz)
     check_replaceable(path, lambda folder: bool(table_folders(folder)), "data set of nuScenes")
-    plan = WritingPlan.of(scene, path, version, keyframe_rate_hz)
+    plan = WritingPlan.of(scene, path, version, rate_hz)
     with replacing(path, overwrite=overwrite, folder=True) as draft:
         losses = _Writer(plan, draft, pictures).write()
     return LossReport.of([*plan.losses, *losses])

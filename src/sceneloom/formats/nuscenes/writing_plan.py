@@ -86,7 +86,6 @@ class WritingPlan:
         Raises:
             CalibrationError: a lens cannot be computed with.
             DataError: no sensor has a frame.
-            OptionError: the rate is no number above 0.
         """
         losses = [loss for loss in field_losses(scene, HOLDS) if loss.fate is Fate.DROPPED]
         losses += further_fields(scene)

@@ -6,8 +6,9 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.option_values import as_positive
 from sceneloom.formats.scale_toolkit.frame_names import frame_names, times_of
 from sceneloom.formats.scale_toolkit.sensors import CLOUDS, build_camera, build_lidar, build_radar, read_pose
 from sceneloom.scene import Scene, Trajectory
@@ -15,7 +16,7 @@ from sceneloom.scene import Scene, Trajectory
 TRAJECTORY = "pose"
 
 
-def open_scale_toolkit(path: Path, *, rate_hz: float | None = None, lenient: bool = False) -> Scene:
+def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenient: bool = False) -> Scene:
     """Open a folder; pictures and points are read when asked for.
 
     Args:
@@ -27,8 +28,7 @@ def open_scale_toolkit(path: Path, *, rate_hz: float | None = None, lenient: boo
         DataError: a file is missing or wrong.
         OptionError: the rate is no number above 0.
     """
-    if rate_hz is not None and not 0 < rate_hz < float("inf"):
-        raise OptionError(f"rate_hz {rate_hz}; expected frames a second, above 0")
+    rate = None if rate_hz is None else as_positive("rate_hz", rate_hz)
     if not path.is_dir():
         raise DataError(path, "", "no such folder; expected one with pointcloud/, poses/ and cameras/")
     ledger = Ledger(lenient=lenient)
@@ -36,7 +36,7 @@ def open_scale_toolkit(path: Path, *, rate_hz: float | None = None, lenient: boo
         clouds = frame_names(path / "pointcloud", CLOUDS)
         if not clouds:
             raise DataError(path / "pointcloud", "", "no cloud; expected files such as 1.ply or 1.pcd")
-        stamps_ns = times_of(list(clouds), rate_hz, path / "pointcloud", ledger)
+        stamps_ns = times_of(list(clouds), rate, path / "pointcloud", ledger)
         way = _way(path, clouds, stamps_ns, ledger)
         poses = None if way is None else way.poses
         times = dict(zip(clouds, stamps_ns.tolist(), strict=True))

@@ -1,6 +1,7 @@
 """Logs of Argoverse 2: what their tables say is in the scene, number for number."""
 
 import pickle
+import sys
 from io import BytesIO
 
 import numpy as np
@@ -9,7 +10,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import sceneloom
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError, MissingExtraError, OptionError
 from sceneloom.scene.angles import CuboidAngles
 
 pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
@@ -128,8 +129,9 @@ def test_points_of_both_lidars_are_told_apart_by_their_lasers(log):
         assert set(points.timestamps_ns.tolist()) == {FIRST_NS + 100_000_000}
 
 
-def test_both_lidars_can_be_given_as_one(log):
-    scene = sceneloom.open(log, one_lidar=True)
+@pytest.mark.parametrize("told", [True, "true", "yes"])
+def test_both_lidars_can_be_given_as_one(log, told):
+    scene = sceneloom.open(log, one_lidar=told)
     assert [lidar.id for lidar in scene.lidars] == ["lidar"]
     assert len(scene.lidars[0].frames[1].points) == 31
     assert "lidars-joined" in {notice.code for notice in scene.notices}
@@ -296,3 +298,14 @@ def test_a_picture_of_another_size_is_told(log):
     (log / "sensors/cameras/ring_front_center" / f"{FIRST_NS}.jpg").write_bytes(content.getvalue())
     with pytest.raises(DataError, match="is 32x48; expected 64x48"):
         _ = sceneloom.open(log).cameras[0].pictures[0].rgb
+
+
+def test_an_option_that_is_neither_true_nor_false_is_refused(log):
+    with pytest.raises(OptionError, match="one_lidar 'both'; expected true or false"):
+        sceneloom.open(log, one_lidar="both")
+
+
+def test_without_pyarrow_the_extra_is_named(log, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingExtraError, match=r"sceneloom\[argoverse\]"):
+        sceneloom.open(log)

@@ -166,7 +166,7 @@ def test_samples_are_two_a_second_unless_somebody_says_otherwise(tmp_path):
     # what lies between samples belongs to the one that follows
     sweep = next(row for row in tables["sample_data"] if row["timestamp"] == 5_100_000)
     assert sweep["sample_token"] == tables["sample"][1]["token"]
-    sceneloom.write(scene, tmp_path / "b", format="nuscenes", keyframe_rate_hz=10)
+    sceneloom.write(scene, tmp_path / "b", format="nuscenes", keyframe_rate_hz="10")
     assert len(tables_of(tmp_path / "b")["sample"]) == 11
     assert not (tmp_path / "b" / "sweeps").exists()
 

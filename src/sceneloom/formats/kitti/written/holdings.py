@@ -9,7 +9,7 @@ _NO_PLACE = dropped("the folder has no place for it")
 _NUMBERED = converted("cameras are numbered 0 to 3, the lidar is `velodyne`")
 _BY_NAME = dropped("it is given anew from where files are")
 _TEXT = converted("decimals of text, all digits")
-_LABEL = converted("six decimals of text")
+_LABEL = approximated("six decimals of text; boxes go with pictures that are resampled")
 _FRAMES = approximated("numbers of frames, whose times count")
 _ALONG = approximated("along the ego's way with the mounting, at the frames' times")
 _FROM_LIDAR = approximated("as seen from the lidar: no file says where the ego is")
@@ -128,7 +128,7 @@ OBJECT: Mapping[str, Holding] = MappingProxyType(
         "sensors.lidar.frames.timestamp_ns": _NO_TIME,
         "sensors.camera.pictures.timestamp_ns": _NO_TIME,
         "sensors.camera.pictures.camera": converted("a calibration for each frame"),
-        "sensors.camera.pictures.mount": converted("a calibration for each frame"),
+        "sensors.camera.pictures.mount": _FROM_LIDAR,
         "annotations.cuboid.id": dropped("frames know nothing of each other"),
         "annotations.box_2d.id": dropped("frames know nothing of each other"),
     }

@@ -181,7 +181,7 @@ def test_labelled_points_get_semantic_kittis_numbers(drive, tmp_path):
     found = np.fromfile(tmp_path / "out/sequences/00/labels/000001.label", "<u4")
     assert found[:6].tolist() == [40, 40, 40, 10 | 1 << 16, 10 | 1 << 16, 0]
     told = {loss.field: loss for loss in losses}
-    assert told["annotations.labeled_points.label"].count == 2
+    assert told["annotations.labeled_points"].count == 2
     assert told["annotations.labeled_points.labeled_points.point_ids"].count == 2
     assert {a.id for a in open_scene(tmp_path / "out").annotations} == {"road", "car 1"}
 

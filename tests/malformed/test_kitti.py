@@ -1,0 +1,88 @@
+"""KITTI's folders with files cut off, emptied, gone or full of something else: a fault with its file, nothing else."""
+
+import random
+import shutil
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import SceneloomError
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.scene import LabeledPoints, LabeledPointsAnnotation, Scene
+from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, camera_mount, simulate_street
+
+FORMATS = ("kitti-raw", "kitti-object", "kitti-tracking", "kitti-odometry")
+DAMAGES = {
+    "cut": lambda content, chance: content[: chance.randrange(len(content) + 1)],
+    "empty": lambda content, chance: b"",
+    "noise": lambda content, chance: bytes(chance.randrange(256) for _ in range(64)),
+    "flipped": lambda content, chance: bytes(
+        byte ^ (1 << chance.randrange(8)) if chance.random() < 0.02 else byte for byte in content
+    ),
+    "wordy": lambda content, chance: content.replace(b"0", b"zero ", 3),
+    "longer": lambda content, chance: content + content[:37],
+}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    camera = CameraSpec(Camera("pinhole", 48, 16, 30.0, 30.0, 23.5, 7.5), camera_mount())
+    drive = simulate_street(
+        5, frames=2, lidar=LidarSpec(beams=4, steps=60), cameras=(camera,), imu=ImuSpec(rate_hz=20.0)
+    ).scene
+    ids = LabeledPoints("lidar", np.arange(4, dtype=np.uint32), 0)
+    road = LabeledPointsAnnotation("road", (ids,), label="road")
+    scene = Scene(drive.sensors, annotations=(*drive.annotations, road), trajectories=drive.trajectories)
+    root = tmp_path_factory.mktemp("kitti")
+    for name in FORMATS:
+        write_scene(scene, root / name, format=name)
+    return root
+
+
+def read_all(path, lenient):
+    with open_scene(path, lenient=lenient) as scene:
+        for lidar in scene.lidars:
+            list(lidar.frames)
+        for camera in scene.cameras:
+            for picture in camera.pictures:
+                picture.decode()
+
+
+def one_of_each_kind(files):
+    """The first file of each folder and ending."""
+    kinds = {}
+    for file in files:
+        kinds.setdefault((file.parent, file.suffix if file.parent.name == "data" else file.name), file)
+    return list(kinds.values())
+
+
+def harm(folder, name, damages, place):
+    """Damage one file after the other; whatever is no fault told as such is raised."""
+    shutil.copytree(folder, place)
+    files = sorted(path.relative_to(place) for path in place.rglob("*") if path.is_file())
+    chance = random.Random(name)
+    for file in one_of_each_kind(files):
+        content = (place / file).read_bytes()
+        for damage in damages:
+            (place / file).write_bytes(DAMAGES[damage](content, chance))
+            for lenient in (False, True):
+                with suppress(SceneloomError):
+                    read_all(place, lenient)
+        (place / file).unlink()
+        with suppress(SceneloomError):
+            read_all(place, lenient=False)
+        (place / file).write_bytes(content)
+    read_all(place, lenient=False)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_file_that_is_cut_off_or_gone_is_a_fault_or_does_no_harm(folders, name, tmp_path):
+    harm(folders / name, name, ("cut",), tmp_path / "drive")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_damaged_file_is_a_fault_or_does_no_harm(folders, name, tmp_path):
+    harm(folders / name, name, tuple(DAMAGES), tmp_path / "drive")

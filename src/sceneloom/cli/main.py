@@ -28,6 +28,7 @@ VERBS = MappingProxyType(
         "validate": "Check a drive or a scene by rules, and mend what can be mended safely.",
         "salvage": "Take out of a damaged scene file what is whole.",
         "report": "Make a page about a drive that can be sent.",
+        "batch": "Do one verb for many drives: in parallel, with a record, resumable.",
         "diff": "Tell what differs between two drives.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "eval": "Say how good an estimate is: a trajectory against a reference.",

@@ -20,6 +20,7 @@ NEEDED = {
     "salvage": ("DRIVE", "-o", "OUT.sfs"),
     "report": ("DRIVE", "-o", "OUT.html"),
     "diff": ("DRIVE", "DRIVE"),
+    "batch": ("DRIVE", "-o", "OUT"),
     "sync": ("DRIVE",),
     "calibrate": ("DRIVE",),
     "serve": (),

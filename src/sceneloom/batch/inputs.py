@@ -1,0 +1,80 @@
+"""The drives of a run: paths, patterns, URLs, and lists of them in a file."""
+
+import glob
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from sceneloom.batch.jobs import Input
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.urls import is_url
+
+PART = ("start", "stop")
+"""What a line of a list may say of its drive beside the path: the seconds between which it counts."""
+
+_WILD = frozenset("*?[")
+
+
+def find_inputs(places: Iterable[str], lists: Iterable[Path] = ()) -> tuple[Input, ...]:
+    """Find drives.
+
+    Args:
+        places: paths, patterns such as `drives/**/*.sfs`, or URLs.
+        lists: files with a path, or an object {"path": …, "start": …, "stop": …}, in each line.
+
+    Returns:
+        each once, in the order in which they were named; those of one pattern by their names.
+
+    Raises:
+        OptionError: there is none at all, or none that fits a pattern.
+        DataError: a list is faulty.
+    """
+    found = [Input(place=place) for text in places for place in _places(text)]
+    found += [drive for file in lists for drive in _listed(file)]
+    if not found:
+        raise OptionError("no drives; name some, a pattern in quotes, or a list of them")
+    once = {(drive.place, *sorted(drive.options.items())): drive for drive in found}
+    return tuple(once.values())
+
+
+def _places(text: str) -> list[str]:
+    if is_url(text) or not _WILD.intersection(text) or Path(text).exists():
+        return [text]
+    found = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - patterns from the root, too
+    if not found:
+        raise OptionError(f"{text}: no file or folder fits this pattern")
+    return found
+
+
+def _listed(file: Path) -> Iterator[Input]:
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise DataError(file, "", "is no text in UTF-8; expected a path or an object in each line") from error
+    for number, line in enumerate(map(str.strip, lines), start=1):
+        if line and not line.startswith("#"):
+            yield _line(line, file, number)
+
+
+def _line(line: str, file: Path, number: int) -> Input:
+    if not line.startswith("{"):
+        return Input(place=_beside(file, line))
+    place = f"line {number}"
+    try:
+        told: dict[str, Any] = json.loads(line)
+    except ValueError as error:
+        raise DataError(file, place, f"{line!r}: {error}; expected a path or an object of JSON") from error
+    path = told.pop("path", None)
+    if not isinstance(path, str) or not path:
+        raise DataError(file, place, f"path {path!r}; expected the path of a drive")
+    part = {name: told[name] for name in PART if told.get(name) is not None}
+    for name, value in part.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise DataError(file, place, f"{name} {value!r}; expected seconds")
+    return Input(place=_beside(file, path), options=part)
+
+
+def _beside(file: Path, text: str) -> str:
+    """Paths in a list are those of its own folder."""
+    return text if is_url(text) else str(file.parent / text)

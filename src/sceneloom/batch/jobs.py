@@ -1,0 +1,101 @@
+"""What is to be done with many drives, and what came of each."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+class State(StrEnum):
+    """Where a drive is in a run."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Input:
+    """One drive of a run.
+
+    Attributes:
+        place: its path, or its URL.
+        options: what counts for it alone, as the seconds at which a part of it starts and stops.
+    """
+
+    place: str
+    options: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """One verb over many drives.
+
+    Attributes:
+        verb: its name, for people and for the record.
+        call: `module:function` that does one drive: `function(place, output, options)` writes `output` and gives what
+            the record keeps, or raises.
+        inputs: the drives.
+        options: of the verb, alike for all; they pickle.
+        suffix: what names of outputs end in; "" for folders.
+        retries: how often a drive is tried again where the cause can pass.
+    """
+
+    verb: str
+    call: str
+    inputs: tuple[Input, ...]
+    options: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+    suffix: str = ""
+    retries: int = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """One try at one drive; it pickles, and any worker can take it.
+
+    Attributes:
+        number: of the drive in the run.
+        attempt: 1 for the first try.
+        call, place, options: as of `Job` and `Input`.
+        draft: where the output is written; from there it is moved to its place once it is whole.
+    """
+
+    number: int
+    attempt: int
+    call: str
+    place: str
+    draft: Path
+    options: Mapping[str, Any]
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of one try.
+
+    Attributes:
+        number: of the drive in the run.
+        error: what went wrong, for a person; "" if nothing did.
+        kind: name of the error's class, "Lost" for a worker that is gone.
+        passing: whether the same may work another time.
+        report: what the verb told, as JSON values.
+        seconds: by the clock [s].
+        processor_seconds: of the worker's processor [s].
+        peak_bytes: the most memory that the worker ever had up to then.
+        worker: who did it.
+    """
+
+    number: int
+    error: str = ""
+    kind: str = ""
+    passing: bool = False
+    report: Any = None
+    seconds: float = 0.0
+    processor_seconds: float = 0.0
+    peak_bytes: int = 0
+    worker: str = ""

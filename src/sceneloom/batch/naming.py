@@ -1,0 +1,42 @@
+"""What the outputs of a run are called: by their drives, each differently."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import PurePosixPath
+from urllib.parse import unquote, urlsplit
+
+from sceneloom.batch.jobs import Input
+from sceneloom.formats.file_names import file_stems
+from sceneloom.formats.urls import is_url
+
+
+def output_names(inputs: Sequence[Input], suffix: str) -> tuple[str, ...]:
+    """Name outputs by their drives; where these share a name, by the folders above, too.
+
+    Args:
+        inputs: the drives.
+        suffix: what all names end in.
+    """
+    parts = [_parts(drive) for drive in inputs]
+    depths = [1] * len(parts)
+    while True:
+        names = ["_".join(own[-depth:]) for own, depth in zip(parts, depths, strict=True)]
+        counts = Counter(names)
+        deeper = [
+            min(depth + 1, len(own)) if counts[name] > 1 else depth
+            for own, depth, name in zip(parts, depths, names, strict=True)
+        ]
+        if deeper == depths:
+            # what is left alike is numbered, and made fit for file systems
+            return tuple(stem + suffix for stem in file_stems(names))
+        depths = deeper
+
+
+def _parts(drive: Input) -> tuple[str, ...]:
+    text = unquote(urlsplit(drive.place).path) if is_url(drive.place) else drive.place.replace("\\", "/")
+    path = PurePosixPath(text.rstrip("/"))
+    parts = [part for part in path.parts if part not in {"/", ".", ".."}] or ["drive"]
+    parts[-1] = path.stem or parts[-1]
+    span = "_".join(f"{name}{value:g}" for name, value in sorted(drive.options.items()))
+    parts[-1] += f"_{span}" if span else ""
+    return tuple(parts)

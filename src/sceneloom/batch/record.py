@@ -1,0 +1,249 @@
+"""The record of a run: a small database beside its outputs, a row for each drive.
+
+Only one run at a time has an output folder: a second database is held locked for as long as it goes on, which ends with
+the process however that ends.
+"""
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from sceneloom.batch.jobs import Outcome, State
+from sceneloom.errors import DataError, OutputError
+
+FOLDER = ".sceneloom-run"
+_RECORD, _LOCK, _DRAFTS = "record.sqlite", "lock.sqlite", "drafts"
+_VERSION = 1
+_TABLES = """
+CREATE TABLE IF NOT EXISTS run (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS drives (
+    number INTEGER PRIMARY KEY,
+    input TEXT NOT NULL,
+    part TEXT NOT NULL,
+    output TEXT NOT NULL UNIQUE,
+    state TEXT NOT NULL,
+    attempts INTEGER NOT NULL DEFAULT 0,
+    fingerprint TEXT NOT NULL DEFAULT '',
+    configuration TEXT NOT NULL DEFAULT '',
+    finished_ns INTEGER,
+    seconds REAL,
+    processor_seconds REAL,
+    peak_bytes INTEGER,
+    worker TEXT,
+    kind TEXT,
+    error TEXT,
+    report TEXT,
+    UNIQUE (input, part)
+);
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """What the record knows of a drive.
+
+    Attributes:
+        number: of the drive.
+        input: its path or URL.
+        part: what counts for it alone, by name.
+        output: name of the output in the folder of the run.
+        state: where it is.
+        attempts: how often it was tried.
+        fingerprint: of the drive when it was done.
+        configuration: of what was done.
+        seconds, processor_seconds, peak_bytes, worker, kind, error: as of the last `Outcome`.
+        finished_ns: when the last try ended [ns since 1970]; None before.
+    """
+
+    number: int
+    input: str
+    part: Mapping[str, Any]
+    output: str
+    state: State
+    attempts: int
+    fingerprint: str
+    configuration: str
+    finished_ns: int | None
+    seconds: float | None
+    processor_seconds: float | None
+    peak_bytes: int | None
+    worker: str | None
+    kind: str | None
+    error: str | None
+
+
+_COLUMNS = tuple(Row.__dataclass_fields__)
+
+
+class Record:
+    """The record of one run."""
+
+    def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
+        """Hold an open database; use `opened`, or `held` to write."""
+        self.folder, self._connection = folder, connection
+
+    @classmethod
+    @contextmanager
+    def opened(cls, folder: Path) -> Iterator[Self]:
+        """Read the record of a folder, while the run goes on, too.
+
+        Raises:
+            DataError: it has none, or it is no record of ours.
+        """
+        file = folder / FOLDER / _RECORD
+        if not file.is_file():
+            raise DataError(
+                folder, "", f"no record of a run; expected {FOLDER}/{_RECORD}, as `sceneloom batch` leaves"
+            )
+        connection = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)
+        try:
+            record = cls(folder, connection)
+            record._check(file)
+            yield record
+        finally:
+            connection.close()
+
+    @classmethod
+    @contextmanager
+    def held(cls, folder: Path) -> Iterator[Self]:
+        """Open or begin the record of a folder, which no other run has meanwhile.
+
+        Raises:
+            OutputError: another run has it.
+            DataError: what is there is no record of ours.
+        """
+        place = folder / FOLDER
+        place.mkdir(parents=True, exist_ok=True)
+        with _locked(place / _LOCK, folder):
+            connection = sqlite3.connect(place / _RECORD)
+            try:
+                connection.execute("PRAGMA journal_mode = WAL")
+                connection.execute("PRAGMA synchronous = NORMAL")
+                connection.executescript(_TABLES)
+                record = cls(folder, connection)
+                record.tell("version", _VERSION) if not record.told() else record._check(place / _RECORD)
+                yield record
+            except sqlite3.DatabaseError as error:
+                raise DataError(place / _RECORD, "", f"{error}; expected the record of a run") from error
+            finally:
+                connection.close()
+
+    @property
+    def drafts(self) -> Path:
+        """Where outputs are written before they are whole."""
+        return self.folder / FOLDER / _DRAFTS
+
+    def tell(self, name: str, value: Any) -> None:
+        """Keep something of the run as a whole."""
+        with self._connection:
+            self._connection.execute("INSERT OR REPLACE INTO run VALUES (?, ?)", (name, json.dumps(value)))
+
+    def told(self) -> dict[str, Any]:
+        """What is known of the run as a whole."""
+        return {name: json.loads(value) for name, value in self._connection.execute("SELECT * FROM run")}
+
+    def rows(self, *states: State) -> list[Row]:
+        """The drives, in the order of their numbers; of some states only, if these are named."""
+        marks = ", ".join("?" * len(states))
+        where = f"WHERE state IN ({marks}) " if states else ""
+        found = self._connection.execute(
+            f"SELECT {', '.join(_COLUMNS)} FROM drives {where}ORDER BY number",  # noqa: S608 - names of our own
+            [str(state) for state in states],
+        )
+        return [_row(values) for values in found]
+
+    def report(self, number: int) -> Any:
+        """What the verb told of a drive, as JSON values; None where it was not done."""
+        found = self._connection.execute("SELECT report FROM drives WHERE number = ?", (number,)).fetchone()
+        return None if found is None or found[0] is None else json.loads(found[0])
+
+    def add(self, drives: Sequence[tuple[str, Mapping[str, Any], str]]) -> None:
+        """Add drives that are not there yet: input, part, output."""
+        with self._connection:
+            self._connection.executemany(
+                "INSERT INTO drives (input, part, output, state) VALUES (?, ?, ?, ?)",
+                [
+                    (place, json.dumps(dict(part), sort_keys=True), name, State.WAITING)
+                    for place, part, name in drives
+                ],
+            )
+
+    def wait_again(self, numbers: Sequence[int]) -> None:
+        """Let drives be done anew."""
+        with self._connection:
+            self._connection.executemany(
+                "UPDATE drives SET state = ?, attempts = 0, error = NULL, kind = NULL, report = NULL WHERE number = ?",
+                [(State.WAITING, number) for number in numbers],
+            )
+
+    def begin(self, number: int, attempt: int) -> None:
+        """Say that a drive is being tried."""
+        with self._connection:
+            self._connection.execute(
+                "UPDATE drives SET state = ?, attempts = ? WHERE number = ?", (State.RUNNING, attempt, number)
+            )
+
+    def end(
+        self,
+        outcome: Outcome,
+        state: State,
+        *,
+        finished_ns: int,
+        fingerprint: str = "",
+        configuration: str = "",
+    ) -> None:
+        """Keep what came of a try."""
+        values = {
+            "state": state,
+            "fingerprint": fingerprint,
+            "configuration": configuration,
+            "finished_ns": finished_ns,
+            "seconds": outcome.seconds,
+            "processor_seconds": outcome.processor_seconds,
+            "peak_bytes": outcome.peak_bytes,
+            "worker": outcome.worker,
+            "kind": outcome.kind,
+            "error": outcome.error,
+            "report": None if outcome.report is None else json.dumps(outcome.report),
+        }
+        names = ", ".join(f"{name} = ?" for name in values)
+        with self._connection:
+            self._connection.execute(
+                f"UPDATE drives SET {names} WHERE number = ?",  # noqa: S608 - names of our own
+                (*values.values(), outcome.number),
+            )
+
+    def _check(self, file: Path) -> None:
+        try:
+            version = self.told().get("version")
+        except sqlite3.DatabaseError as error:
+            raise DataError(file, "", f"{error}; expected the record of a run") from error
+        if version != _VERSION:
+            raise DataError(file, "version", f"{version!r}; expected {_VERSION}")
+
+
+def _row(values: Sequence[Any]) -> Row:
+    found = dict(zip(_COLUMNS, values, strict=True))
+    return Row(**{**found, "part": json.loads(found["part"]), "state": State(found["state"])})
+
+
+@contextmanager
+def _locked(file: Path, folder: Path) -> Iterator[None]:
+    lock = sqlite3.connect(file, timeout=0.0, isolation_level=None)
+    try:
+        try:
+            lock.execute("BEGIN EXCLUSIVE")
+        except sqlite3.OperationalError as error:
+            raise OutputError(
+                f"{folder}: another run is writing into it; wait for it, or choose another folder"
+            ) from error
+        except sqlite3.DatabaseError as error:
+            raise DataError(file, "", f"{error}; expected the lock of a run") from error
+        yield
+    finally:
+        with suppress(sqlite3.Error):
+            lock.close()

@@ -1,0 +1,66 @@
+"""One try at one drive, in whatever process it happens."""
+
+import os
+import socket
+import sys
+import time
+import traceback
+from importlib import import_module
+from typing import Any
+
+from sceneloom.batch.jobs import Outcome, Task
+from sceneloom.errors import SceneloomError
+
+THREADS = (
+    *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"),
+    *("VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"),
+)
+"""What says to libraries how many threads they may start, before they are imported: as many processes as processors,
+each with one thread, is the fastest that many drives are done."""
+
+_PASSING = (ConnectionError, TimeoutError, InterruptedError, BlockingIOError)
+
+
+def run_task(task: Task) -> Outcome:
+    """Do one drive; whatever goes wrong with it is told, not raised."""
+    begun, busy = time.perf_counter(), time.process_time()
+    told: dict[str, Any] = {}
+    try:
+        task.draft.parent.mkdir(parents=True, exist_ok=True)
+        module, _, name = task.call.partition(":")
+        told["report"] = getattr(import_module(module), name)(task.place, task.draft, task.options)
+    except (SceneloomError, OSError, MemoryError) as error:
+        told |= {
+            "error": str(error) or type(error).__name__,
+            "kind": type(error).__name__,
+            "passing": may_pass(error),
+        }
+    except Exception as error:  # noqa: BLE001 - a fault in one drive must not end the others
+        told |= {"error": "".join(traceback.format_exception(error)), "kind": type(error).__name__}
+    return Outcome(
+        number=task.number,
+        seconds=time.perf_counter() - begun,
+        processor_seconds=time.process_time() - busy,
+        peak_bytes=peak_bytes(),
+        worker=f"{socket.gethostname()}:{os.getpid()}",
+        **told,
+    )
+
+
+def may_pass(error: BaseException | None) -> bool:
+    """Whether the cause of an error may be gone another time: of a network, not of data."""
+    while error is not None:
+        if isinstance(error, _PASSING) or getattr(error, "passing", False):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def peak_bytes() -> int:
+    """The most memory that this process ever had; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else most * 1024

@@ -1,0 +1,174 @@
+"""The verbs of `sceneloom batch`: those of the command line that take one drive, with the drives in its place."""
+
+import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.batch.one_drive import BATCHED, CALL, verb_named
+from sceneloom.cli.batch.status import print_summary, status
+from sceneloom.cli.printing import print_json
+
+if TYPE_CHECKING:
+    from sceneloom.batch import Outcome, RunSummary
+    from sceneloom.batch.running import Told
+
+_OWN = ("inputs", "lists", "output", "workers", "resume", "retries", "suffix", "as_json", "quiet", "verbose")
+_LEFT_OUT = ("as_json", "quiet", "verbose", "overwrite")
+"""Options of the verbs that the run decides."""
+
+FAILED_CODE = 1
+"""The exit code of a run in which drives failed."""
+
+
+class Verbs(click.Group):
+    """Makes a verb over many drives of one over a single drive when it is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the verbs, then what is about runs."""
+        return [*BATCHED, *super().list_commands(ctx)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Make a verb."""
+        return _over_many(cmd_name) if cmd_name in BATCHED else super().get_command(ctx, cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the verbs without importing them."""
+        rows = [(name, f"`sceneloom {name}` over many drives.") for name in BATCHED]
+        with formatter.section("Commands"):
+            formatter.write_dl([*rows, ("status", "Say how a run stands.")])
+
+
+@click.group(cls=Verbs)
+def batch() -> None:
+    """Do one verb for many drives: in parallel, with a record, so that it can be taken up again.
+
+    Drives are paths, patterns in quotes, URLs, or the lines of a list (`--list FILE`, as `sceneloom catalog query`
+    writes). A drive that fails does not stop the others.
+    """
+
+
+batch.add_command(status)
+
+
+def _over_many(name: str) -> click.Command:
+    batched, verb = BATCHED[name], verb_named(name)
+    theirs = [
+        parameter
+        for parameter in verb.params
+        if parameter.name not in {batched.drive, batched.output, *_LEFT_OUT}
+    ]
+
+    def callback(**values: Any) -> int:
+        own = {key: values.pop(key) for key in _OWN}
+        return _run(name, own, values)
+
+    for option in reversed(_OPTIONS):
+        callback = option(callback)
+    ours: list[click.Parameter] = list(reversed(callback.__click_params__))  # type: ignore[attr-defined]
+    told = f"{inspect.cleandoc(verb.help or '')}\n\nOver many drives: {_HELP}"
+    return click.Command(name, params=[*ours, *theirs], callback=callback, help=told)
+
+
+_HELP = (
+    "outputs are named by their drives and lie in the folder OUT, the record of the run in OUT/.sceneloom-run. Exit "
+    "code 1 if a drive failed."
+)
+_OPTIONS = (
+    click.argument("inputs", nargs=-1, metavar="DRIVES..."),
+    click.option(
+        "-o", "--output", type=options.target, required=True, metavar="OUT", help="Folder of all outputs."
+    ),
+    click.option(
+        "--list",
+        "lists",
+        type=click.Path(path_type=Path, exists=True, dir_okay=False),
+        multiple=True,
+        metavar="FILE",
+        help='Drives by lines: a path, or {"path": …, "start": …, "stop": …}; may be said again.',
+    ),
+    click.option(
+        "--workers",
+        type=click.IntRange(1, 1024),
+        metavar="N",
+        help="Processes on this machine, each with one thread. [default: one for each processor]",
+    ),
+    click.option(
+        "--resume", is_flag=True, help="Go on with an earlier run; what is done and unchanged is skipped."
+    ),
+    click.option(
+        "--retries",
+        type=click.IntRange(0, 100),
+        default=2,
+        show_default=True,
+        metavar="N",
+        help="So often is tried again what may work another time: a lost worker, a network.",
+    ),
+    click.option(
+        "--suffix", metavar="TEXT", help="What names of outputs end in. [default: that of the verb]"
+    ),
+    *(
+        click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
+        click.option("-q", "--quiet", is_flag=True, help="No progress, no notices."),
+        click.option("-v", "--verbose", is_flag=True, help="Every failure, not only the first ones."),
+    ),
+)
+
+
+def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
+    from sceneloom.batch import Job, run
+    from sceneloom.batch.inputs import find_inputs
+    from sceneloom.formats.processors import processors
+
+    job = Job(
+        verb=name,
+        call=CALL,
+        inputs=find_inputs(own["inputs"], own["lists"]),
+        options={"verb": name, **values},
+        suffix=BATCHED[name].suffix if own["suffix"] is None else own["suffix"],
+        retries=own["retries"],
+    )
+    with _progress(name, len(job.inputs), quiet=own["quiet"]) as told:
+        summary = run(
+            job, own["output"], workers=own["workers"] or processors(), resume=own["resume"], told=told
+        )
+    if own["as_json"]:
+        print_json(summary)
+    else:
+        print_summary(summary, own["output"], verbose=own["verbose"])
+    return FAILED_CODE if summary.failed else 0
+
+
+@contextmanager
+def _progress(name: str, total: int, *, quiet: bool) -> Iterator["Told | None"]:
+    """A bar with the rate and what is left, on a terminal; failures are told above it at once."""
+    import sys
+
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(), TextColumn("{task.fields[failed]}"),
+    )  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        row = bar.add_task(name, total=total, rate="", failed="")
+
+        def told(summary: "RunSummary", outcome: "Outcome") -> None:
+            ended = summary.done + summary.failed - summary.skipped
+            rate = f"{60.0 * ended / summary.seconds:.1f}/min" if summary.seconds else ""
+            failed = f"{summary.failed} failed" if summary.failed else ""
+            bar.update(
+                row, completed=summary.done + summary.failed, total=summary.total, rate=rate, failed=failed
+            )
+            if outcome.error:
+                bar.console.print(f"{outcome.error.strip().splitlines()[-1]}", markup=False, highlight=False)
+
+        yield told

@@ -1,0 +1,93 @@
+"""One drive of a run: the verb itself, called as the command line would, its result taken as JSON."""
+
+import io
+import json
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.errors import OptionError
+
+CALL = "sceneloom.cli.batch.one_drive:run_verb"
+"""How workers find the function below."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batched:
+    """A verb that can be done over many drives.
+
+    Attributes:
+        drive: name of its parameter that is the drive.
+        output: name of the one that is its output; "" if it only prints, which is then what is written.
+        suffix: what names of outputs end in, unless the user says otherwise.
+    """
+
+    drive: str
+    output: str
+    suffix: str
+
+
+BATCHED: Mapping[str, Batched] = MappingProxyType(
+    {
+        "fuse": Batched("path", "output", ".sfs"),
+        "convert": Batched("source", "target", ".sfs"),
+        "validate": Batched("path", "", ".json"),
+        "track": Batched("path", "output", ".sfs"),
+        "report": Batched("path", "output", ".html"),
+    }
+)
+
+
+def verb_named(name: str) -> click.Command:
+    """Import a verb of the command line."""
+    from sceneloom.cli.main import sceneloom
+
+    command = sceneloom.get_command(click.Context(sceneloom), name)
+    if command is None:
+        raise OptionError(f"no verb {name!r}")
+    return command
+
+
+def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
+    """Do a verb for one drive, quietly, and give what it prints as JSON.
+
+    Args:
+        place: path or URL of the drive.
+        output: the file or folder to write.
+        values: of the verb's other parameters, and its name as `verb`.
+
+    Raises:
+        SceneloomError: the verb refuses the drive.
+    """
+    given = dict(values)
+    name = given.pop("verb")
+    batched, command = BATCHED[name], verb_named(name)
+    fixed = {"as_json": True, "quiet": True, "verbose": True, "overwrite": False}
+    given |= {
+        parameter.name: fixed[parameter.name] for parameter in command.params if parameter.name in fixed
+    }
+    given[batched.drive] = options.place(place)
+    if batched.output:
+        given[batched.output] = output
+    printed = io.StringIO()
+    with click.Context(command, info_name=f"sceneloom {name}") as context, redirect_stdout(printed):
+        try:
+            context.invoke(command.callback, **given)  # type: ignore[arg-type]
+        except click.exceptions.Exit as ended:
+            if ended.exit_code and not printed.getvalue():
+                raise OptionError(f"{name} ended with code {ended.exit_code}") from ended
+        except click.ClickException as error:
+            raise OptionError(error.format_message()) from error
+    text = printed.getvalue()
+    if not batched.output:
+        output.write_text(text, encoding="utf-8")
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text.strip()

@@ -1,0 +1,119 @@
+"""Verbs that cost nothing, and workers in this process."""
+
+import pytest
+
+from sceneloom.batch import Input, Job
+from sceneloom.batch.working import run_task
+
+VERBS = '''
+import os, signal
+from pathlib import Path
+
+
+def copy(place, output, options):
+    Path(output).write_text(Path(place).read_text() + options.get("more", ""))
+    return {"size": len(Path(place).read_text())}
+
+
+def refuse(place, output, options):
+    from sceneloom.errors import DataError
+
+    if "bad" in place:
+        raise DataError(place, "line 1", "7; expected 8")
+    return copy(place, output, options)
+
+
+def shake(place, output, options):
+    """Fails as a network does until it has been tried often enough."""
+    tries = Path(place + ".tries")
+    count = int(tries.read_text()) + 1 if tries.exists() else 1
+    tries.write_text(str(count))
+    if count < options["needed"]:
+        raise ConnectionResetError("cut")
+    return copy(place, output, options)
+
+
+def die(place, output, options):
+    """Half an output, then the worker is killed; the second time it lives."""
+    Path(output).write_text("half")
+    if not Path(place + ".died").exists():
+        Path(place + ".died").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return copy(place, output, options)
+
+
+def crash(place, output, options):
+    return 1 / 0
+
+
+def forget(place, output, options):
+    return None
+
+
+def folder(place, output, options):
+    Path(output).mkdir()
+    (Path(output) / "a.txt").write_text(Path(place).read_text())
+
+
+def environment(place, output, options):
+    Path(output).write_text(os.environ.get("OMP_NUM_THREADS", "") + os.environ.get("NUMBA_NUM_THREADS", ""))
+'''
+
+
+class Inline:
+    """Runs each task at once, in this process."""
+
+    def __init__(self):
+        self.ended, self.tasks = [], []
+
+    @property
+    def free(self):
+        return 1 - len(self.ended)
+
+    def submit(self, task):
+        self.tasks.append(task)
+        self.ended.append((task, run_task(task)))
+
+    def finished(self, seconds):
+        ended, self.ended = self.ended, []
+        return ended
+
+    def stop(self):
+        self.ended.clear()
+
+
+@pytest.fixture
+def inline():
+    return Inline
+
+
+@pytest.fixture
+def drives(tmp_path):
+    """Makes drives: files with their name in them."""
+
+    def make(*names):
+        places = []
+        for name in names:
+            place = tmp_path / "in" / name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_text(name)
+            places.append(str(place))
+        return places
+
+    return make
+
+
+@pytest.fixture
+def job(tmp_path, monkeypatch):
+    """Makes jobs of the verbs above, which workers find as a module."""
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "verbs_for_batches.py").write_text(VERBS)
+    monkeypatch.syspath_prepend(str(tmp_path / "modules"))
+
+    def make(name, places, **settings):
+        inputs = tuple(Input(place=place) for place in places)
+        return Job(
+            verb=name, call=f"verbs_for_batches:{name}", inputs=inputs, **{"suffix": ".txt", **settings}
+        )
+
+    return make

@@ -1,0 +1,93 @@
+"""Drives by paths, patterns, URLs and lists, and what their outputs are called."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sceneloom.batch.fingerprints import fingerprint
+from sceneloom.batch.inputs import find_inputs
+from sceneloom.batch.jobs import Input
+from sceneloom.batch.naming import output_names
+from sceneloom.errors import DataError, OptionError
+
+
+def test_patterns_and_lists_give_each_drive_once(tmp_path):
+    for name in ("b.sfs", "a.sfs", "odd[1].sfs"):
+        (tmp_path / name).touch()
+    (tmp_path / "more.jsonl").write_text(
+        '# chosen\na.sfs\n\n{"path": "b.sfs", "start": 1.5, "stop": 3}\ns3://bucket/c.sfs\n'
+    )
+    found = find_inputs(
+        [str(tmp_path / "?.sfs"), str(tmp_path / "a.sfs"), str(tmp_path / "odd[1].sfs")],
+        [tmp_path / "more.jsonl"],
+    )
+    names = [(drive.place.removeprefix(f"{tmp_path}/"), dict(drive.options)) for drive in found]
+    assert names == [
+        ("a.sfs", {}), ("b.sfs", {}), ("odd[1].sfs", {}), ("b.sfs", {"start": 1.5, "stop": 3}),
+        ("s3://bucket/c.sfs", {}),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('{"path": 3}', "line 1: path 3; expected"),
+        ('{"start": 3}', "line 1: path None"),
+        ('{"path": "a", "start": "x"}', "start 'x'; expected seconds"),
+        ('{"path": ', "expected a path or an object"),
+    ],
+)
+def test_faulty_lines_of_a_list_are_named(tmp_path, line, told):
+    (tmp_path / "list.jsonl").write_text(line)
+    with pytest.raises(DataError) as caught:
+        find_inputs([], [tmp_path / "list.jsonl"])
+    assert told in str(caught.value)
+
+
+def test_nothing_to_do_is_refused(tmp_path):
+    with pytest.raises(OptionError, match="fits this pattern"):
+        find_inputs([str(tmp_path / "*.sfs")])
+    with pytest.raises(OptionError, match="no drives"):
+        find_inputs([])
+    (tmp_path / "list").write_bytes(b"\xff\xfe")
+    with pytest.raises(DataError, match="UTF-8"):
+        find_inputs([], [tmp_path / "list"])
+
+
+def test_names_say_which_drive_it_was():
+    drives = [
+        Input(place="/data/monday/cut.sfs"), Input(place="/data/tuesday/cut.sfs"), Input(place="/data/drive_1/"),
+        Input(place="s3://bucket/far%20away.sfs"), Input(place="/data/x.sfs", options={"start": 1.5}),
+    ]  # fmt: skip
+    assert output_names(drives, ".html") == (
+        "monday_cut.html", "tuesday_cut.html", "drive_1.html", "far away.html", "x_start1.5.html",
+    )  # fmt: skip
+
+
+@given(
+    st.lists(
+        st.lists(st.sampled_from(["a", "A", "b", "a.sfs", "ü", "..", "c d"]), min_size=1, max_size=4),
+        max_size=12,
+    )
+)
+def test_outputs_never_share_a_name(parts):
+    places = dict.fromkeys("/" + "/".join(part) for part in parts)
+    names = output_names([Input(place=place) for place in places], ".sfs")
+    assert len({name.casefold() for name in names}) == len(places)
+    assert all("/" not in name and name.endswith(".sfs") for name in names)
+
+
+def test_fingerprints_change_with_any_file(tmp_path):
+    folder = tmp_path / "drive"
+    (folder / "inner").mkdir(parents=True)
+    (folder / "inner" / "a").write_text("1")
+    seen = [fingerprint(str(folder))]
+    (folder / "inner" / "b").write_text("2")
+    seen.append(fingerprint(str(folder)))
+    (folder / "inner" / "b").write_text("22")
+    seen.append(fingerprint(str(folder)))
+    (folder / "inner" / "b").rename(folder / "b")
+    seen.append(fingerprint(str(folder)))
+    assert len(set(seen)) == 4
+    assert fingerprint(str(folder)) == seen[-1]
+    assert fingerprint(str(tmp_path / "gone")) == fingerprint("https://host/drive.sfs") == ""

@@ -1,0 +1,28 @@
+"""`sceneloom batch`: a verb over many drives."""
+
+import json
+
+
+def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, recording, tmp_path):
+    missing = tmp_path / "missing"
+    outcome = call("batch", "validate", recording, missing, "-o", tmp_path / "out", "--workers", 1, "--quick")
+    assert outcome.code == 1
+    assert "validate: 2 drives" in outcome.out
+    assert "1 done, 1 failed" in outcome.out
+    assert f"failed: {missing}: {missing}: no such file or folder" in outcome.err
+    report = json.loads((tmp_path / "out" / f"{recording.name}.json").read_text())
+    assert report["source"] == str(recording)
+    told = call("batch", "status", tmp_path / "out", "--json")
+    assert [row["state"] for row in json.loads(told.out)["drives"]] == ["done", "failed"]
+    again = call("batch", "validate", recording, "-o", tmp_path / "out", "--quick", "--resume", "--json")
+    assert json.loads(again.out)["skipped"] == 1
+
+
+def test_options_of_the_verb_are_those_of_the_run(call, tmp_path):
+    told = call("batch", "convert", "--help").out
+    assert "--pictures" in told
+    assert "--overwrite" not in told
+    refused = call("batch", "convert", tmp_path, "-o", tmp_path / "out", "--pictures", "woven")
+    assert (refused.code, "woven" in refused.err) == (2, True)
+    nothing = call("batch", "fuse", tmp_path / "*.sfs", "-o", tmp_path / "out")
+    assert (nothing.code, "fits this pattern" in nothing.err) == (2, True)

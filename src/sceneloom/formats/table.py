@@ -36,6 +36,7 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "kitti-bin": "sceneloom.formats.clouds.form:KITTI_BIN",
         "nuscenes-bin": "sceneloom.formats.clouds.form:NUSCENES_BIN",
         "npz": "sceneloom.formats.clouds.form:NPZ",
+        "euroc-mav": "sceneloom.formats.euroc_mav:FORMAT",
         "openlabel": "sceneloom.formats.openlabel:FORMAT",
         "colmap": "sceneloom.formats.colmap:FORMAT",
         "nerfstudio": "sceneloom.formats.nerfstudio:FORMAT",

@@ -133,6 +133,15 @@ def test_several_frames_do_not_go_into_one_file(tmp_path, scene):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_array_without_names_is_read_and_not_written(tmp_path):
+    rows = RNG.uniform(-9, 9, (7, 4)).astype(np.float32)
+    np.save(tmp_path / "rows.npy", rows)
+    one = open_scene(tmp_path / "rows.npy")
+    np.testing.assert_array_equal(one.lidars[0].frames[0].points.positions, rows[:, :3])
+    with pytest.raises(OptionError, match="written as .npz only"):
+        write_scene(one, tmp_path / "out.npy", format="npz")
+
+
 def test_what_files_of_points_have_no_place_for_is_told(tmp_path, scene):
     box = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.ones((1, 9))))
     fix = GnssSensor("gps", np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(1), np.ones(1))

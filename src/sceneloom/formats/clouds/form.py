@@ -19,7 +19,7 @@ class CloudFormat:
         """Take the kind of that name."""
         self._kind = KINDS[name]
         self.name = name
-        self.suffixes: tuple[str, ...] = self._kind.endings
+        self.suffixes: tuple[str, ...] = self._kind.endings[:1]
         self.looks_like = f"{self._kind.told}: one, or a folder of them"
         self.holds = holds_of(name)
 

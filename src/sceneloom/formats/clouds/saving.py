@@ -74,6 +74,10 @@ def write_clouds(
         if lidar not in lidars
     ]
     write = partial(_write_frame, kind=kind, saving=saving, tell=losses.append)
+    if path.name.lower().endswith(kind.endings[1:]):
+        raise OptionError(
+            f"{path}: written as {kind.endings[0]} only; {path.suffix} has one array and no names"
+        )
     if kind.has_name(path.name):
         _write_file(lidars, path, write, overwrite=overwrite, losses=losses)
     else:

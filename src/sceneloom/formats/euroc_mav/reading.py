@@ -1,0 +1,225 @@
+"""A drive of the EuRoC layout as a scene: cameras, IMUs, what was measured of the way, and a map."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Int64Array, read_only
+from sceneloom.errors import DataError
+from sceneloom.formats.clouds.points import PointMapping, SweepClock, points_of
+from sceneloom.formats.clouds.table import read_cloud
+from sceneloom.formats.default_poses import default_poses
+from sceneloom.formats.euroc_mav.place import DESCRIPTION, TABLE, mav_folder, sensor_folders
+from sceneloom.formats.euroc_mav.sensor_yaml import body_from_sensor, lens, read_sensor_yaml
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.rig.csv_files import Table, read_table
+from sceneloom.formats.rig.pictures import PictureReader, picture_size
+from sceneloom.formats.trajectories.content import Reading
+from sceneloom.formats.trajectories.euroc import FORM
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
+from sceneloom.scene import (
+    CameraSensor,
+    ImuSensor,
+    LazyFrames,
+    NoticeKind,
+    PointsSensor,
+    PosePath,
+    Scene,
+    Sensor,
+    Trajectory,
+    VectorSamples,
+)
+from sceneloom.scene.pose_source import PoseSource
+
+WAYS = {"state_groundtruth_estimate0": "groundTruth", "vicon0": "vicon0", "leica0": "leica0"}
+"""Folders of trajectories, the best first, and what these are called."""
+
+_MAP = "pointcloud0"
+_IMU_COLUMNS = {"gyroscope": (1, 2, 3), "accelerometer": (4, 5, 6)}
+"""Source: the header lines of the files: `w_RS_S` in rad/s, then `a_RS_S` in m/s²."""
+
+
+def read_euroc(path: Path, *, lenient: bool = False) -> Scene:
+    """Open a folder.
+
+    Raises:
+        DataError: files are missing or wrong.
+    """
+    folder, ledger = mav_folder(path), Ledger(lenient=lenient)
+    if folder is None:
+        raise DataError(path, "", f"has neither cam0/{TABLE} nor imu0/{TABLE}, in itself or in mav0/")
+    with ledger.telling():
+        ways = _ways(folder, ledger)
+        poses = default_poses(ways, str(path), ledger)
+        sensors: list[Sensor] = [_camera(one, poses, ledger) for one in sensor_folders(folder, "cam")]
+        sensors += [_imu(one, ledger) for one in sensor_folders(folder, "imu")]
+        sensors += _maps(folder, ledger)
+        _note_others(folder, ledger)
+    return Scene(
+        tuple(sensors),
+        trajectories=MappingProxyType(ways),
+        source=str(path),
+        format="euroc-mav",
+        notices=ledger.notices,
+    )
+
+
+def _description(folder: Path) -> tuple[Path, dict[str, Any]]:
+    path = folder / DESCRIPTION
+    if not path.is_file():
+        raise DataError(path, "", "missing; expected the description of the sensor")
+    return path, read_sensor_yaml(path)
+
+
+def _camera(folder: Path, world_from_body: PosePath | None, ledger: Ledger) -> CameraSensor:
+    place, description = _description(folder)
+    table = read_table(folder / TABLE)
+    times, rows = _ordered(table, ledger)
+    if not len(rows):
+        raise DataError(folder / TABLE, "", "names no pictures")
+    names = tuple(_file_name(table, row) for row in rows)
+    files = tuple(folder / "data" / name for name in names)
+    size = _size_of_first(files, ledger)
+    camera = lens(place, description, size)
+    mount = body_from_sensor(place, description)
+    poses = None
+    if world_from_body is not None and mount is not None:
+        path = world_from_body
+        samples = PoseSource(path, mount).at(path.timestamps_ns)
+        poses = PosePath(path.timestamps_ns, samples.positions, samples.quaternions_xyzw)
+    rate = description.get("rate_hz")
+    return CameraSensor(
+        folder.name,
+        camera,
+        LazyFrames(times, PictureReader(files, names, times, camera)),
+        poses=poses,
+        mount=mount,
+        fps=float(rate) if isinstance(rate, int | float) and rate > 0 else None,
+        extras=_comment(description),
+    )
+
+
+def _file_name(table: Table, row: int) -> str:
+    """The name of a picture's file, which stays in its folder."""
+    name = table.rows[row][-1]
+    if not name or name in {".", ".."} or "/" in name or "\\" in name:
+        raise DataError(table.path, f"line {table.lines[row]}", f"{name[:60]!r}; expected the name of a file")
+    return name
+
+
+def _size_of_first(files: tuple[Path, ...], ledger: Ledger) -> tuple[int, int]:
+    """Width and height of the first picture that can be read [px]; in a lenient reading those before it count."""
+    for path in files[:-1]:
+        try:
+            return picture_size(path)
+        except DataError as error:
+            ledger.fault("unreadable-files", error)
+    return picture_size(files[-1])
+
+
+def _comment(description: dict[str, Any]) -> Any:
+    return MappingProxyType({"comment": description["comment"]} if description.get("comment") else {})
+
+
+def _ordered(table: Table, ledger: Ledger) -> tuple[Int64Array, list[int]]:
+    """The times of a table in order, each once, and the rows that have them."""
+    stamps = table.stamps(0, "nanoseconds")
+    order = np.argsort(stamps, kind="stable")
+    if (order[1:] < order[:-1]).any():
+        told = "rows run backwards in time; sorted by time"
+        ledger.note(NoticeKind.REPAIRED, "rows-sorted", str(table.path), told)
+    times = stamps[order]
+    repeated = np.flatnonzero(np.diff(times) == 0) + 1
+    if len(repeated):
+        row = int(order[repeated[0]])
+        problem = f"the time {times[repeated[0]]} stands there twice; expected each once"
+        fault = DataError(table.path, f"line {table.lines[row]}", problem)
+        ledger.fault("repeated-times", fault, count=len(repeated))
+        order, times = np.delete(order, repeated), np.delete(times, repeated)
+    return read_only(times), order.tolist()
+
+
+def _imu(folder: Path, ledger: Ledger) -> ImuSensor:
+    table = read_table(folder / TABLE)
+    width = len(table.rows[0]) if table.rows else 7
+    if width != 7:
+        problem = f"{width} values; expected 7: timestamp, angular rates, accelerations"
+        raise DataError(folder / TABLE, f"line {table.lines[0]}", problem)
+    times, rows = _ordered(table, ledger)
+    description = read_sensor_yaml(folder / DESCRIPTION) if (folder / DESCRIPTION).is_file() else {}
+    mount = body_from_sensor(folder / DESCRIPTION, description) or RigidTransform.identity()
+    if np.abs(mount.translation).max() > 0:
+        told = "it is not at the body's origin: what the lever arm adds to accelerations stays in them"
+        ledger.note(NoticeKind.ASSUMED, "imu-lever-arm", str(folder), told)
+    streams = {}
+    for name, columns in _IMU_COLUMNS.items():
+        values = mount.rotate(table.numbers(columns)[rows]) if len(rows) else np.zeros((0, 3))
+        streams[name] = VectorSamples(times, read_only(values))
+    noises = {name: value for name, value in description.items() if "noise" in name or "random_walk" in name}
+    extras = {**_comment(description), **({"noises": noises} if noises else {})}
+    return ImuSensor(folder.name, MappingProxyType(streams), extras=MappingProxyType(extras))
+
+
+def _ways(folder: Path, ledger: Ledger) -> dict[str, Trajectory]:
+    found: dict[str, Trajectory] = {}
+    for name, called in WAYS.items():
+        table = folder / name / TABLE
+        if not table.is_file():
+            continue
+        content = FORM.read(table, Reading(name=called), ledger)
+        if content.columns:
+            told = f"velocities and biases beside the poses are not read: {', '.join(content.columns)}"
+            ledger.note(NoticeKind.SKIPPED, "states-not-read", str(table), told)
+        description = folder / name / DESCRIPTION
+        mount = (
+            body_from_sensor(description, read_sensor_yaml(description)) if description.is_file() else None
+        )
+        found[called] = _of_body(content.trajectory, mount, str(table), ledger)
+    return found
+
+
+def _of_body(way: Trajectory, mount: RigidTransform | None, place: str, ledger: Ledger) -> Trajectory:
+    """The way of the body that carries what was measured, `world_from_body`."""
+    if mount is None or np.array_equal(mount.matrix, np.eye(4)):
+        return way
+    if way.quaternions_xyzw is None:
+        told = f"positions are those of a marker at {np.round(mount.translation, 4).tolist()} m of the body"
+        ledger.note(NoticeKind.ASSUMED, "marker-positions", place, told)
+        return way
+    sensor_from_body = mount.inverse()
+    positions = rotate_vectors(way.quaternions_xyzw, sensor_from_body.translation) + way.positions
+    turns = multiply_quaternions(way.quaternions_xyzw, sensor_from_body.quaternion_xyzw)
+    return replace(way, positions=read_only(positions), quaternions_xyzw=read_only(turns))
+
+
+def _maps(folder: Path, ledger: Ledger) -> list[PointsSensor]:
+    """The cloud that was scanned of the room, in the world of the ground truth."""
+    path = folder / _MAP / "data.ply"
+    if not path.is_file():
+        return []
+    try:
+        read = points_of(read_cloud(path), PointMapping(), SweepClock(0, 0, 0))
+    except DataError as error:
+        ledger.fault("unreadable-files", error)
+        return []
+    return [PointsSensor(_MAP, read.points.positions, read.points.colors)]
+
+
+def _note_others(folder: Path, ledger: Ledger) -> None:
+    """Tell of folders that are not read."""
+    known = {*WAYS, _MAP}
+    others = sorted(
+        one.name
+        for one in folder.iterdir()
+        if one.is_dir()
+        and not one.name.startswith(".")
+        and one.name not in known
+        and not (one.name.startswith(("cam", "imu")) and (one / TABLE).is_file())
+    )
+    if others:
+        told = f"folders that are not known: {', '.join(others)}"
+        ledger.note(NoticeKind.SKIPPED, "folders-not-read", str(folder), told, count=len(others))

@@ -138,7 +138,7 @@ def test_an_array_without_names_is_read_and_not_written(tmp_path):
     np.save(tmp_path / "rows.npy", rows)
     one = open_scene(tmp_path / "rows.npy")
     np.testing.assert_array_equal(one.lidars[0].frames[0].points.positions, rows[:, :3])
-    with pytest.raises(OptionError, match="written as .npz only"):
+    with pytest.raises(OptionError, match=r"written as \.npz only"):
         write_scene(one, tmp_path / "out.npy", format="npz")
 
 

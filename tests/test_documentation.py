@@ -158,7 +158,10 @@ def test_examples_are_short_and_use_public_names_only(example):
     assert not private
 
 
-SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes-bin", "npz"), "clouds")
+SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes-bin", "npz"), "clouds") | {
+    "ros1": "ros",
+    "ros2": "ros",
+}
 """Formats that are told on one page, and its name."""
 
 

@@ -10,6 +10,7 @@ from sceneloom.arrays import BoolArray, Float32Array, Int64Array
 from sceneloom.editing.choose import with_annotations, with_labels_chosen, with_sensors_chosen
 from sceneloom.editing.chosen_points import CloudSensor, OnPoints, chosen_map, with_chosen_points
 from sceneloom.editing.crop_annotations import SpaceCrop
+from sceneloom.editing.cut_lines import cut_lines
 from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.editing.frame_of_annotations import frames_ns
 from sceneloom.editing.moved_clouds import chosen_frames
@@ -39,7 +40,7 @@ from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.labelled import Renumbering, renumbered
-from sceneloom.scene.part import cut_scene
+from sceneloom.scene.part import chosen_interval, cut_scene
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import sensor_source
 from sceneloom.scene.span import scene_period_ns
@@ -97,7 +98,9 @@ def crop_scene(
     cut = scene
     if sensors is not None or gone:
         cut = with_sensors_chosen(cut, sensors=sensors, without=gone)
+    part = chosen_interval(cut, start=start, stop=stop)
     cut = cut_scene(cut, start=start, stop=stop)
+    cut = replace(cut, metadata=cut_lines(cut, part))
     if labels is not None:
         cut = with_labels_chosen(cut, labels)
     if not regions:

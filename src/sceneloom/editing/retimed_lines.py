@@ -11,7 +11,7 @@ from sceneloom.scene import GnssSensor, ImuSensor, LidarSensor, Scene
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Key, key_of
 
-_KEPT, _TEXTS, _SHARED = "recording", "further_keys", "shared_lines"
+LINES, TEXTS, SHARED = "recording", "further_keys", "shared_lines"
 """Where a scene keeps lines that say more than their samples, by stream and by time [ns] as text; and those of several
 records, with stream and time of each."""
 
@@ -36,23 +36,23 @@ def retimed_lines(
         sensors: clocks by id and its type (`scene.types.key_of`).
         trajectories: clocks by name.
     """
-    kept = scene.metadata.get(_KEPT)
+    kept = scene.metadata.get(LINES)
     if not isinstance(kept, Mapping):
         return scene.metadata
     clocks = {f"trajectories.{name}": clock for name, clock in trajectories.items()}
     for sensor in scene.sensors:
         if key_of(sensor.id) in sensors:
-            clocks |= dict.fromkeys(_streams(sensor), sensors[key_of(sensor.id)])
+            clocks |= dict.fromkeys(streams_of(sensor), sensors[key_of(sensor.id)])
     changed = dict(kept)
-    texts, shared = kept.get(_TEXTS), kept.get(_SHARED)
+    texts, shared = kept.get(TEXTS), kept.get(SHARED)
     if isinstance(texts, Mapping):
-        changed[_TEXTS] = {
+        changed[TEXTS] = {
             name: _moved(lines, clocks[name]) if name in clocks and isinstance(lines, Mapping) else lines
             for name, lines in texts.items()
         }
     if isinstance(shared, list):
-        changed[_SHARED] = [line for line in shared if not _has_part(line, clocks)]
-    return MappingProxyType({**scene.metadata, _KEPT: MappingProxyType(changed)})
+        changed[SHARED] = [line for line in shared if not _has_part(line, clocks)]
+    return MappingProxyType({**scene.metadata, LINES: MappingProxyType(changed)})
 
 
 def _has_part(line: Any, clocks: Mapping[str, Clock]) -> bool:
@@ -60,7 +60,7 @@ def _has_part(line: Any, clocks: Mapping[str, Clock]) -> bool:
     return any(record and record[0] in clocks for record in records or ())
 
 
-def _streams(sensor: Sensor) -> list[str]:
+def streams_of(sensor: Sensor) -> list[str]:
     """The names under which a recording keeps lines of a sensor."""
     if isinstance(sensor, ImuSensor):
         return [f"imu.{name}" for name in sensor.streams]

@@ -1,6 +1,6 @@
 """What was assumed, repaired or left out on reading, and what was lost on writing."""
 
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.page.content import Block, Column, Section, Table
 from sceneloom.report.page.texts import NOTHING, count, notice_text
@@ -72,4 +72,5 @@ def _conversions(report: DriveReport) -> list[Block]:
 
 def _row(loss: Loss) -> list[str]:
     error = NOTHING if loss.largest_error is None else f"{loss.largest_error:.4g}"
-    return [loss.field, str(loss.fate), loss.what, count(loss.count), error, loss.kept or NOTHING]
+    fate = "kept aside" if loss.kept and loss.fate is Fate.DROPPED else str(loss.fate)
+    return [loss.field, fate, loss.what, count(loss.count), error, loss.kept or NOTHING]

@@ -36,6 +36,8 @@ def read_columns(path: Path, columns: Columns) -> dict[str, AnyArray]:
         raise DataError(path, "", "is not there; expected a feather file")
     try:
         table = feather.read_table(str(path), memory_map=False)
+        # without it a damaged file would be read beyond its end
+        table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise DataError(path, "", f"is no whole feather file: {error}") from error
     missing = [name for name in columns if name not in table.column_names]

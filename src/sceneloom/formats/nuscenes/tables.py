@@ -7,11 +7,14 @@ nuScenes-lidarseg.
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
 from sceneloom.errors import DataError
+
+Microseconds = Annotated[int, msgspec.Meta(ge=-9_000_000_000_000_000, le=9_000_000_000_000_000)]
+"""A time; as nanoseconds it has to be within 64 bits."""
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -34,7 +37,7 @@ class SampleRow(msgspec.Struct, kw_only=True):
     """A moment at which objects are labelled; times are microseconds."""
 
     token: str
-    timestamp: int
+    timestamp: Microseconds
     scene_token: str
     next: str = ""
     prev: str = ""
@@ -48,7 +51,7 @@ class SampleDataRow(msgspec.Struct, kw_only=True):
     ego_pose_token: str
     calibrated_sensor_token: str
     filename: str
-    timestamp: int
+    timestamp: Microseconds
     is_key_frame: bool
     fileformat: str = ""
     width: int | None = None
@@ -63,7 +66,7 @@ class EgoPoseRow(msgspec.Struct, kw_only=True):
     token: str
     translation: Vector
     rotation: Quaternion
-    timestamp: int
+    timestamp: Microseconds
 
 
 class CalibratedSensorRow(msgspec.Struct, kw_only=True):
@@ -230,7 +233,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
 def _rows_of_piece(decoder: "msgspec.json.Decoder[list[Any]]", piece: bytes) -> list[Any] | None:
     try:
         return decoder.decode(piece)
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
 
 

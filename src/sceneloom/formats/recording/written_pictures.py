@@ -127,8 +127,13 @@ class ColorImages:
         if not isinstance(shot, Picture):
             return None
         rgb = shot.rgb
-        check_array("picture", rgb, self._full, np.uint8)
+        check_array(_of_one_size(shot), rgb, self._full, np.uint8)
         return rgb[: self.height, : self.width]
+
+
+def _of_one_size(picture: Picture) -> str:
+    """What a message calls a picture of another size."""
+    return f"the picture at {picture.timestamp_ns} ns (a recording's camera has pictures of one size)"
 
 
 class EncodedVideo:
@@ -181,7 +186,7 @@ class PngPictures:
         """Write a picture."""
         if isinstance(shot, Picture):
             rgb = shot.rgb
-            check_array("picture", rgb, (self.height, self.width, 3), np.uint8)
+            check_array(_of_one_size(shot), rgb, (self.height, self.width, 3), np.uint8)
             self._last = rgb
         image = Image.fromarray(np.ascontiguousarray(self._last))
         image.save(self._folder / picture_name(self._count), compress_level=_PNG_EFFORT)

@@ -47,6 +47,10 @@ _MOTION: Mapping[str, Holding] = MappingProxyType(
         "sensors.imu.id": converted("it is `imu`"),
         "sensors.imu.streams.accelerometer": approximated("a value for each line"),
         "sensors.imu.streams.gyroscope": approximated("a value for each line"),
+        "sensors.imu.streams.other": approximated(
+            "those of the OXTS unit, of its own lines; others are dropped"
+        ),
+        "sensors.imu.streams.other.file_seconds": _NO_PLACE,
         "sensors.imu.streams.accelerometer.file_seconds": _NO_PLACE,
         "sensors.imu.streams.gyroscope.file_seconds": _NO_PLACE,
         "sensors.gnss.id": converted("it is `gnss`"),

@@ -13,7 +13,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -130,11 +131,11 @@ def write_plainly(path: Path, size: int) -> None:
             file.write(piece)
 
 
-def timed(work: object, *arguments: object) -> float:
-    """Wall time of a call [s]."""
-    begun = time.perf_counter()
-    work(*arguments)  # type: ignore[operator]
-    return time.perf_counter() - begun
+def timed(work: Callable[..., None], *arguments: object) -> tuple[float, float]:
+    """Wall and processor time of a call [s]."""
+    begun, busy = time.perf_counter(), time.process_time()
+    work(*arguments)
+    return time.perf_counter() - begun, time.process_time() - busy
 
 
 def child(program: str, *arguments: object) -> list[float]:
@@ -156,25 +157,40 @@ def measure(folder: Path, megabytes: int, runs: int) -> None:
         sceneloom.write(Drive(frames).scene(), folder / f"large{suffix}", **options)
         size = (folder / f"large{suffix}").stat().st_size
         for target in (".sfs", ".mcap"):
-            best = min(one_round(folder, suffix, target, size) for _ in range(runs))
-            ratio, seconds, busy, memory, plain = best
-            print(
-                f"{suffix[1:]} to {target[1:]}, {size / 1e6:.0f} MB: {seconds:.2f} s ({busy:.2f} s of processor), "
-                f"slower of plain reading and writing {plain:.2f} s: {-ratio:.2f} of its speed (limit {SPEED_LIMIT}), "
-                f"{memory / 1e3:.0f} MB of memory (limit {MEMORY_LIMIT})"
-            )
+            rounds = [one_round(folder, suffix, target, size) for _ in range(runs)]
+            print(f"{suffix[1:]} to {target[1:]}, {size / 1e6:.0f} MB: {told(rounds)}")
         (folder / f"large{suffix}").unlink()
 
 
-def one_round(folder: Path, suffix: str, target: str, size: int) -> tuple[float, float, float, float, float]:
-    """Plain access and one conversion: the ratio of speeds, negative; seconds; processor seconds; memory; plain."""
+@dataclass(frozen=True)
+class Round:
+    """One conversion beside plain access: wall and processor seconds of both, and the most memory [kB]."""
+
+    plain: tuple[float, float]
+    ours: tuple[float, float]
+    memory: float
+
+
+def one_round(folder: Path, suffix: str, target: str, size: int) -> Round:
+    """The slower of plain reading and writing, then one conversion."""
     source, copy = folder / f"large{suffix}", folder / f"copy{target}"
     plain = max(timed(read_plainly, source), timed(write_plainly, copy, size))
     copy.unlink()
     small = folder / f"small{suffix}", folder / f"small_copy{target}"
     seconds, busy, memory = child(CONVERT, *small, source, copy)
     copy.unlink()
-    return -plain / seconds, seconds, busy, memory, plain
+    return Round(plain, (seconds, busy), memory)
+
+
+def told(rounds: list[Round]) -> str:
+    """The best of the rounds: times of both sides, their ratios, and the most memory."""
+    wall, busy = (min(r.ours[k] for r in rounds) for k in (0, 1))
+    plain_wall, plain_busy = (min(r.plain[k] for r in rounds) for k in (0, 1))
+    return (
+        f"{wall:.2f} s against {plain_wall:.2f} s plain: {plain_wall / wall:.2f} of its speed (limit {SPEED_LIMIT}); "
+        f"processor {busy:.2f} s against {plain_busy:.2f} s; "
+        f"{max(r.memory for r in rounds) / 1e3:.0f} MB of memory (limit {MEMORY_LIMIT})"
+    )
 
 
 def opened() -> Iterator[str]:

@@ -12,15 +12,21 @@ from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
 from sceneloom.formats.identity import FileIdentity
 
+_MAPPED_AT_MOST = 128 << 20
+_DONT_NEED: int | None = getattr(mmap, "MADV_DONTNEED", None)
+"""Not on every system."""
+
 
 class MappedFile(mmap.mmap):
     """The bytes of a file, read only.
 
     Attributes:
         identity: how to tell the file from one that takes its place.
+        handed_out: bytes of arrays that were asked for since pages were last let go.
     """
 
     identity: FileIdentity
+    handed_out: int = 0
 
     @classmethod
     def of(cls, path: Path) -> Self:
@@ -34,6 +40,17 @@ class MappedFile(mmap.mmap):
             mapped = cls(file.fileno(), 0, access=mmap.ACCESS_READ)
             mapped.identity = FileIdentity.of(path, descriptor=file.fileno())
         return mapped
+
+    def hand_out(self, size: int) -> None:
+        """Count bytes that are going to be read, and now and then let go of all pages that were.
+
+        The system keeps them in its cache and maps them again if they are touched; but they count as this process's
+        memory as long as they are mapped, and a long drive would be all in it in the end.
+        """
+        self.handed_out += size
+        if self.handed_out > _MAPPED_AT_MOST and _DONT_NEED is not None:
+            self.handed_out = 0
+            self.madvise(_DONT_NEED)
 
     def reference(self, array: AnyArray) -> "StoredArray":
         """Give what stands for a contiguous array of these bytes in other processes."""
@@ -107,6 +124,7 @@ class LocalFile:
 
     def fetch(self, value: Any) -> Any:
         """Give the value itself: the system reads its pages when they are touched."""
+        self.content.hand_out(_bytes_in(value))
         return value
 
     def bytes_of(self, array: AnyArray) -> memoryview:
@@ -115,6 +133,13 @@ class LocalFile:
 
     def close(self) -> None:
         """Do nothing: the map stays as long as an array of it is in use."""
+
+
+def _bytes_in(value: Any) -> int:
+    """How large the arrays of a record are in all."""
+    if isinstance(value, dict):
+        return sum(map(_bytes_in, value.values()))
+    return value.nbytes if isinstance(value, np.ndarray) else 0
 
 
 def _address(array: AnyArray) -> int:

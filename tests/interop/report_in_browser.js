@@ -99,6 +99,8 @@ async function visit(browser, file, folder) {
       const printed = await page.pdf({ format: "A4" });
       found.printed = printed.length;
       await page.emulateMedia({ media: "print" });
+      await page.setViewportSize({ width: 720, height: 1000 });
+      found.printedOverflow = await page.evaluate(() => document.documentElement.scrollWidth - window.innerWidth);
       found.printedBackground = await page.evaluate(() => getComputedStyle(document.body).backgroundColor);
     }
     await context.close();

@@ -114,4 +114,5 @@ def test_it_can_be_used_by_keyboard_and_printed(seen):
     assert {"A", "SUMMARY"} <= set(found["keyboard"]["reached"])
     assert found["keyboard"]["opened"]
     assert found["printed"] > 10_000
+    assert found["printedOverflow"] <= 0  # on the width of A4
     assert found["printedBackground"] == "rgb(255, 255, 255)"

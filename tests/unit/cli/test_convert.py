@@ -1,0 +1,47 @@
+"""`sceneloom convert` tells people and programs what became of every field."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tests.unit.cli.conftest import Call
+
+
+def test_a_short_table_says_what_is_not_simply_kept(call: "Call", recording: Path, tmp_path: Path) -> None:
+    outcome = call("convert", recording, tmp_path / "drive.sfs")
+    assert outcome.out.strip() == f"{recording} (recording) → {tmp_path / 'drive.sfs'} (sfs)"
+    titles = [line.strip() for line in outcome.err.splitlines() if line.startswith("  ") and line[2] != " "]
+    assert any(title.startswith("kept: ") for title in titles)
+    assert any(title.startswith("kept aside, where other programs do not look: ") for title in titles)
+    every = call("convert", recording, tmp_path / "again.sfs", "--verbose").err
+    assert "sensors.lidar.frames.points.positions" in every
+    assert len(every.splitlines()) > len(outcome.err.splitlines())
+    assert call("convert", recording, tmp_path / "quiet.sfs", "--quiet").err == ""
+
+
+def test_json_lists_every_field(call: "Call", recording: Path, tmp_path: Path) -> None:
+    told = json.loads(call("convert", recording, tmp_path / "drive.sfs", "--json").out)
+    fates = {row["field"]: row["fate"] for row in told["fields"]}
+    assert fates["sensors.lidar.frames.points.positions"] == "kept"
+    assert told["written"] is True
+
+
+def test_strict_refuses_with_the_fields_and_the_next_step(
+    call: "Call", recording: Path, tmp_path: Path
+) -> None:
+    loss = tmp_path / "loss.md"
+    outcome = call("convert", recording, tmp_path / "drive.tum", "--strict", "--loss", loss)
+    assert (outcome.code, outcome.out) == (1, "")
+    assert "is not written, since tum would not hold all: " in outcome.err
+    assert "(`sceneloom formats NAME`)" in outcome.err
+    assert [path.name for path in tmp_path.iterdir()] == ["loss.md"]
+    assert "## Dropped" in loss.read_text()
+
+
+def test_a_drive_is_read_as_the_format_that_is_named(call: "Call", recording: Path, tmp_path: Path) -> None:
+    refused = call("info", recording, "--read-as", "kitti-raw")
+    assert refused.code != 0
+    assert call("convert", recording, tmp_path / "drive.sfs", "--read-as", "recording").code == 0
+    unknown = call("info", recording, "--read-as", "nope")
+    assert (unknown.code, "no format 'nope'" in unknown.err) == (2, True)

@@ -70,7 +70,7 @@ class FileBytes:
             file = self._opened()
             try:
                 file.seek(start)
-                return file.read(min(length, max(0, self.size - start)))
+                return _read(file, min(length, max(0, self.size - start)))
             except (OSError, OverflowError, ValueError) as error:
                 raise DataError(self.path, f"byte {start}", f"cannot be read: {error}") from error
 
@@ -90,3 +90,14 @@ class FileBytes:
             self._identity.check()
             self._file, self._process = self.path.open("rb", buffering=0), os.getpid()
         return self._file
+
+
+def _read(file: BinaryIO, length: int) -> bytes:
+    """Read so many bytes, in several steps where the system gives fewer at once."""
+    content = file.read(length)
+    if len(content) == length:
+        return content
+    parts = [content]
+    while parts[-1] and length > sum(map(len, parts)):
+        parts.append(file.read(length - sum(map(len, parts))))
+    return b"".join(parts)

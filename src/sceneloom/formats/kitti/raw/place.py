@@ -70,13 +70,17 @@ def _drive(folder: Path) -> RawDrive:
 
 def drives_below(path: Path) -> list[Path]:
     """The drives of a day's folder, or of a folder of days, by name."""
+    return [child for child in _children(path) if _DRIVE.fullmatch(child.name) and is_drive(child)]
+
+
+def _children(path: Path) -> list[Path]:
+    """The folders in a folder, and those in the days among them."""
     try:
         children = sorted(child for child in path.iterdir() if child.is_dir())
         days = [child for child in children if _DATE.fullmatch(child.name)]
-        further = [child for day in days for child in sorted(day.iterdir()) if child.is_dir()]
+        return [*children, *(child for day in days for child in sorted(day.iterdir()) if child.is_dir())]
     except OSError:
         return []
-    return [child for child in (*children, *further) if _DRIVE.fullmatch(child.name) and is_drive(child)]
 
 
 def is_drive(path: Path) -> bool:
@@ -93,10 +97,11 @@ def near_miss(path: Path) -> str | None:
     """Say what keeps a folder from being a drive, where it looks like a half one."""
     if not path.is_dir() or is_drive(path) or drives_below(path):
         return None
-    if _DRIVE.fullmatch(path.name):
+    empty = [child.name for child in (path, *_children(path)) if _DRIVE.fullmatch(child.name)]
+    if empty:
         return (
             "the folder of a drive of KITTI's without data: expected velodyne_points/data, image_02/data or oxts/data "
-            f"in {path.name}"
+            f"in {empty[0]}"
         )
     calibration = [name for name in CALIBRATION_FILES if (path / name).is_file()]
     if calibration:

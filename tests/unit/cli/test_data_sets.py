@@ -1,0 +1,75 @@
+"""Data sets of several drives on the command line: one is chosen, and every verb takes it."""
+
+import json
+
+import pytest
+from tests.unit.formats.argoverse2.test_read import write_log
+from tests.unit.formats.nuscenes.schema_folder import street
+from tests.unit.formats.pandaset.test_read import write_drive
+
+
+@pytest.fixture
+def nuscenes(tmp_path):
+    return street(tmp_path / "nu", scenes=("scene-0001", "scene-0002")).write()
+
+
+def test_the_scenes_of_a_data_set_are_listed_where_none_is_chosen(call, nuscenes):
+    told = call("info", nuscenes)
+    assert told.code == 2
+    assert "choose one with `--sequence NAME`: scene-0001, scene-0002" in told.err
+
+
+def test_one_scene_is_told_about(call, nuscenes):
+    told = json.loads(call("info", nuscenes, "--sequence", "scene-0002", "--json").out)
+    assert told["format"] == "nuscenes"
+    assert {sensor["id"]: sensor["count"] for sensor in told["sensors"]} == {
+        "LIDAR_TOP": 5,
+        "RADAR_FRONT": 5,
+        "CAM_FRONT": 5,
+    }
+    keys = json.loads(call("info", nuscenes, "--sequence", "scene-0002", "--keyframes", "--json").out)
+    assert [sensor["count"] for sensor in keys["sensors"]] == [3, 3, 3]
+
+
+def test_a_scene_is_converted_and_back_without_loss(call, nuscenes, tmp_path):
+    for source, target, further in (
+        (nuscenes, tmp_path / "out", ("--to", "nuscenes", "--sequence", "scene-0001", "--strict")),
+        (tmp_path / "out", tmp_path / "fast", ("--to", "nuscenes", "--set", "keyframe_rate_hz=4")),
+    ):
+        told = call("convert", source, target, *further)
+        assert told.code == 0, told.err
+    samples = json.loads((tmp_path / "fast" / "v1.0-mini" / "sample.json").read_text("utf-8"))
+    assert len(samples) == 5
+
+
+def test_fusing_takes_one_scene_at_a_time(call, nuscenes, tmp_path):
+    two = call(
+        "fuse", nuscenes, "--sequence", "scene-0001", "--sequence", "scene-0002", "-o", tmp_path / "a.sfs"
+    )
+    assert two.code == 2
+    assert "one drive is opened at a time; say one" in two.err
+    one = call("fuse", nuscenes, "--sequence", "scene-0001", "-o", tmp_path / "a.sfs")
+    assert one.code == 0, one.err
+    assert "fused 5 of 5 sweeps" in one.out
+
+
+def test_options_of_one_format_go_by_read_with(call, tmp_path):
+    pytest.importorskip("pyarrow", reason="pyarrow is not installed")
+    log = write_log(tmp_path / "log")
+    told = json.loads(call("info", log, "--read-with", "one_lidar=true", "--json").out)
+    assert [sensor["id"] for sensor in told["sensors"]] == ["lidar", "ring_front_center"]
+
+
+def test_data_sets_that_are_only_read_say_what_can_be_written(call, tmp_path):
+    drive = write_drive(tmp_path / "002")
+    told = call("convert", drive, tmp_path / "out", "--to", "pandaset")
+    assert told.code == 2
+    assert "pandaset" in told.err.lower()
+    done = call("convert", drive, tmp_path / "out.sfs")
+    assert done.code == 0, done.err
+
+
+@pytest.mark.parametrize("verb", ["validate", "info"])
+def test_drives_of_pandaset_pass_the_checks(call, tmp_path, verb):
+    told = call(verb, write_drive(tmp_path / "002"))
+    assert told.code == 0, told.out + told.err

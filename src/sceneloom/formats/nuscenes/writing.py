@@ -186,9 +186,7 @@ class _Writer:
 
     def _write_classes(self, classes: PointClasses, channel: Channel, k: int, token: str, count: int) -> None:
         frame = (sensor_key(channel.sensor), k)
-        unknown = classes.write(self.root, self.plan.version, token, frame, count)
-        what = "points without a class are written as `noise`"
-        self.losses.add("annotations.labeled_points.point_ids", what, unknown, Fate.APPROXIMATED)
+        classes.write(self.root, self.plan.version, token, frame, count, self.losses)
 
     def _calibration(self, channel: Channel, mount: RigidTransform, lens: Camera | None) -> str:
         """The token of a mounting and a lens; their row is kept for later."""

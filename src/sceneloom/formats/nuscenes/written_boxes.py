@@ -142,8 +142,7 @@ def _row(
 ) -> dict[str, Any]:
     box = boxes.poses[number]
     length, width, height = box.sizes_lwh[sample].tolist()
-    names = said.get("attributes")
-    listed = [str(name) for name in names] if isinstance(names, list | tuple) else []
+    listed = _listed(said.get("attributes"))
     for name in listed:
         known.setdefault(name, token_of("attribute", name))
     counts = {
@@ -165,6 +164,13 @@ def _row(
     }
 
 
+def _listed(names: Any) -> list[str]:
+    """Names of attributes, of which one may stand alone."""
+    if isinstance(names, str):
+        return [names] if names else []
+    return [str(name) for name in names] if isinstance(names, list | tuple) else []
+
+
 def _tell_losses(
     cuboid: CuboidAnnotation, samples: Samples, there: Sequence[int], losses: FrameLosses
 ) -> None:
@@ -182,3 +188,7 @@ def _tell_losses(
     told = {"attributes", "visibility", *_COUNTS}
     others = sum(path.name not in told for path in cuboid.attributes)
     losses.add(f"{place}.attributes", "attributes of other names are left out", others)
+    levels = [v for path in cuboid.attributes if path.name == "visibility" for v in path.values]
+    unknown = sum(bool(level) and str(level) not in VISIBILITIES for level in levels)
+    what = f"levels of visibility other than {', '.join(VISIBILITIES)} are left out"
+    losses.add(f"{place}.attributes", what, unknown)

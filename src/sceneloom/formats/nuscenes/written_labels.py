@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.arrays import UInt32Array
+from sceneloom.formats.loss import Fate
 from sceneloom.formats.nuscenes.written_frames import FrameLosses
 from sceneloom.formats.nuscenes.written_tables import token_of
 from sceneloom.scene import LabeledPointsAnnotation, Scene
@@ -58,8 +59,10 @@ class PointClasses:
             key = (key_of(entry.sensor_id), entry.sensor_frame)
             self.entries.setdefault(key, []).append((number, entry.point_ids))
 
-    def write(self, root: Path, version: str, token: str, frame: tuple[Key, int], count: int) -> int:
-        """Write the classes of a key frame, if there are any; gives how many points had none.
+    def write(
+        self, root: Path, version: str, token: str, frame: tuple[Key, int], count: int, losses: FrameLosses
+    ) -> None:
+        """Write the classes of a key frame, if there are any.
 
         Args:
             root: the data set.
@@ -67,19 +70,26 @@ class PointClasses:
             token: of the key frame.
             frame: its lidar and its number.
             count: its points.
+            losses: takes points without a class and with several.
         """
         entries = self.entries.pop(frame, None)
         if entries is None:
-            return 0
-        labels, told = np.zeros(count, np.uint8), np.zeros(count, np.bool_)
+            return
+        labels, told = np.zeros(count, np.uint8), np.zeros(count, np.int64)
         for number, rows in entries:
             inside = rows[rows < count]
-            labels[inside], told[inside] = number, True
+            labels[inside] = number
+            told[inside] += 1
         name = f"lidarseg/{version}/{token}_lidarseg.bin"
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_bytes(labels.tobytes())
         self.rows.append({"token": token, "sample_data_token": token, "filename": name})
-        return int((~told).sum())
+        place = f"{_PLACE}.labeled_points.point_ids"
+        for what, lost in (
+            ("points without a class are written as `noise`", int((told == 0).sum())),
+            ("points of several classes have the last one", int((told > 1).sum())),
+        ):
+            losses.add(place, what, lost, Fate.APPROXIMATED)
 
     def left(self) -> int:
         """How many frames with classes were no key frames."""

@@ -11,6 +11,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import read_bytes
 
 _SHOWN = 60
+_LARGEST = 1e150
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +96,15 @@ class Part:
             DataError: it is none, or of another length.
         """
         values = self.value
-        sound = isinstance(values, list) and all(
-            isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
-            for value in values
+        sound = (
+            isinstance(values, list)
+            and {*map(type, values)} <= {int, float}
+            and all(-_LARGEST < end < _LARGEST for end in (min(values, default=0), max(values, default=0)))
         )
         if not sound or (counts is not None and len(values) not in counts):
             listed = " or ".join(map(str, counts or ()))
             raise self.fault(f"a list of {listed + ' ' if listed else ''}numbers")
-        return [float(value) for value in values]
+        return [*map(float, values)]
 
 
 def read_document(path: Path) -> Part:

@@ -28,9 +28,21 @@ from sceneloom.scene.types import NO_FIELDS
 
 Kind = TypeVar("Kind", bound=Annotation)
 
-REPLACED = ("id", "parent_id", "stationary", "sensor_id", "is_closed", "is_instance", "is_bidirectional", "label",
-            "start_ns", "duration_ns")  # fmt: skip
-"""Fields that are put back as they were."""
+_ID, _NUMBER = (str, int), (int, float)
+REPLACED: Mapping[str, tuple[type, ...]] = MappingProxyType(
+    {
+        "id": _ID,
+        "parent_id": _ID,
+        "sensor_id": _ID,
+        "stationary": (bool,),
+        "is_closed": (bool,),
+        "is_instance": (bool,),
+        "is_bidirectional": (bool,),
+        "start_ns": (int,),
+        "duration_ns": (*_NUMBER, type(None)),
+    }
+)
+"""Fields that are put back as they were, and the types that they have."""
 
 _FAULTS = (SceneloomError, TypeError, ValueError, KeyError, OverflowError, AttributeError)
 
@@ -78,6 +90,9 @@ def _restored(annotation: Annotation, fields: Mapping[str, Any]) -> Annotation:
     made = _made(annotation, fields)
     known = type(made).__dataclass_fields__
     values = {name: fields[name] for name in REPLACED if name in fields and name in known}
+    for name, value in values.items():
+        if not isinstance(value, REPLACED[name]):
+            raise TypeError(f"{name}: {value!r}")
     if "extras" in fields:
         values["extras"] = MappingProxyType(dict(fields["extras"]))
     if isinstance(made, ShapeAnnotation) and "shape" in fields:
@@ -151,15 +166,10 @@ def attribute_fields(attribute: AttributePath) -> dict[str, Any]:
     return {name: value for name, value in fields.items() if value is not None}
 
 
-def annotation_fields(annotation: Any, *, label: bool) -> dict[str, Any]:
-    """Say what the data of the format do not hold of an annotation, as far as it is said.
-
-    Args:
-        annotation: any but those that are not written.
-        label: whether its label is to be said, since the type of the object does not say it.
-    """
+def annotation_fields(annotation: Any) -> dict[str, Any]:
+    """Say what the data of the format do not hold of an annotation, as far as it is said."""
     known = type(annotation).__dataclass_fields__
-    names = [name for name in REPLACED if name in known and (name != "label" or label)]
+    names = [name for name in REPLACED if name in known]
     fields = {name: value for name in names if (value := getattr(annotation, name)) is not None}
     if isinstance(annotation, EventAnnotation) and annotation.duration_ns is None:
         fields["duration_ns"] = None

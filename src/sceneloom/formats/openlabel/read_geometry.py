@@ -17,7 +17,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.openlabel.document import Part
 from sceneloom.formats.openlabel.gathering import Said
 from sceneloom.formats.openlabel.systems import Systems
-from sceneloom.formats.openlabel.transforms import rotation_from_euler, unit_quaternion
+from sceneloom.formats.openlabel.transforms import rotation_from_euler, unit_quaternions
 from sceneloom.formats.openlabel.words import ABSOLUTE, RELATIVE
 from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_matrix, rotate_vectors
 from sceneloom.scene import (
@@ -77,21 +77,20 @@ class Rows:
 
 
 def _cuboid(rows: Rows) -> Geometry:
-    centers, quaternions, sizes = [], [], []
-    for row in rows.said:
-        part = row.part.need("val")
-        values = part.numbers((9, 10))
-        centers.append(np.array([values[:3]]))
-        sizes.append(values[-3:])
-        quaternions.append(
-            unit_quaternion(part, values[3:7])
-            if len(values) == 10
-            else quaternion_from_matrix(rotation_from_euler(part, values[5:2:-1], "ZYX"))
-        )
-    angles = _ANGLES.from_quaternions(rows.turned_to_root(np.stack(quaternions)))
-    places = np.concatenate(rows.in_root(centers))
-    values_9 = np.concatenate([np.array(sizes), places, angles], axis=1)
+    parts = [row.part.need("val") for row in rows.said]
+    values = [part.numbers((9, 10)) for part in parts]
+    quaternions = unit_quaternions(parts, [_quaternion(*one) for one in zip(parts, values, strict=True)])
+    angles = _ANGLES.from_quaternions(rows.turned_to_root(quaternions))
+    places = np.concatenate(rows.in_root([np.array([one[:3]]) for one in values]))
+    values_9 = np.concatenate([np.array([one[-3:] for one in values]), places, angles], axis=1)
     return CuboidAnnotation(path=CuboidPath(rows.timestamps_ns, values_9), **rows.fields)
+
+
+def _quaternion(part: Part, values: list[float]) -> list[float]:
+    """The quaternion of a row, x y z w, which has it, or the Euler angles of one."""
+    if len(values) == 10:
+        return values[3:7]
+    return [*map(float, quaternion_from_matrix(rotation_from_euler(part, values[5:2:-1], "ZYX")))]
 
 
 def _bbox(rows: Rows) -> Geometry:

@@ -88,7 +88,7 @@ def _ids(
         fields: Any = {} if ours.part is None else ours.part.members().get(element.kind, {})
         said = fields.get(element.uid, {}) if isinstance(fields, dict) else {}
         own = said.get("id", element.id) if isinstance(said, dict) else element.id
-        if own in known:
+        if isinstance(own, str | int) and own in known:
             found[element.kind, element.uid] = own
     return found
 

@@ -4,6 +4,8 @@ Source: ASAM OpenLABEL 1.0.0, "transform_data"; the order of Euler angles where 
 program VCD: ZYX, the angle about z first in the list.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sceneloom.arrays import Float64Array
@@ -30,7 +32,7 @@ def read_transform(part: Part) -> RigidTransform:
     quaternion = part.get("quaternion")
     if quaternion is not None:
         return RigidTransform.from_quaternion(
-            translation, unit_quaternion(quaternion, quaternion.numbers((4,)))
+            translation, unit_quaternions([quaternion], [quaternion.numbers((4,))])[0]
         )
     angles = part.get("euler_angles")
     if angles is None:
@@ -53,16 +55,17 @@ def _of_matrix(part: Part, matrix: Float64Array) -> RigidTransform:
     return nearest
 
 
-def unit_quaternion(part: Part, values: list[float]) -> Float64Array:
-    """A quaternion x y z w of length 1 within a hundredth.
+def unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float64Array:
+    """Quaternions x y z w, (N, 4), of length 1 within a hundredth; one part each, for messages.
 
     Raises:
-        DataError: it has another length.
+        DataError: one has another length.
     """
-    quaternion = np.array(values)
-    if not abs(float(np.linalg.norm(quaternion)) - 1.0) <= _GREATEST_NORM_ERROR:
-        raise part.fault("a quaternion x y z w of length 1")
-    return normalise_quaternion(quaternion)
+    quaternions = np.array(values, np.float64)
+    wrong = np.flatnonzero(~(np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) <= _GREATEST_NORM_ERROR))
+    if len(wrong):
+        raise parts[int(wrong[0])].fault("a quaternion x y z w of length 1")
+    return normalise_quaternion(quaternions)
 
 
 def rotation_from_euler(part: Part, angles: list[float], sequence: str) -> Float64Array:

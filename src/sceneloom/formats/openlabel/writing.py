@@ -149,7 +149,7 @@ class _Writer:
             "type": label or "",
             **head,
         }
-        fields = annotation_fields(annotation, label=False)
+        fields = annotation_fields(annotation)
         fields.update(_CLASS_FIELDS.get(type(annotation), lambda _: {})(annotation))
         if isinstance(annotation, EventAnnotation):
             stop_ns = annotation.start_ns + int(annotation.duration_ns or 0)
@@ -264,7 +264,7 @@ class _Writer:
             "rdf_objects": [other],
             **{name: further[name] for name in ("ontology_uid", "resource_uid") if name in further},
         }
-        self._keep("relation", uid, link, annotation_fields(link, label=False))
+        self._keep("relation", uid, link, annotation_fields(link))
 
     def _kind_of(self, uid: str) -> str:
         return "event" if uid in self.draft.heads["event"] else "object"

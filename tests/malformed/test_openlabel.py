@@ -1,0 +1,87 @@
+"""OpenLABEL files with parts exchanged, taken out or cut off: a scene or an error of ours, nothing else."""
+
+import copy
+import json
+import random
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from sceneloom.errors import SceneloomError
+from sceneloom.formats.openlabel import FORMAT
+
+GOLDEN = Path(__file__).parents[1] / "interop" / "golden" / "openlabel_vcd.json"
+STRANGE = (
+    None,
+    0,
+    -1,
+    1e308,
+    2**70,
+    "",
+    "x",
+    [],
+    {},
+    True,
+    [1, 2],
+    {"a": 1},
+    1.5,
+    [None],
+    ["a"],
+    [[1]],
+    10**17,
+)
+
+
+def places(value, place=()):
+    if place:
+        yield place
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, below in inner:
+        yield from places(below, (*place, key))
+
+
+def exchanged(content, place, strange):
+    changed = copy.deepcopy(content)
+    owner = changed
+    for key in place[:-1]:
+        owner = owner[key]
+    owner[place[-1]] = strange
+    return changed
+
+
+def opened(path):
+    for lenient in (False, True):
+        with suppress(SceneloomError):
+            FORMAT.open(path, lenient=lenient)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_parts_that_are_exchanged_give_a_scene_or_an_error_of_ours(tmp_path, seed):
+    content = json.loads(GOLDEN.read_text())
+    # what only we write besides, so that it is exchanged, too
+    content["openlabel"]["metadata"]["sceneloom"] = {
+        "object": {
+            "0": {"id": "a", "stationary": True},
+            "1": {"id": 5, "shape": "polygon", "extras": {"b": 1}},
+        },
+        "event": {"0": {"id": "e", "start_ns": 5, "duration_ns": None}},
+        "trajectory": "way",
+        "metadata": {"city": "x"},
+    }
+    choice = random.Random(seed)
+    everywhere = list(places(content))
+    for _ in range(25):
+        changed = exchanged(content, choice.choice(everywhere), choice.choice(STRANGE))
+        path = tmp_path / "strange.json"
+        path.write_text(json.dumps(changed))
+        opened(path)
+
+
+def test_a_file_that_is_cut_off_is_no_json(tmp_path):
+    text = GOLDEN.read_text()
+    for stop in range(30, len(text) - 2, 1997):
+        path = tmp_path / "cut.json"
+        path.write_text(text[:stop])
+        with pytest.raises(SceneloomError, match="is no JSON"):
+            FORMAT.open(path)

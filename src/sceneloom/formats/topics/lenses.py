@@ -115,7 +115,7 @@ def _written_model(camera: Camera, fisheye: str) -> tuple[str, tuple[float, ...]
     if camera.model == "fisheye":
         return fisheye, padded[:4]
     if camera.model == "brown_conrady" and not any(padded[8:]):
-        return ("rational_polynomial", padded[:8]) if any(padded[5:8]) else ("plumb_bob", padded[:5])
+        return ("rational_polynomial", padded[:8]) if len(numbers) > 5 else ("plumb_bob", padded[:5])
     return f"{OUR_PREFIX}{camera.model}", numbers
 
 

@@ -98,11 +98,15 @@ class CloudReader:
 
     def _with_cameras(self, points: LidarPoints) -> LidarPoints:
         """Take what coloured the points out of the further columns of a message of ours."""
-        index = points.extras.get("camera_index")
-        if index is None or index.dtype != np.uint8 or not self.whole:
+        if not self.whole:
             return points
-        further = {name: column for name, column in points.extras.items() if name != "camera_index"}
-        return replace(points, camera_index=index, extras=MappingProxyType(further))
+        further = dict(points.extras)
+        if points.colors is not None:
+            further.pop("alpha", None)  # which viewers ask for, and says nothing
+        index = points.extras.get("camera_index")
+        if index is not None and index.dtype == np.uint8:
+            points = replace(points, camera_index=further.pop("camera_index"))
+        return replace(points, extras=MappingProxyType(further))
 
 
 def _placed(points: LidarPoints, frame_from_points: RigidTransform | None) -> LidarPoints:

@@ -149,7 +149,7 @@ def child(program: str, *arguments: object) -> list[float]:
 def measure(folder: Path, megabytes: int, runs: int) -> None:
     """Convert each file to both formats."""
     probe = Drive(1)
-    frame_bytes = POINTS * 23 + len(probe.jpegs[0])
+    frame_bytes = POINTS * 19 + len(probe.jpegs[0])
     frames = max(megabytes * 1_000_000 // frame_bytes, 2)
     for suffix in (".sfs", ".mcap"):
         options = {"compression": "none"} if suffix == ".mcap" else {}

@@ -252,8 +252,9 @@ def _records(content: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 def _walk(index: McapIndex, ledger: Ledger, *, until: int) -> None:
     """Go from record to record through a file without a summary; chunks are passed over unless they are needed."""
-    file, place, waiting = index.file, _read_head(index), _Waiting(index)
+    file, place, waiting = index.file, len(MAGIC), _Waiting(index)
     try:
+        place = _read_head(index)
         while place + HEAD.size <= until:
             op, length = HEAD.unpack(file.read(place, HEAD.size))
             start = place + HEAD.size

@@ -1,0 +1,156 @@
+"""The container: what we write the reference library reads, what it writes we read, and no damage goes unnoticed."""
+
+import io
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
+from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.mcap.index import read_index
+from sceneloom.formats.mcap.messages import McapMessages
+from sceneloom.formats.mcap.writer import McapWriter
+from sceneloom.formats.topics.file_bytes import FileBytes
+
+SIZES = (0, 10, 3000, 1_500_000, 40)
+MESSAGES = [(k % 2, 1000 + 7 * k, np.random.default_rng(k).bytes(SIZES[k % len(SIZES)])) for k in range(12)]
+"""Topic, time and bytes of each message; one in five fills a chunk of its own."""
+
+
+def written(compression):
+    stream = io.BytesIO()
+    writer = McapWriter(stream, profile="test", library="ours", compression=compression)
+    schema = writer.add_schema("a.Type", "protobuf", b"schema")
+    channels = [writer.add_channel(f"/{name}", "protobuf", schema, {"told": name}) for name in "ab"]
+    for topic, time_ns, content in MESSAGES:
+        half = len(content) // 2
+        writer.add_message(
+            channels[topic], time_ns, [content[:half], memoryview(content)[half:]], time_ns + 1
+        )
+    writer.add_metadata("notes", {"é": "ü"})
+    writer.finish()
+    return stream.getvalue()
+
+
+def foreign(**options):
+    stream = io.BytesIO()
+    writer = Writer(stream, **options)
+    writer.start("", "theirs")
+    schema = writer.register_schema("a.Type", "protobuf", b"schema")
+    channels = [writer.register_channel(f"/{name}", "protobuf", schema) for name in "ab"]
+    for topic, time_ns, content in MESSAGES:
+        writer.add_message(channels[topic], time_ns, content, time_ns)
+    writer.add_metadata("notes", {"é": "ü"})
+    writer.finish()
+    return stream.getvalue()
+
+
+def read(path, *, lenient=False):
+    """All messages by topic, in the order of the file."""
+    file = FileBytes(path)
+    try:
+        index = read_index(file, Ledger(lenient=lenient))
+        messages = McapMessages.of(index)
+        found = {}
+        for number, channel in index.channels.items():
+            entries = index.entries(number)
+            contents = [bytes(messages.data(entries, k)) for k in range(len(entries))]
+            heads = list(messages.heads(entries, np.arange(len(entries)), 16))
+            assert heads == [content[:16] for content in contents]
+            found[channel.topic] = list(zip(entries.log_times_ns.tolist(), contents, strict=True))
+        return found, index
+    finally:
+        file.close()
+
+
+EXPECTED = {
+    f"/{name}": [(time_ns, content) for topic, time_ns, content in MESSAGES if topic == number]
+    for number, name in enumerate("ab")
+}
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_the_reference_library_reads_what_we_write(compression):
+    reader = make_reader(io.BytesIO(written(compression)), validate_crcs=True)
+    assert (reader.get_header().profile, reader.get_header().library) == ("test", "ours")
+    found = [
+        (channel.topic, m.log_time, m.data) for _, channel, m in reader.iter_messages(log_time_order=False)
+    ]
+    assert found == [(f"/{'ab'[topic]}", time_ns, content) for topic, time_ns, content in MESSAGES]
+    statistics = reader.get_summary().statistics
+    assert (statistics.message_count, statistics.schema_count, statistics.channel_count) == (12, 1, 2)
+    assert (statistics.message_start_time, statistics.message_end_time) == (1000, 1077)
+    assert statistics.channel_message_counts == {1: 6, 2: 6}
+    assert statistics.chunk_count == len(reader.get_summary().chunk_indexes) >= 3
+    assert [(m.name, m.metadata) for m in reader.iter_metadata()] == [("notes", {"é": "ü"})]
+    (schema,) = reader.get_summary().schemas.values()
+    assert (schema.name, schema.encoding, schema.data) == ("a.Type", "protobuf", b"schema")
+
+
+OPTIONS = {
+    "lz4": {"compression": CompressionType.LZ4},
+    "zstd in small chunks": {"compression": CompressionType.ZSTD, "chunk_size": 2000},
+    "no chunks": {"use_chunking": False},
+    "no index at all": {"index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False},
+    "nothing repeated": {
+        "index_types": IndexType.NONE, "repeat_channels": False, "repeat_schemas": False, "use_statistics": False,
+        "use_summary_offsets": False,
+    },
+    "no index of messages": {"index_types": IndexType.CHUNK | IndexType.METADATA},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+def test_we_read_what_the_reference_library_writes(options, tmp_path):
+    path = tmp_path / "log.mcap"
+    path.write_bytes(foreign(**options))
+    found, index = read(path)
+    assert found == EXPECTED
+    assert index.metadata == [("notes", {"é": "ü"})]
+    assert {schema.name for schema in index.schemas.values()} == {"a.Type"}
+
+
+def test_a_compressed_chunk_that_is_changed_is_noticed(tmp_path):
+    content = bytearray(written("lz4"))
+    place = content.index(MESSAGES[2][2][100:120])  # noise is not compressed, so it stands there as it is
+    content[place] ^= 1
+    path = tmp_path / "log.mcap"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="chunk 0: "):
+        read(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0", b"not one", b"\x89MCAP0\r\n" * 2], ids=repr)
+def test_what_is_no_mcap_file_is_refused_with_what_was_expected(content, tmp_path):
+    path = tmp_path / "log.mcap"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=r"does not begin as an MCAP file does|not finished"):
+        read(path)
+
+
+def test_no_flipped_byte_ends_in_another_error_than_ours(tmp_path):
+    whole = foreign(compression=CompressionType.ZSTD, chunk_size=2000)
+    path, rng = tmp_path / "log.mcap", np.random.default_rng(0)
+    refused = 0
+    # heads, indexes and the end of the file are where numbers are that can mislead
+    for place in [*range(60), *rng.integers(len(whole) - 1500, len(whole), 60).tolist()]:
+        content = bytearray(whole)
+        content[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(content)
+        for lenient in (False, True):
+            try:
+                read(path, lenient=lenient)
+            except SceneloomError:
+                refused += 1
+    assert refused > 30
+
+
+def test_times_and_compressions_that_the_format_lacks_are_refused():
+    with pytest.raises(OptionError, match="none, lz4, zstd"):
+        McapWriter(io.BytesIO(), library="", compression="brotli")
+    writer = McapWriter(io.BytesIO(), library="")
+    channel = writer.add_channel("/a", "json", 0)
+    with pytest.raises(OutputError, match="-5 ns"):
+        writer.add_message(channel, -5, [b""])

@@ -3,9 +3,9 @@
 Run with `python -m benchmarks.view [--seconds 60] [--keep DIR]`. A simulated drive (120,000 rays a sweep at 10 Hz, six
 cameras of 1280x720 pixels around the ego, IMU, GNSS, boxes) is written as a scene file, whose pictures are JPEG files,
 and as a recording, whose pictures are H.264: what is rendered lasts 2 s and comes again and again, the ego moves on. A
-process of its own saves each: seconds of the wall and of the processor a second of the drive, the latter below 1, so
-that nothing else may hold it up; and the most memory that it holds, below 1000 MB. Pages of files that are mapped are told beside it:
-the system takes them back when it needs them.
+process of its own saves each: seconds of the wall and of the processor a second of the drive, the latter below 1; and
+the most memory that it holds, below 1000 MB. Pages of files that are mapped are told beside it: the system takes them
+back when it needs them.
 """
 
 import argparse

@@ -25,7 +25,7 @@ WORLD, SENSORS, CLOUDS = "world", "sensors", "clouds"
 """Entities below which things are: all that has a place, frames of sensors, points that are not in such a frame."""
 
 _POINT_SIZE = 1.6
-_RADAR_SIZE = 4.0
+_RADAR_SIZE, _ARROW_SIZE = 3.0, 1.0
 _LONGEST_SWEEP = 3
 """Times of points spread over more sweep periods than that are not when they were measured."""
 
@@ -193,7 +193,7 @@ class RadarView:
         colours = np.where((turned * positions).sum(axis=1) < 0, _NEARING, _LEAVING).astype(np.uint32)
         shown = rr.Points3D(positions, colors=colours, radii=ui_points(_RADAR_SIZE))
         self.stream.log(time_ns, f"{entity}/points", shown, kind="radar cycles", size=16 * len(points))
-        arrows = rr.Arrows3D(vectors=turned, origins=positions, colors=colours, radii=ui_points(1.5))
+        arrows = rr.Arrows3D(vectors=turned, origins=positions, colors=colours, radii=ui_points(_ARROW_SIZE))
         self.stream.log(time_ns, f"{entity}/velocities", arrows)
 
     def _into_sensor(self, shown_from_sensor: RigidTransform, time_ns: int) -> RigidTransform | None:

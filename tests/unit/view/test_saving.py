@@ -220,7 +220,7 @@ def test_labelled_points_lie_on_their_cloud_and_have_their_class(planted_saved):
     assert np.allclose(row.array("Points3D:positions"), cloud[[1, 3, 5]])
     context = planted_saved.lasting("/planted", "AnnotationContext:context")[0]
     names = {one["class_id"]: one["class_description"]["info"]["label"] for one in context}
-    assert [names[one] for one in row.values["Points3D:class_ids"]] == ["tree tree-1"] * 3
+    assert [names[one] for one in row.values["Points3D:class_ids"]] == ["tree-1"] * 3
 
 
 def test_an_adjustment_leads_from_the_given_way_to_the_corrected_one(planted_saved):

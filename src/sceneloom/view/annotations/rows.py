@@ -101,9 +101,11 @@ def label_of(annotation: Any) -> str:
 
 
 def name_of(annotation: Any) -> str:
-    """The class and the id, whose beginning is enough where it is long."""
-    identifier = str(annotation.id)
-    return f"{label_of(annotation)} {identifier if len(identifier) <= _SHORT else identifier[:_SHOWN]}"
+    """The class and the id, whose beginning is enough where it is long; the id alone where it begins with the class."""
+    label, identifier = label_of(annotation), str(annotation.id)
+    if len(label) < len(identifier) <= len(label) + _SHORT and identifier.startswith(label):
+        return identifier
+    return f"{label} {identifier if len(identifier) <= _SHORT else identifier[:_SHOWN]}"
 
 
 def attributes_at(annotation: Any, times_ns: Int64Array) -> list[str]:

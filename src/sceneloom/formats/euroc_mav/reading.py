@@ -98,7 +98,7 @@ def _camera(folder: Path, world_from_body: PosePath | None, ledger: Ledger) -> C
         LazyFrames(times, PictureReader(files, names, times, camera)),
         poses=poses,
         mount=mount,
-        fps=float(rate) if isinstance(rate, int | float) and rate > 0 else None,
+        fps=float(rate) if isinstance(rate, int | float) and 0 < rate < 1e9 else None,
         extras=_comment(description),
     )
 

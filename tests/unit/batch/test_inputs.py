@@ -56,8 +56,8 @@ def test_nothing_to_do_is_refused(tmp_path):
 
 def test_names_say_which_drive_it_was():
     drives = [
-        Input(place="/data/monday/cut.sfs"), Input(place="/data/tuesday/cut.sfs"), Input(place="/data/drive_1/"),
-        Input(place="s3://bucket/far%20away.sfs"), Input(place="/data/x.sfs", options={"start": 1.5}),
+        Input(place="monday/cut.sfs"), Input(place="tuesday/cut.sfs"), Input(place="drive_1/"),
+        Input(place="s3://bucket/far%20away.sfs"), Input(place="x.sfs", options={"start": 1.5}),
     ]  # fmt: skip
     assert output_names(drives, ".html") == (
         "monday_cut.html", "tuesday_cut.html", "drive_1.html", "far away.html", "x_start1.5.html",

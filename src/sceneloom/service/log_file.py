@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 
 from sceneloom.errors import DataError, OutputError
 from sceneloom.formats.mcap.schemas import schema_bytes
+from sceneloom.formats.mcap.writer import McapWriter
 from sceneloom.formats.output import check_output
 from sceneloom.fusion.messages.protobuf_form import parse_message
 from sceneloom.fusion.messages.wire import fusion_pb2
@@ -59,8 +60,6 @@ class LogWriter:
         Raises:
             OutputError: the log, or an unfinished one of its name, is there, or cannot be written.
         """
-        from mcap.writer import CompressionType, Writer
-
         check_output(path, overwrite=overwrite)
         self.path = path
         self.failure: Exception | None = None
@@ -75,8 +74,9 @@ class LogWriter:
             self._stream: BinaryIO = self._draft.open("wb")
         except OSError as error:
             raise OutputError(f"{self._draft}: cannot be written: {error.strerror}") from error
-        self._writer: Any = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        self._writer.start(library=f"sceneloom {__version__}")
+        self._writer = McapWriter(
+            self._stream, library=f"sceneloom {__version__}", compression="lz4", chunk_bytes=CHUNK_BYTES
+        )
         self._stream.flush()
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str, str], int] = {}
@@ -145,7 +145,7 @@ class LogWriter:
         published_ns: int,
     ) -> None:
         channel = self._channel(topic, message_type, session, what)
-        self._writer.add_message(channel, self._latest_ns, content, published_ns)
+        self._writer.add_message(channel, self._latest_ns, [content], published_ns)
 
     def _channel(self, topic: str, message_type: type[Any], session: str, what: str) -> int:
         name = message_type.DESCRIPTOR.full_name
@@ -155,9 +155,9 @@ class LogWriter:
         if len(self._channels) >= MOST_CHANNELS:
             raise OutputError(f"{MOST_CHANNELS} channels, as many as a log may have")
         if name not in self._schemas:
-            self._schemas[name] = self._writer.register_schema(name, "protobuf", schema_bytes(message_type))
+            self._schemas[name] = self._writer.add_schema(name, "protobuf", schema_bytes(message_type))
         metadata = {"session": session, "what": what}
-        channel: int = self._writer.register_channel(topic, "protobuf", self._schemas[name], metadata)
+        channel = self._writer.add_channel(topic, "protobuf", self._schemas[name], metadata)
         self._channels[topic, name, session] = channel
         return channel
 

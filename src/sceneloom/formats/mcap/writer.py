@@ -41,7 +41,13 @@ class McapWriter:
     """
 
     def __init__(
-        self, stream: BinaryIO, *, profile: str = "", library: str, compression: str = "none"
+        self,
+        stream: BinaryIO,
+        *,
+        profile: str = "",
+        library: str,
+        compression: str = "none",
+        chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
         """Begin the file.
 
@@ -50,6 +56,7 @@ class McapWriter:
             profile: "ros2", or "" for none.
             library: who writes.
             compression: "none", "lz4" or "zstd".
+            chunk_bytes: how long chunks are before they are compressed.
 
         Raises:
             OptionError: there is no such compression.
@@ -58,7 +65,7 @@ class McapWriter:
         self._stream = stream
         self._compress = compressor(compression)
         self._compression = "" if compression == "none" else compression
-        self._place = 0
+        self._place, self._chunk_bytes = 0, chunk_bytes
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._counts: dict[int, int] = {}
@@ -113,7 +120,7 @@ class McapWriter:
         self._counts[channel_id] += 1
         self._chunk_span = _wider(self._chunk_span, log_time_ns)
         self._take([head, *parts])
-        if self._chunk_size >= CHUNK_BYTES:
+        if self._chunk_size >= self._chunk_bytes:
             self._end_chunk()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:

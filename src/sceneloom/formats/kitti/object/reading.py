@@ -17,9 +17,16 @@ from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import read_bytes
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import KittiLabels, joined_labels, read_labels
-from sceneloom.formats.kitti.object.place import PICTURE_FOLDERS, find_frames
+from sceneloom.formats.kitti.object.place import PARTS, PICTURE_FOLDERS, find_frames
 from sceneloom.formats.kitti.scenes.boxes import LabelPlaces, label_annotations
-from sceneloom.formats.kitti.scenes.numbered import PICTURES, SWEEPS, TEXTS, NumberedFiles, numbered_files
+from sceneloom.formats.kitti.scenes.numbered import (
+    PICTURES,
+    SWEEPS,
+    TEXTS,
+    NumberedFiles,
+    note_unread,
+    numbered_files,
+)
 from sceneloom.formats.kitti.scenes.pictures import FramedPictures
 from sceneloom.formats.kitti.scenes.sensors import camera_id, kitti_metadata, lidar_sensor
 from sceneloom.formats.ledger import Ledger
@@ -115,6 +122,7 @@ def open_object(path: Path, *, lenient: bool = False) -> Scene:
 
 
 def _open(folder: Path, ledger: Ledger) -> Scene:
+    note_unread(folder, ("calib", "velodyne", "label_2", *PICTURE_FOLDERS.values(), *PARTS), ledger)
     calibrations = FrameCalibrations.read(numbered_files(folder / "calib", TEXTS, ledger), ledger)
     sweeps = calibrations.kept(numbered_files(folder / "velodyne", SWEEPS, ledger), ledger)
     pictures = {

@@ -13,7 +13,7 @@ from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.scene import Scene
 
 _WRITING_OPTIONS: tuple[str, ...] = ("sequence",)
-_READING_OPTIONS = ("sequence", "lenient")
+_READING_OPTIONS = ("sequence", "labels", "lenient")
 
 
 class OdometryFormat:

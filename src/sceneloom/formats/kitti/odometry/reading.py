@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
-from sceneloom.errors import CalibrationError, DataError
+from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration, rotation_of
 from sceneloom.formats.kitti.number_lines import read_lines
 from sceneloom.formats.kitti.odometry.place import CAMERAS, OdometrySequence, find_sequence
@@ -22,6 +22,7 @@ from sceneloom.formats.kitti.scenes.numbered import (
     SWEEPS,
     NumberedFiles,
     frames_within,
+    note_unread,
     numbered_files,
 )
 from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor
@@ -35,29 +36,43 @@ from sceneloom.scene import NoticeKind, Scene, Sensor, Trajectory
 TRUTH, ESTIMATE = "groundTruth", "pose"
 """The ways of `poses/NN.txt`, and of a `poses.txt` in the sequence's folder, which SemanticKITTI has."""
 
+_LABELS = ("read", "skip")
 
-def open_odometry(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
+
+def open_odometry(
+    path: Path, *, sequence: str | None = None, labels: str = "read", lenient: bool = False
+) -> Scene:
     """Open a sequence of the odometry benchmark.
 
     Args:
         path: the folder of a sequence, of sequences, or the one above `sequences` and `poses`.
         sequence: which one, as "00", where there are several.
+        labels: "read" SemanticKITTI's labels, which takes four bytes of memory for each labelled point, or "skip" them.
         lenient: leave out files without a time and times without a pose, and count them.
 
     Raises:
         DataError: something is missing or wrong.
-        OptionError: there are several sequences and none was chosen.
+        OptionError: there are several sequences and none was chosen, or `labels` is none of these.
     """
+    if labels not in _LABELS:
+        raise OptionError(f"labels {labels!r}; expected one of {', '.join(_LABELS)}")
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        return _open(find_sequence(path, sequence), ledger)
+        return _open(find_sequence(path, sequence), ledger, with_labels=labels == "read")
 
 
-def _open(place: OdometrySequence, ledger: Ledger) -> Scene:
+def _open(place: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> Scene:
     folder = place.folder
+    note_unread(
+        folder, ("calib.txt", "times.txt", "poses.txt", "velodyne", "labels", *CAMERAS.values()), ledger
+    )
     sweeps = numbered_files(folder / "velodyne", SWEEPS, ledger)
     pictures = {number: numbered_files(folder / name, PICTURES, ledger) for number, name in CAMERAS.items()}
     labels = numbered_files(folder / "labels", LABELS, ledger)
+    if len(labels) and not with_labels:
+        message = "labels of points are left aside, as was asked for"
+        ledger.note(NoticeKind.SKIPPED, "labels-aside", str(labels.folder), message, count=len(labels))
+        labels = labels.only([False] * len(labels))
     calibration = _calibration(folder / "calib.txt", sweeps)
     times = _times(place, [files for files in (sweeps, *pictures.values()) if len(files)], ledger)
     told_by = folder / "times.txt"

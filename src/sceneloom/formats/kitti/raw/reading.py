@@ -12,13 +12,20 @@ from sceneloom.errors import DataError
 from sceneloom.formats.kitti.number_lines import as_table
 from sceneloom.formats.kitti.oxts import read_fields
 from sceneloom.formats.kitti.raw.calibration import RawCalibration, picture_sizes, read_raw_calibration
-from sceneloom.formats.kitti.raw.place import RawDrive, camera_folders, find_drive
+from sceneloom.formats.kitti.raw.place import CALIBRATION_FILES, RawDrive, camera_folders, find_drive
 from sceneloom.formats.kitti.raw.stamps import StampFile, in_order, stamped
 from sceneloom.formats.kitti.raw.tracked_boxes import tracklet_annotations
 from sceneloom.formats.kitti.raw.tracklets import FILE as TRACKLETS
 from sceneloom.formats.kitti.raw.tracklets import read_tracklets
 from sceneloom.formats.kitti.scenes.inertial import oxts_sensors, rising
-from sceneloom.formats.kitti.scenes.numbered import PICTURES, SWEEPS, TEXTS, NumberedFiles, numbered_files
+from sceneloom.formats.kitti.scenes.numbered import (
+    PICTURES,
+    SWEEPS,
+    TEXTS,
+    NumberedFiles,
+    note_unread,
+    numbered_files,
+)
 from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor, standing
 from sceneloom.formats.kitti.scenes.sweeps import TurnTimes
 from sceneloom.formats.ledger import Ledger
@@ -55,6 +62,9 @@ def open_raw(path: Path, *, sequence: str | None = None, lenient: bool = False) 
 
 
 def _open(drive: RawDrive, ledger: Ledger) -> Scene:
+    note_unread(
+        drive.folder, (*camera_folders(), "velodyne_points", "oxts", TRACKLETS, *CALIBRATION_FILES), ledger
+    )
     cameras = {
         number: stream
         for number, name in enumerate(camera_folders())

@@ -1,6 +1,6 @@
 """Folders of files that are named by their frame's number."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -106,3 +106,18 @@ def frames_within(files: NumberedFiles, count: int, told_by: Path, ledger: Ledge
     )
     ledger.fault("files-without-time", DataError(files.folder, "", problem), count=beyond)
     return files.only([number < count for number in files.numbers.tolist()])
+
+
+def note_unread(folder: Path, known: Iterable[str], ledger: Ledger) -> None:
+    """Tell of what lies in a folder beside what is read of it; hidden and explaining files are no matter."""
+    names = set(known)
+    with file_faults(folder):
+        others = sorted(path.name for path in folder.iterdir() if path.name not in names)
+    others = [name for name in others if not name.startswith((".", "README", "readme"))]
+    if others:
+        shown = ", ".join(others[:_SHOWN]) + (", …" if len(others) > _SHOWN else "")
+        message = f"nothing is read of {shown}"
+        ledger.note(NoticeKind.SKIPPED, "not-read", str(folder), message, count=len(others))
+
+
+_SHOWN = 5

@@ -17,6 +17,7 @@ from sceneloom.formats.kitti.scenes.numbered import (
     SWEEPS,
     NumberedFiles,
     frames_within,
+    note_unread,
     numbered_files,
 )
 from sceneloom.formats.kitti.scenes.sensors import (
@@ -26,7 +27,7 @@ from sceneloom.formats.kitti.scenes.sensors import (
     lidar_sensor,
     standing,
 )
-from sceneloom.formats.kitti.tracking.place import PICTURE_FOLDERS, find_sequence
+from sceneloom.formats.kitti.tracking.place import PARTS, PICTURE_FOLDERS, find_sequence
 from sceneloom.formats.kitti.tracking_folder import CAMERA, frame_times, picture_size
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import picture_size as size_of_picture
@@ -86,7 +87,7 @@ def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
             sensors.append(
                 _camera(number, files, times, (folder, name), calibration, ego_from_lidar, path, ledger)
             )
-    _note_detections(folder, ledger)
+    _note_others(folder, ledger)
     annotations: tuple[Annotation, ...] = ()
     if labels is not None and path is not None:
         ego_from_rectified = ego_from_lidar @ calibration.rectified_from_lidar.inverse()
@@ -170,11 +171,14 @@ def _camera(
     return camera_sensor(number, files, times[files.numbers], calibration.camera(number, size), mount, path)
 
 
-def _note_detections(folder: Path, ledger: Ledger) -> None:
+def _note_others(folder: Path, ledger: Ledger) -> None:
+    """Tell of what lies beside the folders that are read."""
     lists = sorted(path.name for path in folder.iterdir() if path.name.startswith(("det2d_", "det3d_")))
     if lists:
         message = f"{', '.join(lists)}: lists of detections, which `track` and `fuse --type detection` read"
         ledger.note(NoticeKind.SKIPPED, "detections-aside", str(folder), message)
+    read = ("calib", "velodyne", "label_02", "oxts", "times", *PICTURE_FOLDERS.values(), *PARTS)
+    note_unread(folder, (*read, *lists), ledger)
 
 
 def _annotations(

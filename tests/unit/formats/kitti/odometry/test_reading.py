@@ -75,6 +75,17 @@ def test_labels_are_points_of_classes_and_objects(root):
     assert "unknown-classes" in [n.code for n in scene.notices]
 
 
+def test_labels_can_be_left_aside_and_what_is_not_read_is_told(root):
+    (root / "sequences/04/voxels").mkdir()
+    scene = open_scene(root, labels="skip")
+    assert scene.annotations == ()
+    told = {n.code: n for n in scene.notices}
+    assert told["labels-aside"].count == 2
+    with pytest.raises(OptionError, match=r"labels 'no'; expected one of read, skip"):
+        open_scene(root, labels="no")
+    assert told["not-read"].message == "nothing is read of voxels"
+
+
 def test_without_a_lidar_the_ego_is_camera_0_turned_to_look_ahead(root):
     for file in (root / "sequences/04/velodyne").iterdir():
         file.unlink()

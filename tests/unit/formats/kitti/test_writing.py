@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project
-from sceneloom.errors import OptionError, OutputError
+from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.loss import Fate
 from sceneloom.geometry.rigid import RigidTransform
@@ -191,6 +191,23 @@ def test_a_scene_without_a_way_or_lidar_is_written_as_far_as_it_goes(drive, tmp_
     for name in FORMATS:
         write_scene(pictures, tmp_path / name, format=name)
         assert len(open_scene(tmp_path / name).cameras[0].pictures) == 3
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_scene_with_nothing_in_it_is_refused(name, tmp_path):
+    with pytest.raises(DataError, match=r"holds nothing that a folder of KITTI's could hold"):
+        write_scene(Scene(()), tmp_path / "out", format=name)
+    assert not (tmp_path / "out").exists()
+
+
+def test_times_before_1970_come_back(drive, tmp_path):
+    times = [-1_500_000_001, -1, 7]
+    shots = [
+        replace(shot, timestamp_ns=time) for shot, time in zip(drive.cameras[0].pictures, times, strict=True)
+    ]
+    early = replace(drive.cameras[0], pictures=LazyFrames.of(shots, times), poses=None)
+    write_scene(Scene((early,)), tmp_path / "out", format="kitti-raw", kind="extract")
+    assert open_scene(tmp_path / "out").cameras[0].pictures.timestamps_ns.tolist() == times
 
 
 def test_other_peoples_folders_are_left_alone(drive, tmp_path):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError
 from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.scene import Box2DAnnotation, CuboidAnnotation, GnssSensor, LidarSensor
@@ -41,6 +42,9 @@ def timeline_of(choice: Choice, *, one_time: bool = True) -> Timeline:
     Args:
         choice: the sensors.
         one_time: whether a frame has one time for all of its sensors, whose losses are told.
+
+    Raises:
+        DataError: nothing tells of any frame.
     """
     lidar = choice.lidar
     starts = np.zeros(0, np.int64) if lidar is None else lidar.frames.timestamps_ns
@@ -51,6 +55,8 @@ def timeline_of(choice: Choice, *, one_time: bool = True) -> Timeline:
     frames = _with_lonely_pictures(moments, cameras, period)
     if not len(frames):
         frames = _told_times(choice)
+    if not len(frames):
+        raise DataError(choice.scene.source, "", "holds nothing that a folder of KITTI's could hold")
     sweeps = np.full(len(frames), NONE, np.int64)
     sweeps[np.searchsorted(frames, moments)] = np.arange(len(moments))
     pictures, losses = {}, list[Loss]()

@@ -368,3 +368,12 @@ def test_frames_of_clouds_go_to_other_processes(tmp_path, scene):
     write_scene(scene, tmp_path / "o", format="npz")
     frames = pickle.loads(pickle.dumps(open_scene(tmp_path / "o").lidars[0].frames))
     same(frames[1].points, scene.lidars[0].frames[1].points)
+
+
+def test_a_folder_is_recognised_though_some_of_its_files_are_torn(tmp_path, scene):
+    write_scene(scene, tmp_path / "o", format="ply")
+    (tmp_path / "o" / f"{STAMPS[0] - 5}.ply").touch()
+    assert find_format(tmp_path / "o").name == "ply"
+    with pytest.raises(DataError, match=r"does not begin with `ply`"):
+        open_scene(tmp_path / "o")
+    assert len(open_scene(tmp_path / "o", lenient=True).lidars[0].frames) == 2

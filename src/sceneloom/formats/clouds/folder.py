@@ -19,6 +19,9 @@ _BESIDE = (*TIME_FILES, SENSOR_POSES, EGO_POSES)
 _TEXTS = ("readme", "license", "licence")
 DEFAULT_ID = "lidar"
 
+_LOOKED_AT = 5
+"""Files of one ending that are looked into, where the first of them is torn."""
+
 
 @dataclass(frozen=True, slots=True)
 class CloudFolder:
@@ -64,36 +67,47 @@ def holds_kind(path: Path, kind: CloudKind) -> bool:
 
 def _is_flat(folder: Path, kind: CloudKind) -> bool:
     """Whether a folder has at least one file of a kind; of files of other kinds of clouds another format tells."""
-    first: Path | None = None
+    # some names per ending: folders of many thousand files are looked at by every kind, and some may be torn
+    samples: dict[str, list[Path]] = {}
     for entry in _entries(folder):
         if entry.is_dir():
             return False
-        if kind.has_name(entry.name):
-            first = first or Path(entry.path)
-        elif entry.name not in _BESIDE and not any(other.has_name(entry.name) for other in KINDS.values()):
-            return False
-    return first is not None and kind.recognises(first)
+        same = samples.setdefault(_ending(entry.name), [])
+        if len(same) < _LOOKED_AT and entry.name not in _BESIDE:
+            same.append(Path(entry.path))
+    found = [path for same in samples.values() for path in same]
+    known = all(any(other.has_name(path.name) for other in KINDS.values()) for path in found)
+    return known and any(kind.recognises(path) for path in found if kind.has_name(path.name))
+
+
+def _ending(name: str) -> str:
+    before, _, last = name.lower().rpartition(".")
+    return f"{before.rpartition('.')[2]}.{last}" if before.endswith(".pcd") else last
 
 
 def near_miss(path: Path, kind: CloudKind) -> str | None:
     """Say what keeps a path that has files of a kind from being a folder of clouds."""
     if path.is_file():
-        if not kind.has_name(path.name) or kind.recognises(path):
-            return None
-        return f"{path.name} ends as {kind.told} do, but does not begin so"
-    if not path.is_dir():
+        told = kind.has_name(path.name) and not kind.recognises(path)
+        return _not_begun(path.name, kind) if told else None
+    try:
+        names = [(entry.name, entry.is_dir()) for entry in _entries(path)] if path.is_dir() else []
+    except OSError:
         return None
-    names = [(entry.name, entry.is_dir()) for entry in _entries(path)]
     ours = [name for name, is_folder in names if not is_folder and kind.has_name(name)]
     others = sorted(name for name, is_folder in names if is_folder or name not in {*ours, *_BESIDE})
     if not ours or holds_kind(path, kind):
         return None
     if not others:
-        return f"{ours[0]} ends as {kind.told} do, but does not begin so"
+        return _not_begun(ours[0], kind)
     return (
         f"it has {len(ours)} {kind.told}, but {others[0]!r}, too: read them with `format={kind.name}`, or say with a "
         "rig.toml what is what"
     )
+
+
+def _not_begun(name: str, kind: CloudKind) -> str:
+    return f"{name} ends as {kind.told} do, but does not begin so"
 
 
 def find_folders(path: Path, kind: CloudKind) -> list[CloudFolder]:

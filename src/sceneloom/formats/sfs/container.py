@@ -27,7 +27,7 @@ from sceneloom.formats.sfs.items import (
     item_places,
     place_items,
 )
-from sceneloom.formats.sfs.mapped_file import LocalFile
+from sceneloom.formats.sfs.mapped_file import LocalFile, MappedContent
 from sceneloom.formats.sfs.remote import RemoteContent, RemoteFile
 from sceneloom.formats.urls import is_url
 
@@ -65,7 +65,7 @@ class StoredFile(Protocol):
         """Give a value with all arrays in it filled."""
         ...
 
-    def bytes_of(self, array: AnyArray) -> memoryview | RemoteContent:
+    def bytes_of(self, array: AnyArray) -> MappedContent | RemoteContent:
         """Give the bytes of an array, which may be read piece by piece."""
         ...
 
@@ -165,7 +165,7 @@ class Container:
         """
         return self._stored.fetch(value)
 
-    def bytes_of(self, array: AnyArray) -> memoryview | RemoteContent:
+    def bytes_of(self, array: AnyArray) -> MappedContent | RemoteContent:
         """Give the bytes of an array, to be read piece by piece where the file is behind a URL."""
         return self._stored.bytes_of(array)
 

@@ -1,15 +1,17 @@
 """A file mapped into memory, whose arrays are references to it where they are pickled."""
 
+import io
 import mmap
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, BinaryIO, Self, cast
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
+from sceneloom.formats.byte_stream import ByteStream
 from sceneloom.formats.identity import FileIdentity
 
 _MAPPED_AT_MOST = 128 << 20
@@ -78,6 +80,26 @@ class StoredArray:
         return np.frombuffer(mapped, self.dtype, prod(self.shape), self.start).reshape(self.shape)
 
 
+class MappedContent:
+    """The bytes of an array of a mapped file, whose pages are let go as they are read."""
+
+    def __init__(self, file: MappedFile, content: memoryview) -> None:
+        """Nothing is read yet."""
+        self._file, self._content = file, content
+
+    def __len__(self) -> int:
+        return len(self._content)
+
+    def __getitem__(self, part: slice) -> memoryview:
+        piece = self._content[part]
+        self._file.hand_out(len(piece))
+        return piece
+
+    def __call__(self) -> BinaryIO:
+        """Open them as a file."""
+        return cast("BinaryIO", io.BufferedReader(ByteStream(self)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalFile:
     """A file of this machine for a container.
@@ -127,9 +149,9 @@ class LocalFile:
         self.content.hand_out(_bytes_in(value))
         return value
 
-    def bytes_of(self, array: AnyArray) -> memoryview:
+    def bytes_of(self, array: AnyArray) -> "MappedContent":
         """Give the bytes of an array without copying them."""
-        return array.data.cast("B")
+        return MappedContent(self.content, array.data.cast("B"))
 
     def close(self) -> None:
         """Do nothing: the map stays as long as an array of it is in use."""

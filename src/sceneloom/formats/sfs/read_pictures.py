@@ -11,6 +11,7 @@ from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.container import Container, format_keys
+from sceneloom.formats.sfs.mapped_file import MappedContent
 from sceneloom.formats.sfs.mp4 import is_mp4, video_codec
 from sceneloom.formats.sfs.records import Place
 from sceneloom.formats.sfs.remote import RemoteContent
@@ -145,7 +146,7 @@ class _Player:
         index: the list of its pictures, None until it is known.
     """
 
-    def __init__(self, container: Container, content: memoryview | RemoteContent, place: str) -> None:
+    def __init__(self, container: Container, content: MappedContent | RemoteContent, place: str) -> None:
         self._container, self._content, self._place = container, content, place
         self._reader: VideoReader | None = None
         self.index: VideoIndex | None = None

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.errors import DataError, MissingExtraError
-from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.geometry.rotations import normalise_quaternion
 
 Columns = Mapping[str, type[Any]]
@@ -76,8 +76,8 @@ def poses_of(path: Path, columns: Mapping[str, AnyArray]) -> tuple[Float64Array,
     """
     positions = np.stack([columns[f"t{axis}_m"] for axis in "xyz"], axis=1)
     quaternions = np.stack([columns[f"q{axis}"] for axis in "xyzw"], axis=1)
-    norms = np.linalg.norm(quaternions, axis=1)
-    wrong = np.flatnonzero(~(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR))
+    norms, is_off = lengths_of(quaternions)
+    wrong = np.flatnonzero(is_off)
     if len(wrong):
         k = int(wrong[0])
         problem = f"{quaternions[k].tolist()} has the length {norms[k]:.4f}; expected 1"

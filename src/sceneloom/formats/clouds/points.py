@@ -42,9 +42,10 @@ class IntensityScale:
         """Scale, round and clip; give how many values were beyond the scale. What is not a number becomes 0."""
         if values.dtype == np.uint8 and self.maximum == 255.0:
             return values, 0
-        scaled = np.nan_to_num(
-            values.astype(np.float64) * (255.0 / self.maximum), nan=0.0, posinf=256.0, neginf=-1.0
-        )
+        with np.errstate(invalid="ignore"):
+            scaled = np.nan_to_num(
+                values.astype(np.float64) * (255.0 / self.maximum), nan=0.0, posinf=256.0, neginf=-1.0
+            )
         outside = int(((scaled < -0.5) | (scaled > 255.5)).sum())
         return np.clip(np.rint(scaled), 0, 255).astype(np.uint8), outside
 

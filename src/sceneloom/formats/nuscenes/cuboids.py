@@ -12,7 +12,7 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.nuscenes.selection import SceneTables, dangling, rows_by_token
 from sceneloom.formats.nuscenes.sensors import MICROSECOND
 from sceneloom.formats.nuscenes.tables import AnnotationRow, CategoryRow, InstanceRow, iter_rows
-from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath
 from sceneloom.scene.angles import CuboidAngles
 
@@ -89,8 +89,7 @@ def _values(tables: SceneTables, rows: Sequence[AnnotationRow]) -> Float64Array:
     """`dx dy dz px py pz roll pitch yaw`: length, width, height; the angles as they are by default."""
     sizes_wlh = np.array([row.size for row in rows])
     quaternions_wxyz = np.array([row.rotation for row in rows])
-    norms = np.linalg.norm(quaternions_wxyz, axis=1)
-    wrong = (np.abs(norms - 1.0) > GREATEST_NORM_ERROR) | (sizes_wlh <= 0).any(axis=1)
+    wrong = lengths_of(quaternions_wxyz)[1] | (sizes_wlh <= 0).any(axis=1)
     if wrong.any():
         row = rows[int(np.argmax(wrong))]
         problem = f"size {list(row.size)}, rotation {list(row.rotation)}; expected sizes above 0, length 1"

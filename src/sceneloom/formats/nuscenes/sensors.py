@@ -14,7 +14,7 @@ from sceneloom.formats.nuscenes.frames import CycleFiles, FrameFiles, PictureFil
 from sceneloom.formats.nuscenes.keyframes import KEY_FRAMES
 from sceneloom.formats.nuscenes.selection import SceneTables, SensorData, file_of
 from sceneloom.formats.nuscenes.tables import CalibratedSensorRow, Quaternion
-from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.rig.pictures import picture_size
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
@@ -86,8 +86,8 @@ def _quaternions(
         DataError: one is far from length 1.
     """
     values = np.array([rotation for _, rotation in rotations], np.float64).reshape(-1, 4)
-    norms = np.linalg.norm(values, axis=1)
-    wrong = np.flatnonzero(~(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR))
+    norms, is_off = lengths_of(values)
+    wrong = np.flatnonzero(is_off)
     if len(wrong):
         token, rotation = rotations[int(wrong[0])]
         problem = (

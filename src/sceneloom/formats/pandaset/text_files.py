@@ -10,7 +10,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import read_bytes
-from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.geometry.rotations import normalise_quaternion
 
 NANOSECONDS = 1_000_000_000
@@ -110,7 +110,7 @@ def read_poses(path: Path, count: int) -> tuple[Float64Array, Float64Array]:
     positions = np.array([[p.position.x, p.position.y, p.position.z] for p in poses]).reshape(-1, 3)
     quaternions = np.array([[p.heading.x, p.heading.y, p.heading.z, p.heading.w] for p in poses])
     quaternions = quaternions.reshape(-1, 4)
-    wrong = np.flatnonzero(~(np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) <= GREATEST_NORM_ERROR))
+    wrong = np.flatnonzero(lengths_of(quaternions)[1])
     if len(wrong):
         k = int(wrong[0])
         w, *xyz = np.roll(quaternions[k], 1).tolist()

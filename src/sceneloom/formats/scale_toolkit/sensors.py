@@ -16,7 +16,7 @@ from sceneloom.formats.clouds.points import detect_scale
 from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.pandaset.text_files import read_json
-from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.rig.pictures import PICTURE_SUFFIXES, PictureReader, picture_size
 from sceneloom.formats.rig.sweep_reader import SweepReader
 from sceneloom.formats.scale_toolkit.frame_names import frame_names
@@ -38,6 +38,8 @@ from sceneloom.scene.pose_source import poses_along
 CLOUDS = (".ply", ".pcd")
 _LENS = ("fx", "fy", "cx", "cy")
 _RADAR_COLUMNS = 7
+_LARGEST = 1e9
+"""No place and no speed of a return is larger than this."""
 
 
 def read_pose(path: Path) -> RigidTransform:
@@ -50,10 +52,10 @@ def read_pose(path: Path) -> RigidTransform:
     heading, position = (
         _numbers(path, record, name, count) for name, count in (("heading", 4), ("position", 3))
     )
-    norm = float(np.linalg.norm(heading))
-    if not abs(norm - 1.0) <= GREATEST_NORM_ERROR:
+    norms, is_off = lengths_of(heading[None])
+    if is_off[0]:
         raise DataError(
-            path, "heading", f"{heading.tolist()} has the length {norm:.4f}; expected w, x, y, z of 1"
+            path, "heading", f"{heading.tolist()} has the length {norms[0]:.4f}; expected w, x, y, z of 1"
         )
     return RigidTransform.from_quaternion(position, heading[[1, 2, 3, 0]])
 
@@ -187,7 +189,7 @@ def _radar_rows(path: Path) -> Float64Array:
             row = [float(word) for word in line.split(",")]
         except ValueError:
             row = []
-        if len(row) != _RADAR_COLUMNS or not np.isfinite(row).all():
+        if len(row) != _RADAR_COLUMNS or not np.abs(row).max() <= _LARGEST:
             raise DataError(
                 path, f"line {number}", f"{line[:60]!r}; expected x, y, z, direction x, y, z, size"
             )

@@ -12,7 +12,7 @@ from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.label_rows import LabelRows
 from sceneloom.formats.kitti.written.places import egos_at, is_lidar
 from sceneloom.formats.kitti.written.target import check_replaceable, kept_of
-from sceneloom.formats.kitti.written.timeline import NONE, Timeline, timeline_of
+from sceneloom.formats.kitti.written.timeline import NONE, Timeline, check_files, timeline_of
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.geometry.rigid import RigidTransform
@@ -40,6 +40,7 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
     check_replaceable(path, recognises, "folder of KITTI's object benchmark")
     choice = choose(scene, tuple(PICTURE_FOLDERS), rectified=True, models=frozenset({"pinhole"}), rigid=False)
     losses = [*dropped_parts(scene, HELD), *choice.losses]
+    check_files(choice, labels=True)
     timeline = timeline_of(choice, one_time=False)
     numbers = _numbers(scene, timeline)
     losses += [*timeline.losses, *_time_losses(scene, choice, timeline)]

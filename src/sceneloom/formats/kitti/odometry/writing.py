@@ -13,7 +13,7 @@ from sceneloom.formats.kitti.written.files import write_point_labels
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.places import egos_at, mounted_of
 from sceneloom.formats.kitti.written.target import check_replaceable, kept_calibration, kept_of
-from sceneloom.formats.kitti.written.timeline import Timeline, timeline_of
+from sceneloom.formats.kitti.written.timeline import Timeline, check_files, timeline_of
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.written_times import seconds_text
@@ -57,6 +57,7 @@ def write_odometry(
     check_replaceable(path, recognises, "folder of KITTI's odometry benchmark")
     choice = choose(scene, SLOTS, rectified=True, models=frozenset({"pinhole"}))
     losses = [*dropped_parts(scene, HELD), *choice.losses]
+    check_files(choice, labels=False)
     timeline = timeline_of(choice)
     losses += timeline.losses
     labels = PointLabels.of(scene, choice.lidar)

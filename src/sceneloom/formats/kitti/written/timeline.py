@@ -16,6 +16,23 @@ _OWN_FRAME = 0.75
 """A picture that is this share of a period from every sweep is of a frame without one: a sweep is missing there."""
 
 
+def check_files(choice: Choice, *, labels: bool) -> None:
+    """Refuse a scene of which a folder without OXTS lines would have no files.
+
+    Args:
+        choice: what is written.
+        labels: whether boxes of a camera without pictures are files, too.
+
+    Raises:
+        DataError: there are neither sweeps nor pictures, nor such boxes.
+    """
+    has_sweeps = choice.lidar is not None and len(choice.lidar.frames) > 0
+    has_pictures = any(len(camera.pictures) for camera in choice.cameras.values())
+    if not (has_sweeps or has_pictures or (labels and choice.reference is not None)):
+        problem = "holds neither sweeps nor pictures, of which the files of such a folder are"
+        raise DataError(choice.scene.source, "", problem)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Timeline:
     """The frames, in order.

@@ -526,6 +526,19 @@ def test_a_camera_without_camera_info_is_told(tmp_path):
         np.testing.assert_array_equal(scene.cameras[0].pictures[0].rgb, RGB)
 
 
+def test_pictures_of_unknown_forms_are_told_and_the_rest_is_read(tmp_path):
+    with Bag(tmp_path / "drive", "SQLITE3") as bag:
+        bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS))
+        bag.image("/odd/image_raw", EPOCH_NS, "cam", "yuv444", RGB)
+        webp = np.frombuffer(b"RIFF0000WEBPVP8 ", np.uint8)
+        bag.send("/web/compressed", "sensor_msgs/msg/CompressedImage", EPOCH_NS, "cam", "webp", webp)
+    with sceneloom.open(bag.path) as scene:
+        assert [sensor.id for sensor in scene.sensors] == ["points"]
+        told = [notice.message for notice in scene.notices if notice.code == "unknown-pictures"]
+        assert len(told) == 2
+        assert any("'yuv444'" in message for message in told)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_that_was_cut_off_is_refused_or_read_as_far_as_it_is_whole(kind, tmp_path):
     path = drive(tmp_path / "drive", kind)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, UnknownFormatError
 from sceneloom.formats.encoded_pictures import EncodedPicture, picture_size
 from sceneloom.formats.topics.lenses import fitted, no_lens, read_lens
 from sceneloom.formats.topics.log import Topic, TopicLog
@@ -128,12 +128,12 @@ def picture_form(record: PictureRecord, owner: str, place: str) -> str:
     """The form of a picture's file, by how it begins.
 
     Raises:
-        DataError: it is neither JPEG nor PNG.
+        UnknownFormatError: it is neither JPEG nor PNG.
     """
     form = _MARKS.get(bytes(record.data[:3]))
     if form is None:
         problem = f"a picture of format {record.form!r} that begins as no JPEG or PNG file does; expected one of these"
-        raise DataError(owner, place, problem)
+        raise UnknownFormatError(owner, place, problem)
     return form
 
 
@@ -170,6 +170,7 @@ def draft_camera(survey: Survey, topic: Topic, lens_topic: Topic | None) -> Came
 
     Raises:
         DataError: the first message is damaged, or the lens is.
+        UnknownFormatError: the pictures are of a form that is not read.
     """
     stamps = survey.times_ns[topic.number]
     place = f"{survey.log.name}: {topic.name}"
@@ -202,7 +203,7 @@ def _draft_video(
         record: Any = survey.log.read(topic, skipped)[0]
         if record.form not in CODECS:
             problem = f"format {record.form!r}; expected one of {', '.join(CODECS)}"
-            raise DataError(survey.log.name, f"{topic.name}[{skipped}].format", problem)
+            raise UnknownFormatError(survey.log.name, f"{topic.name}[{skipped}].format", problem)
         if starts_video(record.data, CODECS[record.form]):
             first = record
             break

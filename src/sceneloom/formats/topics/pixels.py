@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, UInt8Array
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, UnknownFormatError
 from sceneloom.formats.topics.records import ImageRecord
 
 MILLIMETRE = 0.001
@@ -65,11 +65,12 @@ def encoding_of(record: ImageRecord, owner: str, place: str) -> Encoding:
     """Find the encoding of a message.
 
     Raises:
-        DataError: it is unknown.
+        UnknownFormatError: it is unknown.
     """
     encoding = ENCODINGS.get(record.encoding)
     if encoding is None:
-        raise DataError(owner, place, f"encoding {record.encoding!r}; expected one of {', '.join(ENCODINGS)}")
+        known = ", ".join(ENCODINGS)
+        raise UnknownFormatError(owner, place, f"encoding {record.encoding!r}; expected one of {known}")
     return encoding
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, UnknownFormatError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.topics.annotations_from_topics import read_annotations
 from sceneloom.formats.topics.cameras import CameraDraft, draft_camera, lens_topic_of
@@ -127,6 +127,10 @@ def _draft_all(found: Survey, drafts: Drafts) -> None:
             if topic.name in noted:
                 lens = next((other for other in lens_topics if other.name == noted[topic.name]), None)
             drafts.cameras.append(draft_camera(found, topic, lens))
+        except UnknownFormatError as error:
+            place = f"{found.log.name}: {topic.name}"
+            message = f"pictures that are not read: {error.problem}"
+            found.ledger.note(NoticeKind.SKIPPED, "unknown-pictures", place, message, count=topic.count)
         except DataError as error:
             found.ledger.fault("topics-at-fault", error, count=topic.count)
 

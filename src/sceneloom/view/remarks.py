@@ -55,13 +55,16 @@ def find_mistakes(scene: Scene) -> tuple[Finding, ...]:
 
 
 def log_remarks(stream: Stream, time_ns: int, notices: Sequence[Notice], findings: Sequence[Finding]) -> None:
-    """Log them at a time, the worst first."""
+    """Log them at a time, the worst first; notices that a finding tells already are not repeated."""
+    told = {finding.message for finding in findings}
     order = {level: k for k, level in enumerate(("ERROR", "WARN", "INFO"))}
     lines = [
         (_LEVELS[one.severity], f"{one.path}: {one.message}; {one.remedy} [{one.rule}]") for one in findings
     ]
     lines += [
-        (_LEVELS[one.kind], f"{one.kind}: {one.place}: {one.message}{_times(one.count)}") for one in notices
+        (_LEVELS[one.kind], f"{one.kind}: {one.place}: {one.message}{_times(one.count)}")
+        for one in notices
+        if one.message not in told
     ]
     for level, text in sorted(lines, key=lambda line: order[line[0]]):
         stream.log(time_ns, stream.path(REMARKS), sdk().TextLog(text, level=level), kind="remarks")

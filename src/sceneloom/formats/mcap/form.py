@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sceneloom.errors import check_option_names
+from sceneloom.errors import MissingExtraError, check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.mcap.holdings import HOLDS
 from sceneloom.formats.mcap.sniffing import is_foxglove_mcap, near_miss
@@ -38,6 +38,7 @@ class McapFormat:
             DataError: the file is at fault.
         """
         check_option_names("opening an MCAP file", options, _READING_OPTIONS)
+        _check_extra()
         from sceneloom.formats.mcap.scene_from_mcap import open_mcap
 
         return open_mcap(path, **options)
@@ -51,9 +52,19 @@ class McapFormat:
             OutputError: the file exists, or cannot be written.
         """
         check_option_names("writing an MCAP file", options, _WRITING_OPTIONS)
+        _check_extra()
         from sceneloom.formats.mcap.scene_to_mcap import write_mcap
 
         return write_mcap(scene, path, overwrite=overwrite, **options)
+
+
+def _check_extra() -> None:
+    """Look whether what reads and writes messages is installed, before it is imported piece by piece."""
+    try:
+        import foxglove_schemas_protobuf  # noqa: F401 - only whether it is there
+        import google.protobuf  # noqa: F401 - only whether it is there
+    except ImportError as missing:
+        raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[mcap]'") from missing
 
 
 FORMAT = McapFormat()

@@ -40,6 +40,9 @@ class SqliteBag:
         except sqlite3.Error as error:
             self.close()
             raise DataError(path, "", f"cannot be read as a bag: {error}") from error
+        except DataError:
+            self.close()
+            raise
 
     def _begin(self) -> None:
         self._database: sqlite3.Connection | None = None

@@ -9,7 +9,7 @@ from typing import Any
 import click
 import msgspec
 
-from sceneloom.formats.loss import LossReport
+from sceneloom.formats.loss import Fate, LossReport
 from sceneloom.scene import Notice
 
 SHOWN = 5
@@ -38,11 +38,20 @@ def print_notices(notices: Sequence[Notice], *, verbose: bool) -> None:
     )
 
 
+_HAPPENED = {
+    Fate.KEPT: "note",
+    Fate.CONVERTED: "converted",
+    Fate.APPROXIMATED: "approximated",
+    Fate.DROPPED: "lost",
+}
+"""What a line about a loss begins with."""
+
+
 def print_losses(losses: LossReport, *, verbose: bool) -> None:
     """Print what the target format has no place for: lost, or kept where only we look for it."""
     print_lines(
         [
-            f"{'kept aside' if loss.kept else 'lost'}: {loss.field}: {loss.what}"
+            f"{'kept aside' if loss.kept else _HAPPENED[loss.fate]}: {loss.field}: {loss.what}"
             + (f" ({loss.count} times)" if loss.count > 1 else "")
             + (f"; it is in {loss.kept}" if loss.kept else "")
             for loss in losses

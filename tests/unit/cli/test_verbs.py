@@ -59,7 +59,7 @@ def test_fuse_for_people_says_frames_points_share_and_place(
     outcome = call("fuse", recording, "-o", tmp_path / "d.sfs")
     assert "fused 3 of 3 sweeps by trajectory groundTruth" in outcome.out
     assert f"scene: {tmp_path / 'd.sfs'}" in outcome.out
-    assert "lost: " in outcome.err
+    assert "kept aside: " in outcome.err
     quiet = call("fuse", recording, "-o", tmp_path / "e.sfs", "--quiet")
     assert quiet.err == ""
 

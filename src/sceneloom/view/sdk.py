@@ -18,6 +18,12 @@ Source: XDG Base Directory Specification 0.8.
 """
 
 
+_PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
+_NOBODY = "http://127.0.0.1:1"
+"""A proxy that is not there: what would go through it goes nowhere."""
+_NEAR = "127.0.0.1,localhost"
+
+
 @cache
 def sdk() -> Any:
     """Import `rerun`.
@@ -61,17 +67,26 @@ def viewer_command(*options: str) -> list[str]:
     return [str(Path(found.origin).with_name(name)), *options]
 
 
-def silent_environment(folder: Path, given: Mapping[str, str] | None = None) -> dict[str, str]:
+def silent_environment(
+    folder: Path, given: Mapping[str, str] | None = None, *, offline: bool = True
+) -> dict[str, str]:
     """Give an environment in which Rerun's program sends no usage data and writes to `folder` only.
 
     The program sends none after its own command `analytics disable`, which it keeps in its folder of settings: that is
     a folder of ours here, so that nothing is written to the home folder, and what a person has set there stays as is.
+    It would still ask for its newest version and for examples; that goes to a proxy that is not there.
 
     Args:
         folder: an empty folder that lives as long as the program.
         given: the environment to begin with; None for this process's.
+        offline: let the program reach this machine only.
     """
     environment = {**(os.environ if given is None else given), **dict.fromkeys(_FOLDERS, str(folder))}
+    if offline:
+        # both spellings are in use, and the small one counts more
+        for name in _PROXIES:
+            environment |= {name: _NOBODY, name.lower(): _NOBODY}
+        environment |= {"NO_PROXY": _NEAR, "no_proxy": _NEAR}
     if platform.system() == "Darwin":
         environment["HOME"] = str(folder)
     subprocess.run(  # noqa: S603 - our own words

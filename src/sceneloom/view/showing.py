@@ -128,7 +128,7 @@ def _viewer(*, web: bool, map_tiles: bool) -> Iterator[Viewer]:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sceneloom-view-"))
         process = subprocess.Popen(  # noqa: S603 - our own words
             viewer_command(*options),
-            env=silent_environment(Path(folder)),
+            env=silent_environment(Path(folder), offline=not map_tiles),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -2,10 +2,12 @@
 
 import http.client
 import json
+import socket
 import subprocess
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -74,6 +76,18 @@ def test_the_viewers_program_sends_no_usage_data_and_writes_to_its_folder_only(t
     assert settings["analytics_enabled"] is False
     assert settings["config_file_path"].startswith(str(folder))
     assert list(home.iterdir()) == []
+
+
+@pytest.mark.parametrize("spelling", [str.upper, str.lower])
+def test_the_viewers_program_reaches_this_machine_alone(tmp_path, spelling):
+    given = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "https_proxy": "http://proxy.example"}
+    environment = sdk.silent_environment(tmp_path, given)
+    for name in ("http_proxy", "https_proxy", "all_proxy"):
+        assert urlsplit(environment[spelling(name)]).hostname == "127.0.0.1"
+        with pytest.raises(OSError, match="refused"):
+            socket.create_connection(("127.0.0.1", urlsplit(environment[spelling(name)]).port), timeout=5)
+    assert "127.0.0.1" in environment[spelling("no_proxy")].split(",")
+    assert sdk.silent_environment(tmp_path, given, offline=False)["https_proxy"] == "http://proxy.example"
 
 
 def test_without_a_screen_the_other_ways_are_named(planted, monkeypatch):

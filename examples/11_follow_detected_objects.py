@@ -17,14 +17,14 @@ from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_recor
 from sceneloom.pipeline import DetectionFiles, DetectionInput
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, detect_2d, detect_3d
 
-LENS = Camera("pinhole", 480, 240, 280.0, 280.0, 239.5, 119.5)
+LENS = Camera("pinhole", 320, 160, 190.0, 190.0, 159.5, 79.5)
 
 if __name__ == "__main__":
     where = Path(sys.argv[1] if len(sys.argv) > 1 else "detected")
     drive = sceneloom.simulate_street(
         4,
-        frames=6,
-        lidar=LidarSpec(beams=16, steps=360),
+        frames=4,
+        lidar=LidarSpec(beams=16, steps=240),
         cameras=[CameraSpec(LENS)],
         traffic=TrafficSpec(cars=4),
     )

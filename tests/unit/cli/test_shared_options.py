@@ -1,8 +1,6 @@
 """Options that several verbs have mean the same everywhere, and every verb minds the manners of the shell."""
 
-import os
-import subprocess
-import sys
+import re
 from collections.abc import Iterator
 
 import click
@@ -134,31 +132,16 @@ def test_short_names_stand_for_one_long_name_each():
             assert SHORT[name] in option.opts, f"{verb} {name}"
 
 
-def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "sceneloom", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, **environment},
-    )
-
-
-def test_what_is_piped_or_asked_to_be_plain_has_no_colours_and_no_bar(recording, tmp_path):
-    told = run(
-        "edit",
-        "thin",
-        str(recording),
-        "-o",
-        str(tmp_path / "o.sfs"),
-        "--every",
-        "2",
-        FORCE_COLOR="",
-        NO_COLOR="1",
-    )
-    assert told.returncode == 0, told.stderr
-    assert "\x1b" not in told.stdout + told.stderr
-    assert "\r" not in told.stderr
+def test_what_is_piped_or_asked_to_be_plain_has_no_colours_and_no_bar(call, recording, tmp_path, monkeypatch):
+    words = ("edit", "thin", recording, "--every", "2", "-o")
+    piped = call(*words, tmp_path / "piped.sfs")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    plain = call(*words, tmp_path / "plain.sfs")
+    for told in (piped, plain):
+        assert told.code == 0, told.err
+        assert not re.search(r"\x1b\[[0-9;]*[1-9][0-9]*m", told.out + told.err)  # marks that set a colour
+    assert "\r" not in piped.err
 
 
 def test_a_drive_that_is_broken_is_answered_with_what_to_do_next(call, recording, tmp_path):

@@ -16,8 +16,9 @@ _SHOWN = 5
 @click.command()
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="Only how many, no failures.")
 @click.option("-v", "--verbose", is_flag=True, help="Every drive, not only the failures.")
-def status(output: Path, as_json: bool, verbose: bool) -> None:
+def status(output: Path, as_json: bool, quiet: bool, verbose: bool) -> None:
     """Say how the run in the folder OUTPUT stands, while it goes on, too."""
     from dataclasses import asdict
 
@@ -32,6 +33,8 @@ def status(output: Path, as_json: bool, verbose: bool) -> None:
     counts = {state: sum(row.state is state for row in rows) for state in State}
     parts = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
     click.echo(f"{output}: {told.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}")
+    if quiet:
+        return
     shown = rows if verbose else [row for row in rows if row.state is State.FAILED]
     print_table(
         [

@@ -69,7 +69,7 @@ def test_frames_come_back_as_they_were(frames, data_dir, tmp_path):
         np.testing.assert_array_equal(after.mount.matrix, before.mount.matrix)
 
 
-@pytest.mark.parametrize("name", ["0000", "0012"])
+@pytest.mark.parametrize("name", [pytest.param("0000", marks=pytest.mark.slow), "0012"])
 def test_tracks_come_back_and_stand_where_pictures_show_them(data_dir, name, tmp_path):
     scene = open_scene(data_dir / "real" / "kitti_tracking", sequence=name)
     camera = scene.sensor("camera2")

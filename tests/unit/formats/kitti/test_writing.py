@@ -138,6 +138,7 @@ def test_a_distorted_lens_stays_in_an_extract_and_is_resampled_for_a_sync(tmp_pa
     assert (tmp_path / "flat/1970_01_01/1970_01_01_drive_0001_sync").is_dir()
 
 
+@pytest.mark.slow
 def test_lenses_and_directions_that_a_folder_cannot_hold_are_told(tmp_path):
     scene = street(WIDE, PINHOLE)
     losses = write_scene(scene, tmp_path / "out", format="kitti-tracking")
@@ -186,6 +187,7 @@ def test_labelled_points_get_semantic_kittis_numbers(drive, tmp_path):
     assert {a.id for a in open_scene(tmp_path / "out").annotations} == {"road", "car 1"}
 
 
+@pytest.mark.slow
 def test_a_scene_without_a_way_or_lidar_is_written_as_far_as_it_goes(drive, tmp_path):
     pictures = Scene(drive.cameras)
     for name in FORMATS:

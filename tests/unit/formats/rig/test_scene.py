@@ -72,7 +72,7 @@ def test_a_folder_without_manifest_is_told_about_the_template(tmp_path):
 
 def test_a_rig_is_not_written(opened, tmp_path):
     with pytest.raises(OutputError, match="a rig is only read; write a scene file"):
-        sceneloom.write(opened(), tmp_path / "new.toml")
+        sceneloom.write(opened(), tmp_path / "new.toml", format="rig")
     assert not (tmp_path / "new.toml").exists()
 
 

@@ -244,14 +244,20 @@ def _lenses(survey: Survey, topic: Topic | None, size: tuple[int, int], place: s
         if k > 0 and _same(records[k - 1], record):
             continue
         where = "" if topic is None else f"{topic.name}[{k}]"
-        lens = read_lens(record, survey.log.name, where, survey.ledger)
+        try:
+            lens = read_lens(record, survey.log.name, where, survey.ledger)
+        except UnknownFormatError as error:
+            survey.ledger.note(
+                NoticeKind.SKIPPED, "lens-unknown", f"{error.file}: {error.place}", error.problem
+            )
+            continue
         if lens is not None:
             found[record.timestamp_ns] = fitted(lens, size, place, survey.ledger)
     if not found:
         message = (
             "no calibration: the pictures can be looked at, and nothing can be projected into them"
             if topic is None
-            else f"{topic.name} says that the camera is not calibrated; nothing can be projected into its pictures"
+            else f"{topic.name} tells no lens that is known; nothing can be projected into the pictures"
         )
         survey.ledger.note(NoticeKind.SKIPPED, "lens-missing", place, message)
         return Lenses(np.zeros(1, np.int64), (no_lens(*size),))

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.table import MODELS
-from sceneloom.errors import CalibrationError, DataError
+from sceneloom.errors import CalibrationError, DataError, UnknownFormatError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.topics.records import LensRecord
 from sceneloom.scene import NoticeKind
@@ -48,7 +48,8 @@ def read_lens(record: LensRecord, owner: str, place: str, ledger: Ledger) -> Cam
     """Read a calibration; None for one that says that the camera is not calibrated.
 
     Raises:
-        DataError: the model is unknown, or its numbers are none.
+        UnknownFormatError: the model is unknown.
+        DataError: its numbers are none.
     """
     k = record.k
     if len(k) != 9:
@@ -72,7 +73,8 @@ def _model(record: LensRecord, owner: str, place: str) -> tuple[str, tuple[float
         return own, record.coefficients
     if named.lower() not in _READ:
         known = ", ".join(filter(None, _READ))
-        raise DataError(owner, f"{place}.distortion_model", f"{record.model!r}; expected one of {known}")
+        problem = f"{record.model!r}; expected one of {known}"
+        raise UnknownFormatError(owner, f"{place}.distortion_model", problem)
     model, most = _READ[named.lower()]
     numbers = record.coefficients
     while len(numbers) > most and numbers[-1] == 0.0:

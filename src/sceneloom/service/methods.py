@@ -10,6 +10,7 @@ from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
 from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.formats.wire_bytes import LENGTH_TYPE, wire_fields
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages.protobuf_form import (
     decode_send_request,
@@ -17,7 +18,6 @@ from sceneloom.fusion.messages.protobuf_form import (
     parse_message,
 )
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.formats.wire_bytes import LENGTH_TYPE, wire_fields
 from sceneloom.fusion.outcome import DONE, Cause, Outcome
 from sceneloom.service.call_errors import CallError
 from sceneloom.service.motion_form import path_of

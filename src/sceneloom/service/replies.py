@@ -1,10 +1,10 @@
 """Results and configurations as the bytes of replies."""
 
+from sceneloom.formats.wire_bytes import enclosed
 from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.protobuf_form import encoded_parts
 from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.formats.wire_bytes import enclosed
 from sceneloom.fusion.outcome import DONE, Outcome
 from sceneloom.fusion.properties import Snapshot
 from sceneloom.service.values import property_to_protobuf

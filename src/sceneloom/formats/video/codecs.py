@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Literal
 
-_WANTED: Mapping[str, tuple[str, str]] = MappingProxyType(
+_WANTED: Mapping[str, tuple[str, Literal["r", "w"]]] = MappingProxyType(
     {
         "H.264, read": ("h264", "r"),
         "H.264, written": ("libx264", "w"),

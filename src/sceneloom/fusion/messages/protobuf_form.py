@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.formats.wire_bytes import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
 from sceneloom.fusion.messages.array_bytes import array_within, bytes_view
 from sceneloom.fusion.messages.records import (
     RECORD_KINDS,
@@ -13,7 +14,6 @@ from sceneloom.fusion.messages.records import (
     kind_of,
 )
 from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM
-from sceneloom.formats.wire_bytes import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
 
 try:
     from google.protobuf.message import DecodeError, Message

@@ -287,7 +287,7 @@ def decoded(path):
             yield channel.topic, schema.name, message, found
 
 
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("compression", ["none", pytest.param("zstd", marks=pytest.mark.slow)])
 def test_what_we_write_the_reference_library_reads(compression, tmp_path):
     source = planted()
     path = tmp_path / "drive.mcap"
@@ -338,7 +338,7 @@ def test_a_video_goes_through_packet_by_packet(data_dir, tmp_path):
 def test_a_file_that_was_cut_off_is_refused_or_read_as_far_as_it_is_whole(compression, tmp_path):
     whole = drive(compression=compression, chunk_size=3000).saved(tmp_path / "whole.mcap").read_bytes()
     counts = []
-    for cut in np.linspace(len(whole) - 1, 2_000, 9).astype(int):
+    for cut in np.linspace(len(whole) - 1, 2_000, 5).astype(int):
         path = tmp_path / "cut.mcap"
         path.write_bytes(whole[:cut])
         with pytest.raises(DataError, match=r"not finished|--lenient"):

@@ -407,7 +407,11 @@ def read_by_rosbags(path):
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("drive.bag", {}), ("drive.ros2", {"storage": "sqlite3"}), ("drive.ros2", {"storage": "mcap"})],
+    [
+        ("drive.bag", {}),
+        pytest.param("drive.ros2", {"storage": "sqlite3"}, marks=pytest.mark.slow),
+        ("drive.ros2", {"storage": "mcap"}),
+    ],
 )
 def test_what_we_write_rosbags_reads(name, options, tmp_path):
     source = planted()

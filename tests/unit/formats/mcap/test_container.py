@@ -135,7 +135,7 @@ def test_no_flipped_byte_ends_in_another_error_than_ours(tmp_path):
     path, rng = tmp_path / "log.mcap", np.random.default_rng(0)
     refused = 0
     # heads, indexes and the end of the file are where numbers are that can mislead
-    for place in [*range(60), *rng.integers(len(whole) - 1500, len(whole), 60).tolist()]:
+    for place in [*range(30), *rng.integers(len(whole) - 1500, len(whole), 30).tolist()]:
         content = bytearray(whole)
         content[place] ^= int(rng.integers(1, 256))
         path.write_bytes(content)
@@ -144,7 +144,7 @@ def test_no_flipped_byte_ends_in_another_error_than_ours(tmp_path):
                 read(path, lenient=lenient)
             except SceneloomError:
                 refused += 1
-    assert refused > 30
+    assert refused > 12
 
 
 def test_times_and_compressions_that_the_format_lacks_are_refused():

@@ -47,6 +47,7 @@ WRAPPERS = {
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"evaluate"},
     "jinja2": {"report"},
+    "distributed": {"batch"},
     "google": {"formats", "fusion", "service"},
     "grpc": {"service"},
     "grpc_health": {"service"},
@@ -115,6 +116,7 @@ def test_every_third_party_that_is_imported_is_declared(modules, project):
     names = {requirement.split(">")[0].split("=")[0].split("[")[0] for requirement in requirements}
     distributions = {
         "PIL": "pillow",
+        "distributed": "dask",
         "foxglove_schemas_protobuf": "foxglove-schemas-protobuf",
         "google": "protobuf",
         "rerun": "rerun-sdk",

@@ -6,10 +6,12 @@ that is taken up again makes anew what the record does not know as done.
 """
 
 import heapq
+import secrets
 import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ from sceneloom.batch.jobs import Job, Outcome, State, Task
 from sceneloom.batch.naming import output_names
 from sceneloom.batch.pool import Executor, ProcessPool
 from sceneloom.batch.record import Record, Row
+from sceneloom.batch.warming import Warming
 from sceneloom.errors import OutputError
 from sceneloom.version import __version__
 
@@ -80,7 +83,7 @@ def run(
         job: the verb and the drives.
         output: the folder of the outputs and the record; made if it is not there.
         workers: processes on this machine.
-        executor: what runs the tasks instead.
+        executor: what runs the tasks instead; it is stopped in the end.
         resume: go on with what an earlier run left; drives that are done and unchanged are skipped.
         told: told after each try.
 
@@ -88,18 +91,18 @@ def run(
         OutputError: the folder holds an earlier run or files of the same names, or another run has it.
         DataError: its record is damaged.
     """
+    pool = ProcessPool(workers) if executor is None else executor
     folder = Path(output)
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"{folder}: is a file; expected a folder or a new name")
-    folder.mkdir(parents=True, exist_ok=True)
-    with Record.held(folder) as record:
+    with ExitStack() as ending:
+        ending.callback(pool.stop)
+        if folder.exists() and not folder.is_dir():
+            raise OutputError(f"{folder}: is a file; expected a folder or a new name")
+        folder.mkdir(parents=True, exist_ok=True)
+        record = ending.enter_context(Record.held(folder))
         _prepare(job, record, resume=resume)
-        pool = ProcessPool(workers) if executor is None else executor
-        try:
-            return _Run(job, record, pool, told).go()
-        finally:
-            pool.stop()
-            shutil.rmtree(record.drafts, ignore_errors=True)
+        ending.callback(shutil.rmtree, record.drafts, ignore_errors=True)
+        ending.callback(pool.stop)  # before its drafts go
+        return _Run(job, record, pool, told).go()
 
 
 def _prepare(job: Job, record: Record, *, resume: bool) -> None:
@@ -164,6 +167,9 @@ class _Run:
     """When [s of the clock], which drive, for the how many-th time."""
     rows: dict[int, Row] = field(default_factory=dict)
     prints: dict[int, str] = field(default_factory=dict)
+    name: str = field(default_factory=lambda: secrets.token_hex(4))
+    """Tells drafts of this run from those that a worker of an earlier one may still be writing."""
+    warming: Warming = field(default_factory=Warming)
 
     def __post_init__(self) -> None:
         asked = {(drive.place, tuple(sorted(drive.options.items()))) for drive in self.job.inputs}
@@ -182,15 +188,17 @@ class _Run:
         begun = time.monotonic()
         running = 0
         while self.due or running:
-            while self.due and self.executor.free and self.due[0][0] <= time.monotonic():
+            while self._may_begin(running):
                 _, number, attempt = heapq.heappop(self.due)
                 self._begin(number, attempt)
                 running += 1
             if not running:
-                time.sleep(max(min(self.due[0][0] - time.monotonic(), _LOOK_SECONDS), 0.0))
+                patience = self.due[0][0] - time.monotonic() if self.executor.free else _LOOK_SECONDS
+                time.sleep(max(min(patience, _LOOK_SECONDS), 0.0))
                 continue
             for task, outcome in self.executor.finished(_LOOK_SECONDS):
                 running -= 1
+                self.warming.end()
                 self._end(task, outcome)
                 self.summary = msgspec.structs.replace(
                     self.summary,
@@ -201,11 +209,16 @@ class _Run:
                     self.told(self.summary, outcome)
         return self.summary
 
+    def _may_begin(self, running: int) -> bool:
+        if not self.due or not self.executor.free or self.due[0][0] > time.monotonic():
+            return False
+        return not running or not self.warming.goes_on()
+
     def _begin(self, number: int, attempt: int) -> None:
         row = self.rows[number]
         self.record.begin(number, attempt)
         self.prints[number] = fingerprint(row.input)
-        draft = self.record.drafts / f"{number}-{attempt}" / row.output
+        draft = self.record.drafts / f"{self.name}-{number}-{attempt}" / row.output
         options = {**self.job.options, **row.part}
         self.executor.submit(
             Task(

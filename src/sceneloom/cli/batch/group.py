@@ -15,9 +15,22 @@ from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
     from sceneloom.batch import Outcome, RunSummary
+    from sceneloom.batch.pool import Executor
     from sceneloom.batch.running import Told
 
-_OWN = ("inputs", "lists", "output", "workers", "resume", "retries", "suffix", "as_json", "quiet", "verbose")
+_OWN = (
+    "inputs",
+    "lists",
+    "output",
+    "workers",
+    "cluster",
+    "resume",
+    "retries",
+    "suffix",
+    "as_json",
+    "quiet",
+    "verbose",
+)
 _LEFT_OUT = ("as_json", "quiet", "verbose", "overwrite")
 """Options of the verbs that the run decides."""
 
@@ -98,6 +111,11 @@ _OPTIONS = (
         help="Processes on this machine, each with one thread. [default: one for each processor]",
     ),
     click.option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Workers of dask instead: `local`, or those of the scheduler at an address such as tcp://HOST:8786.",
+    ),
+    click.option(
         "--resume", is_flag=True, help="Go on with an earlier run; what is done and unchanged is skipped."
     ),
     click.option(
@@ -133,14 +151,32 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         retries=own["retries"],
     )
     with _progress(name, len(job.inputs), quiet=own["quiet"]) as told:
+        workers = own["workers"] or processors()
         summary = run(
-            job, own["output"], workers=own["workers"] or processors(), resume=own["resume"], told=told
+            job,
+            own["output"],
+            workers=workers,
+            executor=_cluster(own, workers),
+            resume=own["resume"],
+            told=told,
         )
     if own["as_json"]:
         print_json(summary)
     else:
         print_summary(summary, own["output"], verbose=own["verbose"])
     return FAILED_CODE if summary.failed else 0
+
+
+def _cluster(own: dict[str, Any], workers: int) -> "Executor | None":
+    """The workers of dask that were asked for, and where dask shows them."""
+    if own["cluster"] is None:
+        return None
+    from sceneloom.batch.cluster import open_cluster
+
+    cluster = open_cluster(own["cluster"], workers)
+    if cluster.dashboard and not own["quiet"]:
+        click.echo(f"dask's dashboard: {cluster.dashboard}", err=True)
+    return cluster
 
 
 @contextmanager

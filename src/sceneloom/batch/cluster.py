@@ -1,0 +1,216 @@
+"""Workers of dask: on this machine, or wherever a scheduler that is running has them.
+
+dask gives a task whose worker is gone to another one by itself. The run's record would not know, so a try is claimed by
+making its folder, which works only once: whoever comes second tells that the worker was lost. What a worker gives back
+is JSON; data that would have to be unpickled here is refused.
+"""
+
+import logging
+import os
+import pickle
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from queue import Empty, SimpleQueue
+from typing import Any, Self
+
+import msgspec
+
+from sceneloom.batch.jobs import Outcome, Task
+from sceneloom.batch.pool import LOST
+from sceneloom.batch.working import THREADS, run_task
+from sceneloom.errors import MissingExtraError, OptionError
+from sceneloom.formats.urls import is_url
+from sceneloom.version import __version__
+
+try:
+    from distributed import Client, Future, KilledWorker, LocalCluster
+except ImportError as missing:
+    raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[cluster]'") from missing
+
+LOCAL = "local"
+_DATA = ["dask", "msgpack"]
+"""Ways in which dask sends data that need no pickling."""
+_CONNECTING_SECONDS = 60.0
+_COUNTING_SECONDS = 2.0
+_CLOSING_SECONDS = 5.0
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dataclass(slots=True)
+class _Ended:
+    """Futures that have ended, as dask's threads tell."""
+
+    queue: SimpleQueue[Future[bytes]]
+
+    def wait(self, seconds: float) -> list[Future[bytes]]:
+        found: list[Future[bytes]] = []
+        with suppress(Empty):
+            found.append(self.queue.get(timeout=seconds))
+            while True:
+                found.append(self.queue.get_nowait())
+        return found
+
+
+class DaskCluster:
+    """Runs tasks on workers of dask, one at a time on each."""
+
+    def __init__(self, client: "Client", cluster: LocalCluster | None = None) -> None:
+        """Use a client, and the workers of this machine if there are any; see `local` and `at`."""
+        self._client, self._cluster = client, cluster
+        self._ended = _Ended(SimpleQueue())
+        self._tasks: dict[Any, tuple[Task, Future[bytes]]] = {}
+        self._workers, self._counted = 0, -_COUNTING_SECONDS
+
+    @classmethod
+    def local(cls, workers: int) -> Self:
+        """Start a scheduler and so many workers on this machine, each with one thread."""
+        environment = {name: os.environ.get(name, "1") for name in THREADS}
+        cluster = LocalCluster(
+            n_workers=workers, threads_per_worker=1, memory_limit=0, dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL, env=environment,
+        )  # fmt: skip
+        return cls(_client(cluster.scheduler_address), cluster)
+
+    @classmethod
+    def at(cls, address: str, *, seconds: float = _CONNECTING_SECONDS) -> Self:
+        """Use the workers of a scheduler that is running, once it has one.
+
+        Args:
+            address: such as `tcp://host:8786`.
+            seconds: how long is waited for it and for its first worker.
+
+        Raises:
+            OptionError: there is none, or it has no workers.
+        """
+        try:
+            client = _client(address, seconds)
+        except (OSError, ValueError) as error:
+            raise OptionError(
+                f"--cluster {address}: {error}; expected `local` or a running scheduler"
+            ) from error
+        try:
+            client.wait_for_workers(1, timeout=seconds)
+        except TimeoutError as error:
+            client.close()
+            raise OptionError(f"--cluster {address}: the scheduler has no workers; start some") from error
+        return cls(client)
+
+    @property
+    def dashboard(self) -> str:
+        """Address of dask's page about its workers; "" where there is none."""
+        return str(self._client.dashboard_link or "")
+
+    @property
+    def free(self) -> int:
+        """How many more tasks it takes now: workers come and go."""
+        if self._client.status in {"closing", "closed"}:
+            raise OptionError("dask's scheduler is gone; `--resume` goes on where the run was")
+        if time.monotonic() - self._counted >= _COUNTING_SECONDS:
+            self._workers, self._counted = len(self._client.nthreads()), time.monotonic()
+        return max(self._workers - len(self._tasks), 0)
+
+    def submit(self, task: Task) -> None:
+        """Begin a task."""
+        task.draft.parent.parent.mkdir(parents=True, exist_ok=True)
+        sent = task if self._cluster is not None else _anywhere(task)
+        future = self._client.submit(
+            run_packed, __version__, pickle.dumps(sent), key=f"sceneloom-{task.draft.parent.name}", retries=0
+        )
+        self._tasks[future.key] = (task, future)
+        future.add_done_callback(self._ended.queue.put)
+
+    def finished(self, seconds: float) -> Sequence[tuple[Task, Outcome]]:
+        """Wait, at most so long, for tasks that have ended, well or with their worker."""
+        found = []
+        for future in self._ended.wait(seconds):
+            task, _ = self._tasks.pop(future.key)
+            found.append((task, _outcome(task, future)))
+        return found
+
+    def stop(self) -> None:
+        """End all workers of ours at once; take back what those of others have not begun."""
+        if self._client.status == "closed":
+            return
+        with suppress(OSError, TimeoutError):
+            if self._tasks:
+                self._client.cancel([future for _, future in self._tasks.values()], force=True)
+            self._tasks.clear()
+            self._client.close(timeout=_CLOSING_SECONDS)
+        if self._cluster is not None:
+            with suppress(OSError, TimeoutError):
+                self._cluster.close(timeout=_CLOSING_SECONDS)
+
+
+def open_cluster(place: str, workers: int) -> DaskCluster:
+    """Use workers of dask: so many of our own if `place` is `local`, else those of the scheduler there."""
+    return DaskCluster.local(workers) if place == LOCAL else DaskCluster.at(place)
+
+
+def run_packed(version: str, packed: bytes) -> bytes:
+    """Do a task in a worker of dask.
+
+    Args:
+        version: ours, where the run is.
+        packed: the pickled task.
+
+    Returns:
+        the outcome as JSON.
+    """
+    number = -1
+    if version != __version__:
+        told = f"this worker has sceneloom {__version__}, the run {version}; expected the same"
+        return msgspec.json.encode(Outcome(number=number, error=told, kind="OptionError"))
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+    task: Task = pickle.loads(packed)  # noqa: S301 - of the run that uses this worker
+    with _ONE_AT_A_TIME:  # what a verb prints belongs to the process
+        return msgspec.json.encode(_run_once(task))
+
+
+def _run_once(task: Task) -> Outcome:
+    """Do a task unless a worker that is gone has begun it."""
+    folder = task.draft.parent
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        return _lost(task, "ended from outside, out of memory, or crashed")
+    except FileNotFoundError:
+        told = f"{folder.parent}: is not there for the worker; expected a file system that all workers share"
+        return Outcome(number=task.number, error=told, kind="FileNotFoundError")
+    return run_task(task)
+
+
+def _client(address: str, seconds: float = _CONNECTING_SECONDS) -> Client:
+    return Client(
+        address, timeout=seconds, set_as_default=False, serializers=_DATA, deserializers=_DATA,
+        name="sceneloom-batch",
+    )  # fmt: skip
+
+
+def _anywhere(task: Task) -> Task:
+    """Name files so that they are found from other folders and machines, too."""
+    place = task.place if is_url(task.place) else os.path.abspath(task.place)  # noqa: PTH100 - links stay
+    return replace(task, place=place, draft=task.draft.absolute())
+
+
+def _outcome(task: Task, future: Future[bytes]) -> Outcome:
+    if future.status != "finished":
+        error = future.exception() if future.status == "error" else None
+        if error is None or isinstance(error, KilledWorker):
+            return _lost(task, str(error or future.status))
+        return Outcome(number=task.number, error=str(error), kind=type(error).__name__)
+    try:
+        found: Any = future.result()
+        outcome = msgspec.json.decode(found, type=Outcome)
+    except (OSError, TimeoutError, KilledWorker) as error:  # its worker went with the result
+        return _lost(task, str(error))
+    except (msgspec.MsgspecError, TypeError) as error:
+        return Outcome(number=task.number, error=f"a worker gave no outcome: {error}", kind="DataError")
+    return msgspec.structs.replace(outcome, number=task.number)
+
+
+def _lost(task: Task, how: str) -> Outcome:
+    return Outcome(number=task.number, error=f"the worker is gone ({how})", kind=LOST, passing=True)

@@ -14,11 +14,14 @@ SceneloomError
 └── MissingExtraError     an optional part of the package is not installed
 ```
 
-Every class keeps its constructor's arguments in `args`, so instances survive pickling between processes.
+Every class keeps its constructor's arguments in `args`, so instances survive pickling between processes. Addresses in
+them are without passwords and signatures: messages end in logs.
 """
 
 from collections.abc import Iterable
 from typing import Any
+
+from sceneloom.redaction import redacted
 
 
 class SceneloomError(Exception):
@@ -26,9 +29,14 @@ class SceneloomError(Exception):
 
     Attributes:
         notices: what was assumed, repaired or left out before of the scenes that were read.
+        passing: whether the cause, a busy server or a connection that was cut, may be gone another time.
     """
 
     notices: tuple[Any, ...] = ()
+    passing: bool = False
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*(redacted(each) if isinstance(each, str) else each for each in arguments))
 
     def remember(self, notices: tuple[Any, ...]) -> None:
         """Keep what was noticed before, once, in the order in which it was."""
@@ -44,7 +52,9 @@ class DataError(SceneloomError):
 
     def __init__(self, file: object, place: str, problem: str) -> None:
         super().__init__(str(file), place, problem)
-        self.file, self.place, self.problem = str(file), place, problem
+        self.file: str = self.args[0]
+        self.place: str = self.args[1]
+        self.problem: str = self.args[2]
 
     def __str__(self) -> str:
         return ": ".join(part for part in (self.file, self.place, self.problem) if part)
@@ -97,7 +107,9 @@ class LossError(OutputError):
 
     def __init__(self, target: object, problem: str, report: Any) -> None:
         super().__init__(str(target), problem, report)
-        self.target, self.problem, self.report = str(target), problem, report
+        self.target: str = self.args[0]
+        self.problem: str = self.args[1]
+        self.report = report
 
     def __str__(self) -> str:
         return f"{self.target}: {self.problem}"

@@ -25,11 +25,11 @@ ROWS = (
     ("scene", "visibility"),
     ("cameras",),
     ("geometry", "kernels"),
-    ("errors", "arrays", "version"),
+    ("errors", "arrays", "redaction", "version"),
 )
 """The house from the roof to the ground. Rooms of one row do not import one another, but for `NEIGHBOURS`."""
 
-NEIGHBOURS = {("arrays", "errors"), ("visibility", "scene")}
+NEIGHBOURS = {("arrays", "errors"), ("errors", "redaction"), ("visibility", "scene")}
 """Pairs (importer, imported) inside one row."""
 
 ROW_OF = {room: number for number, row in enumerate(ROWS) for room in row}
@@ -42,7 +42,8 @@ WRAPPERS = {
     "PIL": {"formats", "pictures", "simulate"},
     "small_gicp": {"motion"},
     "laspy": {"formats"},
-    "pyarrow": {"formats"},
+    "pyarrow": {"formats", "catalog"},
+    "duckdb": {"catalog"},
     "fsspec": {"formats"},
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"evaluate"},

@@ -18,6 +18,7 @@ class McapFormat:
 
     name = "mcap"
     suffixes: tuple[str, ...] = (".mcap",)
+    reads_urls = True
     looks_like = "an MCAP file with messages of the Foxglove schemas (.mcap)"
     holds = HOLDS
 
@@ -29,8 +30,8 @@ class McapFormat:
         """What keeps a file that looks like one from being one."""
         return near_miss(path)
 
-    def open(self, path: Path, **options: Any) -> Scene:
-        """Open a file; `open_mcap` describes the options.
+    def open(self, path: Path | str, **options: Any) -> Scene:
+        """Open a file, or the URL of one; `open_mcap` describes the options.
 
         Raises:
             UnknownOptionError: an option is unknown.

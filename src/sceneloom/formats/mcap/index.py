@@ -184,6 +184,7 @@ def _read_summary(index: McapIndex, start: int) -> bool:
             _add_metadata(index, part)
         elif op == Op.FOOTER:
             break
+    file.expect(place for part in chunk_indexes for place in _chunk_places(Fields(part)))
     for part in chunk_indexes:
         if not _add_chunk(index, Fields(part)):
             return False
@@ -198,6 +199,15 @@ def _add_metadata(index: McapIndex, content: memoryview) -> None:
         raise ValueError(f"metadata of {length} bytes")
     found = Fields(index.file.read(start, length)[HEAD.size :])
     index.metadata.append((found.text(), found.texts()))
+
+
+def _chunk_places(fields: Fields) -> Iterator[tuple[int, int]]:
+    """Where the head of a chunk stands, and the index of its messages."""
+    fields.blob_of(16)
+    start, length = fields.number(8), fields.number(8)
+    fields.numbers()
+    yield start, start + min(length, _CHUNK_TOP)
+    yield start + length, start + length + min(fields.number(8), LARGEST_RECORD)
 
 
 def _add_chunk(index: McapIndex, fields: Fields) -> bool:

@@ -112,7 +112,7 @@ class McapLog:
         self.file.close()
 
 
-def open_log(path: Path, ledger: Ledger) -> McapLog:
+def open_log(path: Path | str, ledger: Ledger) -> McapLog:
     """Read the index of a file.
 
     Raises:

@@ -70,6 +70,7 @@ class McapMessages:
                 continue
             chunk, offsets = int(entries.chunks[part[0]]), entries.offsets[part].tolist()
             if chunk == DIRECT:
+                self.index.file.expect((offset, offset + _BEFORE_DATA + size) for offset in offsets)
                 for offset in offsets:
                     content = self.index.file.read_up_to(offset, _BEFORE_DATA + size)
                     yield self._head(content, 0, size, offset)

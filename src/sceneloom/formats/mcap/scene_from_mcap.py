@@ -10,7 +10,7 @@ from sceneloom.scene.assumed_lenses import with_assumed_models
 
 
 def open_mcap(
-    path: Path,
+    path: Path | str,
     *,
     lenient: bool = False,
     assume_model: bool = False,
@@ -21,7 +21,7 @@ def open_mcap(
     """Open a file: its index and all small messages are read, pictures and points when they are asked for.
 
     Args:
-        path: of the file.
+        path: of the file; or its URL.
         lenient: read what is whole of a file that was not finished, is cut off or damaged; leave out topics and
             messages that are at fault; go by receive times where stamps are of another clock.
         assume_model: allow computing with lenses whose formulas nothing confirms.

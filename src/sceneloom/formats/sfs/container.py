@@ -30,6 +30,7 @@ from sceneloom.formats.sfs.items import (
 from sceneloom.formats.sfs.mapped_file import LocalFile, MappedContent
 from sceneloom.formats.sfs.remote import RemoteContent, RemoteFile
 from sceneloom.formats.urls import is_url
+from sceneloom.redaction import redacted
 
 __all__ = ["DTYPES", "ITEMS", "Container", "ItemFault", "RawBytes", "format_keys", "has_scene_header"]
 
@@ -106,7 +107,7 @@ class Container:
             storage_options: what the fsspec back end of a URL is made with.
             decode: makes a value of the header's text and the file's name, in place of the strict decoder.
         """
-        self.file = str(path)
+        self.file = redacted(path) if is_url(path) else str(path)
         self._stored: StoredFile = (
             RemoteFile.of(str(path), storage_options) if is_url(path) else LocalFile.of(Path(path))
         )

@@ -2,9 +2,6 @@
 
 import io
 import pickle
-import re
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import fsspec
 import numpy as np
@@ -15,87 +12,12 @@ from click.testing import CliRunner
 import sceneloom
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError, MissingExtraError, OptionError, UnknownFormatError
+from sceneloom.formats.remote import GAP, coalesced
 from sceneloom.formats.sfs import remote as module
 from sceneloom.formats.sfs.container import Container
-from sceneloom.formats.sfs.remote import RemoteFile, coalesced
+from sceneloom.formats.sfs.remote import RemoteFile
 from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.formats.video import encode_to_mp4
-
-
-class Served:
-    """A folder in memory behind HTTP.
-
-    Attributes:
-        files: content by name.
-        asked: the ranges that were asked for, (name, first byte, one after the last).
-        ranges: whether the server answers ranges; else it sends whole files.
-    """
-
-    def __init__(self):
-        self.files, self.asked, self.ranges = {}, [], True
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
-        self.server.handle_error = lambda *_: None  # clients hang up on answers that they did not ask for
-        self.thread = threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True)
-        self.thread.start()
-
-    def url(self, name):
-        return f"http://127.0.0.1:{self.server.server_port}/{name}"
-
-    @property
-    def bytes_sent(self):
-        return sum(stop - start for _, start, stop in self.asked)
-
-    def close(self):
-        self.server.shutdown()
-        self.server.server_close()
-        self.thread.join()
-
-    def _handler(self):
-        served = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def _head(self):
-                content = served.files.get(self.path[1:])
-                if content is None:
-                    self.send_error(404)
-                    return None
-                wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
-                start, stop = (int(wanted[1]), int(wanted[2]) + 1) if wanted else (0, len(content))
-                if not (wanted and served.ranges):
-                    start, stop = 0, len(content)
-                piece = content[start:stop]
-                self.send_response(206 if wanted and served.ranges else 200)
-                if wanted and served.ranges:
-                    self.send_header("Content-Range", f"bytes {start}-{stop - 1}/{len(content)}")
-                if served.ranges:
-                    self.send_header("Accept-Ranges", "bytes")
-                self.send_header("ETag", f'"{hash(content)}"')
-                self.send_header("Content-Length", str(len(piece)))
-                self.end_headers()
-                return start, piece
-
-            def do_HEAD(self):
-                self._head()
-
-            def do_GET(self):
-                found = self._head()
-                if found is not None:
-                    served.asked.append((self.path[1:], found[0], found[0] + len(found[1])))
-                    self.wfile.write(found[1])
-
-            def log_message(self, *_):
-                pass
-
-        return Handler
-
-
-@pytest.fixture
-def served():
-    """An HTTP server that counts what it sends; sessions of the client end before it."""
-    found = Served()
-    yield found
-    fsspec.filesystem("http").clear_instance_cache()
-    found.close()
 
 
 def big_scene(encode_sfs, *, frames=30, points=20_000):
@@ -342,7 +264,7 @@ def test_items_without_a_dtype_are_fetched_with_their_frame(served, encode_sfs):
 
 
 def test_neighbouring_ranges_are_joined():
-    gap = module.GAP
+    gap = GAP
     assert coalesced([]) == []
     assert coalesced([(10, 20), (0, 5)]) == [(0, 20)]
     assert coalesced([(0, 5), (5 + gap, 9 + gap)]) == [(0, 9 + gap)]

@@ -1,0 +1,136 @@
+"""Stores behind URLs by fsspec: the only module that knows it."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+from sceneloom.errors import MissingExtraError
+from sceneloom.formats.remote.faults import EXTRA, CutShortError, NoRangesError
+from sceneloom.redaction import redacted
+
+_VERSIONS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "updated", "created")
+"""What back ends call the mark of a content, best first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a store says of a file or folder.
+
+    Attributes:
+        path: its name in the store.
+        size: its length [bytes]; None where the store does not say.
+        version: what changes with the content; None where the store says nothing.
+        is_folder: whether it is one.
+    """
+
+    path: str
+    size: int | None
+    version: str | None
+    is_folder: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A place in a store.
+
+    Attributes:
+        url: its address.
+        files: the fsspec file system.
+        path: the place's name there.
+    """
+
+    url: str
+    files: Any
+    path: str
+
+    def facts(self) -> Facts:
+        """Look at the place; what was known of it before does not count."""
+        if hasattr(self.files, "invalidate_cache"):
+            self.files.invalidate_cache()
+        return _facts(self.files.info(self.path))
+
+    def handle(self, size: int) -> "Handle":
+        """Open the file for reading by ranges."""
+        known = {"size": size} if "http" in _protocols(self.files) else {}
+        return Handle(self, self.files.open(self.path, "rb", cache_type="none", **known))
+
+    def walk(self) -> Iterator[Facts]:
+        """All files below the place, by their names."""
+        found = self.files.find(self.path, detail=True)
+        yield from (_facts(found[name]) for name in sorted(found))
+
+    def at(self, path: str) -> "Store":
+        """Another place of the same store."""
+        return Store(self.url, self.files, path)
+
+
+class Handle:
+    """A connection to one file, which one thread at a time reads from."""
+
+    def __init__(self, store: Store, file: Any) -> None:
+        self._store, self._file = store, file
+
+    def read(self, start: int, stop: int, *, seconds: float) -> bytes:
+        """Ask for a range once.
+
+        Raises:
+            CutShortError: fewer bytes came.
+            NoRangesError: the server gives the whole file only.
+            Exception: whatever the back end raises.
+        """
+        content = self._content(start, stop, seconds)
+        if len(content) != stop - start:
+            raise CutShortError(f"the server gave {len(content)} of {stop - start} bytes")
+        return content
+
+    def _content(self, start: int, stop: int, seconds: float) -> bytes:
+        ask = getattr(self._file, "async_fetch_range", None)
+        if ask is None:
+            if not self._file.seekable():
+                raise NoRangesError
+            self._file.seek(start)
+            return cast("bytes", self._file.read(stop - start))
+        from fsspec.asyn import sync
+
+        try:
+            return cast("bytes", sync(self._file.loop, ask, start, stop, timeout=seconds))
+        except ValueError as error:
+            # fsspec says so where a server gives all of a file for a part of it
+            if "range requests" in str(error):
+                raise NoRangesError from error
+            raise
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        self._file.close()
+
+
+def open_store(url: str, storage_options: Mapping[str, Any] | None = None) -> Store:
+    """Find what reads and writes an address; its library is imported here.
+
+    Args:
+        url: the address.
+        storage_options: what the back end is made with; what it needs of credentials it finds in the environment.
+
+    Raises:
+        MissingExtraError: fsspec, or what it needs for this scheme, is not installed.
+        Exception: whatever the back end raises.
+    """
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError:
+        raise MissingExtraError(f"{redacted(url)}: {EXTRA}") from None
+    files, path = url_to_fs(url, **(storage_options or {}))
+    return Store(url, files, path)
+
+
+def _facts(told: Mapping[str, Any]) -> Facts:
+    size = told.get("size")
+    version = next((str(told[name]) for name in _VERSIONS if told.get(name)), None)
+    return Facts(
+        str(told["name"]), size if isinstance(size, int) else None, version, told.get("type") == "directory"
+    )
+
+
+def _protocols(files: Any) -> tuple[str, ...]:
+    return (files.protocol,) if isinstance(files.protocol, str) else tuple(files.protocol)

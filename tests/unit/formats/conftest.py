@@ -1,0 +1,111 @@
+"""Files behind HTTP on this machine, and waits that take no time."""
+
+import re
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+
+
+class Served:
+    """A folder in memory behind HTTP.
+
+    Attributes:
+        files: content by name.
+        asked: the ranges that were asked for, (name, first byte, one after the last).
+        ranges: whether the server answers ranges; else it sends whole files.
+        faults: what goes wrong with the next requests, each once: "503", "cut", "slow", or None for nothing.
+        queries: what stood behind the `?` of each request.
+    """
+
+    def __init__(self):
+        self.files, self.asked, self.ranges = {}, [], True
+        self.faults, self.queries, self.free = [], [], threading.Event()
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
+        self.server.handle_error = lambda *_: None  # clients hang up on answers that they did not ask for
+        self.thread = threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True)
+        self.thread.start()
+
+    def url(self, name):
+        return f"http://127.0.0.1:{self.server.server_port}/{name}"
+
+    @property
+    def bytes_sent(self):
+        return sum(stop - start for _, start, stop in self.asked)
+
+    def close(self):
+        self.free.set()
+        self.server.shutdown()
+        self.server.server_close()
+        self.thread.join()
+
+    def _handler(self):
+        served = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def _head(self):
+                name, _, query = self.path[1:].partition("?")
+                served.queries.append(query)
+                content = served.files.get(name)
+                if content is None:
+                    self.send_error(404)
+                    return None
+                wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+                start, stop = (int(wanted[1]), int(wanted[2]) + 1) if wanted else (0, len(content))
+                if not (wanted and served.ranges):
+                    start, stop = 0, len(content)
+                piece = content[start:stop]
+                self.send_response(206 if wanted and served.ranges else 200)
+                if wanted and served.ranges:
+                    self.send_header("Content-Range", f"bytes {start}-{stop - 1}/{len(content)}")
+                if served.ranges:
+                    self.send_header("Accept-Ranges", "bytes")
+                self.send_header("ETag", f'"{hash(content)}"')
+                self.send_header("Content-Length", str(len(piece)))
+                self.end_headers()
+                return start, piece
+
+            def _fault(self):
+                fault = served.faults.pop(0) if served.faults else None
+                if fault == "503":
+                    self.send_error(503)
+                if fault == "slow":
+                    served.free.wait(30)
+                return fault
+
+            def do_HEAD(self):
+                if self._fault() is None:
+                    self._head()
+
+            def do_GET(self):
+                fault = self._fault()
+                found = None if fault in ("503", "slow") else self._head()
+                if found is None:
+                    return
+                start, piece = found
+                served.asked.append((self.path[1:].partition("?")[0], start, start + len(piece)))
+                self.wfile.write(piece if fault is None else piece[: len(piece) // 2])
+
+            def log_message(self, *_):
+                pass
+
+        return Handler
+
+
+@pytest.fixture
+def waits(monkeypatch):
+    """The waits between tries [s], which take no time."""
+    found = []
+    monkeypatch.setattr("sceneloom.formats.remote.patience.time.sleep", found.append)
+    return found
+
+
+@pytest.fixture
+def served(waits):
+    """An HTTP server that counts what it sends; sessions of the client end before it."""
+    import fsspec
+
+    found = Served()
+    yield found
+    fsspec.filesystem("http").clear_instance_cache()
+    found.close()

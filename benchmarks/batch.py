@@ -1,0 +1,193 @@
+"""How many drives go through a batch, and what a run costs beside the work itself.
+
+Run with `python -m benchmarks.batch [--drives 200] [--only speed,nothing,kills] [--keep DIR] [--frames 6]`. Simulated
+drives (a few streets, each under many names) are fused; every worker has one thread.
+
+- speed: one worker of the pool, two of the pool, two of dask on this machine, in turns. Limits: two at least 1.8 times
+  one; dask at most 15 % more than the pool. Also what a frame costs: core-seconds, bytes read and written.
+- nothing: drives whose verb writes an empty file: what scheduler, record and moving cost. Limit: 20 ms a drive.
+- kills: a random worker is killed every few seconds. Limits: all outputs there, byte-equal to those of an undisturbed
+  run, none of them made twice; no drafts left.
+"""
+
+import argparse
+import random
+import shutil
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from hashlib import blake2b
+from pathlib import Path
+
+import sceneloom
+from benchmarks.batch_workers import kill_workers, processor_seconds
+from sceneloom.batch import Input, Job, RunSummary, run
+from sceneloom.batch.cluster import DaskCluster
+from sceneloom.batch.pool import ProcessPool
+from sceneloom.batch.record import FOLDER, Record
+from sceneloom.cli.batch.one_drive import CALL
+from sceneloom.simulate import LidarSpec, simulate_street
+
+STREETS = 8
+KILL_SECONDS = 3.0
+
+
+def make_drives(folder: Path, count: int, frames: int) -> list[Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    places = [folder / f"{k:04d}.sfs" for k in range(count)]
+    for k, place in enumerate(places):
+        if place.exists():
+            continue
+        if k < STREETS:
+            sceneloom.write(simulate_street(k, frames=frames, lidar=LidarSpec(steps=600)).scene, place)
+        else:
+            shutil.copyfile(places[k % STREETS], place)
+    return places
+
+
+def fuse_job(places: list[Path], retries: int = 2) -> Job:
+    from sceneloom.cli.batch.one_drive import verb_named
+
+    options = verb_named("fuse").make_context("fuse", [str(places[0]), "-o", "made.sfs"]).params
+    left_out = ("path", "output", "as_json", "quiet", "verbose", "overwrite")
+    options = {name: value for name, value in options.items() if name not in left_out}
+    inputs = tuple(Input(place=str(place)) for place in places)
+    return Job(
+        verb="fuse",
+        call=CALL,
+        inputs=inputs,
+        options={"verb": "fuse", **options},
+        suffix=".sfs",
+        retries=retries,
+    )
+
+
+def speed(places: list[Path], scratch: Path, frames: int) -> None:
+    sides = {
+        "pool, 1 worker": lambda: ProcessPool(1),
+        "pool, 2 workers": lambda: ProcessPool(2),
+        "dask local, 2 workers": lambda: DaskCluster.local(2),
+    }
+    seconds, busy, found = {}, {}, {}
+    for name, make in sides.items():
+        begun, before = time.perf_counter(), processor_seconds()
+        found[name] = run(fuse_job(places), scratch / "speed" / name, executor=make())
+        seconds[name], busy[name] = time.perf_counter() - begun, processor_seconds() - before
+        print(
+            f"  {name:22} {seconds[name]:7.1f} s, {60 * len(places) / seconds[name]:6.1f} drives/min; processors "
+            f"{busy[name]:6.1f} s, of these at work on drives {found[name].processor_seconds:6.1f} s"
+        )
+        assert found[name].failed == 0, name
+    (one, two, dask), (busy_one, busy_two, busy_dask) = seconds.values(), busy.values()
+    print(
+        f"  by the clock: 2 workers against 1 {one / two:.2f} times; dask against pool {dask / two - 1:+.1%}"
+    )
+    print(
+        f"  by processors, which a busy machine leaves alone: {2 * busy_one / busy_two:.2f} times (asked 1.8); "
+        f"{busy_dask / busy_two - 1:+.1%} (asked at most 15 %)"
+    )
+    out, count = scratch / "speed" / "pool, 1 worker", frames * len(places)
+    read, written = (sum(p.stat().st_size for p in ps) for ps in (places, out.glob("*.sfs")))
+    print(
+        f"  a frame: {found['pool, 1 worker'].processor_seconds / count:.4f} core-seconds, {read / count / 1e6:.2f} MB "
+        f"read, {written / count / 1e6:.2f} MB written"
+    )
+
+
+def nothing(places: list[Path], scratch: Path) -> None:
+    inputs = tuple(Input(place=str(place)) for place in places)
+    job = Job(verb="touch", call="benchmarks.batch_workers:touch", inputs=inputs, suffix=".txt")
+    for name, executor in {"pool": ProcessPool(2), "dask local": DaskCluster.local(2)}.items():
+        times: list[float] = []
+        busy = time.process_time()
+
+        def told(_summary, _outcome, times=times):
+            times.append(time.perf_counter())
+
+        run(job, scratch / "nothing" / name, executor=executor, told=told)
+        taken = 1e3 * (times[-1] - times[len(times) // 2]) / (len(times) - 1 - len(times) // 2)
+        ours = 1e3 * (time.process_time() - busy) / len(times)
+        print(f"  {name:22} {taken:6.2f} ms a drive by the clock, {ours:6.2f} ms of this process (asked 20)")
+
+
+@contextmanager
+def killing(generator: random.Random, every: float) -> Iterator[list[int]]:
+    """Kill a random worker again and again."""
+    killed: list[int] = []
+    ending = threading.Event()
+
+    def go() -> None:
+        while not ending.wait(generator.uniform(0.5, 1.5) * every):
+            killed.extend(kill_workers(generator))
+
+    thread = threading.Thread(target=go)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        ending.set()
+        thread.join()
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    return {p.name: blake2b(p.read_bytes()).hexdigest() for p in sorted(folder.iterdir()) if p.is_file()}
+
+
+def disturbed(places: list[Path], out: Path, executor, every: float) -> tuple[RunSummary, Counter, int]:
+    """Fuse while workers are killed; give the run, how often each drive ended well, and how many were killed."""
+    made: Counter = Counter()
+
+    def told(_summary, outcome):
+        made[outcome.number] += not outcome.error
+
+    with killing(random.Random(0), every) as killed:
+        summary = run(fuse_job(places, retries=50), out, executor=executor, told=told)
+    return summary, made, len(killed)
+
+
+def kills(places: list[Path], scratch: Path) -> None:
+    calm = scratch / "speed" / "pool, 2 workers"
+    if not calm.exists():
+        run(fuse_job(places), calm, workers=2)
+    expected = hashes(calm)
+    for name, make in {"pool": lambda: ProcessPool(2), "dask local": lambda: DaskCluster.local(2)}.items():
+        out = scratch / "kills" / name
+        summary, made, killed = disturbed(places, out, make(), KILL_SECONDS)
+        with Record.opened(out) as record:
+            rows = record.rows()
+        found = hashes(out)
+        same = sum(found.get(key) == value for key, value in expected.items())
+        print(
+            f"  {name:22} {killed} workers killed in {summary.seconds:.0f} s; {summary.done} done, {summary.failed} "
+            f"failed, {summary.retried} further tries; {same} of {len(expected)} outputs byte-equal, "
+            f"{len(found) - len(expected)} too many; made twice: {sum(count > 1 for count in made.values())}; "
+            f"drafts left: {(out / FOLDER / 'drafts').exists()}; most tries {max(row.attempts for row in rows)}"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--drives", type=int, default=200)
+    parser.add_argument("--frames", type=int, default=6)
+    parser.add_argument("--only", default="speed,nothing,kills")
+    parser.add_argument("--keep", type=Path, help="folder of the drives, which are made once")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        places = make_drives(given.keep or Path(scratch) / "drives", given.drives, given.frames)
+        parts = {
+            "speed": lambda: speed(places, Path(scratch), given.frames),
+            "nothing": lambda: nothing(places, Path(scratch)),
+            "kills": lambda: kills(places, Path(scratch)),
+        }
+        for name in given.only.split(","):
+            print(f"{name}: {given.drives} drives of {given.frames} frames")
+            parts[name]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,7 @@
 """The two pages beside DB34/T 4101-2022 hold every row, property, cause, call and check that there is."""
 
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -61,7 +62,16 @@ def test_the_checks_are_counted_as_they_are(page):
     assert counts == [str(len(part.checks)) for part in PARTS]
 
 
-def test_the_program_on_the_page_runs(page, tmp_path):
+def test_the_program_on_the_page_runs(page, tmp_path, monkeypatch, capsys):
+    program = tmp_path / "program.py"
+    program.write_text(re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[1], "utf-8")
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(program), run_name="__main__")
+    assert capsys.readouterr().out.startswith("10.0 ('x', 'y', 'z'")
+
+
+@pytest.mark.slow
+def test_the_program_on_the_page_imports_what_it_needs(page, tmp_path):
     program = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[1]
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", program],

@@ -73,11 +73,10 @@ def read_everything(folder: Path, *, lenient: bool) -> bool:
 
 
 def mutations(content: bytes, *, step: int) -> Iterator[bytes]:
-    """The content cut at every byte, and with a bit of every `step`-th byte changed."""
-    for place in range(len(content)):
+    """The content cut at every `step`-th byte, and with a bit of that byte changed."""
+    for place in range(0, len(content), step):
         yield content[:place]
-        if place % step == 0:
-            yield content[:place] + bytes([content[place] ^ (1 << place % 8)]) + content[place + 1 :]
+        yield content[:place] + bytes([content[place] ^ (1 << place % 8)]) + content[place + 1 :]
 
 
 def test_the_recording_itself_is_read(folder):
@@ -89,7 +88,7 @@ def test_the_recording_itself_is_read(folder):
 
 
 @pytest.mark.parametrize("name", ["data.jsonl", "calibration.json", "0.bin"])
-@pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.slow)])
 def test_any_cut_or_changed_byte_gives_a_scene_or_one_of_our_errors(folder, name, step):
     path = folder / name
     strict, lenient = [], []

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import pytest
@@ -33,10 +33,15 @@ class SourceModule:
     is_package: bool
     tree: ast.Module
 
-    @property
+    @cached_property
+    def nodes(self) -> tuple[ast.AST, ...]:
+        """All nodes of the tree."""
+        return tuple(ast.walk(self.tree))
+
+    @cached_property
     def imports(self) -> list[tuple[str, int]]:
         """Dotted names of everything that is imported anywhere in the module, with the line."""
-        return [found for node in ast.walk(self.tree) for found in self._imports_of(node)]
+        return [found for node in self.nodes for found in self._imports_of(node)]
 
     def _imports_of(self, node: ast.AST) -> Iterator[tuple[str, int]]:
         if isinstance(node, ast.Import):
@@ -53,6 +58,7 @@ class SourceModule:
         return ".".join([*parents, *([node.module] if node.module else [])])
 
     @staticmethod
+    @cache
     def _imported(base: str, name: str) -> str:
         """Give the module that `from base import name` reaches: `base` itself, or a module inside it."""
         place = SOURCES / base.replace(".", "/") / name

@@ -73,9 +73,7 @@ def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 
 def test_a_function_is_short_enough_to_read(modules_of_room):
     for module in modules_of_room:
-        functions = [
-            n for n in ast.walk(module.tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
-        ]
+        functions = [n for n in module.nodes if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
         long = {
             f"{module.name}.{n.name}": body_length(n) for n in functions if body_length(n) > LONGEST_FUNCTION
         }
@@ -84,9 +82,7 @@ def test_a_function_is_short_enough_to_read(modules_of_room):
 
 def test_exceptions_to_length_are_still_needed(modules):
     names = {m.name for m in modules}
-    functions = {
-        f"{m.name}.{n.name}" for m in modules for n in ast.walk(m.tree) if isinstance(n, ast.FunctionDef)
-    }
+    functions = {f"{m.name}.{n.name}" for m in modules for n in m.nodes if isinstance(n, ast.FunctionDef)}
     assert set(LONG_MODULES) <= names
     assert set(LONG_FUNCTIONS) <= functions
 

@@ -42,10 +42,11 @@ from sceneloom.scene import (
     VertexPath,
 )
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.simulate import TrafficSpec
+from sceneloom.simulate import LidarSpec, TrafficSpec
 
 LENS = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)
 STAMPS = np.array([0, 100, 200])
+COARSE = LidarSpec(beams=8, steps=90)
 
 
 def a_path(stamps=STAMPS, *, x=0.0):
@@ -239,7 +240,7 @@ def test_paths_of_other_times_are_told_by_their_stamps():
 
 
 def test_a_simplified_scene_is_the_same_within_its_tolerances():
-    scene = sceneloom.simulate_street(1, frames=3, cameras=(), traffic=TrafficSpec()).scene
+    scene = sceneloom.simulate_street(1, frames=3, lidar=COARSE, cameras=(), traffic=TrafficSpec()).scene
     simple = simplify_scene(scene, tolerance_m=0.05, tolerance_deg=0.5)
     assert not diff_scenes(scene, simple).equal
     within = {"tolerance_m": 0.05, "tolerance_deg": 0.5, "other_stamps": True}

@@ -1,6 +1,7 @@
 """Scenes through a distorted lens, against the same street seen by a pinhole."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,7 +55,12 @@ def moved(pixels, before=BARREL, after=PINHOLE):
 
 @pytest.fixture(scope="module")
 def distorted():
-    return street(BARREL)
+    """Pictures are rendered when they are asked for, and each test asks again: here they are kept."""
+    scene = street(BARREL)
+    (camera,) = scene.cameras
+    kept = [Picture.of(picture.timestamp_ns, BARREL, picture.rgb) for picture in camera.pictures]
+    seen = replace(camera, pictures=LazyFrames.of(kept, camera.pictures.timestamps_ns))
+    return replace(scene, sensors=tuple(seen if sensor is camera else sensor for sensor in scene.sensors))
 
 
 def test_pictures_are_those_that_a_pinhole_takes_of_the_same_street(distorted):

@@ -29,6 +29,7 @@ VERBS = MappingProxyType(
         "salvage": "Take out of a damaged scene file what is whole.",
         "report": "Make a page about a drive that can be sent.",
         "batch": "Do one verb for many drives: in parallel, with a record, resumable.",
+        "catalog": "Put many drives into tables, and find drives and moments in them.",
         "diff": "Tell what differs between two drives.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "eval": "Say how good an estimate is: a trajectory against a reference.",

@@ -1,0 +1,150 @@
+"""SQL over a catalogue, by DuckDB: reading only, and nothing but the catalogue's own files."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sceneloom.catalog.layout import Layout
+from sceneloom.catalog.parquet import check_file
+from sceneloom.catalog.tables import TABLES, Kind
+from sceneloom.errors import DataError, MissingExtraError, OptionError
+
+_SQL_KINDS = {
+    Kind.TEXT: "VARCHAR", Kind.TIME: "BIGINT", Kind.COUNT: "INTEGER", Kind.NUMBER: "DOUBLE", Kind.FLAG: "BOOLEAN",
+}  # fmt: skip
+_SETTINGS: dict[str, Any] = {
+    "autoinstall_known_extensions": False,
+    "autoload_known_extensions": False,
+    "python_enable_replacements": False,
+}
+_READING = frozenset({"SELECT", "EXPLAIN"})
+_WRONG_SQL = (
+    "ParserException", "BinderException", "CatalogException", "ConversionException", "PermissionException",
+    "OutOfRangeException", "TypeMismatchException", "SyntaxException", "NotSupportedException",
+    "NotImplementedException",
+)  # fmt: skip
+"""DuckDB's errors about what was asked, as against those about what was found."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a query gives.
+
+    Attributes:
+        columns: their names.
+        rows: the rows.
+    """
+
+    columns: tuple[str, ...]
+    rows: list[tuple[Any, ...]]
+
+
+class Database:
+    """An open catalogue; its tables are views over the Parquet files."""
+
+    def __init__(self, connection: Any, duckdb: Any, layout: Layout) -> None:
+        """Hold a connection whose settings are locked."""
+        self._connection, self._duckdb, self._layout = connection, duckdb, layout
+
+    def query(self, sql: str, parameters: Sequence[Any] = (), *, limit: int | None = None) -> Result:
+        """Run one statement that reads.
+
+        Args:
+            sql: the statement.
+            parameters: values for its `?`.
+            limit: at most so many rows; None for all.
+
+        Raises:
+            OptionError: the SQL is wrong, writes, or wants other files.
+            DataError: files of the catalogue are damaged.
+        """
+        try:
+            statements = self._connection.extract_statements(sql)
+            self._check(statements)
+            self._connection.execute(statements[0], list(parameters))
+            columns = tuple(column[0] for column in self._connection.description)
+            rows = self._connection.fetchall() if limit is None else self._connection.fetchmany(limit)
+            return Result(columns, rows)
+        except self._duckdb.Error as error:
+            raise self._told(error) from error
+
+    @staticmethod
+    def _check(statements: Sequence[Any]) -> None:
+        if len(statements) != 1:
+            raise OptionError(f"SQL of {len(statements)} statements; expected one")
+        kind = statements[0].type.name
+        if kind not in _READING:
+            raise OptionError(f"SQL that is {kind}; a catalogue is only read: expected SELECT")
+
+    def _told(self, error: Exception) -> Exception:
+        """An error of DuckDB's as one of ours: what was asked is wrong, or what was found."""
+        asked = tuple(getattr(self._duckdb, name) for name in _WRONG_SQL if hasattr(self._duckdb, name))
+        text = " ".join(str(error).split())
+        if isinstance(error, asked):
+            return OptionError(f"SQL: {text}")
+        for file in (file for table in TABLES for file in self._layout.files(table)):
+            try:
+                check_file(file)
+            except DataError as damage:
+                return DataError(damage.file, "", f"{damage.problem}; {_REMEDY}")
+        if isinstance(error, self._duckdb.InvalidInputException):
+            return OptionError(f"SQL: {text}")
+        return DataError(self._layout.folder, "", f"{text}; {_REMEDY}")
+
+
+_REMEDY = "`sceneloom catalog update` makes damaged parts anew"
+
+
+@contextmanager
+def opened(catalogue: str | Path) -> Iterator[Database]:
+    """Open a catalogue for queries.
+
+    Raises:
+        DataError: there is none, or a file of it is damaged.
+        MissingExtraError: duckdb is not installed.
+    """
+    layout = Layout.found(Path(catalogue))
+    try:
+        import duckdb
+    except ImportError as error:
+        raise MissingExtraError(
+            "queries need duckdb: install it with `pip install 'sceneloom[catalog]'`"
+        ) from error
+    with duckdb.connect(":memory:", config=_SETTINGS) as connection:
+        database = Database(connection, duckdb, layout)
+        folder = str(layout.folder.absolute())
+        try:
+            # a pattern is looked at before it is resolved, so the folder is allowed in both spellings
+            allowed = ", ".join(f"'{_quoted(name)}/'" for name in dict.fromkeys((folder, _literal(folder))))
+            connection.execute(f"SET allowed_directories = [{allowed}]")
+            connection.execute("SET enable_external_access = false")
+            for table in TABLES:
+                connection.execute(_view(table, layout))
+            connection.execute("SET lock_configuration = true")
+        except duckdb.Error as error:
+            raise database._told(error) from error  # noqa: SLF001 - of this module
+        yield database
+
+
+def _view(table: str, layout: Layout) -> str:
+    columns = ["scene VARCHAR", *(f"{column.name} {_SQL_KINDS[column.kind]}" for column in TABLES[table])]
+    files = ", ".join(f"'{_quoted(_literal(str(file.absolute())))}'" for file in layout.files(table))
+    if not files:
+        nulls = ", ".join(f"NULL::{kind} AS {name}" for name, kind in map(str.split, columns))
+        return f"CREATE VIEW {table} AS SELECT {nulls} WHERE false"
+    names = ", ".join(column.split()[0] for column in columns)
+    return (
+        f"CREATE VIEW {table} AS SELECT {names} FROM read_parquet([{files}], hive_partitioning = true, "  # noqa: S608
+        "hive_types = {'scene': VARCHAR})"
+    )
+
+
+def _literal(path: str) -> str:
+    """A path as a pattern that fits it alone."""
+    return "".join(f"[{character}]" if character in "*?[" else character for character in path)
+
+
+def _quoted(text: str) -> str:
+    return text.replace("'", "''")

@@ -1,0 +1,148 @@
+"""The ego over time, as far as a scene tells it without reading frames: place, speed, latitude and longitude."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, geodetic_from_enu
+from sceneloom.scene import Coordinates, GnssSensor, OdometrySensor, Scene
+
+WINDOW_NS = 500_000_000
+"""Speeds are those over so long, so that the noise of poses does not count as motion."""
+
+REACH_NS = 1_000_000_000
+"""So far beyond its first and last point a way holds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """Points over time.
+
+    Attributes:
+        timestamps_ns: (N,) int64 [ns], strictly increasing.
+        positions: (N, 3) float64 [m].
+    """
+
+    timestamps_ns: Int64Array
+    positions: Float64Array
+
+    @classmethod
+    def of(cls, timestamps_ns: Int64Array, positions: Float64Array) -> "Way | None":
+        """Make a way of points in any order, without those that are no numbers; None where none is left."""
+        known = np.flatnonzero(np.isfinite(positions).all(axis=1))
+        times, rows = np.unique(timestamps_ns[known], return_index=True)
+        return cls(times, positions[known][rows]) if len(times) else None
+
+    def at(self, timestamps_ns: Int64Array) -> Float64Array:
+        """Give the points (M, 3) at times (M,) [ns]; NaN where it does not reach."""
+        times = self._seconds(timestamps_ns)
+        own = self._seconds(self.timestamps_ns)
+        axes = [np.interp(times, own, axis) for axis in self.positions.T]
+        points: Float64Array = np.stack(axes, axis=-1)
+        reach = REACH_NS / 1e9
+        points[(times < own[0] - reach) | (times > own[-1] + reach)] = np.nan
+        return points
+
+    def speeds(self, timestamps_ns: Int64Array) -> Float64Array:
+        """Give the speeds (M,) [m/s] at times (M,) [ns]; NaN where it does not reach, or for a single point."""
+        first, last = self.timestamps_ns[0], self.timestamps_ns[-1]
+        start = np.clip(timestamps_ns - WINDOW_NS // 2, first, max(first, last - WINDOW_NS))
+        stop = np.clip(start + WINDOW_NS, first, last)
+        seconds = (stop - start) / 1e9
+        gone = np.linalg.norm(self.at(stop) - self.at(start), axis=1)
+        unknown = np.full(len(seconds), np.nan)
+        speeds: Float64Array = np.divide(gone, seconds, out=unknown, where=seconds > 0)
+        speeds[np.isnan(self.at(timestamps_ns)[:, 0])] = np.nan
+        return speeds
+
+    @property
+    def metres(self) -> float:
+        """Its length [m]."""
+        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+
+    def _seconds(self, timestamps_ns: Int64Array) -> Float64Array:
+        seconds: Float64Array = (timestamps_ns - self.timestamps_ns[0]) / 1e9
+        return seconds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ego:
+    """What is known of the ego.
+
+    Attributes:
+        way: in the scene's world, or None.
+        fixes: of the first satellite receiver that has any, earth-centred, or None.
+        origin_lla: the place whose east, north and up are the world's axes, or None.
+    """
+
+    way: Way | None
+    fixes: Way | None
+    origin_lla: tuple[float, float, float] | None
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Ego":
+        """Take it from the first trajectory, the odometry, or what poses in the world a sensor has; and from fixes."""
+        return cls(_way(scene), _fixes(scene), _origin(scene))
+
+    def positions(self, timestamps_ns: Int64Array) -> Float64Array:
+        """Where it was in the world, (M, 3) [m]; NaN where that is not known."""
+        return _unknown(timestamps_ns, 3) if self.way is None else self.way.at(timestamps_ns)
+
+    def speeds(self, timestamps_ns: Int64Array) -> Float64Array:
+        """How fast it was, (M,) [m/s]; NaN where that is not known."""
+        way = self.way or self.fixes
+        return _unknown(timestamps_ns, 1)[:, 0] if way is None else way.speeds(timestamps_ns)
+
+    def places_lla(self, timestamps_ns: Int64Array) -> Float64Array:
+        """Latitude, longitude [deg] and height [m], (M, 3); NaN where they are not known."""
+        if self.fixes is not None:
+            return geodetic_from_ecef(self.fixes.at(timestamps_ns))
+        if self.origin_lla is not None and self.way is not None:
+            return geodetic_from_enu(self.way.at(timestamps_ns), self.origin_lla)
+        return _unknown(timestamps_ns, 3)
+
+    @property
+    def metres(self) -> float:
+        """Length of its way [m]; NaN where that is not known."""
+        return math.nan if self.way is None else self.way.metres
+
+
+def _unknown(timestamps_ns: Int64Array, width: int) -> Float64Array:
+    return np.full((len(timestamps_ns), width), np.nan)
+
+
+def _way(scene: Scene) -> Way | None:
+    for trajectory in scene.trajectories.values():
+        return Way.of(trajectory.timestamps_ns, trajectory.positions)
+    for sensor in scene.sensors:
+        if isinstance(sensor, OdometrySensor) and not sensor.poses.endless:
+            return Way.of(sensor.poses.timestamps_ns, sensor.poses.positions)
+    for sensor in scene.sensors:
+        poses = getattr(sensor, "poses", None)
+        in_world = getattr(sensor, "coordinates", None) is Coordinates.WORLD
+        if poses is not None and in_world and not poses.endless:
+            return Way.of(poses.timestamps_ns, poses.positions)
+    return None
+
+
+def _fixes(scene: Scene) -> Way | None:
+    for sensor in scene.sensors:
+        if isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns):
+            return Way.of(sensor.timestamps_ns, ecef_from_geodetic(sensor.positions_lla))
+    return None
+
+
+def _origin(scene: Scene) -> tuple[float, float, float] | None:
+    ours: Any = scene.metadata.get("sceneloom")
+    said = ours.get("enu_origin") if isinstance(ours, Mapping) else None
+    if not isinstance(said, Mapping):
+        return None
+    numbers = [said.get(name) for name in ("latitude", "longitude", "altitude")]
+    if not all(isinstance(number, int | float) for number in numbers):
+        return None
+    latitude, longitude, altitude = map(float, numbers)  # type: ignore[arg-type]
+    return latitude, longitude, altitude

@@ -1,0 +1,184 @@
+"""Ready filters: what is looked for, as SQL."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from types import MappingProxyType
+from typing import Any
+
+from sceneloom.errors import OptionError
+
+_FIRST_NS, _LAST_NS = -(2**63), 2**63 - 1
+
+Part = tuple[str, tuple[Any, ...]]
+"""A condition with the values for its `?`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """What to look for; all that is said must hold at a moment.
+
+    Attributes:
+        labels: one of these classes; `*` and `?` stand for any text and any character, the case does not count.
+        types: one of these types of boxes: "cuboid", "box_2d".
+        start: not before: seconds after a drive's first time stamp, or a date and time (ISO 8601, UTC unless said).
+        stop: before.
+        near: latitude, longitude [deg], and how far from there the ego may be [m].
+        speed: least and greatest speed of the ego [m/s].
+        distance: least and greatest distance of boxes from the ego [m].
+        count: at least so many boxes at one time.
+        attributes: names and values that hold for the scene, a sensor, or the box itself.
+        findings: rules that found something in the drive.
+    """
+
+    labels: tuple[str, ...] = ()
+    types: tuple[str, ...] = ()
+    start: float | str | None = None
+    stop: float | str | None = None
+    near: tuple[float, float, float] | None = None
+    speed: tuple[float, float] | None = None
+    distance: tuple[float, float] | None = None
+    count: int | None = None
+    attributes: tuple[tuple[str, str], ...] = ()
+    findings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "distance"):
+            bounds = getattr(self, name)
+            if bounds is not None and not bounds[0] <= bounds[1]:
+                raise OptionError(f"{name} from {bounds[0]} to {bounds[1]}; expected the lesser number first")
+        if self.near is not None and not (abs(self.near[0]) <= 90 and abs(self.near[1]) <= 360):
+            raise OptionError(
+                f"near {self.near[0]}, {self.near[1]}; expected latitude and longitude in degrees"
+            )
+
+    @property
+    def of_boxes(self) -> bool:
+        """Whether boxes are looked for, and not the ego alone."""
+        return bool(self.labels or self.types or self.distance or self.count is not None)
+
+    def conditions(self) -> Iterator[Part]:
+        """The conditions on a row `m` of annotations, or of frames where no boxes are looked for."""
+        if self.labels:
+            yield _any_of("lower(m.label) GLOB ?", [label.lower() for label in self.labels])
+        if self.types:
+            yield _any_of("m.type = ?", self.types)
+        for name, column in (("speed", "ego_speed"), ("distance", "distance")):
+            if getattr(self, name) is not None:
+                yield f"m.{column} BETWEEN ? AND ?", getattr(self, name)
+        if self.near is not None:
+            yield _near(*self.near)
+        for name, sign in (("start", ">="), ("stop", "<")):
+            if getattr(self, name) is not None:
+                yield _timed(getattr(self, name), name, sign)
+        for name, value in self.attributes:
+            yield (_ATTRIBUTE_OF_BOX if self.of_boxes else _ATTRIBUTE), (name.lower(), value.lower())
+        for rule in self.findings:
+            yield "m.scene IN (SELECT scene FROM findings WHERE rule = ?)", (rule,)
+
+
+def _any_of(condition: str, values: Any) -> Part:
+    return f"({' OR '.join([condition] * len(values))})", tuple(values)
+
+
+def _timed(value: float | str, name: str, sign: str) -> Part:
+    try:
+        return f"m.seconds {sign} ?", (float(value),)
+    except ValueError:
+        pass
+    try:
+        moment = datetime.fromisoformat(str(value))
+    except ValueError as error:
+        raise OptionError(
+            f"{name} {value!r}; expected seconds after a drive's beginning, or a date and time such as "
+            "2024-05-01T08:30:00"
+        ) from error
+    moment = moment.replace(tzinfo=moment.tzinfo or UTC)
+    since = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return f"m.timestamp_ns {sign} ?", (
+        (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000,
+    )
+
+
+def _near(latitude: float, longitude: float, metres: float) -> Part:
+    """Within a distance on the ellipsoid, whose curves at the place itself count: good to 1 % up to 100 km.
+
+    Source: NIMA TR8350.2, radii of curvature in the meridian and the prime vertical.
+    """
+    import math
+
+    from sceneloom.geometry.geodesy import FLATTENING, SEMI_MAJOR_AXIS
+
+    eccentricity_2 = FLATTENING * (2 - FLATTENING)
+    root = math.sqrt(1 - eccentricity_2 * math.sin(math.radians(latitude)) ** 2)
+    north = math.radians(1) * SEMI_MAJOR_AXIS * (1 - eccentricity_2) / root**3
+    east = math.radians(1) * SEMI_MAJOR_AXIS / root * math.cos(math.radians(latitude))
+    band = metres / north * 1.02
+    values = (latitude - band, latitude + band, latitude, north, longitude, east, metres)
+    return _NEAR, values
+
+
+_NEAR = """m.latitude BETWEEN ? AND ? AND
+ sqrt(((m.latitude - ?) * ?) ** 2 + (((m.longitude - ? + 900) % 360 - 180) * ?) ** 2) <= ?"""
+
+_ATTRIBUTE = f"""EXISTS (SELECT 1 FROM attributes t WHERE t.scene = m.scene AND lower(t.name) = ? AND
+ lower(t.value) = ? AND m.timestamp_ns >= coalesce(t.start_ns, {_FIRST_NS}) AND
+ m.timestamp_ns < coalesce(t.stop_ns, {_LAST_NS}))"""  # noqa: S608 - our own words
+_ATTRIBUTE_OF_BOX = f"{_ATTRIBUTE[:-1]} AND (t.track IS NULL OR t.track = m.track))"
+
+SHOWN: Mapping[str, str] = MappingProxyType(
+    {
+        "spans": "drives with the time spans in which all holds",
+        "drives": "drives in which all holds at some time",
+        "rows": "every box, or frame, for itself",
+    }
+)
+"""What a selection can be shown as."""
+
+
+def sql_of(selection: Selection, *, show: str = "spans", gap: float = 1.0, margin: float = 0.0) -> Part:
+    """Write a selection as SQL.
+
+    Args:
+        selection: what is looked for.
+        show: one of `SHOWN`.
+        gap: moments no more than so many seconds apart are one span.
+        margin: spans are so many seconds longer at both ends.
+
+    Raises:
+        OptionError: a time is none, or there is no such way to show it.
+    """
+    if show not in SHOWN:
+        raise OptionError(f"show {show!r}; expected one of {', '.join(SHOWN)}")
+    parts = list(selection.conditions())
+    conditions = [condition for condition, _ in parts] or ["true"]
+    values = tuple(value for _, some in parts for value in some)
+    table = "annotations" if selection.of_boxes else "frames"
+    if not selection.of_boxes:
+        conditions.insert(0, "m.reference")
+    chosen = f"SELECT m.* FROM {table} m WHERE {' AND '.join(conditions)}"  # noqa: S608 - our own words
+    least = selection.count or 1
+    if show == "rows":
+        sql = _ROWS.format(chosen=chosen, least=int(least))
+        return sql, values
+    sql = _SPANS.format(chosen=chosen, least=int(least), gap=float(gap), margin=float(margin))
+    return (f"{sql} {_OF_SPANS}" if show == "spans" else f"{sql} {_OF_DRIVES}"), values
+
+
+_ROWS = """SELECT s.path, c.* FROM ({chosen}) c JOIN scenes s USING (scene)
+QUALIFY count(*) OVER (PARTITION BY c.scene, c.timestamp_ns) >= {least} ORDER BY s.path, c.timestamp_ns"""
+
+_SPANS = """WITH chosen AS ({chosen}),
+moments AS (SELECT scene, timestamp_ns, any_value(seconds) AS seconds, count(*) AS found FROM chosen
+  GROUP BY scene, timestamp_ns HAVING count(*) >= {least}),
+marked AS (SELECT m.*, s.path, s.period, CASE WHEN m.seconds - lag(m.seconds) OVER of_scene <= greatest({gap},
+  1.5 * s.period) + 2 * {margin} THEN 0 ELSE 1 END AS fresh FROM moments m JOIN scenes s USING (scene)
+  WINDOW of_scene AS (PARTITION BY m.scene ORDER BY m.timestamp_ns)),
+numbered AS (SELECT *, sum(fresh) OVER (PARTITION BY scene ORDER BY timestamp_ns) AS span FROM marked),
+spans AS (SELECT path, greatest(0.0, min(seconds) - {margin}) AS start,
+  max(seconds) + any_value(period) + {margin} AS stop, count(*) AS moments, max(found) AS most
+  FROM numbered GROUP BY scene, path, span)"""
+
+_OF_SPANS = "SELECT path, start, stop, moments, most FROM spans WHERE stop > 0 ORDER BY path, start"
+_OF_DRIVES = """SELECT path, sum(stop - start) AS seconds, count(*) AS spans, sum(moments)::BIGINT AS moments,
+max(most) AS most FROM spans GROUP BY path ORDER BY path"""

@@ -1,0 +1,52 @@
+"""`sceneloom catalog build`."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.catalog.telling import checks, lists, print_report
+from sceneloom.cli.printing import progress_bar
+
+
+@click.command()
+@click.argument("drives", nargs=-1, metavar="DRIVES...")
+@click.option(
+    "-o", "--output", type=options.target, required=True, metavar="OUT", help="Folder of the catalogue."
+)
+@lists
+@click.option("--overwrite", is_flag=True, help="Replace a catalogue that exists.")
+@checks
+@options.reading
+@options.printing
+def build(
+    drives: tuple[str, ...],
+    output: Path,
+    lists: tuple[Path, ...],
+    overwrite: bool,
+    checks: str,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **reading: Any,
+) -> int:
+    """Make a catalogue of drives: scenes, sensors, frames, annotations, tracks, attributes and findings as tables.
+
+    Drives are paths, patterns in quotes, URLs, or the lines of a list. One that cannot be read is told, and the others
+    go on; exit 1 then.
+    """
+    from sceneloom.batch.inputs import find_inputs
+    from sceneloom.catalog import build as build_catalogue
+
+    places = [drive.place for drive in find_inputs(drives, lists)]
+    with progress_bar("reading drives", quiet=quiet) as progress:
+        report = build_catalogue(
+            places,
+            output,
+            overwrite=overwrite,
+            checks=checks,
+            progress=progress,
+            **options.said(**reading),
+        )
+    return print_report(report, as_json=as_json, verbose=verbose)

@@ -1,0 +1,58 @@
+"""What the verbs that write catalogues share: options, and how the result is told."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from sceneloom.cli.printing import print_json, print_lines, several
+
+if TYPE_CHECKING:
+    from sceneloom.catalog import CatalogReport, Failure
+
+checks = click.option(
+    "--checks",
+    type=click.Choice(["none", "quick", "full"]),
+    default="quick",
+    show_default=True,
+    help="How drives are checked for the table of findings; `full` reads every frame.",
+)
+lists = click.option(
+    "--list",
+    "lists",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    multiple=True,
+    metavar="FILE",
+    help='Drives by lines: a path, or {"path": …}; may be said again.',
+)
+
+
+def print_report(report: "CatalogReport", *, as_json: bool, verbose: bool) -> int:
+    """Say what building or updating did; gives the exit code."""
+    if as_json:
+        print_json(report)
+        return int(bool(report.failed))
+    parts = [
+        f"{count} {word}"
+        for word, count in (
+            ("new", len(report.added)),
+            ("read again", len(report.changed)),
+            ("unchanged", report.unchanged),
+            ("taken out", len(report.removed)),
+            ("failed", len(report.failed)),
+        )
+        if count
+    ]
+    click.echo(
+        f"{report.catalogue}: {several(report.scenes, 'scene')}: {', '.join(parts) or 'nothing to do'}"
+    )
+    print_lines([f"failed: {_told(failure)}" for failure in report.failed], verbose=verbose)
+    print_lines(
+        [f"not there any more: {path}; `--prune` takes it out" for path in report.gone], verbose=verbose
+    )
+    return int(bool(report.failed))
+
+
+def _told(failure: "Failure") -> str:
+    """Errors of files begin with their path already."""
+    return failure.error if failure.error.startswith(failure.path) else f"{failure.path}: {failure.error}"

@@ -1,0 +1,45 @@
+"""`sceneloom catalog update`."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.catalog.telling import checks, lists, print_report
+from sceneloom.cli.printing import progress_bar
+
+
+@click.command()
+@click.argument("catalogue", type=click.Path(path_type=Path))
+@click.argument("drives", nargs=-1, metavar="[DRIVES...]")
+@lists
+@click.option("--prune", is_flag=True, help="Take out drives that are not there any more.")
+@checks
+@options.reading
+@options.printing
+def update(
+    catalogue: Path,
+    drives: tuple[str, ...],
+    lists: tuple[Path, ...],
+    prune: bool,
+    checks: str,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **reading: Any,
+) -> int:
+    """Bring a catalogue up to date: drives that are new or have changed are read, no other is touched.
+
+    Without drives, all that stand in the catalogue are looked at, and read as they were before. One that cannot be
+    read is told, and what stood of it stays; exit 1 then.
+    """
+    from sceneloom.batch.inputs import find_inputs
+    from sceneloom.catalog import update as update_catalogue
+
+    places = [drive.place for drive in find_inputs(drives, lists)] if drives or lists else []
+    with progress_bar("looking at drives", quiet=quiet) as progress:
+        report = update_catalogue(
+            catalogue, places, prune=prune, checks=checks, progress=progress, **options.said(**reading)
+        )
+    return print_report(report, as_json=as_json, verbose=verbose)

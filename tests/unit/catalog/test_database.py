@@ -1,0 +1,74 @@
+"""SQL reads the catalogue, and can do nothing else; what is damaged is named."""
+
+import shutil
+
+import pytest
+
+from sceneloom.catalog import query, update
+from sceneloom.errors import DataError, OptionError
+
+
+@pytest.fixture
+def copied(catalogue, tmp_path):
+    """A catalogue that may be spoiled."""
+    return shutil.copytree(catalogue, tmp_path / "catalogue")
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "COPY scenes TO '{0}/stolen.csv'",
+        "CREATE TABLE t AS SELECT 1",
+        "DROP VIEW scenes",
+        "ATTACH '{0}/other.db'",
+        "INSTALL httpfs",
+        "SET enable_external_access = true",
+        "SELECT 1; SELECT 2",
+        "",
+        "SELECT * FROM read_text('{0}/secret.txt')",
+        "SELECT * FROM '{0}/secret.txt'",
+        "SELECT * FROM glob('{0}/*')",
+        "SELECT * FROM read_csv('https://127.0.0.1/x.csv')",
+        "SELECT * FROM read_text('{1}/../secret.txt')",
+        "SELEC",
+        "SELECT nothing FROM scenes",
+        "SELECT * FROM nowhere",
+        "SELECT CAST('x' AS INTEGER)",
+        "SELECT ?",
+    ],
+)
+def test_sql_that_is_wrong_writes_or_looks_elsewhere_is_refused(copied, tmp_path, sql):
+    (tmp_path / "secret.txt").write_text("secret")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(OptionError, match="SQL"):
+        query(copied, sql.format(tmp_path, copied))
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_names_of_this_program_are_no_tables(catalogue):
+    secret = [1, 2, 3]
+    with pytest.raises(OptionError, match="secret"):
+        query(catalogue, "SELECT * FROM secret")
+    assert secret
+
+
+def test_a_damaged_file_is_named_and_made_anew_by_an_update(copied, drives):
+    files = sorted(copied.glob("annotations/*/*.parquet"))
+    whole = query(copied, "SELECT count(*) FROM annotations").rows
+    files[0].write_bytes(files[0].read_bytes()[:-7])
+    with pytest.raises(DataError, match="no whole Parquet file") as refused:
+        query(copied, "SELECT * FROM annotations")
+    assert refused.value.file == str(files[0])
+    report = update(copied)
+    assert (len(report.changed), report.unchanged) == (1, 2)
+    assert query(copied, "SELECT count(*) FROM annotations").rows == whole
+
+
+@pytest.mark.parametrize("content", [None, "", "{", "[]", '{"version": 99}'])
+def test_a_folder_that_is_no_catalogue_is_refused(tmp_path, content):
+    if content is not None:
+        (tmp_path / "catalog.json").write_text(content)
+    with pytest.raises(DataError):
+        query(tmp_path, "SELECT 1")
+    with pytest.raises(DataError):
+        update(tmp_path)

@@ -1,0 +1,88 @@
+"""What stands in the tables."""
+
+import numpy as np
+import pytest
+
+from sceneloom.catalog import TABLES, query
+
+from .conftest import street
+
+
+def rows_of(catalogue, sql):
+    return query(catalogue, sql).rows
+
+
+def test_a_box_stands_at_every_moment_between_its_stamps(catalogue, drives):
+    rows = rows_of(
+        catalogue,
+        "SELECT seconds, x, y, speed, a.annotation FROM annotations a JOIN scenes USING (scene) "
+        f"WHERE path = '{drives[0]}' AND label LIKE 'ped%' ORDER BY seconds",
+    )
+    assert [row[0] for row in rows] == pytest.approx(np.arange(2.0, 3.05, 0.1))
+    assert [row[2] for row in rows] == pytest.approx(5 + 2 * np.arange(0, 1.05, 0.1))
+    assert [row[3] for row in rows] == pytest.approx([2.0] * 11)
+    assert {row[4] for row in rows} == {"7"}
+
+
+def test_distances_are_those_from_the_ego_at_that_moment(catalogue, drives):
+    rows = rows_of(
+        catalogue,
+        "SELECT seconds, distance, ego_speed FROM annotations a JOIN scenes USING (scene) "
+        f"WHERE path = '{drives[0]}' AND label = 'Car' ORDER BY seconds",
+    )
+    t = np.array([row[0] for row in rows])
+    east = np.where(t < 5, 5 * t, 25 + 15 * (t - 5))
+    assert len(t) == 100
+    assert [row[1] for row in rows] == pytest.approx(np.hypot(50 - east, 10))
+    steady = np.abs(t - 5) > 0.3  # a speed is that over half a second
+    assert np.array([row[2] for row in rows])[steady] == pytest.approx(np.where(t < 5, 5, 15)[steady])
+
+
+def test_a_track_tells_its_span_way_and_least_distance(catalogue):
+    sql = "SELECT start, stop, metres, nearest, boxes FROM tracks WHERE annotation = '7' LIMIT 1"
+    ((start, stop, metres, nearest, boxes),) = rows_of(catalogue, sql)
+    assert (start, stop, metres, boxes) == pytest.approx((2.0, 3.0, 2.0, 11))
+    t = np.arange(2.0, 3.05, 0.1)
+    assert nearest == pytest.approx(np.hypot(20 - 5 * t, 5 + 2 * (t - 2)).min())
+
+
+def test_frames_tell_where_on_earth_the_ego_was(catalogue, drives):
+    sql = (
+        "SELECT f.latitude, f.longitude FROM frames f JOIN scenes s USING (scene) WHERE reference AND "
+        f"path = '{drives[0]}' ORDER BY frame"
+    )
+    found = np.array(rows_of(catalogue, sql))
+    assert found == pytest.approx(street().sensors[0].positions_lla[:, :2], abs=1e-9)
+
+
+def test_every_table_has_its_columns_and_the_scene(catalogue):
+    for table, columns in TABLES.items():
+        result = query(catalogue, f"SELECT * FROM {table} LIMIT 0")
+        assert result.columns == ("scene", *(column.name for column in columns))
+
+
+def test_the_scene_row_counts_what_is_there(catalogue, drives):
+    sql = f"SELECT duration, period, metres, tracks, boxes, frames FROM scenes WHERE path = '{drives[0]}'"
+    assert rows_of(catalogue, sql)[0] == pytest.approx((9.9, 0.1, 25 + 15 * 4.9, 2, 111, 200))
+
+
+def test_the_page_about_catalogues_names_every_column(request):
+    page = (request.config.rootpath / "docs" / "catalogue.md").read_text("utf-8")
+    for table, columns in TABLES.items():
+        told = "; ".join(f"`{column.name}` {column.words}" for column in columns)
+        assert f"| `{table}` | {told} |" in page
+
+
+@pytest.mark.parametrize("reader", ["pyarrow", "polars"])
+def test_other_readers_find_the_same_rows_and_scenes(catalogue, reader):
+    folder = str(catalogue / "annotations")
+    if reader == "pyarrow":
+        from pyarrow import dataset
+
+        table = dataset.dataset(folder, partitioning="hive").to_table()
+        found = (table.num_rows, len(set(table["scene"].to_pylist())))
+    else:
+        polars = pytest.importorskip("polars")
+        frame = polars.scan_parquet(folder, hive_partitioning=True, glob=False).collect()
+        found = (frame.height, frame["scene"].n_unique())
+    assert found == rows_of(catalogue, "SELECT count(*), count(DISTINCT scene) FROM annotations")[0]

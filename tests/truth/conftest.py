@@ -41,7 +41,7 @@ CAMERAS = (
 
 SEEDS = (0, 7)
 """Streets where the ego turns, to the right and to the left, and gathers speed while the sweeps below are taken."""
-SWEEPS = range(6, 9)
+SWEEPS = range(7, 9)
 """The sweeps that are used."""
 
 Decoder = Callable[[bytes], dict[str, Any]]

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom.cameras.camera import Camera
 from sceneloom.scene import CuboidAnnotation, LocalizationAdjustment, PosePath
 from sceneloom.scene.span import time_span
-from sceneloom.simulate import annotate, demo_drive
+from sceneloom.simulate import CameraSpec, LidarSpec, annotate, simulate_street
 
 Call = Callable[..., Any]
 
@@ -21,7 +22,12 @@ Call = Callable[..., Any]
 def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A street with every type of annotation, in a scene file."""
     target = tmp_path_factory.mktemp("edited") / "drive.sfs"
-    drive = demo_drive(frames=3)
+    lenses = (
+        Camera("brown_conrady", 200, 100, 107.0, 107.0, 99.5, 47.5, (-0.12, 0.04, 0.0004, -0.0003, -0.006)),
+        Camera("fisheye", 160, 100, 62.0, 62.0, 79.5, 47.5, (0.03, -0.008, 0.002, -0.0004)),
+    )
+    lidar = LidarSpec(elevations_deg=(-25.0, 15.0), steps=360)
+    drive = simulate_street(0, frames=3, lidar=lidar, cameras=tuple(map(CameraSpec, lenses)))
     sceneloom.write(annotate(drive).scene, target)
     return target
 

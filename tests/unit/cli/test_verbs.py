@@ -6,14 +6,16 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import sceneloom
+from sceneloom.cameras.camera import Camera
 from sceneloom.cli.printing import seconds
-from sceneloom.simulate import LidarSpec, simulate_street
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 Call = Callable[..., Any]
 
@@ -106,7 +108,12 @@ def test_formats_says_what_one_of_them_holds(call: Call) -> None:
     assert (unknown.code, "no format or form 'nope'; there are sfs" in unknown.err) == (2, True)
 
 
-def test_demo_keeps_a_recording_a_scene_and_pictures(call: Call, tmp_path: Path) -> None:
+def test_demo_keeps_a_recording_a_scene_and_pictures(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
+    street = partial(simulate_street, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
+    monkeypatch.setattr("sceneloom.simulate.demo_drive", street)
     outcome = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
     assert outcome.code == 0
     kept = {path.name for path in (tmp_path / "kept").iterdir()}

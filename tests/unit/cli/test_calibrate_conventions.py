@@ -4,6 +4,10 @@ import json
 
 import pytest
 
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.simulate import CameraSpec, simulate_street
+
 KITTI = "Tr_velo_to_cam: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n"
 
 
@@ -27,6 +31,18 @@ def test_a_file_is_told_as_json(call, file):
     assert found["possible"]["direction"] == ["camera from lidar"]
 
 
+def test_a_file_is_told_by_a_drive(call, file, tmp_path):
+    camera = CameraSpec(Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5))
+    drive = simulate_street(4, frames=2, cameras=(camera,)).scene
+    truth = (drive.cameras[0].mount.inverse() @ drive.lidars[0].mount).matrix[:3]
+    file.write_text("Tr: " + " ".join(map(str, truth.ravel())), "utf-8")
+    sceneloom.write(drive, tmp_path / "drive.sfs")
+    result = call("calibrate", file, "--conventions", "--drive", tmp_path / "drive.sfs")
+    assert result.code == 0
+    assert "Tr: decided" in result.out
+
+
+@pytest.mark.slow
 def test_a_file_of_a_real_drive_is_told_by_it(call, file, data_dir):
     file.write_text(
         "Tr: 0.000235 -0.999944 -0.010563 0.05705 0.010449 0.010565 -0.99989 -0.07547 "

@@ -219,20 +219,15 @@ def test_equal_records_have_equal_bytes():
     assert encode(first) == encode(second)
 
 
-def test_records_and_json_need_no_protobuf():
+def test_records_and_json_need_no_protobuf_and_without_it_the_extra_is_named():
     program = (
-        "import sys; import sceneloom.fusion.messages.json_form; print('google.protobuf' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
-
-
-def test_without_protobuf_the_extra_is_named():
-    program = (
-        "import sys; sys.modules['google.protobuf'] = None\n"
+        "import sys; import sceneloom.fusion.messages.json_form; print('google.protobuf' in sys.modules)\n"
+        "sys.modules['google.protobuf'] = None\n"
         "from sceneloom.errors import MissingExtraError\n"
         "try:\n    import sceneloom.fusion.messages.protobuf_form\n"
         "except MissingExtraError as error:\n    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert "pip install 'sceneloom[serve]'" in done.stdout
+    loaded, told = done.stdout.splitlines()
+    assert loaded == "False"
+    assert "pip install 'sceneloom[serve]'" in told

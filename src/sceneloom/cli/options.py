@@ -61,11 +61,13 @@ def not_negative(number: str | float) -> float:
 
 
 def target(text: str) -> Path:
-    """Take an argument as the path of what is to be written."""
+    """Take an argument as the path of what is to be written; that of a store is written to disk first."""
     from sceneloom.formats.urls import is_url
 
     if is_url(text):
-        raise click.BadParameter(f"{text} is a URL; scenes are read from URLs, and written to files only")
+        from sceneloom.cli.uploads import draft_of
+
+        return draft_of(text)
     if text == "-":
         raise click.BadParameter(
             "'-'; nothing is written to standard output: say the name of a file or folder"
@@ -190,13 +192,21 @@ def _flag(name: str, doing: str) -> str | None:
     return next((flags[side + name] for side in _PREFIXES.get(doing, ("",)) if side + name in flags), None)
 
 
+def _uploading(command: Callable[..., Any], *arguments: Any, **values: Any) -> Any:
+    """Call a verb, and put what it wrote for a store there if all went well."""
+    from sceneloom.cli.uploads import uploads
+
+    with uploads(overwrite=values.get("overwrite", False)):
+        return _naming_flags(command, *arguments, **values)
+
+
 def _telling_notices(command: Command) -> Command:
     """Print what a lenient reading left out also where a verb ends in an error, and say what to do next."""
 
     @wraps(command)
     def run(*arguments: Any, **values: Any) -> Any:
         try:
-            return _naming_flags(command, *arguments, **values)
+            return _uploading(command, *arguments, **values)
         except SceneloomError as error:
             if error.notices and values.get("lenient") and not values["quiet"]:
                 from sceneloom.cli.printing import print_notices
@@ -206,6 +216,7 @@ def _telling_notices(command: Command) -> Command:
                 error.add_note(next_step(error, values) or "")
             raise
 
+    run.__dict__["uploads"] = True  # `cli.uploads` looks for it
     return cast("Command", run)
 
 

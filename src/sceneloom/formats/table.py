@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from sceneloom.errors import OptionError, UnknownFormatError
 from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.formats.output import check_output
-from sceneloom.formats.urls import path_or_url
+from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.scene import Scene
 
 FORMATS: Mapping[str, str] = MappingProxyType(
@@ -281,12 +281,17 @@ def check_scene_output(path: Path, *, overwrite: bool) -> None:
 def write_scene(
     scene: Scene, path: str | Path, *, format: str | None = None, overwrite: bool = False, **options: Any
 ) -> LossReport:
-    """Write a scene in the format that the path's suffix, or `format`, names.
+    """Write a scene in the format that the path's suffix, or `format`, names; a URL of a store may stand for the path.
 
     Raises:
         OutputError: the output exists, or cannot be written.
         OptionError: no format has that suffix or name.
     """
+    if is_url(path):
+        from sceneloom.formats.remote import uploading
+
+        with uploading(str(path), overwrite=overwrite) as draft:
+            return write_scene(scene, draft, format=format, **options)
     where = Path(path)
     form = format_for_output(where) if format is None else format_named(format)
     return form.write(scene, where, overwrite=overwrite, **options)

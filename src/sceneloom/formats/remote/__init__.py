@@ -2,5 +2,18 @@
 
 from sceneloom.formats.remote.patience import Patience
 from sceneloom.formats.remote.ranged import GAP, Range, RangedFile, RemoteIdentity, coalesced
+from sceneloom.formats.remote.uploads import MARKER, check_remote_output, output_name, upload, uploading
 
-__all__ = ["GAP", "Patience", "Range", "RangedFile", "RemoteIdentity", "coalesced"]
+__all__ = [
+    "GAP",
+    "MARKER",
+    "Patience",
+    "Range",
+    "RangedFile",
+    "RemoteIdentity",
+    "check_remote_output",
+    "coalesced",
+    "output_name",
+    "upload",
+    "uploading",
+]

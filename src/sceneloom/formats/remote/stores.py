@@ -1,12 +1,17 @@
 """Stores behind URLs by fsspec: the only module that knows it."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 from sceneloom.errors import MissingExtraError
 from sceneloom.formats.remote.faults import EXTRA, CutShortError, NoRangesError
 from sceneloom.redaction import redacted
+
+_PART = 16 << 20
+"""Length of the parts that a file is sent in; stores take 10,000 of them, which makes 160 GB [bytes]."""
 
 _VERSIONS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "updated", "created")
 """What back ends call the mark of a content, best first."""
@@ -58,6 +63,31 @@ class Store:
         """All files below the place, by their names."""
         found = self.files.find(self.path, detail=True)
         yield from (_facts(found[name]) for name in sorted(found))
+
+    def put(self, source: Path | None) -> None:
+        """Put a file there, piece by piece; it appears whole once the last piece is there.
+
+        Args:
+            source: the file; None puts an empty one.
+        """
+        file = self.files.open(self.path, "wb", block_size=_PART, autocommit=False)
+        try:
+            if source is not None:
+                with source.open("rb") as content:
+                    while piece := content.read(_PART):
+                        file.write(piece)
+            file.close()
+            file.commit()
+        except BaseException:
+            _abandon(file)
+            raise
+        self.files.invalidate_cache()
+
+    def remove(self) -> None:
+        """Take a file away; one that is not there is none."""
+        with suppress(FileNotFoundError):
+            self.files.rm_file(self.path)
+        self.files.invalidate_cache()
 
     def at(self, path: str) -> "Store":
         """Another place of the same store."""
@@ -122,6 +152,14 @@ def open_store(url: str, storage_options: Mapping[str, Any] | None = None) -> St
         raise MissingExtraError(f"{redacted(url)}: {EXTRA}") from None
     files, path = url_to_fs(url, **(storage_options or {}))
     return Store(url, files, path)
+
+
+def _abandon(file: Any) -> None:
+    """Give up what was begun: parts that were sent are not put together, and do not stay."""
+    with suppress(Exception):
+        file.discard()
+    file.buffer = None
+    file.closed = True  # else the file would be finished once nothing holds it
 
 
 def _facts(told: Mapping[str, Any]) -> Facts:

@@ -13,6 +13,7 @@ from sceneloom.errors import LossError, OptionError
 from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output
+from sceneloom.formats.remote import uploading
 from sceneloom.formats.table import (
     Format,
     format_for_output,
@@ -23,6 +24,7 @@ from sceneloom.formats.table import (
     written_formats,
 )
 from sceneloom.formats.trajectories import TRAJECTORY_FORMS, form_for_output
+from sceneloom.formats.urls import is_url
 from sceneloom.pipeline.converting.fates import field_fates
 from sceneloom.pipeline.converting.field_names import kinds_by_id
 from sceneloom.pipeline.converting.report import ConversionReport, check_report_name, write_report
@@ -34,6 +36,7 @@ from sceneloom.pipeline.converting.trajectories import (
     holds_trajectory_only,
     is_trajectory_file,
 )
+from sceneloom.redaction import redacted
 from sceneloom.scene import CameraSensor, DepthFrame, Identifier, LidarSensor, RadarSensor, Scene
 from sceneloom.scene.counting import Counting
 from sceneloom.scene.span import frame_times
@@ -71,7 +74,7 @@ def convert(
 
     Args:
         source: a file or folder.
-        target: a file or folder; its suffix chooses the format unless `to` names it.
+        target: a file or folder, or the URL of one in a store; its suffix chooses the format unless `to` names it.
         to: name of the target's format, or form of trajectories.
         trajectory: name of the trajectory, where a file of trajectories is written or read.
         strict: refuse to lose anything: what the format never holds before anything is written, what shows only while
@@ -90,6 +93,20 @@ def convert(
         LossError: something would be lost, and `strict` was said.
         OutputError: the target exists, or cannot be written.
     """
+    if is_url(target):
+        with uploading(str(target), overwrite=overwrite) as draft:
+            report = convert(
+                source,
+                draft,
+                to=to,
+                trajectory=trajectory,
+                strict=strict,
+                loss=loss,
+                reading=reading,
+                progress=progress,
+                **writing,
+            )
+        return msgspec.structs.replace(report, target=redacted(target))
     to_target = _Target(Path(target), strict, overwrite, writing)
     listing = None if loss is None else _listing(Path(loss), overwrite=overwrite)
     options = dict(reading or {})

@@ -1,6 +1,6 @@
 """How many drives go through a batch, and what a run costs beside the work itself.
 
-Run with `python -m benchmarks.batch [--drives 200] [--only speed,nothing,kills] [--keep DIR] [--frames 6]`. Simulated
+Run with `python -m benchmarks.batch [--drives 200] [--only speed,nothing,kills] [--keep DIR] [--frames 20]`. Simulated
 drives (a few streets, each under many names) are fused; every worker has one thread.
 
 - speed: one worker of the pool, two of the pool, two of dask on this machine, in turns. Limits: two at least 1.8 times
@@ -12,7 +12,6 @@ drives (a few streets, each under many names) are fused; every worker has one th
 
 import argparse
 import random
-import shutil
 import tempfile
 import threading
 import time
@@ -44,7 +43,7 @@ def make_drives(folder: Path, count: int, frames: int) -> list[Path]:
         if k < STREETS:
             sceneloom.write(simulate_street(k, frames=frames, lidar=LidarSpec(steps=600)).scene, place)
         else:
-            shutil.copyfile(places[k % STREETS], place)
+            place.hardlink_to(places[k % STREETS])
     return places
 
 
@@ -173,7 +172,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--drives", type=int, default=200)
-    parser.add_argument("--frames", type=int, default=6)
+    parser.add_argument("--frames", type=int, default=20)
     parser.add_argument("--only", default="speed,nothing,kills")
     parser.add_argument("--keep", type=Path, help="folder of the drives, which are made once")
     given = parser.parse_args()

@@ -24,6 +24,7 @@ _OWN = (
     "output",
     "workers",
     "cluster",
+    "metrics",
     "resume",
     "retries",
     "suffix",
@@ -127,6 +128,12 @@ _OPTIONS = (
         help="So often is tried again what may work another time: a lost worker, a network.",
     ),
     click.option(
+        "--metrics",
+        type=options.target,
+        metavar="FILE",
+        help="How the run stands as text for Prometheus, written anew every few seconds.",
+    ),
+    click.option(
         "--suffix", metavar="TEXT", help="What names of outputs end in. [default: that of the verb]"
     ),
     *(
@@ -158,13 +165,31 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
             workers=workers,
             executor=_cluster(own, workers),
             resume=own["resume"],
-            told=told,
+            told=_all_told(told, own["metrics"]),
         )
     if own["as_json"]:
         print_json(summary)
     else:
         print_summary(summary, own["output"], verbose=own["verbose"])
     return FAILED_CODE if summary.failed else 0
+
+
+def _all_told(told: "Told | None", metrics: Path | None) -> "Told | None":
+    """Tell the file of metrics, too, if there is one."""
+    if metrics is None:
+        return told
+    from sceneloom.batch.watching import MetricsFile
+    from sceneloom.formats.output import check_output
+
+    check_output(metrics, overwrite=True)
+    file = MetricsFile(metrics)
+
+    def both(summary: "RunSummary", outcome: "Outcome") -> None:
+        file.told(summary, outcome)
+        if told is not None:
+            told(summary, outcome)
+
+    return both
 
 
 def _cluster(own: dict[str, Any], workers: int) -> "Executor | None":

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_table, several
 
 if TYPE_CHECKING:
@@ -15,10 +16,14 @@ _SHOWN = 5
 
 @click.command()
 @click.argument("output", type=click.Path(path_type=Path))
+@click.option("--html", type=options.target, metavar="FILE", help="Write a page about the run as well.")
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="Only how many, no failures.")
 @click.option("-v", "--verbose", is_flag=True, help="Every drive, not only the failures.")
-def status(output: Path, as_json: bool, quiet: bool, verbose: bool) -> None:
+def status(
+    output: Path, html: Path | None, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
+) -> None:
     """Say how the run in the folder OUTPUT stands, while it goes on, too."""
     from dataclasses import asdict
 
@@ -27,6 +32,10 @@ def status(output: Path, as_json: bool, quiet: bool, verbose: bool) -> None:
 
     with Record.opened(output) as record:
         told, rows = record.told(), record.rows()
+    if html is not None:
+        from sceneloom.batch.watching import read_figures, write_page
+
+        write_page(read_figures(output), html, overwrite=overwrite)
     if as_json:
         print_json({"run": told, "drives": [asdict(row) for row in rows]})
         return

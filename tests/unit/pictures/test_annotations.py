@@ -21,7 +21,9 @@ from sceneloom.scene import (
     AttributePath,
     CameraCalibration,
     EventAnnotation,
+    LazyFrames,
     LocalizationAdjustment,
+    Picture,
     PosePath,
     ShapeType,
 )
@@ -40,7 +42,13 @@ def drive():
 
 @pytest.fixture(scope="module")
 def scene(drive):
-    return drive.scene
+    """Pictures are rendered when they are asked for, and each test asks again: here they are kept."""
+    kept = {}
+    for camera in drive.scene.cameras:
+        pictures = [Picture.of(p.timestamp_ns, p.camera, p.rgb) for p in camera.pictures]
+        kept[camera.id] = replace(camera, pictures=LazyFrames.of(pictures, camera.pictures.timestamps_ns))
+    sensors = tuple(kept.get(sensor.id, sensor) for sensor in drive.scene.sensors)
+    return replace(drive.scene, sensors=sensors)
 
 
 @pytest.fixture(scope="module")

@@ -34,8 +34,14 @@ def wrong(drive) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def report(wrong):
-    return sync(wrong, streams=CHEAP)
+def corrected(tmp_path_factory):
+    """Where the corrected drive is written."""
+    return tmp_path_factory.mktemp("corrected") / "right"
+
+
+@pytest.fixture(scope="module")
+def report(wrong, corrected):
+    return sync(wrong, corrected, streams=CHEAP)
 
 
 def test_planted_offsets_are_told_against_the_imu(report):
@@ -54,11 +60,10 @@ def test_a_receiver_is_compared_with_the_trajectory_besides(report):
     assert besides[0].estimate.offset_ns == pytest.approx(-4.3e8 + 150e-6 * 1.5e10, abs=5e6)
 
 
-def test_the_corrected_drive_is_in_step_and_says_what_was_done(wrong, drive, tmp_path):
-    report = sync(wrong, tmp_path / "right", streams=CHEAP)
+def test_the_corrected_drive_is_in_step_and_says_what_was_done(report, drive, corrected):
     assert [c.stream for c in report.applied] == ["groundTruth", "gnss"]
     assert report.applied[1].through == "groundTruth"
-    with sceneloom.open(tmp_path / "right") as right:
+    with sceneloom.open(corrected) as right:
         again = sync(right, streams=CHEAP)
         assert again.off == ()
         truth = drive.scene.sensor("gnss").timestamps_ns

@@ -19,6 +19,7 @@ from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats import open_scene, size_on_disk
 from sceneloom.formats.fingerprints import fingerprint
 from sceneloom.formats.urls import is_url, path_or_url
+from sceneloom.redaction import redacted
 from sceneloom.scene import Finding
 from sceneloom.scene.types import Progress
 from sceneloom.version import __version__
@@ -98,7 +99,7 @@ def build(
         reading: reading options of the drives' formats.
 
     Raises:
-        OptionError: there are no drives, or no such checks.
+        OptionError: there are no drives, or no such checks, or an address holds a secret.
         OutputError: the folder holds something else, or cannot be written.
         MissingExtraError: pyarrow is not installed.
     """
@@ -133,7 +134,7 @@ def update(
         reading: reading options of the drives that are named; those that stand in it are read as before.
 
     Raises:
-        OptionError: drives are named together with `prune`, or there are no such checks.
+        OptionError: drives are named together with `prune`, there are no such checks, or an address holds a secret.
         DataError: there is no catalogue.
         OutputError: it cannot be written.
         MissingExtraError: pyarrow is not installed.
@@ -164,6 +165,11 @@ def _checks(checks: Checks | str) -> Checks:
 def _drives(drives: Iterable[str | Path], reading: Mapping[str, Any]) -> list[_Drive]:
     paths = [path_or_url(place) for place in drives]
     texts = [path if isinstance(path, str) else str(path.absolute()) for path in paths]
+    for text in texts:
+        if is_url(text) and redacted(text) != text:
+            raise OptionError(
+                f"{redacted(text)}: catalogues keep addresses, and this one holds a secret; say it in the environment"
+            )
     return [_Drive(text, reading) for text in dict.fromkeys(texts)]
 
 

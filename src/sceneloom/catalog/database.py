@@ -47,6 +47,7 @@ class Database:
     def __init__(self, connection: Any, duckdb: Any, layout: Layout) -> None:
         """Hold a connection whose settings are locked."""
         self._connection, self._duckdb, self._layout = connection, duckdb, layout
+        self._viewed: set[str] = set()
 
     def query(self, sql: str, parameters: Sequence[Any] = (), *, limit: int | None = None) -> Result:
         """Run one statement that reads.
@@ -63,12 +64,21 @@ class Database:
         try:
             statements = self._connection.extract_statements(sql)
             self._check(statements)
+            self._view_tables(sql)
             self._connection.execute(statements[0], list(parameters))
             columns = tuple(column[0] for column in self._connection.description)
             rows = self._connection.fetchall() if limit is None else self._connection.fetchmany(limit)
             return Result(columns, rows)
         except self._duckdb.Error as error:
             raise self._told(error) from error
+
+    def _view_tables(self, sql: str) -> None:
+        """Make views of the tables that the text names, all where it names none: each looks through its files."""
+        named = [table for table in TABLES if table in sql.lower()] or list(TABLES)
+        for table in named:
+            if table not in self._viewed:
+                self._connection.execute(_view(table, self._layout))
+                self._viewed.add(table)
 
     @staticmethod
     def _check(statements: Sequence[Any]) -> None:
@@ -120,8 +130,7 @@ def opened(catalogue: str | Path) -> Iterator[Database]:
             allowed = ", ".join(f"'{_quoted(name)}/'" for name in dict.fromkeys((folder, _literal(folder))))
             connection.execute(f"SET allowed_directories = [{allowed}]")
             connection.execute("SET enable_external_access = false")
-            for table in TABLES:
-                connection.execute(_view(table, layout))
+            connection.execute("SET parquet_metadata_cache = true")
             connection.execute("SET lock_configuration = true")
         except duckdb.Error as error:
             raise database._told(error) from error  # noqa: SLF001 - of this module
@@ -129,15 +138,14 @@ def opened(catalogue: str | Path) -> Iterator[Database]:
 
 
 def _view(table: str, layout: Layout) -> str:
-    columns = ["scene VARCHAR", *(f"{column.name} {_SQL_KINDS[column.kind]}" for column in TABLES[table])]
-    files = ", ".join(f"'{_quoted(_literal(str(file.absolute())))}'" for file in layout.files(table))
-    if not files:
-        nulls = ", ".join(f"NULL::{kind} AS {name}" for name, kind in map(str.split, columns))
+    kinds = {"scene": "VARCHAR", **{column.name: _SQL_KINDS[column.kind] for column in TABLES[table]}}
+    if not any(True for _ in layout.files(table)):
+        nulls = ", ".join(f"NULL::{kind} AS {name}" for name, kind in kinds.items())
         return f"CREATE VIEW {table} AS SELECT {nulls} WHERE false"
-    names = ", ".join(column.split()[0] for column in columns)
+    files = _quoted(f"{_literal(str(layout.folder.absolute()))}/{layout.pattern(table)}")
     return (
-        f"CREATE VIEW {table} AS SELECT {names} FROM read_parquet([{files}], hive_partitioning = true, "  # noqa: S608
-        "hive_types = {'scene': VARCHAR})"
+        f"CREATE VIEW {table} AS SELECT {', '.join(kinds)} FROM read_parquet('{files}', "  # noqa: S608
+        "hive_partitioning = true, hive_types = {'scene': VARCHAR})"
     )
 
 

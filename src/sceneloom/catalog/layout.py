@@ -88,6 +88,10 @@ class Layout:
         """The file of a table and a scene."""
         return self.folder / table / f"{_PARTITION}{scene}" / _PART
 
+    def pattern(self, table: str) -> str:
+        """What all files of a table fit, below the folder."""
+        return f"{table}/{_PARTITION}*/{_PART}"
+
     def scenes(self) -> list[str]:
         """The names of all scenes."""
         return sorted(path.parent.name.removeprefix(_PARTITION) for path in self.files("scenes"))

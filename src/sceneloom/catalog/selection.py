@@ -71,10 +71,14 @@ class Selection:
         for name, sign in (("start", ">="), ("stop", "<")):
             if getattr(self, name) is not None:
                 yield _timed(getattr(self, name), name, sign)
-        for name, value in self.attributes:
-            yield (_ATTRIBUTE_OF_BOX if self.of_boxes else _ATTRIBUTE), (name.lower(), value.lower())
         for rule in self.findings:
             yield "m.scene IN (SELECT scene FROM findings WHERE rule = ?)", (rule,)
+
+    def joins(self) -> Iterator[Part]:
+        """What a row `m` must have a partner in."""
+        for number, (name, value) in enumerate(self.attributes):
+            own = _OF_THE_BOX if self.of_boxes else ""
+            yield (_ATTRIBUTE + own).format(t=f"a{number}"), (name.lower(), value.lower())
 
 
 def _any_of(condition: str, values: Any) -> Part:
@@ -121,10 +125,10 @@ def _near(latitude: float, longitude: float, metres: float) -> Part:
 _NEAR = """m.latitude BETWEEN ? AND ? AND
  sqrt(((m.latitude - ?) * ?) ** 2 + (((m.longitude - ? + 900) % 360 - 180) * ?) ** 2) <= ?"""
 
-_ATTRIBUTE = f"""EXISTS (SELECT 1 FROM attributes t WHERE t.scene = m.scene AND lower(t.name) = ? AND
- lower(t.value) = ? AND m.timestamp_ns >= coalesce(t.start_ns, {_FIRST_NS}) AND
- m.timestamp_ns < coalesce(t.stop_ns, {_LAST_NS}))"""  # noqa: S608 - our own words
-_ATTRIBUTE_OF_BOX = f"{_ATTRIBUTE[:-1]} AND (t.track IS NULL OR t.track = m.track))"
+_ATTRIBUTE = f"""SEMI JOIN (SELECT scene, track, coalesce(start_ns, {_FIRST_NS}) AS start_ns,
+ coalesce(stop_ns, {_LAST_NS}) AS stop_ns FROM attributes WHERE lower(name) = ? AND lower(value) = ?) {{t}}
+ ON {{t}}.scene = m.scene AND m.timestamp_ns >= {{t}}.start_ns AND m.timestamp_ns < {{t}}.stop_ns"""  # noqa: S608
+_OF_THE_BOX = " AND ({t}.track IS NULL OR {t}.track = m.track)"
 
 SHOWN: Mapping[str, str] = MappingProxyType(
     {
@@ -150,13 +154,16 @@ def sql_of(selection: Selection, *, show: str = "spans", gap: float = 1.0, margi
     """
     if show not in SHOWN:
         raise OptionError(f"show {show!r}; expected one of {', '.join(SHOWN)}")
-    parts = list(selection.conditions())
-    conditions = [condition for condition, _ in parts] or ["true"]
-    values = tuple(value for _, some in parts for value in some)
     table = "annotations" if selection.of_boxes else "frames"
+    joins, conditions = list(selection.joins()), list(selection.conditions())
     if not selection.of_boxes:
-        conditions.insert(0, "m.reference")
-    chosen = f"SELECT m.* FROM {table} m WHERE {' AND '.join(conditions)}"  # noqa: S608 - our own words
+        conditions.append(("m.reference", ()))
+    where = " AND ".join(condition for condition, _ in conditions) or "true"
+    joined = " ".join(join for join, _ in joins)
+    values = tuple(value for _, some in (*conditions, *joins) for value in some)
+    columns = "m.*" if show == "rows" else "m.scene, m.timestamp_ns, m.seconds"
+    # the joins come after what is cheap: DuckDB would not see that by itself
+    chosen = f"SELECT {columns} FROM (SELECT m.* FROM {table} m WHERE {where}) m {joined}"  # noqa: S608
     least = selection.count or 1
     if show == "rows":
         sql = _ROWS.format(chosen=chosen, least=int(least))

@@ -100,3 +100,11 @@ def test_names_of_scenes_mean_the_same_everywhere(path):
     assert set(name) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-")
     assert name.count("-") == 1
     assert name != scene_name(path, {"sequence": "2"})
+
+
+@pytest.mark.parametrize("address", ["https://me:hush@host/a.sfs", "https://host/a.sfs?X-Amz-Signature=hush"])
+def test_addresses_with_secrets_are_not_kept(tmp_path, address):
+    with pytest.raises(OptionError, match="holds a secret") as refused:
+        build([address], tmp_path / "catalogue")
+    assert "hush" not in str(refused.value)
+    assert not (tmp_path / "catalogue").exists()

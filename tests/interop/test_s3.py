@@ -117,11 +117,14 @@ def test_an_upload_that_fails_leaves_neither_object_nor_parts(bucket, drive, mon
     assert bucket.call_s3("list_multipart_uploads", Bucket="drives").get("Uploads", []) == []
 
 
-def test_folders_are_written_with_their_marker(bucket, drive):
+def test_folders_are_written_with_their_marker_and_read_again(bucket, drive):
     sceneloom.convert(drive, "s3://drives/clouds", to="pcd")
     names = [name.removeprefix("drives/clouds/") for name in bucket.find("drives/clouds")]
     assert MARKER in names
     assert sum(name.endswith(".pcd") for name in names) == 30
+    with sceneloom.open("s3://drives/clouds") as scene, sceneloom.open(drive) as local:
+        found, expected = scene.lidars[0].frames[7].points, local.lidars[0].frames[7].points
+        np.testing.assert_array_equal(found.positions, expected.positions)
 
 
 def test_what_is_missing_is_said_and_no_key_is_shown(bucket):

@@ -1,6 +1,8 @@
 """Which formats there are, and which of them a path is written in."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +13,8 @@ from sceneloom.errors import OptionError, UnknownFormatError
 from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.urls import is_url, path_or_url
-from sceneloom.scene import Scene
+from sceneloom.redaction import redacted
+from sceneloom.scene import Notice, NoticeKind, Scene
 
 FORMATS: Mapping[str, str] = MappingProxyType(
     {
@@ -202,7 +205,8 @@ def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -
     """Open a recording or a scene file lazily.
 
     Args:
-        path: a file or folder, or the URL of a scene file (needs the extra `cloud`).
+        path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by
+            ranges, all others fetched into a temporary folder, which is removed when the scene is closed.
         format: the format's name, where the content should not decide.
         options: reading options of the format.
 
@@ -210,8 +214,52 @@ def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -
         UnknownFormatError: no format fits the path.
         DataError: the content is wrong.
     """
-    form, where = format_and_place(path, format=format)
-    return form.open(where, **options)
+    where = path_or_url(path)
+    if isinstance(where, str) and not _read_by_ranges(where, format):
+        return _fetched_scene(where, format, options)
+    form, place = format_and_place(path, format=format)
+    return form.open(place, **options)
+
+
+def _read_by_ranges(url: str, format: str | None) -> bool:
+    if format is not None:
+        return bool(getattr(format_named(format), "reads_urls", False))
+    suffix = Path(urlsplit(url).path).suffix.lower()
+    return any(
+        suffix in form.suffixes
+        for form in map(format_named, format_names())
+        if getattr(form, "reads_urls", False)
+    )
+
+
+def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Scene:
+    """Fetch a file or folder, and open it; it goes when the scene is closed."""
+    from sceneloom.formats.remote import fetch
+
+    fetched = fetch(url)
+    try:
+        scene = open_scene(fetched.path, format=format, **options)
+    except BaseException:
+        fetched.remove()
+        raise
+    told = Notice(
+        kind=NoticeKind.ASSUMED,
+        code="fetched",
+        place=redacted(url),
+        message=f"{fetched.files} files, {fetched.size / 1e6:.1f} MB, were fetched to {fetched.path}; they go when the "
+        "scene is closed",
+    )
+    return replace(
+        scene,
+        source=redacted(url),
+        notices=(*scene.notices, told),
+        on_close=partial(_close_fetched, scene.on_close, fetched.remove),
+    )
+
+
+def _close_fetched(close: Callable[[], None], remove: Callable[[], None]) -> None:
+    close()
+    remove()
 
 
 def format_and_place(path: str | Path, *, format: str | None = None) -> tuple[Format, Any]:

@@ -1,5 +1,6 @@
 """Files and folders behind URLs: range reads, retries, messages without secrets. fsspec is wrapped here alone."""
 
+from sceneloom.formats.remote.fetching import Fetched, fetch
 from sceneloom.formats.remote.patience import Patience
 from sceneloom.formats.remote.ranged import GAP, Range, RangedFile, RemoteIdentity, coalesced
 from sceneloom.formats.remote.uploads import MARKER, check_remote_output, output_name, upload, uploading
@@ -7,12 +8,14 @@ from sceneloom.formats.remote.uploads import MARKER, check_remote_output, output
 __all__ = [
     "GAP",
     "MARKER",
+    "Fetched",
     "Patience",
     "Range",
     "RangedFile",
     "RemoteIdentity",
     "check_remote_output",
     "coalesced",
+    "fetch",
     "output_name",
     "upload",
     "uploading",

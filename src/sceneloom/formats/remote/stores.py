@@ -64,6 +64,10 @@ class Store:
         found = self.files.find(self.path, detail=True)
         yield from (_facts(found[name]) for name in sorted(found))
 
+    def get(self, target: Path) -> None:
+        """Fetch the whole file."""
+        self.files.get_file(self.path, str(target))
+
     def put(self, source: Path | None) -> None:
         """Put a file there, piece by piece; it appears whole once the last piece is there.
 

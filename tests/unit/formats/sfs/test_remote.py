@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import sceneloom
 from sceneloom.cli.main import sceneloom as program
-from sceneloom.errors import DataError, MissingExtraError, OptionError, UnknownFormatError
+from sceneloom.errors import DataError, MissingExtraError
 from sceneloom.formats.remote import GAP, coalesced
 from sceneloom.formats.sfs import remote as module
 from sceneloom.formats.sfs.container import Container
@@ -185,11 +185,15 @@ def test_missing_files_and_servers_are_errors(served):
         sceneloom.open("nosuchprotocol://host/drive.sfs")
 
 
-def test_other_formats_are_not_read_from_urls(served):
-    with pytest.raises(UnknownFormatError, match=r"ends in \.sfs"):
+def test_other_formats_are_fetched_whole(served):
+    served.files["cloud.pcd"] = (
+        b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        b"WIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3\n"
+    )
+    with sceneloom.open(served.url("cloud.pcd")) as scene:
+        assert scene.lidars[0].frames[0].points.positions.tolist() == [[1, 2, 3]]
+    with pytest.raises(DataError, match="cannot be found"):
         sceneloom.open(served.url("data.jsonl"))
-    with pytest.raises(OptionError, match="recording is not read from URLs"):
-        sceneloom.open(served.url("drive"), format="recording")
 
 
 def test_without_fsspec_the_extra_is_named(monkeypatch):

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -56,7 +56,6 @@ def guarded(shape, dtype, value):
         elements=st.one_of(st.integers(-3, 45), st.integers(-(2**63), 2**63 - 1)),
     ),
 )
-@settings(max_examples=200, deadline=None)
 def test_directions_of_any_points_stay_in_the_map_and_in_the_outputs(points, ids):
     directions, check_directions = guarded((2, len(ids)), np.float32, 7)
     inverse_ranges, check_ranges = guarded((len(ids),), np.float32, 7)
@@ -76,7 +75,6 @@ def test_directions_of_any_points_stay_in_the_map_and_in_the_outputs(points, ids
     window_deg=st.sampled_from([0.3, 2.5]),
     known_way=st.booleans(),
 )
-@settings(max_examples=200, deadline=None)
 def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, known_way):
     visible, check = guarded((rows.shape[1],), np.bool_, True)
     near = math.radians(0.3) ** -2
@@ -100,7 +98,6 @@ def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, know
         elements=st.one_of(any_float32, st.floats(-2, 2, width=32)),
     )
 )
-@settings(max_examples=50, deadline=None)
 def test_what_is_measured_in_any_directions_is_within_bounds_or_unknown(rows):
     neighbours = look_around(rows[:2], rows[2])
     assert 0.1 <= measure_surface_distance(neighbours, rows[:2], rows[2], 0.1, 0.1) <= 1.5
@@ -117,7 +114,6 @@ def test_what_is_measured_in_any_directions_is_within_bounds_or_unknown(rows):
     size=st.sampled_from([(1, 1), (1, 7), (3, 1), (3, 7)]),
     data=st.data(),
 )
-@settings(max_examples=200, deadline=None)
 def test_pictures_and_colours_are_written_nowhere_else(pixels, size, data):
     count = len(pixels)
     depths = data.draw(hnp.arrays(np.float32, count, elements=any_float32))
@@ -138,7 +134,6 @@ def test_pictures_and_colours_are_written_nowhere_else(pixels, size, data):
 
 
 @given(points=clouds, size=st.sampled_from([(1, 1), (40, 30), (1, 100)]), enabled=st.booleans())
-@settings(max_examples=100, deadline=None)
 def test_any_cloud_can_be_fused(points, size, enabled):
     camera = Camera("pinhole", *size, 20.0, 20.0, (size[0] - 1) / 2, (size[1] - 1) / 2)
     rgb = np.full((size[1], size[0], 3), 3, np.uint8)
@@ -162,14 +157,12 @@ def test_any_cloud_can_be_fused(points, size, enabled):
 
 
 @given(points=tame_clouds(least=1))
-@settings(max_examples=100, deadline=None)
 def test_the_nearest_point_is_always_visible(points):
     visible = find_visible(points, np.arange(len(points)), STILL, FIXED)
     assert visible[np.argmin(np.linalg.norm(points, axis=1))]
 
 
 @given(points=tame_clouds(), seed=st.integers(0, 99))
-@settings(max_examples=100, deadline=None)
 def test_the_order_of_the_points_does_not_matter(points, seed):
     # Equally near points of a cell are told apart by their order only.
     points = points * (1 + 1e-3 * np.arange(len(points)))[:, None]
@@ -180,7 +173,6 @@ def test_the_order_of_the_points_does_not_matter(points, seed):
 
 
 @given(points=tame_clouds())
-@settings(max_examples=100, deadline=None)
 def test_a_point_behind_all_others_hides_none_of_them(points):
     visible = find_visible(points, np.arange(len(points)), STILL, FIXED)
     more = np.concatenate([points, [[0.01, 0.02, 90.0]]])
@@ -188,7 +180,6 @@ def test_a_point_behind_all_others_hides_none_of_them(points):
 
 
 @given(points=tame_clouds())
-@settings(max_examples=100, deadline=None)
 def test_the_unit_of_length_does_not_matter(points):
     ids = np.arange(len(points))
     in_quarters = VisibilitySettings(

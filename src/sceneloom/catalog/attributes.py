@@ -1,6 +1,7 @@
 """Rows of attributes: what is said about a scene, its sensors and its annotations, and when."""
 
 import json
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -54,6 +55,10 @@ def _text(value: Any) -> str:
 
 
 def _number(value: Any) -> float:
-    """NaN for what is no number."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if is_number else float("nan")
+    """NaN for what is no number, or too large for one."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.nan

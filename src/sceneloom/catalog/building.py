@@ -15,7 +15,7 @@ from sceneloom.catalog.parquet import check_file, read_columns
 from sceneloom.catalog.rows import scene_rows
 from sceneloom.catalog.tables import TABLES, Rows
 from sceneloom.checks import validate
-from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
 from sceneloom.formats import open_scene, size_on_disk
 from sceneloom.formats.fingerprints import fingerprint
 from sceneloom.formats.urls import is_url, path_or_url
@@ -201,11 +201,12 @@ def _updated(
         stamp, before = _stamp(drive, checks), _stamp_before(layout, drive.name)
         if again or not stamp or stamp != before:
             try:
-                tables = _read(drive, checks, stamp)
+                layout.write(drive.name, _read(drive, checks, stamp))
+            except OutputError:
+                raise  # what befell the catalogue befalls all drives
             except (SceneloomError, OSError, MemoryError) as error:
                 failed.append(Failure(path=drive.path, error=str(error) or type(error).__name__))
             else:
-                layout.write(drive.name, tables)
                 (added if before is None or again else changed).append(drive.path)
         if progress is not None:
             progress(number + 1, len(drives))

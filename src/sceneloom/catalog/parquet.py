@@ -15,11 +15,15 @@ def write_table(name: str, rows: Rows, path: Path) -> None:
     """Write the rows of a table of that name.
 
     Raises:
+        DataError: a value is one that the table cannot hold.
         MissingExtraError: pyarrow is not installed.
     """
     pa, parquet = _pyarrow()
     columns = TABLES[name]
-    arrays = [_array(pa, column, rows[column.name]) for column in columns]
+    try:
+        arrays = [_array(pa, column, rows[column.name]) for column in columns]
+    except (pa.ArrowException, OverflowError) as error:
+        raise DataError(name, "", f"holds what Parquet cannot ({' '.join(str(error).split())})") from error
     table = pa.table(arrays, names=[column.name for column in columns])
     parquet.write_table(table, path, compression="zstd", row_group_size=_ROWS_OF_GROUP)
 

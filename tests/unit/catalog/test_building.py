@@ -2,14 +2,17 @@
 
 import shutil
 
+import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.catalog import build, query, update
-from sceneloom.catalog.layout import scene_name
+from sceneloom.catalog import Selection, build, query, update
+from sceneloom.catalog.layout import Layout, scene_name
+from sceneloom.catalog.rows import scene_rows
 from sceneloom.errors import OptionError, OutputError
+from sceneloom.scene import AttributePath, EventAnnotation, Scene
 
-from .conftest import street
+from .conftest import box, street
 
 
 @pytest.fixture
@@ -108,3 +111,27 @@ def test_addresses_with_secrets_are_not_kept(tmp_path, address):
         build([address], tmp_path / "catalogue")
     assert "hush" not in str(refused.value)
     assert not (tmp_path / "catalogue").exists()
+
+
+def test_odd_scenes_are_catalogued_too(tmp_path):
+    nan = float("nan")
+    odd = AttributePath("size \n", (10**400, True, ("a", "b"), {"x": 1}), np.arange(4))
+    boxes = (
+        box("'; DROP", None, [0.0, 1.0], [[nan, 1e300, 0]] * 2, attributes=(odd,)),
+        box(1, "ünï\ud800", [0.05], [[0, 0, 0]]),
+        box("1", "", [], np.zeros((0, 3))),
+        EventAnnotation("e", 5, label="turn"),
+    )
+    scene = street(seconds=2, annotations=boxes)
+    tables = scene_rows(scene, path="x", options={}, fingerprint="", size_bytes=None, findings=())
+    empty = scene_rows(Scene(()), path="y", options={}, fingerprint="", size_bytes=None, findings=())
+    layout = Layout.made(tmp_path / "catalogue", overwrite=False)
+    assert query(layout.folder, "SELECT count(*) FROM scenes JOIN annotations USING (scene)").rows == [(0,)]
+    assert query(layout.folder, Selection(labels=("car",))).rows == []
+    layout.write("a", tables)
+    layout.write("b", empty)
+    sql = "SELECT track, annotation, boxes FROM tracks ORDER BY track"
+    assert query(layout.folder, sql).rows == [(0, "'; DROP", 11), (1, "1", 1), (2, "1", 0), (3, "e", 0)]
+    values = query(layout.folder, "SELECT value, number FROM attributes WHERE owner = 'annotation'").rows
+    assert values == [(str(10**400), None), ("true", None), ("a", None), ("b", None), ('{"x": 1}', None)]
+    assert query(layout.folder, Selection(types=("cuboid",))).rows[0][3:] == (12, 1)

@@ -58,7 +58,7 @@ def distorted():
     """Pictures are rendered when they are asked for, and each test asks again: here they are kept."""
     scene = street(BARREL)
     (camera,) = scene.cameras
-    kept = [Picture.of(picture.timestamp_ns, BARREL, picture.rgb) for picture in camera.pictures]
+    kept = [picture.loaded() for picture in camera.pictures]
     seen = replace(camera, pictures=LazyFrames.of(kept, camera.pictures.timestamps_ns))
     return replace(scene, sensors=tuple(seen if sensor is camera else sensor for sensor in scene.sensors))
 

@@ -23,7 +23,6 @@ from sceneloom.scene import (
     EventAnnotation,
     LazyFrames,
     LocalizationAdjustment,
-    Picture,
     PosePath,
     ShapeType,
 )
@@ -45,7 +44,7 @@ def scene(drive):
     """Pictures are rendered when they are asked for, and each test asks again: here they are kept."""
     kept = {}
     for camera in drive.scene.cameras:
-        pictures = [Picture.of(p.timestamp_ns, p.camera, p.rgb) for p in camera.pictures]
+        pictures = [p.loaded() for p in camera.pictures]
         kept[camera.id] = replace(camera, pictures=LazyFrames.of(pictures, camera.pictures.timestamps_ns))
     sensors = tuple(kept.get(sensor.id, sensor) for sensor in drive.scene.sensors)
     return replace(drive.scene, sensors=sensors)

@@ -34,10 +34,12 @@ SWEEPS = 4
 
 
 @pytest.fixture(scope="module")
-def drive() -> SimulatedDrive:
+def drive(keep: Callable[[Scene], Scene]) -> SimulatedDrive:
     """A turning drive without noise of range, so that what is left is what deskewing left."""
     lidar = LidarSpec(beams=16, steps=180, range_sigma=0.0)
-    return simulate_street(2, frames=SWEEPS, lidar=lidar, cameras=(), imu=ImuSpec(gyroscope_bias_sigma=0.0))
+    imu = ImuSpec(gyroscope_bias_sigma=0.0)
+    made = simulate_street(2, frames=SWEEPS, lidar=lidar, cameras=(), imu=imu)
+    return replace(made, scene=keep(made.scene))
 
 
 def with_lidar(scene: Scene, **changes: object) -> Scene:

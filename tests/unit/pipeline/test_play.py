@@ -1,5 +1,6 @@
 """Drives through the fusion system: rolling shutters, several sensors, mountings that change."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,9 +28,10 @@ ROLLING = (
 
 
 @pytest.fixture(scope="module")
-def rolling_drive() -> SimulatedDrive:
+def rolling_drive(keep: Callable[[Scene], Scene]) -> SimulatedDrive:
     """A fast drive with one shutter of rows and one of columns."""
-    return simulate_street(3, frames=3, lidar=LIDAR, cameras=ROLLING, path=FAST, trajectory_hz=500.0)
+    made = simulate_street(3, frames=3, lidar=LIDAR, cameras=ROLLING, path=FAST, trajectory_hz=500.0)
+    return replace(made, scene=keep(made.scene))
 
 
 def true_pixels(drive: SimulatedDrive, view: FusedView, k: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from sceneloom.calibrate.conventions.checking import check_drive, check_file
 from sceneloom.calibrate.frames import calibration_frames
 from sceneloom.errors import DataError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LazyFrames, Picture
+from sceneloom.scene import LazyFrames
 from sceneloom.simulate import simulate_street
 
 
@@ -20,7 +20,7 @@ def scene():
     """What is sensed is made when it is asked for, and each test asks again: here it is kept."""
     scene = simulate_street(4, frames=3).scene
     (camera,), (lidar,) = scene.cameras, scene.lidars
-    pictures = [Picture.of(p.timestamp_ns, p.camera, p.rgb) for p in camera.pictures]
+    pictures = [p.loaded() for p in camera.pictures]
     kept = {
         camera.id: replace(camera, pictures=LazyFrames.of(pictures, camera.pictures.timestamps_ns)),
         lidar.id: replace(lidar, frames=LazyFrames.of(list(lidar.frames), lidar.frames.timestamps_ns)),

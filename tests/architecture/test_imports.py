@@ -48,6 +48,7 @@ WRAPPERS = {
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"evaluate"},
     "jinja2": {"report"},
+    "dask": {"batch"},
     "distributed": {"batch"},
     "google": {"formats", "fusion", "service"},
     "grpc": {"service"},

@@ -39,9 +39,23 @@ def find_inputs(places: Iterable[str], lists: Iterable[Path] = ()) -> tuple[Inpu
 
 
 def _places(text: str) -> list[str]:
-    if is_url(text) or not _WILD.intersection(text) or Path(text).exists():
+    if is_url(text):
+        return _urls(text)
+    if not _WILD.intersection(text) or Path(text).exists():
         return [text]
     found = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - patterns from the root, too
+    if not found:
+        raise OptionError(f"{text}: no file or folder fits this pattern")
+    return found
+
+
+def _urls(text: str) -> list[str]:
+    """A URL, or those that fit a pattern; web servers list nothing, and have wild signs in their queries."""
+    if not _WILD.intersection(text.partition("?")[0]) or text.lower().startswith(("http:", "https:")):
+        return [text]
+    from sceneloom.formats.remote import find_urls
+
+    found = find_urls(text)
     if not found:
         raise OptionError(f"{text}: no file or folder fits this pattern")
     return found

@@ -1,6 +1,6 @@
 """Files and folders behind URLs: range reads, retries, messages without secrets. fsspec is wrapped here alone."""
 
-from sceneloom.formats.remote.fetching import Fetched, fetch
+from sceneloom.formats.remote.fetching import Fetched, fetch, find_urls
 from sceneloom.formats.remote.patience import Patience
 from sceneloom.formats.remote.ranged import GAP, Range, RangedFile, RemoteIdentity, coalesced
 from sceneloom.formats.remote.uploads import MARKER, check_remote_output, output_name, upload, uploading
@@ -16,6 +16,7 @@ __all__ = [
     "check_remote_output",
     "coalesced",
     "fetch",
+    "find_urls",
     "output_name",
     "upload",
     "uploading",

@@ -43,6 +43,17 @@ class Fetched:
     remove: Callable[[], None]
 
 
+def find_urls(pattern: str) -> list[str]:
+    """Find what fits a pattern such as `s3://bucket/2025-*/drive.sfs` in a store, by their names.
+
+    Raises:
+        DataError: the store cannot be read.
+        MissingExtraError: what reads such addresses is not installed.
+    """
+    with faults(pattern, ""):
+        return patiently(lambda: open_store(pattern).fitting())
+
+
 def fetch(url: str, *, largest: int = LARGEST) -> Fetched:
     """Fetch a file, or a folder with all that is below it, into the system's temporary folder (`TMPDIR`).
 

@@ -54,6 +54,11 @@ class Store:
             self.files.invalidate_cache()
         return _facts(self.files.info(self.path))
 
+    def fitting(self) -> list[str]:
+        """Addresses of what fits the place as a pattern, by their names."""
+        scheme = self.url.partition("://")[0]
+        return [f"{scheme}://{path.lstrip('/')}" for path in sorted(self.files.glob(self.path))]
+
     def handle(self, size: int) -> "Handle":
         """Open the file for reading by ranges."""
         known = {"size": size} if "http" in _protocols(self.files) else {}

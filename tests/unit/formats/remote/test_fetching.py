@@ -7,7 +7,8 @@ import fsspec
 import pytest
 
 import sceneloom
-from sceneloom.errors import DataError, UnknownFormatError
+from sceneloom.batch.inputs import find_inputs
+from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.remote import MARKER, fetch, stores
 
 CLOUD = (
@@ -89,3 +90,17 @@ def test_names_that_lead_out_of_the_folder_are_refused(memory, monkeypatch):
     )
     with pytest.raises(DataError, match="leads out of its folder"):
         fetch("memory://bucket/clouds")
+
+
+def test_patterns_find_drives_in_stores_for_batches(memory):
+    found = find_inputs(
+        ["memory://bucket/clouds/[13].pcd", "memory://bucket/*/0.pcd", "https://host/a*b.sfs?x=*"]
+    )
+    assert [drive.place for drive in found] == [
+        "memory://bucket/clouds/1.pcd",
+        "memory://bucket/clouds/3.pcd",
+        "memory://bucket/clouds/0.pcd",
+        "https://host/a*b.sfs?x=*",
+    ]
+    with pytest.raises(OptionError, match="no file or folder fits"):
+        find_inputs(["memory://bucket/*.sfs"])

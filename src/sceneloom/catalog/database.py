@@ -23,7 +23,7 @@ _READING = frozenset({"SELECT", "EXPLAIN"})
 _WRONG_SQL = (
     "ParserException", "BinderException", "CatalogException", "ConversionException", "PermissionException",
     "OutOfRangeException", "TypeMismatchException", "SyntaxException", "NotSupportedException",
-    "NotImplementedException",
+    "NotImplementedException", "InvalidInputException",
 )  # fmt: skip
 """DuckDB's errors about what was asked, as against those about what was found."""
 
@@ -64,7 +64,13 @@ class Database:
         try:
             statements = self._connection.extract_statements(sql)
             self._check(statements)
+        except self._duckdb.Error as error:
+            raise self._told(error) from error
+        try:
             self._view_tables(sql)
+        except (self._duckdb.Error, UnicodeDecodeError) as error:  # of our own text: the files are at fault
+            raise self._damage(error) from error
+        try:
             self._connection.execute(statements[0], list(parameters))
             columns = tuple(column[0] for column in self._connection.description)
             rows = self._connection.fetchall() if limit is None else self._connection.fetchmany(limit)
@@ -92,19 +98,22 @@ class Database:
         """An error of DuckDB's as one of ours: what was asked is wrong, or what was found."""
         asked = tuple(getattr(self._duckdb, name) for name in _WRONG_SQL if hasattr(self._duckdb, name))
         text = " ".join(str(error).split())
-        if isinstance(error, asked):
-            return OptionError(f"SQL: {text}")
+        is_asked = isinstance(error, asked) and _PART not in text
+        return OptionError(f"SQL: {text}") if is_asked else self._damage(error)
+
+    def _damage(self, error: Exception) -> DataError:
+        """Name the file that is at fault, where its end tells it."""
         for file in (file for table in TABLES for file in self._layout.files(table)):
             try:
                 check_file(file)
             except DataError as damage:
                 return DataError(damage.file, "", f"{damage.problem}; {_REMEDY}")
-        if isinstance(error, self._duckdb.InvalidInputException):
-            return OptionError(f"SQL: {text}")
-        return DataError(self._layout.folder, "", f"{text}; {_REMEDY}")
+        return DataError(self._layout.folder, "", f"{' '.join(str(error).split())}; {_REMEDY}")
 
 
-_REMEDY = "`sceneloom catalog update` makes damaged parts anew"
+_PART = '.parquet"'
+"""What DuckDB's messages about files hold, and those about SQL do not."""
+_REMEDY = "delete the file, and `sceneloom catalog update CATALOGUE DRIVE` makes it anew"
 
 
 @contextmanager

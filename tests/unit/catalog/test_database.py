@@ -2,6 +2,7 @@
 
 import shutil
 
+import numpy as np
 import pytest
 
 from sceneloom.catalog import query, update
@@ -72,3 +73,20 @@ def test_a_folder_that_is_no_catalogue_is_refused(tmp_path, content):
         query(tmp_path, "SELECT 1")
     with pytest.raises(DataError):
         update(tmp_path)
+
+
+@pytest.mark.parametrize("table", ["annotations", "scenes"])
+def test_files_with_wrong_bytes_give_rows_or_an_error_about_data(copied, table):
+    file = next(copied.glob(f"{table}/*/*.parquet"))
+    whole, random = file.read_bytes(), np.random.default_rng(1)
+    refused = 0
+    for _ in range(12):
+        content = bytearray(whole)
+        for place in random.integers(0, len(whole), 8).tolist():
+            content[place] = int(random.integers(256))
+        file.write_bytes(content)
+        try:
+            query(copied, "SELECT * FROM annotations JOIN scenes USING (scene)")
+        except DataError:
+            refused += 1
+    assert refused

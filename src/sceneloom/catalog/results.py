@@ -1,4 +1,4 @@
-"""Results of queries as text: JSON, CSV, and the list of drives that `sceneloom batch --list` takes."""
+"""Results of queries as text: JSON, CSV, and the list of drives that `sceneloom batch` takes with `--list`."""
 
 import csv
 import io

@@ -15,7 +15,11 @@ from sceneloom.cli.main import sceneloom as command_line
 
 SOURCES = Path(sceneloom.__file__).parent
 
-OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
+OPTION = re.compile(r"(?<![\w(-])--[a-z][a-z0-9-]*(?![a-z0-9-]|\s*:)")
+"""Colours and lengths of style sheets, as `--ink: #111` and `var(--ink)`, are none."""
+
+OF_OTHER_PROGRAMS = frozenset({Path("view/showing.py")})
+"""Modules that start another program with its own options."""
 
 
 def commands(
@@ -59,7 +63,7 @@ def test_a_remedy_names_no_option_that_there_is_not(rule):
 @pytest.mark.parametrize("room", sorted({path.parts[0] for path in MODULES}))
 def test_texts_name_no_option_and_no_verb_that_there_is_not(room):
     for module in (path for path in MODULES if path.parts[0] == room):
-        for text in texts(SOURCES / module):
+        for text in texts(SOURCES / module) if module not in OF_OTHER_PROGRAMS else ():
             unknown = set(OPTION.findall(text)) - known_options()
             assert not unknown, f"{module}: {unknown} in {text!r}"
             for call in re.findall(r"`sceneloom ([a-z][^`]*)`", text):

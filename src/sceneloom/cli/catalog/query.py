@@ -83,7 +83,7 @@ FORMS = ("table", "json", "csv", "list")
     "--as",
     "form",
     type=click.Choice(FORMS),
-    help="`list`: drives and spans as lines that `sceneloom batch VERB --list FILE` takes. [default: table]",
+    help="`list`: drives and spans as lines that the verbs of `sceneloom batch` take with --list. [default: table]",
 )
 @options.printing
 def query(

@@ -28,9 +28,12 @@ FORMS = ("table", "json", "csv", "list")
     "--type", "types", type=click.Choice(["cuboid", "box_2d"]), multiple=True, help="Boxes of this type."
 )
 @click.option(
-    "--start", metavar="T", help="Not before T: seconds of the drive, or a date and time (UTC unless said)."
+    "--after",
+    "start",
+    metavar="T",
+    help="Not before T: seconds of the drive, or a date and time (UTC unless said).",
 )
-@click.option("--stop", metavar="T", help="Before T.")
+@click.option("--before", "stop", metavar="T", help="Before T.")
 @click.option(
     "--near",
     type=(options.finite, options.finite, options.not_negative),

@@ -1,5 +1,6 @@
 """SQL over a catalogue, by DuckDB: reading only, and nothing but the catalogue's own files."""
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -98,7 +99,7 @@ class Database:
         """An error of DuckDB's as one of ours: what was asked is wrong, or what was found."""
         asked = tuple(getattr(self._duckdb, name) for name in _WRONG_SQL if hasattr(self._duckdb, name))
         text = " ".join(str(error).split())
-        is_asked = isinstance(error, asked) and _PART not in text
+        is_asked = isinstance(error, asked) and _ABOUT_A_FILE.search(text) is None
         return OptionError(f"SQL: {text}") if is_asked else self._damage(error)
 
     def _damage(self, error: Exception) -> DataError:
@@ -111,7 +112,7 @@ class Database:
         return DataError(self._layout.folder, "", f"{' '.join(str(error).split())}; {_REMEDY}")
 
 
-_PART = '.parquet"'
+_ABOUT_A_FILE = re.compile(r"\.parquet\"|in file '[^']*\.parquet'")
 """What DuckDB's messages about files hold, and those about SQL do not."""
 _REMEDY = "delete the file, and `sceneloom catalog update CATALOGUE DRIVE` makes it anew"
 

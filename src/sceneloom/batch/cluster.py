@@ -8,6 +8,7 @@ is JSON; data that would have to be unpickled here is refused.
 import logging
 import os
 import pickle
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ import msgspec
 
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.pool import LOST
-from sceneloom.batch.working import THREADS, run_task
+from sceneloom.batch.working import NUMBA, THREADS, run_task
 from sceneloom.errors import MissingExtraError, OptionError
 from sceneloom.formats.urls import is_url
 from sceneloom.version import __version__
@@ -172,7 +173,8 @@ def run_packed(version: str, packed: bytes) -> bytes:
         told = f"this worker has sceneloom {__version__}, the run {version}; expected the same"
         return msgspec.json.encode(Outcome(number=number, error=told, kind="OptionError"))
     for name in THREADS:
-        os.environ.setdefault(name, "1")
+        if name != NUMBA or "numba" not in sys.modules:  # it takes no other number once it is at work
+            os.environ.setdefault(name, "1")
     task: Task = pickle.loads(packed)  # noqa: S301 - of the run that uses this worker
     with _ONE_AT_A_TIME:  # what a verb prints belongs to the process
         return msgspec.json.encode(_run_once(task))

@@ -13,7 +13,7 @@ from multiprocessing.process import BaseProcess
 from typing import Protocol
 
 from sceneloom.batch.jobs import Outcome, Task
-from sceneloom.batch.working import THREADS, run_task
+from sceneloom.batch.working import NUMBA, THREADS, run_task
 
 LOST = "Lost"
 """Kind of the error of a worker that is gone."""
@@ -125,6 +125,7 @@ def _work(pipe: Connection) -> None:
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN if name == "SIGINT" else signal.SIG_DFL)
+    os.environ.setdefault(NUMBA, "1")
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             pipe.send(run_task(pipe.recv()))
@@ -133,7 +134,9 @@ def _work(pipe: Connection) -> None:
 @contextmanager
 def _one_thread() -> Iterator[None]:
     """Let processes that are started now have one thread in each library, unless the user said otherwise."""
-    with _environment({name: "1" for name in THREADS if name not in os.environ}):
+    # Numba, which may be at work here, looks at its own again and again: workers set it themselves
+    wanted = {name: "1" for name in THREADS if name not in os.environ and name != NUMBA}
+    with _environment(wanted):
         yield
 
 

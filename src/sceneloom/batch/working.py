@@ -11,9 +11,10 @@ from typing import Any
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.errors import SceneloomError
 
+NUMBA = "NUMBA_NUM_THREADS"
 THREADS = (
     *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"),
-    *("VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"),
+    *("VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS", NUMBA),
 )
 """What says to libraries how many threads they may start, before they are imported: as many processes as processors,
 each with one thread, is the fastest that many drives are done."""

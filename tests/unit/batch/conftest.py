@@ -1,5 +1,7 @@
 """Verbs that cost nothing, and workers in this process."""
 
+import os
+
 import pytest
 
 from sceneloom.batch import Input, Job
@@ -117,3 +119,13 @@ def job(tmp_path, monkeypatch):
         )
 
     return make
+
+
+@pytest.fixture(autouse=True)
+def same_environment():
+    """Workers say to libraries how many threads they may have; those of the next tests are not meant."""
+    before = dict(os.environ)
+    yield
+    for name in os.environ.keys() - before.keys():
+        del os.environ[name]
+    os.environ.update(before)

@@ -67,7 +67,9 @@ class Answers(BaseHTTPRequestHandler):
         if with_content:
             with self.server.path.open("rb") as file:
                 file.seek(start)
-                self.server.sent += self.wfile.write(file.read(stop - start))
+                content = file.read(stop - start)
+            self.server.sent += len(content)  # before the client may have it and look
+            self.wfile.write(content)
 
     def log_message(self, *_: object) -> None:
         pass

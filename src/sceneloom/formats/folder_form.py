@@ -1,0 +1,80 @@
+"""What a data set, a folder of a known layout, offers to the table of formats."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from sceneloom.errors import OptionError, check_option_names
+from sceneloom.formats.holdings import Holds
+from sceneloom.formats.loss import Holding, LossReport
+from sceneloom.scene import Scene
+
+NOTHING_HELD: Mapping[str, Holding] = MappingProxyType({})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FolderFormat:
+    """A format whose drives are folders; it is only read if it has no writer.
+
+    Attributes:
+        name, suffixes, looks_like, holds: as of `Format`.
+        called: what messages call it, as in "opening PandaSet".
+        recogniser: says whether an existing path is such a folder.
+        missing: says what keeps a folder from being one, where that can be guessed.
+        reader: opens a path with the options of `reading_options`, which it describes.
+        writer: writes a scene to a path with those of `writing_options`; None where the format is only read.
+        refusal: what is only read, and what can be written in its place; of formats without a writer.
+    """
+
+    name: str
+    called: str
+    looks_like: str
+    recogniser: Callable[[Path], bool]
+    missing: Callable[[Path], str | None]
+    reader: Callable[..., Scene]
+    reading_options: tuple[str, ...]
+    writer: Callable[..., LossReport] | None = None
+    writing_options: tuple[str, ...] = ()
+    refusal: str = ""
+    suffixes: tuple[str, ...] = ("",)
+    holds: Holds = field(default_factory=lambda: NOTHING_HELD)
+
+    @property
+    def writes(self) -> bool:
+        """Whether scenes can be written so."""
+        return self.writer is not None
+
+    def recognises(self, path: Path) -> bool:
+        """Say whether the path is such a folder."""
+        return self.recogniser(path)
+
+    def near_miss(self, path: Path) -> str | None:
+        """Say what keeps a folder from being one, where it looks like a half one."""
+        return self.missing(path)
+
+    def open(self, path: Path, **options: Any) -> Scene:
+        """Open a folder.
+
+        Raises:
+            UnknownOptionError: an option is unknown.
+            OptionError: there are several drives in it, and none was chosen.
+            DataError: something is missing or wrong.
+            MissingExtraError: what reads its files is not installed.
+        """
+        check_option_names(f"opening {self.called}", options, self.reading_options)
+        return self.reader(path, **options)
+
+    def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
+        """Write a scene so.
+
+        Raises:
+            UnknownOptionError: an option is unknown.
+            OutputError: the folder exists, or cannot be written.
+            OptionError: the format is only read.
+        """
+        if self.writer is None:
+            raise OptionError(f"{path}: {self.refusal}")
+        check_option_names(f"writing {self.called}", options, self.writing_options)
+        return self.writer(scene, path, overwrite=overwrite, **options)

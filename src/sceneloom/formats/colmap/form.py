@@ -4,38 +4,22 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import OptionError, check_option_names
-from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.posed_pictures.holdings import HOLDS
 from sceneloom.formats.posed_pictures.settings import NAMES, PosedSettings
-from sceneloom.formats.posed_pictures.writing_only import refuse_reading
+from sceneloom.formats.posed_pictures.writing_only import WrittenOnly
 from sceneloom.scene import Scene
 
 FORMS = ("txt", "bin", "both")
 """How the model's files are written."""
 
 
-class ColmapFormat:
+class ColmapFormat(WrittenOnly):
     """Folders with `images` and `sparse/0`."""
 
     name = "colmap"
     suffixes: tuple[str, ...] = (".colmap",)
     looks_like = "a folder with images/ and sparse/0/cameras.txt, images.txt, points3D.txt"
-    reads = False
-    holds: Holds = HOLDS
-
-    def recognises(self, path: Path) -> bool:
-        """Recognise nothing: the format is only written."""
-        del path
-        return False
-
-    def open(self, path: Path, **options: Any) -> Scene:
-        """Refuse to read.
-
-        Raises:
-            OptionError: always.
-        """
-        return refuse_reading("a COLMAP model", path, options)
+    called = "a COLMAP model"
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write a folder; the options are those of `PosedSettings`, and `model`: "txt", "bin" or "both".

@@ -4,35 +4,19 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import check_option_names
-from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.posed_pictures.holdings import HOLDS
 from sceneloom.formats.posed_pictures.settings import NAMES, PosedSettings
-from sceneloom.formats.posed_pictures.writing_only import refuse_reading
+from sceneloom.formats.posed_pictures.writing_only import WrittenOnly
 from sceneloom.scene import Scene
 
 
-class NerfstudioFormat:
+class NerfstudioFormat(WrittenOnly):
     """Folders with a `transforms.json`."""
 
     name = "nerfstudio"
     suffixes: tuple[str, ...] = (".nerfstudio",)
     looks_like = "a folder with transforms.json and images/"
-    reads = False
-    holds: Holds = HOLDS
-
-    def recognises(self, path: Path) -> bool:
-        """Recognise nothing: the format is only written."""
-        del path
-        return False
-
-    def open(self, path: Path, **options: Any) -> Scene:
-        """Refuse to read.
-
-        Raises:
-            OptionError: always.
-        """
-        return refuse_reading("a folder of nerfstudio", path, options)
+    called = "a folder of nerfstudio"
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write a folder; the options are those of `PosedSettings`.

@@ -4,16 +4,31 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import OptionError
+from sceneloom.formats.holdings import Holds
+from sceneloom.formats.posed_pictures.holdings import HOLDS
 from sceneloom.scene import Scene
 
 
-def refuse_reading(name: str, path: Path, options: dict[str, Any]) -> Scene:
-    """Refuse to open a path.
+class WrittenOnly:
+    """A format of posed pictures, which nothing is read from."""
 
-    Raises:
-        OptionError: always.
-    """
-    del options
-    raise OptionError(
-        f"{path}: {name} is only written; its poses hold no times that a drive could be read from"
-    )
+    called: str
+    """What messages call it."""
+    reads = False
+    holds: Holds = HOLDS
+
+    def recognises(self, path: Path) -> bool:
+        """Recognise nothing: the format is only written."""
+        del path
+        return False
+
+    def open(self, path: Path, **options: Any) -> Scene:
+        """Refuse to read.
+
+        Raises:
+            OptionError: always.
+        """
+        del options
+        raise OptionError(
+            f"{path}: {self.called} is only written; its poses hold no times that a drive could be read from"
+        )

@@ -35,6 +35,8 @@ _PATIENCE_SECONDS = (1.0, 5.0, 20.0)
 """How long a drive is left alone before its second try, its third, and all further ones."""
 _QUICK = frozenset({"Lost"})
 """After these a drive is tried again at once."""
+_Key = tuple[str, tuple[tuple[str, Any], ...]]
+"""What tells drives apart: where they are, and what counts for them alone."""
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -107,7 +109,7 @@ def run(
 
 def _prepare(job: Job, record: Record, *, resume: bool) -> None:
     """Enter the drives, and let those be done anew that changed."""
-    known = {(row.input, tuple(sorted(row.part.items()))): row for row in record.rows()}
+    known = {_key(row.input, row.part): row for row in record.rows()}
     if known and not resume:
         raise OutputError(
             f"{record.folder}: holds a run over {len(known)} drives already; `--resume` goes on with it, "
@@ -116,7 +118,7 @@ def _prepare(job: Job, record: Record, *, resume: bool) -> None:
     taken = {row.output for row in known.values()}
     new = []
     for drive, name in zip(job.inputs, output_names(job.inputs, job.suffix), strict=True):
-        if (drive.place, tuple(sorted(drive.options.items()))) in known:
+        if _key(drive.place, drive.options) in known:
             continue
         free = next(own for own in _numbered(name, job.suffix) if own not in taken)
         if (record.folder / free).exists():
@@ -127,10 +129,18 @@ def _prepare(job: Job, record: Record, *, resume: bool) -> None:
     record.tell("verb", job.verb)
     record.tell("sceneloom", __version__)
     record.tell("options", {name: repr(value) for name, value in job.options.items()})
-    asked = {(drive.place, tuple(sorted(drive.options.items()))) for drive in job.inputs}
+    asked = _asked(job)
     record.wait_again(
         [row.number for key, row in known.items() if key in asked and not _is_done(job, record, row)]
     )
+
+
+def _key(place: str, part: Mapping[str, Any]) -> _Key:
+    return place, tuple(sorted(part.items()))
+
+
+def _asked(job: Job) -> set[_Key]:
+    return {_key(drive.place, drive.options) for drive in job.inputs}
 
 
 def _numbered(name: str, suffix: str) -> Iterator[str]:
@@ -172,8 +182,8 @@ class _Run:
     warming: Warming = field(default_factory=Warming)
 
     def __post_init__(self) -> None:
-        asked = {(drive.place, tuple(sorted(drive.options.items()))) for drive in self.job.inputs}
-        rows = [row for row in self.record.rows() if (row.input, tuple(sorted(row.part.items()))) in asked]
+        asked = _asked(self.job)
+        rows = [row for row in self.record.rows() if _key(row.input, row.part) in asked]
         self.rows = {row.number: row for row in rows}
         counts = Counter(row.state for row in rows)
         done = counts[State.DONE]

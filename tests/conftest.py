@@ -3,7 +3,6 @@
 import gc
 import json
 import os
-import shutil
 from collections.abc import Callable, Generator
 from importlib import import_module
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from tests.peers import python_with
 
 settings.register_profile("default", max_examples=40, derandomize=True, database=None, deadline=None)
 settings.register_profile(
@@ -68,26 +68,8 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def scale_python() -> str:
-    """A Python interpreter that has scale-sensor-fusion-io; tests against it are skipped without one."""
-    interpreter = os.environ.get("SCENELOOM_SCALE_PYTHON", "")
-    if not interpreter:
-        pytest.skip("no interpreter with Scale's library: set SCENELOOM_SCALE_PYTHON")
-    found = shutil.which(interpreter)
-    if found is None:
-        pytest.fail(f"SCENELOOM_SCALE_PYTHON={interpreter} is not a program")
-    return found
-
-
-@pytest.fixture(scope="session")
-def pykitti_python() -> str:
-    """A Python interpreter that has pykitti; tests against it are skipped without one."""
-    interpreter = os.environ.get("SCENELOOM_PYKITTI_PYTHON", "")
-    if not interpreter:
-        pytest.skip("no interpreter with pykitti: set SCENELOOM_PYKITTI_PYTHON")
-    found = shutil.which(interpreter)
-    if found is None:
-        pytest.fail(f"SCENELOOM_PYKITTI_PYTHON={interpreter} is not a program")
-    return found
+    """A Python interpreter that has Scale's library; tests against it are skipped without one."""
+    return python_with("scale-sensor-fusion-io", "SCENELOOM_SCALE_PYTHON")
 
 
 def _encode_sfs(header: dict[str, Any], *, index_type: type = int, **item_fields: Any) -> bytes:

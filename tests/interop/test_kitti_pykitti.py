@@ -5,6 +5,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from tests.peers import python_with
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats import open_scene, write_scene
@@ -68,6 +69,11 @@ def check_common(found, back):
     np.testing.assert_allclose(found["K"], camera.camera.matrix, atol=1e-12)
     camera_from_lidar = camera.mount.inverse() @ lidar.mount
     np.testing.assert_allclose(found["cam2_velo"], camera_from_lidar.matrix, atol=1e-12)
+
+
+@pytest.fixture(scope="session")
+def pykitti_python():
+    return python_with("pykitti", "SCENELOOM_PYKITTI_PYTHON")
 
 
 def test_raw_drives_are_read_there(pykitti_python, drive, tmp_path):

@@ -4,12 +4,11 @@ It pins old packages, so it runs in an environment of its own: SCENELOOM_NUSCENE
 """
 
 import json
-import os
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
+from tests.peers import python_with
 from tests.unit.formats.nuscenes.schema_folder import from_infos, street
 from tests.unit.formats.nuscenes.test_write import with_classes
 
@@ -60,15 +59,8 @@ print(json.dumps({"samples": told, "classes": classes, "scenes": [s["name"] for 
 
 
 @pytest.fixture(scope="session")
-def nuscenes_python() -> str:
-    """A Python interpreter that has nuscenes-devkit; tests against it are skipped without one."""
-    interpreter = os.environ.get("SCENELOOM_NUSCENES_PYTHON", "")
-    if not interpreter:
-        pytest.skip("no interpreter with nuscenes-devkit: set SCENELOOM_NUSCENES_PYTHON")
-    found = shutil.which(interpreter)
-    if found is None:
-        pytest.fail(f"SCENELOOM_NUSCENES_PYTHON={interpreter} is not a program")
-    return found
+def nuscenes_python():
+    return python_with("nuscenes-devkit", "SCENELOOM_NUSCENES_PYTHON")
 
 
 def told_by_kit(python, root, version):

@@ -5,12 +5,12 @@ asked of VCD itself needs its environment: `SCENELOOM_OPENLABEL_PYTHON` names a 
 """
 
 import json
-import os
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.peers import python_with
 
 from sceneloom.formats.table import open_scene, write_scene
 from sceneloom.geometry.boxes import box_corners
@@ -93,9 +93,7 @@ def test_all_that_vcd_says_is_read():
 
 @pytest.fixture(scope="module")
 def peer():
-    python = os.environ.get("SCENELOOM_OPENLABEL_PYTHON")
-    if not python:
-        pytest.skip("SCENELOOM_OPENLABEL_PYTHON names no Python with vcd and raillabel")
+    python = python_with("vcd and raillabel", "SCENELOOM_OPENLABEL_PYTHON")
 
     def run(program, *arguments):
         done = subprocess.run(

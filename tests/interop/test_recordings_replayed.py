@@ -4,19 +4,18 @@ It is proprietary and no dependency of anything here: `SCENELOOM_VENDOR_PYTHON` 
 """
 
 import json
-import os
 import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.peers import python_with
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.scene import DepthCameraSensor, DepthFrame, LazyFrames
 from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, PathSpec, Stop, camera_mount, simulate_street
 
-VARIABLE = "SCENELOOM_VENDOR_PYTHON"
 FRAMES = 30
 REPLAY = """
 import json, sys
@@ -45,9 +44,7 @@ print("RESULT" + json.dumps([outputs, sorted(depths)]))
 @pytest.fixture
 def vendor_python():
     """A Python that has the vendor's software."""
-    if not os.environ.get(VARIABLE):
-        pytest.skip(f"{VARIABLE} names no Python with the vendor's software")
-    return os.environ[VARIABLE]
+    return python_with("the vendor's software", "SCENELOOM_VENDOR_PYTHON")
 
 
 def replayed(folder, python):

@@ -4,22 +4,17 @@ The server is no part of the development environment. With `SCENELOOM_MOTO_PYTHO
 `moto[server]` installed, these tests run; without it, they are skipped.
 """
 
-import os
 import re
 import subprocess
 
 import fsspec
 import numpy as np
 import pytest
+from tests.peers import python_with
 
 import sceneloom
 from sceneloom.errors import DataError, OutputError
 from sceneloom.formats.remote import MARKER, stores, upload
-
-PYTHON = os.environ.get("SCENELOOM_MOTO_PYTHON")
-pytestmark = pytest.mark.skipif(
-    PYTHON is None, reason="SCENELOOM_MOTO_PYTHON names no Python with moto[server]"
-)
 
 SERVER = """
 import threading
@@ -34,7 +29,7 @@ input()
 @pytest.fixture(scope="module")
 def endpoint():
     """Address of a server of its own, which ends with the tests."""
-    command = [str(PYTHON), "-c", SERVER]
+    command = [python_with("moto[server]", "SCENELOOM_MOTO_PYTHON"), "-c", SERVER]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as server:

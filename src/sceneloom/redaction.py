@@ -6,7 +6,7 @@ HIDDEN = "***"
 
 _NAMES = (
     r"x-(?:amz|goog|oss|ms)-[a-z0-9-]+",
-    r"awsaccesskeyid|googleaccessid|key-pair-id|policy",
+    r"awsaccesskeyid|googleaccessid|key-pair-id|policy|expires",
     r"sig|signature|sv|se|sp|sr|st|skoid|sktid|ske|sks|skv|spr|sip",
     r"[a-z0-9_.-]*(?:token|secret|password|passwd|credential|api[-_]?key|access[-_]?key|account[-_]?key)[a-z0-9_.-]*",
     r"auth|authorization|code|key|pwd",

@@ -20,7 +20,7 @@ from sceneloom.redaction import redacted
         ("https://h/a?X-Goog-Signature=ff,", "https://h/a?X-Goog-Signature=***,"),
         (
             "https://h/a?AWSAccessKeyId=AK&Signature=s/+=&Expires=9",
-            "https://h/a?AWSAccessKeyId=***&Signature=***&Expires=9",
+            "https://h/a?AWSAccessKeyId=***&Signature=***&Expires=***",
         ),
         (
             "https://h/a?access_token=x&api-key=y&API_KEY=z",

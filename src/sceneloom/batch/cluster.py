@@ -123,7 +123,8 @@ class DaskCluster:
 
     def submit(self, task: Task) -> None:
         """Begin a task."""
-        task.draft.parent.parent.mkdir(parents=True, exist_ok=True)
+        if not task.target:
+            task.draft.parent.parent.mkdir(parents=True, exist_ok=True)
         sent = task if self._cluster is not None else _anywhere(task)
         future = self._client.submit(
             run_packed, __version__, pickle.dumps(sent), key=f"sceneloom-{task.draft.parent.name}", retries=0
@@ -181,7 +182,12 @@ def run_packed(version: str, packed: bytes) -> bytes:
 
 
 def _run_once(task: Task) -> Outcome:
-    """Do a task unless a worker that is gone has begun it."""
+    """Do a task unless a worker that is gone has begun it.
+
+    What is sent to a store appears whole however many have begun it, and workers need share no folder for it.
+    """
+    if task.target:
+        return run_task(task)
     folder = task.draft.parent
     try:
         folder.mkdir()
@@ -203,7 +209,7 @@ def _client(address: str, seconds: float = _CONNECTING_SECONDS) -> Client:
 def _anywhere(task: Task) -> Task:
     """Name files so that they are found from other folders and machines, too."""
     place = task.place if is_url(task.place) else os.path.abspath(task.place)  # noqa: PTH100 - links stay
-    return replace(task, place=place, draft=task.draft.absolute())
+    return replace(task, place=place, draft=task.draft if task.target else task.draft.absolute())
 
 
 def _outcome(task: Task, future: Future[bytes]) -> Outcome:

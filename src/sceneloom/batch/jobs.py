@@ -9,6 +9,8 @@ from typing import Any
 
 import msgspec
 
+from sceneloom.redaction import redacted
+
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -32,6 +34,11 @@ class Input:
 
     place: str
     options: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+
+    @property
+    def name(self) -> str:
+        """What the record calls it: its place without secrets, which stays the same when a URL is signed anew."""
+        return redacted(self.place)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +71,9 @@ class Task:
         number: of the drive in the run.
         attempt: 1 for the first try.
         call, place, options: as of `Job` and `Input`.
-        draft: where the output is written; from there it is moved to its place once it is whole.
+        draft: where the output is written; from there it is moved to its place once it is whole. Below the temporary
+            folder of the worker's machine if there is a `target`.
+        target: the folder of a store that the worker sends the output to once it is whole; "" for none.
     """
 
     number: int
@@ -73,6 +82,7 @@ class Task:
     place: str
     draft: Path
     options: Mapping[str, Any]
+    target: str = ""
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,6 +94,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
         kind: name of the error's class, "Lost" for a worker that is gone.
         passing: whether the same may work another time.
         report: what the verb told, as JSON values.
+        fingerprint: of the drive as it was before.
         seconds: by the clock [s].
         processor_seconds: of the worker's processor [s].
         peak_bytes: the most memory that the worker ever had up to then.
@@ -95,6 +106,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     kind: str = ""
     passing: bool = False
     report: Any = None
+    fingerprint: str = ""
     seconds: float = 0.0
     processor_seconds: float = 0.0
     peak_bytes: int = 0

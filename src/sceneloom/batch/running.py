@@ -1,6 +1,6 @@
 """One verb over many drives: what is due is handed to workers, what they made is put in its place and recorded.
 
-A try writes into a folder of its own. Once it has ended well the output is moved to its place, in one step, and then
+A try writes into a folder of its own. Once it has ended well the output is put in its place, in one step, and then
 the record says that the drive is done: whatever is killed in between, an output is there whole or not at all, and a run
 that is taken up again makes anew what the record does not know as done.
 """
@@ -10,22 +10,23 @@ import secrets
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from tempfile import gettempdir
 
 import msgspec
 
-from sceneloom.batch.fingerprints import configuration, fingerprint
-from sceneloom.batch.jobs import Job, Outcome, State, Task
-from sceneloom.batch.naming import output_names
+from sceneloom.batch.jobs import Input, Job, Outcome, State, Task
+from sceneloom.batch.outputs import Outputs, record_folder
 from sceneloom.batch.pool import Executor, ProcessPool
+from sceneloom.batch.preparing import asked_drives, configuration, drive_key, open_outputs, prepare
 from sceneloom.batch.record import Record, Row
 from sceneloom.batch.warming import Warming
-from sceneloom.errors import OutputError
-from sceneloom.version import __version__
+from sceneloom.batch.working import draft_of
+from sceneloom.errors import OptionError, OutputError
+from sceneloom.formats.urls import is_url
 
 Told = Callable[["RunSummary", Outcome], None]
 """Is told how far a run is, and what came of the last try."""
@@ -35,15 +36,14 @@ _PATIENCE_SECONDS = (1.0, 5.0, 20.0)
 """How long a drive is left alone before its second try, its third, and all further ones."""
 _QUICK = frozenset({"Lost"})
 """After these a drive is tried again at once."""
-_Key = tuple[str, tuple[tuple[str, Any], ...]]
-"""What tells drives apart: where they are, and what counts for them alone."""
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     """How a run stands.
 
     Attributes:
-        output: its folder.
+        output: its folder, or the place in a store without secrets.
+        record: the folder that the record is in.
         verb: what was done.
         total: drives.
         done: those that are done, before or now.
@@ -55,6 +55,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     output: str
+    record: str
     verb: str
     total: int
     done: int = 0
@@ -74,6 +75,7 @@ def run(
     job: Job,
     output: str | Path,
     *,
+    record: Path | None = None,
     workers: int = 1,
     executor: Executor | None = None,
     resume: bool = False,
@@ -83,85 +85,35 @@ def run(
 
     Args:
         job: the verb and the drives.
-        output: the folder of the outputs and the record; made if it is not there.
+        output: the folder of the outputs and the record, made if it is not there; or the URL of a place in a store.
+        record: the folder of the record where outputs go into a store; None for one in the user's state.
         workers: processes on this machine.
         executor: what runs the tasks instead; it is stopped in the end.
         resume: go on with what an earlier run left; drives that are done and unchanged are skipped.
         told: told after each try.
 
     Raises:
-        OutputError: the folder holds an earlier run or files of the same names, or another run has it.
-        DataError: its record is damaged.
+        OutputError: the place holds an earlier run or files of the same names, or another run has it.
+        OptionError: there is a record for outputs on disk, or drives differ in secrets of their addresses only.
+        DataError: the record is damaged, or a store does not answer.
     """
     pool = ProcessPool(workers) if executor is None else executor
-    folder = Path(output)
+    store = str(output) if is_url(output) else ""
+    if record is not None and not store:
+        raise OptionError(f"{output}: outputs on disk have their record beside them; name none")
+    folder = (record or record_folder(store)) if store else Path(output)
     with ExitStack() as ending:
         ending.callback(pool.stop)
         if folder.exists() and not folder.is_dir():
             raise OutputError(f"{folder}: is a file; expected a folder or a new name")
         folder.mkdir(parents=True, exist_ok=True)
-        record = ending.enter_context(Record.held(folder))
-        _prepare(job, record, resume=resume)
-        ending.callback(shutil.rmtree, record.drafts, ignore_errors=True)
+        held = ending.enter_context(Record.held(folder))
+        outputs = open_outputs(store, held, resume=resume)
+        prepare(job, held, outputs)
+        going = _Run(job, held, outputs, pool, told)
+        ending.callback(shutil.rmtree, going.drafts, ignore_errors=True)
         ending.callback(pool.stop)  # before its drafts go
-        return _Run(job, record, pool, told).go()
-
-
-def _prepare(job: Job, record: Record, *, resume: bool) -> None:
-    """Enter the drives, and let those be done anew that changed."""
-    known = {_key(row.input, row.part): row for row in record.rows()}
-    if known and not resume:
-        raise OutputError(
-            f"{record.folder}: holds a run over {len(known)} drives already; `--resume` goes on with it, "
-            "or choose another folder"
-        )
-    taken = {row.output for row in known.values()}
-    new = []
-    for drive, name in zip(job.inputs, output_names(job.inputs, job.suffix), strict=True):
-        if _key(drive.place, drive.options) in known:
-            continue
-        free = next(own for own in _numbered(name, job.suffix) if own not in taken)
-        if (record.folder / free).exists():
-            raise OutputError(f"{record.folder / free}: exists already; choose another folder")
-        taken.add(free)
-        new.append((drive.place, drive.options, free))
-    record.add(new)
-    record.tell("verb", job.verb)
-    record.tell("sceneloom", __version__)
-    record.tell("options", {name: repr(value) for name, value in job.options.items()})
-    asked = _asked(job)
-    record.wait_again(
-        [row.number for key, row in known.items() if key in asked and not _is_done(job, record, row)]
-    )
-
-
-def _key(place: str, part: Mapping[str, Any]) -> _Key:
-    return place, tuple(sorted(part.items()))
-
-
-def _asked(job: Job) -> set[_Key]:
-    return {_key(drive.place, drive.options) for drive in job.inputs}
-
-
-def _numbered(name: str, suffix: str) -> Iterator[str]:
-    stem, number = name.removesuffix(suffix), 1
-    while True:
-        yield name if number == 1 else f"{stem}~{number}{suffix}"
-        number += 1
-
-
-def _is_done(job: Job, record: Record, row: Row) -> bool:
-    """Whether a drive is done as the job wants it, and neither it nor its output changed since."""
-    return (
-        row.state is State.DONE
-        and row.configuration == _configuration(job, row.part)
-        and row.fingerprint == fingerprint(row.input)
-        and (record.folder / row.output).exists()
-    )
-
-
-def _configuration(job: Job, part: Mapping[str, Any]) -> str:
-    return configuration(job.verb, job.call, {**job.options, **part})
+        return going.go()
 
 
 @dataclass(slots=True)
@@ -170,28 +122,42 @@ class _Run:
 
     job: Job
     record: Record
+    outputs: Outputs
     executor: Executor
     told: Told | None
     summary: RunSummary = field(init=False)
     due: list[tuple[float, int, int]] = field(default_factory=list)
     """When [s of the clock], which drive, for the how many-th time."""
     rows: dict[int, Row] = field(default_factory=dict)
-    prints: dict[int, str] = field(default_factory=dict)
+    meant: dict[int, Input] = field(default_factory=dict)
+    """The drives by their numbers, with secrets where their addresses have some."""
     name: str = field(default_factory=lambda: secrets.token_hex(4))
     """Tells drafts of this run from those that a worker of an earlier one may still be writing."""
     warming: Warming = field(default_factory=Warming)
 
     def __post_init__(self) -> None:
-        asked = _asked(self.job)
-        rows = [row for row in self.record.rows() if _key(row.input, row.part) in asked]
+        asked = asked_drives(self.job)
+        rows = [row for row in self.record.rows() if drive_key(row.input, row.part) in asked]
         self.rows = {row.number: row for row in rows}
+        self.meant = {row.number: asked[drive_key(row.input, row.part)] for row in rows}
         counts = Counter(row.state for row in rows)
         done = counts[State.DONE]
         self.summary = RunSummary(
-            output=str(self.record.folder), verb=self.job.verb, total=len(rows), done=done, skipped=done
-        )
+            output=self.outputs.name, record=str(self.record.folder), verb=self.job.verb, total=len(rows),
+            done=done, skipped=done,
+        )  # fmt: skip
         self.due = [(0.0, row.number, 1) for row in rows if row.state is not State.DONE]
         heapq.heapify(self.due)
+
+    @property
+    def drafts(self) -> Path:
+        """The folder of all drafts on this machine."""
+        return Path(gettempdir(), self._drafts) if self.outputs.target else self._drafts
+
+    @property
+    def _drafts(self) -> Path:
+        # each worker has a temporary folder of its own machine
+        return Path(f"sceneloom-batch-{self.name}") if self.outputs.target else self.record.drafts
 
     def go(self) -> RunSummary:
         """Do what is due until nothing is left."""
@@ -227,32 +193,32 @@ class _Run:
     def _begin(self, number: int, attempt: int) -> None:
         row = self.rows[number]
         self.record.begin(number, attempt)
-        self.prints[number] = fingerprint(row.input)
-        draft = self.record.drafts / f"{self.name}-{number}-{attempt}" / row.output
+        draft = self._drafts / f"{self.name}-{number}-{attempt}" / row.output
         options = {**self.job.options, **row.part}
         self.executor.submit(
             Task(
                 number=number,
                 attempt=attempt,
                 call=self.job.call,
-                place=row.input,
+                place=self.meant[number].place,
                 draft=draft,
                 options=options,
+                target=self.outputs.target,
             )
         )
 
     def _end(self, task: Task, outcome: Outcome) -> None:
         if not outcome.error:
             outcome = self._accepted(task, outcome)
-        shutil.rmtree(task.draft.parent, ignore_errors=True)
+        shutil.rmtree(draft_of(task).parent, ignore_errors=True)
         now = time.time_ns()
         if not outcome.error:
             self.record.end(
                 outcome,
                 State.DONE,
                 finished_ns=now,
-                fingerprint=self.prints[task.number],
-                configuration=_configuration(self.job, self.rows[task.number].part),
+                fingerprint=outcome.fingerprint,
+                configuration=configuration(self.job, self.rows[task.number].part),
             )
             self._count(done=1)
         elif outcome.passing and task.attempt <= self.job.retries:
@@ -266,14 +232,9 @@ class _Run:
             self._count(failed=1)
 
     def _accepted(self, task: Task, outcome: Outcome) -> Outcome:
-        """Move an output to its place, with what else the verb wrote beside it."""
-        row = self.rows[task.number]
-        if not task.draft.exists():
-            told = f"{row.input}: {self.job.verb} ended without its output {row.output}"
-            return msgspec.structs.replace(outcome, error=told, kind="Missing")
+        """Put an output in its place, with what else the verb wrote beside it."""
         try:
-            for made in sorted(task.draft.parent.iterdir(), key=lambda path: path == task.draft):
-                _move(made, self.record.folder / made.name)
+            self.outputs.accept(task)
         except OSError as error:
             told = f"{error.filename}: cannot be moved to its place: {error.strerror}"
             return msgspec.structs.replace(outcome, error=told, kind=type(error).__name__)
@@ -282,10 +243,3 @@ class _Run:
     def _count(self, **more: int) -> None:
         changed = {name: getattr(self.summary, name) + count for name, count in more.items()}
         self.summary = msgspec.structs.replace(self.summary, **changed)
-
-
-def _move(made: Path, place: Path) -> None:
-    """Put something in its place in one step; a folder that is there steps aside first."""
-    if place.is_dir() and not place.is_symlink():
-        shutil.rmtree(place) if not made.is_dir() else place.rename(made.with_name(f"{made.name}.before"))
-    made.replace(place)

@@ -6,10 +6,15 @@ import sys
 import time
 import traceback
 from importlib import import_module
+from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 from sceneloom.batch.jobs import Outcome, Task
+from sceneloom.batch.outputs import send
 from sceneloom.errors import SceneloomError
+from sceneloom.formats.fingerprints import fingerprint
+from sceneloom.redaction import redacted
 
 NUMBA = "NUMBA_NUM_THREADS"
 THREADS = (
@@ -23,21 +28,19 @@ _PASSING = (ConnectionError, TimeoutError, InterruptedError, BlockingIOError)
 
 
 def run_task(task: Task) -> Outcome:
-    """Do one drive; whatever goes wrong with it is told, not raised."""
+    """Do one drive; whatever goes wrong with it is told, not raised, and without secrets of addresses."""
     begun, busy = time.perf_counter(), time.process_time()
     told: dict[str, Any] = {}
     try:
-        task.draft.parent.mkdir(parents=True, exist_ok=True)
-        module, _, name = task.call.partition(":")
-        told["report"] = getattr(import_module(module), name)(task.place, task.draft, task.options)
+        told = _done(task)
     except (SceneloomError, OSError, MemoryError) as error:
-        told |= {
-            "error": str(error) or type(error).__name__,
+        told = {
+            "error": redacted(error) or type(error).__name__,
             "kind": type(error).__name__,
             "passing": may_pass(error),
         }
     except Exception as error:  # noqa: BLE001 - a fault in one drive must not end the others
-        told |= {"error": "".join(traceback.format_exception(error)), "kind": type(error).__name__}
+        told = {"error": redacted("".join(traceback.format_exception(error))), "kind": type(error).__name__}
     return Outcome(
         number=task.number,
         seconds=time.perf_counter() - begun,
@@ -46,6 +49,33 @@ def run_task(task: Task) -> Outcome:
         worker=f"{socket.gethostname()}:{os.getpid()}",
         **told,
     )
+
+
+def _done(task: Task) -> dict[str, Any]:
+    """Do the verb, and send what it wrote to where it belongs if that is a store; gives what is told of it."""
+    seen = fingerprint(task.place)
+    draft = draft_of(task)
+    draft.parent.mkdir(parents=True, exist_ok=True)
+    module, _, name = task.call.partition(":")
+    report = getattr(import_module(module), name)(task.place, draft, task.options)
+    if not draft.exists():
+        return {"error": f"{redacted(task.place)}: ended without its output {draft.name}", "kind": "Missing"}
+    if task.target:
+        send(draft, task.target)
+    return {"report": _without_secrets(report), "fingerprint": seen}
+
+
+def draft_of(task: Task) -> Path:
+    """Where the output of a task is written on this machine."""
+    return Path(gettempdir()) / task.draft if task.target else task.draft
+
+
+def _without_secrets(told: Any) -> Any:
+    if isinstance(told, str):
+        return redacted(told)
+    if isinstance(told, dict):
+        return {name: _without_secrets(value) for name, value in told.items()}
+    return [_without_secrets(value) for value in told] if isinstance(told, list | tuple) else told
 
 
 def may_pass(error: BaseException | None) -> bool:

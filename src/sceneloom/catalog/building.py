@@ -221,8 +221,11 @@ def _updated(
 
 
 def _stamp(drive: _Drive, checks: Checks) -> str:
-    """What tells a drive and how it is catalogued from another time; "" where that is not known, as of URLs."""
-    files = fingerprint(drive.path)
+    """What tells a drive and how it is catalogued from another time; "" where that is not known."""
+    try:
+        files = fingerprint(drive.path)
+    except DataError:
+        files = ""  # reading it tells why
     told = repr((files, VERSION, __version__, checks.value))
     return blake2b(told.encode(), digest_size=16).hexdigest() if files else ""
 

@@ -57,6 +57,24 @@ def folder(place, output, options):
     (Path(output) / "a.txt").write_text(Path(place).read_text())
 
 
+def fetch(place, output, options):
+    """What is behind a URL; tells its address with all secrets, and complains with them where it is asked to."""
+    from urllib.request import urlopen
+
+    if "bad" in place:
+        raise OSError(f"{place} is bad")
+    if "odd" in place:
+        raise RuntimeError(place)
+    Path(output).write_bytes(urlopen(place).read())
+    return {"source": place, "inner": [{"told": f"read {place}"}]}
+
+
+def pair(place, output, options):
+    """An output with another one beside it."""
+    Path(output).with_suffix(".loss").write_text("none")
+    return copy(place, output, options)
+
+
 def environment(place, output, options):
     Path(output).write_text(os.environ.get("OMP_NUM_THREADS", "") + os.environ.get("NUMBA_NUM_THREADS", ""))
 '''

@@ -26,3 +26,21 @@ def test_options_of_the_verb_are_those_of_the_run(call, tmp_path):
     assert (refused.code, "woven" in refused.err) == (2, True)
     nothing = call("batch", "fuse", tmp_path / "*.sfs", "-o", tmp_path / "out")
     assert (nothing.code, "fits this pattern" in nothing.err) == (2, True)
+
+
+def test_the_verb_finds_its_record_by_the_address(call, recording, tmp_path, monkeypatch):
+    (tmp_path / "run1").mkdir()
+    store = f"local://{tmp_path}/run1"
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    done = call("batch", "validate", recording, "-o", store, "--workers", 1, "--quick")
+    assert done.code == 0, done.err
+    assert f"outputs: {store}" in done.out
+    assert f"record: {tmp_path}/state/sceneloom/runs/run1-" in done.out
+    assert {path.name for path in (tmp_path / "run1").iterdir()} == {
+        ".sceneloom-run",
+        f"{recording.name}.json",
+    }
+    told = call("batch", "status", store, "--json")
+    assert [row["state"] for row in json.loads(told.out)["drives"]] == ["done"]
+    refused = call("batch", "validate", recording, "-o", "https://host/run", "--quick")
+    assert (refused.code, "web server" in refused.err) == (1, True)

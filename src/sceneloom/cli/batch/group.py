@@ -22,6 +22,7 @@ _OWN = (
     "inputs",
     "lists",
     "output",
+    "record",
     "workers",
     "cluster",
     "metrics",
@@ -89,13 +90,32 @@ def _over_many(name: str) -> click.Command:
 
 
 _HELP = (
-    "outputs are named by their drives and lie in the folder OUT, the record of the run in OUT/.sceneloom-run. Exit "
-    "code 1 if a drive failed."
+    "outputs are named by their drives and lie in OUT, a folder or a place in a store, such as s3://bucket/run1/. The "
+    "record of the run is OUT/.sceneloom-run, or --record. Exit code 1 if a drive failed."
 )
+
+
+def target(text: str) -> "Path | str":
+    """Take an argument as a folder, or as the place in a store, which workers write to."""
+    place = options.place(text)
+    return place if isinstance(place, str) else options.target(str(place))
+
+
 _OPTIONS = (
     click.argument("inputs", nargs=-1, metavar="DRIVES..."),
     click.option(
-        "-o", "--output", type=options.target, required=True, metavar="OUT", help="Folder of all outputs."
+        "-o",
+        "--output",
+        type=target,
+        required=True,
+        metavar="OUT",
+        help="Folder of all outputs, or its URL in a store.",
+    ),
+    click.option(
+        "--record",
+        type=click.Path(path_type=Path, file_okay=False),
+        metavar="DIR",
+        help="Folder of the run's record where OUT is a URL. [default: one in ~/.local/state/sceneloom]",
     ),
     click.option(
         "--list",
@@ -162,6 +182,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         summary = run(
             job,
             own["output"],
+            record=own["record"],
             workers=workers,
             executor=_cluster(own, workers),
             resume=own["resume"],
@@ -170,7 +191,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     if own["as_json"]:
         print_json(summary)
     else:
-        print_summary(summary, own["output"], verbose=own["verbose"])
+        print_summary(summary, verbose=own["verbose"])
     return FAILED_CODE if summary.failed else 0
 
 

@@ -15,33 +15,50 @@ _SHOWN = 5
 
 
 @click.command()
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("output", type=options.place)
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Folder of the record of a run into a store, if it is not where it is by default.",
+)
 @click.option("--html", type=options.target, metavar="FILE", help="Write a page about the run as well.")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="Only how many, no failures.")
 @click.option("-v", "--verbose", is_flag=True, help="Every drive, not only the failures.")
 def status(
-    output: Path, html: Path | None, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
+    output: Path | str,
+    record: Path | None,
+    html: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
 ) -> None:
-    """Say how the run in the folder OUTPUT stands, while it goes on, too."""
+    """Say how the run into OUTPUT, a folder or a URL, stands, while it goes on, too."""
     from dataclasses import asdict
 
     from sceneloom.batch.jobs import State
+    from sceneloom.batch.outputs import record_folder
     from sceneloom.batch.record import Record
+    from sceneloom.redaction import redacted
 
-    with Record.opened(output) as record:
-        told, rows = record.told(), record.rows()
+    folder = record or (record_folder(output) if isinstance(output, str) else output)
+    with Record.opened(folder) as opened:
+        told, rows = opened.told(), opened.rows()
     if html is not None:
         from sceneloom.batch.watching import read_figures, write_page
 
-        write_page(read_figures(output), html, overwrite=overwrite)
+        write_page(read_figures(folder), html, overwrite=overwrite)
     if as_json:
         print_json({"run": told, "drives": [asdict(row) for row in rows]})
         return
     counts = {state: sum(row.state is state for row in rows) for state in State}
     parts = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    click.echo(f"{output}: {told.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}")
+    click.echo(
+        f"{redacted(output)}: {told.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}"
+    )
     if quiet:
         return
     shown = rows if verbose else [row for row in rows if row.state is State.FAILED]
@@ -58,7 +75,7 @@ def status(
     )
 
 
-def print_summary(summary: "RunSummary", output: Path, *, verbose: bool) -> None:
+def print_summary(summary: "RunSummary", *, verbose: bool) -> None:
     """Say how a run ended, and what to do about failures."""
     from sceneloom.batch.jobs import State
     from sceneloom.batch.record import Record
@@ -72,15 +89,18 @@ def print_summary(summary: "RunSummary", output: Path, *, verbose: bool) -> None
     click.echo(
         f"{summary.verb}: {several(summary.total, 'drive')} in {summary.seconds:.1f} s: {', '.join(parts)}"
     )
-    click.echo(f"outputs and record: {output}")
+    together = summary.record == summary.output
+    click.echo(f"outputs{' and record' if together else ''}: {summary.output}")
+    if not together:
+        click.echo(f"record: {summary.record}")
     if not summary.failed:
         return
-    with Record.opened(output) as record:
+    with Record.opened(Path(summary.record)) as record:
         failed = record.rows(State.FAILED)
     for row in failed if verbose else failed[:_SHOWN]:
         click.echo(f"failed: {row.input}: {_last_line(row.error)}", err=True)
     if not verbose and len(failed) > _SHOWN:
-        click.echo(f"… and {len(failed) - _SHOWN} more: `sceneloom batch status {output}`", err=True)
+        click.echo(f"… and {len(failed) - _SHOWN} more: `sceneloom batch status {summary.record}`", err=True)
     click.echo("next: mend what failed, then say the same with `--resume`", err=True)
 
 

@@ -1,9 +1,16 @@
 """Files and folders behind URLs: range reads, retries, messages without secrets. fsspec is wrapped here alone."""
 
-from sceneloom.formats.remote.fetching import Fetched, fetch, find_urls
+from sceneloom.formats.remote.fetching import Fetched, fetch, find_urls, names_below, remote_contents
 from sceneloom.formats.remote.patience import Patience
 from sceneloom.formats.remote.ranged import GAP, Range, RangedFile, RemoteIdentity, coalesced
-from sceneloom.formats.remote.uploads import MARKER, check_remote_output, output_name, upload, uploading
+from sceneloom.formats.remote.uploads import (
+    MARKER,
+    check_remote_output,
+    output_name,
+    put_first,
+    upload,
+    uploading,
+)
 
 __all__ = [
     "GAP",
@@ -17,7 +24,10 @@ __all__ = [
     "coalesced",
     "fetch",
     "find_urls",
+    "names_below",
     "output_name",
+    "put_first",
+    "remote_contents",
     "upload",
     "uploading",
 ]

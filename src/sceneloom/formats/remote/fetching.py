@@ -12,7 +12,7 @@ from tempfile import mkdtemp
 from urllib.parse import unquote, urlsplit
 
 from sceneloom.errors import DataError
-from sceneloom.formats.remote.faults import CutShortError, faults
+from sceneloom.formats.remote.faults import CutShortError, faults, may_pass
 from sceneloom.formats.remote.patience import patiently
 from sceneloom.formats.remote.ranged import SIDE_BY_SIDE
 from sceneloom.formats.remote.stores import Facts, Store, open_store
@@ -52,6 +52,50 @@ def find_urls(pattern: str) -> list[str]:
     """
     with faults(pattern, ""):
         return patiently(lambda: open_store(pattern).fitting())
+
+
+def names_below(url: str) -> list[str]:
+    """Names of the files and folders just below a place in a store; none where it is not there.
+
+    Raises:
+        DataError: the store cannot be read.
+        MissingExtraError: what reads such addresses is not installed.
+    """
+    with faults(url, ""):
+        return patiently(lambda: open_store(url).names())
+
+
+def remote_contents(url: str) -> list[tuple[str, int, str]] | None:
+    """What a store says of a file, or of all files of a folder: name below it, size [bytes], mark of the content.
+
+    Names bear no secrets, so that they are the same when an address is signed anew.
+
+    Returns:
+        None where nothing is there, or where of a file that is not known.
+
+    Raises:
+        DataError: the store cannot be read.
+        MissingExtraError: what reads such addresses is not installed.
+    """
+
+    def look() -> list[Facts]:
+        store = open_store(url)
+        try:
+            top = store.facts()
+        except FileNotFoundError as error:
+            if may_pass(error):
+                raise
+            return []
+        return list(store.walk()) if top.is_folder else [top]
+
+    with faults(url, ""):
+        found = patiently(look)
+    known = [
+        (redacted(facts.path), facts.size, facts.version)
+        for facts in found
+        if facts.size is not None and facts.version is not None
+    ]
+    return known if known and len(known) == len(found) else None
 
 
 def fetch(url: str, *, largest: int = LARGEST) -> Fetched:

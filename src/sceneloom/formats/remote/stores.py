@@ -13,7 +13,10 @@ from sceneloom.redaction import redacted
 _PART = 16 << 20
 """Length of the parts that a file is sent in; stores take 10,000 of them, which makes 160 GB [bytes]."""
 
-_VERSIONS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "updated", "created")
+_VERSIONS = (
+    *("ETag", "etag", "Content-MD5", "Digest"),
+    *("mtime", "LastModified", "Last-Modified", "last_modified", "updated", "created"),
+)
 """What back ends call the mark of a content, best first."""
 
 
@@ -68,6 +71,27 @@ class Store:
         """All files below the place, by their names."""
         found = self.files.find(self.path, detail=True)
         yield from (_facts(found[name]) for name in sorted(found))
+
+    def names(self) -> list[str]:
+        """Names of the files and folders just below the place; none where it is not there."""
+        self.files.invalidate_cache()
+        try:
+            found = self.files.ls(self.path, detail=False)
+        except FileNotFoundError:
+            return []
+        return [path.rstrip("/").rpartition("/")[2] for path in found]
+
+    def put_first(self, content: bytes) -> bytes:
+        """Put a small file there unless there is one; give what is there then."""
+        try:
+            self.files.pipe_file(self.path, content, mode="create")
+        except Exception:
+            # back ends have many names for the refusal
+            self.files.invalidate_cache()
+            if not self.files.exists(self.path):
+                raise
+        self.files.invalidate_cache()
+        return cast("bytes", self.files.cat_file(self.path))
 
     def get(self, target: Path) -> None:
         """Fetch the whole file."""

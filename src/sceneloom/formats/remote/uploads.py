@@ -92,6 +92,18 @@ def upload(draft: Path, url: str) -> None:
             patiently(lambda: store.put(draft))
 
 
+def put_first(url: str, content: bytes) -> bytes:
+    """Put a small file where a URL says unless there is one already; give what is there then.
+
+    Of several who do so at one time, all are given the same where the store refuses to put an object twice.
+
+    Raises:
+        OutputError: the store cannot be written to.
+    """
+    with _told(), faults(url, "", doing="written"):
+        return patiently(lambda: open_store(url).put_first(content))
+
+
 @contextmanager
 def _told() -> Iterator[None]:
     """Faults of the store that is written to are those of an output."""

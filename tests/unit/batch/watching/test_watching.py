@@ -99,6 +99,7 @@ def test_a_run_that_has_only_begun_has_a_page(tmp_path):
 def test_text_for_prometheus_has_a_type_for_each_figure_and_escaped_labels():
     summary = RunSummary(
         output='o"u\\t\n',
+        record="r",
         verb="fuse",
         total=9,
         done=4,

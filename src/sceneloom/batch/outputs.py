@@ -1,0 +1,195 @@
+"""Where the outputs of a run are put: a folder on disk, or a place in a store.
+
+On disk a worker writes a draft, and the run moves it to its place in one step. Into a store the worker itself sends it,
+as an object that appears whole or not at all; what the run has in the store beside them is a claim, an object which
+names the one record that belongs to these outputs.
+"""
+
+import os
+import shutil
+import socket
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from hashlib import blake2b
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+
+from sceneloom.batch.jobs import Task
+from sceneloom.errors import OutputError
+from sceneloom.formats.urls import is_url
+from sceneloom.redaction import redacted
+
+CLAIM = ".sceneloom-run"
+"""Name of the object in a store that says whose outputs lie there."""
+
+
+class Outputs(Protocol):
+    """Where outputs are put."""
+
+    @property
+    def name(self) -> str:
+        """What people call it, without secrets."""
+        ...
+
+    @property
+    def target(self) -> str:
+        """The address that workers send outputs to; "" where the run moves them."""
+        ...
+
+    def has(self, name: str) -> bool:
+        """Whether an output is there."""
+        ...
+
+    def accept(self, task: Task) -> None:
+        """Put what a worker made in its place, unless that has sent it there."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class FolderOutputs:
+    """A folder on disk."""
+
+    folder: Path
+    target: str = ""
+
+    @property
+    def name(self) -> str:
+        """Its path."""
+        return str(self.folder)
+
+    def has(self, name: str) -> bool:
+        """Whether an output is there."""
+        return (self.folder / name).exists()
+
+    def accept(self, task: Task) -> None:
+        """Move an output to its place, after what else the verb wrote beside it.
+
+        Raises:
+            OSError: it cannot be moved.
+        """
+        for made in _own_last(task.draft):
+            _move(made, self.folder / made.name)
+
+
+@dataclass(frozen=True, slots=True)
+class StoreOutputs:
+    """A place in a store.
+
+    Attributes:
+        target: its address.
+        there: names of what was there when the run began.
+    """
+
+    target: str = field(repr=False)
+    there: frozenset[str]
+
+    @property
+    def name(self) -> str:
+        """Its address without secrets."""
+        return redacted(self.target)
+
+    def has(self, name: str) -> bool:
+        """Whether an output was there when the run began."""
+        return name in self.there
+
+    def accept(self, task: Task) -> None:
+        """Nothing is left to do: the worker has sent it."""
+
+
+class Claim(msgspec.Struct, frozen=True, kw_only=True):
+    """What says in a store whose outputs lie there.
+
+    Attributes:
+        run: name of the run, which its record knows, too.
+        record: where that is.
+        host: on which machine.
+        begun: when.
+    """
+
+    run: str
+    record: str
+    host: str
+    begun: str
+
+
+def claimed(url: str, *, run: str, record: Path) -> StoreOutputs:
+    """Claim a place in a store for the run of one record.
+
+    Two runs that begin within the same moment are told apart where the store refuses to put an object twice, as S3,
+    Cloud Storage and Azure do; where it does not, the later one may take the claim while the other one goes on.
+
+    Args:
+        url: the place.
+        run: name of the run.
+        record: where its record is.
+
+    Raises:
+        OutputError: the outputs of another run lie there, or the store cannot be written to.
+        MissingExtraError: what writes to such addresses is not installed.
+    """
+    from sceneloom.formats.remote import check_remote_output, names_below, put_first
+
+    place = f"{url.rstrip('/')}/{CLAIM}"
+    check_remote_output(place, overwrite=True)
+    begun = datetime.now(UTC).isoformat(timespec="seconds")
+    ours = Claim(run=run, record=str(record.absolute()), host=socket.gethostname(), begun=begun)
+    there = _claim(put_first(place, msgspec.json.encode(ours)), place)
+    if there.run != run:
+        raise OutputError(
+            f"{redacted(url)}: holds the outputs of a run whose record is {there.record} on {there.host}, begun "
+            f"{there.begun}; `--resume --record` goes on with it, or choose another place. If that record is lost, "
+            f"remove {CLAIM} there"
+        )
+    return StoreOutputs(url, frozenset(names_below(url)))
+
+
+def _claim(content: bytes, place: str) -> Claim:
+    try:
+        return msgspec.json.decode(content, type=Claim)
+    except msgspec.MsgspecError as error:
+        raise OutputError(
+            f"{redacted(place)}: is not the claim of a run: {error}; choose another place"
+        ) from error
+
+
+def record_folder(url: str) -> Path:
+    """Where the record of a run is by default whose outputs lie in a store: in a folder of the user's own state.
+
+    Source: XDG Base Directory Specification 0.8, `XDG_STATE_HOME`.
+    """
+    state = os.environ.get("XDG_STATE_HOME", "")
+    base = Path(state) if Path(state).is_absolute() else Path.home() / ".local" / "state"
+    shown = redacted(url).rstrip("/")
+    name = shown.rpartition("/")[2]
+    told = "".join(sign if sign.isalnum() or sign in "-_." else "_" for sign in name).lstrip(".")[:60]
+    return base / "sceneloom" / "runs" / f"{told}-{blake2b(shown.encode(), digest_size=4).hexdigest()}"
+
+
+def send(draft: Path, target: str) -> None:
+    """Send an output to a store, after what else the verb wrote beside it; each object appears whole or not at all.
+
+    Raises:
+        OutputError: the store cannot be written to.
+    """
+    from sceneloom.formats.remote import upload
+
+    for made in _own_last(draft):
+        upload(made, f"{target.rstrip('/')}/{made.name}")
+
+
+def shown_place(output: "str | Path") -> str:
+    """What people call a folder of outputs."""
+    return redacted(output) if is_url(output) else str(output)
+
+
+def _own_last(draft: Path) -> list[Path]:
+    return sorted(draft.parent.iterdir(), key=lambda path: path == draft)
+
+
+def _move(made: Path, place: Path) -> None:
+    """Put something in its place in one step; a folder that is there steps aside first."""
+    if place.is_dir() and not place.is_symlink():
+        shutil.rmtree(place) if not made.is_dir() else place.rename(made.with_name(f"{made.name}.before"))
+    made.replace(place)

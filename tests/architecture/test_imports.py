@@ -11,7 +11,8 @@ import pytest
 ROWS = (
     ("__main__",),
     ("cli",),
-    ("service", "view", "report", "batch", "catalog"),
+    ("service", "view", "report", "catalog"),
+    ("batch",),
     ("pipeline", "simulate", "evaluate"),
     ("pictures",),
     ("fusion",),

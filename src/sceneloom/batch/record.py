@@ -7,13 +7,14 @@ the process however that ends.
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 from sceneloom.batch.jobs import Outcome, State
-from sceneloom.errors import DataError, OutputError
+from sceneloom.batch.locks import locked
+from sceneloom.errors import DataError
 
 FOLDER = ".sceneloom-run"
 _RECORD, _LOCK, _DRAFTS = "record.sqlite", "lock.sqlite", "drafts"
@@ -118,7 +119,7 @@ class Record:
         """
         place = folder / FOLDER
         place.mkdir(parents=True, exist_ok=True)
-        with _locked(place / _LOCK, folder):
+        with locked(place / _LOCK, folder):
             connection = sqlite3.connect(place / _RECORD)
             try:
                 connection.execute("PRAGMA journal_mode = WAL")
@@ -229,21 +230,3 @@ class Record:
 def _row(values: Sequence[Any]) -> Row:
     found = dict(zip(_COLUMNS, values, strict=True))
     return Row(**{**found, "part": json.loads(found["part"]), "state": State(found["state"])})
-
-
-@contextmanager
-def _locked(file: Path, folder: Path) -> Iterator[None]:
-    lock = sqlite3.connect(file, timeout=0.0, isolation_level=None)
-    try:
-        try:
-            lock.execute("BEGIN EXCLUSIVE")
-        except sqlite3.OperationalError as error:
-            raise OutputError(
-                f"{folder}: another run is writing into it; wait for it, or choose another folder"
-            ) from error
-        except sqlite3.DatabaseError as error:
-            raise DataError(file, "", f"{error}; expected the lock of a run") from error
-        yield
-    finally:
-        with suppress(sqlite3.Error):
-            lock.close()

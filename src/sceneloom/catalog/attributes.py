@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.catalog.tables import Rows, text_of
+from sceneloom.catalog.values import Rows, text_of
 from sceneloom.scene import AttributePath, Scene
 
 _Row = tuple[str, int, str | None, str, str, float, int | None, int | None]

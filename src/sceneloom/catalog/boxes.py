@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.catalog.ego import Ego
-from sceneloom.catalog.tables import Repeated, Rows, text_of
+from sceneloom.catalog.values import Repeated, Rows, text_of
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene import Box2DAnnotation, Coordinates, CuboidAnnotation, Scene
 from sceneloom.scene.angles import CuboidAngles

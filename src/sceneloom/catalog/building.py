@@ -1,44 +1,19 @@
 """Building catalogues, and bringing them up to date: only what changed is read again."""
 
-import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
-from hashlib import blake2b
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from sceneloom.catalog.layout import VERSION, Layout, scene_name
-from sceneloom.catalog.parquet import check_file, read_columns
-from sceneloom.catalog.rows import scene_rows
-from sceneloom.catalog.tables import TABLES, Rows
-from sceneloom.checks import validate
-from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
-from sceneloom.formats import open_scene, size_on_disk
-from sceneloom.formats.fingerprints import fingerprint
+from sceneloom.catalog.drives import Checks, Drive
+from sceneloom.catalog.layout import Layout
+from sceneloom.catalog.parts import Parts
+from sceneloom.catalog.running import Failure, Run
+from sceneloom.errors import OptionError
 from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.redaction import redacted
-from sceneloom.scene import Finding
 from sceneloom.scene.types import Progress
-from sceneloom.version import __version__
-
-
-class Checks(StrEnum):
-    """How drives are checked for the table of findings."""
-
-    NONE = "none"
-    QUICK = "quick"
-    """Without reading frames and pictures."""
-    FULL = "full"
-
-
-class Failure(msgspec.Struct, frozen=True, kw_only=True):
-    """A drive that could not be read, and why."""
-
-    path: str
-    error: str
 
 
 class CatalogReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,24 +40,13 @@ class CatalogReport(msgspec.Struct, frozen=True, kw_only=True):
     failed: tuple[Failure, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Drive:
-    """A drive to be catalogued; `reading` are the options for opening it."""
-
-    path: str
-    reading: Mapping[str, Any]
-
-    @property
-    def name(self) -> str:
-        return scene_name(self.path, self.reading)
-
-
 def build(
     drives: Iterable[str | Path],
     catalogue: str | Path,
     *,
     overwrite: bool = False,
     checks: Checks | str = Checks.QUICK,
+    workers: int | None = 1,
     progress: Progress | None = None,
     **reading: Any,
 ) -> CatalogReport:
@@ -95,23 +59,22 @@ def build(
         catalogue: folder of the catalogue.
         overwrite: whether a catalogue there may be replaced.
         checks: how much is checked for the findings: "none", "quick" (no frames are read) or "full".
+        workers: so many processes read drives; None: one for each processor, where there are drives enough.
         progress: called with the number of drives done and of all.
         reading: reading options of the drives' formats.
 
     Raises:
         OptionError: there are no drives, or no such checks, or an address holds a secret.
-        OutputError: the folder holds something else, or cannot be written.
+        OutputError: the folder holds something else, cannot be written, or another process writes into it.
         MissingExtraError: pyarrow is not installed.
     """
-    chosen = _drives(drives, reading)
+    chosen, how = _drives(drives, reading), _checks(checks)
     if not chosen:
         raise OptionError("no drives; name some")
-    how = _checks(checks)
     layout = Layout.made(Path(catalogue), overwrite=overwrite)
-    names = {drive.name for drive in chosen}
-    for stale in set(layout.scenes()) - names:
-        layout.remove(stale)
-    return _updated(layout, chosen, how, progress=progress, again=True)
+    with layout.held():
+        layout.clear()
+        return _updated(layout, Parts(layout), chosen, how, workers=workers, progress=progress)
 
 
 def update(
@@ -120,40 +83,43 @@ def update(
     *,
     prune: bool = False,
     checks: Checks | str = Checks.QUICK,
+    workers: int | None = 1,
     progress: Progress | None = None,
     **reading: Any,
 ) -> CatalogReport:
-    """Bring a catalogue up to date: what is new or changed is read, nothing else is touched.
+    """Bring a catalogue up to date: what is new or changed is read, nothing else is.
 
     Args:
         catalogue: its folder.
         drives: drives that are new or may have changed; without any, all that stand in it are looked at.
         prune: take out drives that are not there any more; without drives only.
         checks: as in `build`.
+        workers: as in `build`.
         progress: as in `build`.
         reading: reading options of the drives that are named; those that stand in it are read as before.
 
     Raises:
         OptionError: drives are named together with `prune`, there are no such checks, or an address holds a secret.
         DataError: there is no catalogue.
-        OutputError: it cannot be written.
+        OutputError: it cannot be written, or another process writes into it.
         MissingExtraError: pyarrow is not installed.
     """
     layout, how = Layout.found(Path(catalogue)), _checks(checks)
     chosen = _drives(drives, reading)
     if chosen and prune:
         raise OptionError("pruning looks at all drives of the catalogue; name none")
-    if chosen:
-        return _updated(layout, chosen, how, progress=progress)
-    standing, damaged = _standing(layout)
-    gone = [drive for drive in standing if not is_url(drive.path) and not Path(drive.path).exists()]
-    there = [drive for drive in standing if drive not in gone]
-    for drive in gone if prune else ():
-        layout.remove(drive.name)
-    report = _updated(layout, there, how, progress=progress)
+    with layout.held():
+        parts = Parts(layout)
+        if chosen:
+            return _updated(layout, parts, chosen, how, workers=workers, progress=progress)
+        standing = [Drive(entry.path, entry.options) for entry in parts.entries.values()]
+        gone = [drive for drive in standing if not is_url(drive.path) and not Path(drive.path).exists()]
+        there = [drive for drive in standing if drive not in gone]
+        if prune:
+            parts.remove({drive.name for drive in gone})
+        report = _updated(layout, parts, there, how, workers=workers, progress=progress)
     paths = tuple(drive.path for drive in gone)
-    told = {"removed": paths} if prune else {"gone": paths}
-    return msgspec.structs.replace(report, failed=(*damaged, *report.failed), **told)
+    return msgspec.structs.replace(report, **({"removed": paths} if prune else {"gone": paths}))
 
 
 def _checks(checks: Checks | str) -> Checks:
@@ -162,7 +128,7 @@ def _checks(checks: Checks | str) -> Checks:
     return Checks(checks)
 
 
-def _drives(drives: Iterable[str | Path], reading: Mapping[str, Any]) -> list[_Drive]:
+def _drives(drives: Iterable[str | Path], reading: Mapping[str, Any]) -> list[Drive]:
     paths = [path_or_url(place) for place in drives]
     texts = [path if isinstance(path, str) else str(path.absolute()) for path in paths]
     for text in texts:
@@ -170,95 +136,36 @@ def _drives(drives: Iterable[str | Path], reading: Mapping[str, Any]) -> list[_D
             raise OptionError(
                 f"{redacted(text)}: catalogues keep addresses, and this one holds a secret; say it in the environment"
             )
-    return [_Drive(text, reading) for text in dict.fromkeys(texts)]
-
-
-def _standing(layout: Layout) -> tuple[list[_Drive], list[Failure]]:
-    """The drives that stand in a catalogue; of a damaged row no one knows which drive it is."""
-    found, damaged = [], []
-    for file in layout.files("scenes"):
-        try:
-            (row,) = read_columns(file, ["path", "options"])
-            found.append(_Drive(row["path"], json.loads(row["options"])))
-        except (DataError, ValueError, TypeError) as error:
-            told = f"{error}; say `update` with the path of this drive"
-            damaged.append(Failure(path=file.parent.name.removeprefix("scene="), error=told))
-    return found, damaged
+    return [Drive(text, reading) for text in dict.fromkeys(texts)]
 
 
 def _updated(
     layout: Layout,
-    drives: Sequence[_Drive],
+    parts: Parts,
+    drives: Sequence[Drive],
     checks: Checks,
     *,
+    workers: int | None,
     progress: Progress | None,
-    again: bool = False,
 ) -> CatalogReport:
-    added: list[str] = []
-    changed: list[str] = []
-    failed: list[Failure] = []
-    for number, drive in enumerate(drives):
-        stamp, before = _stamp(drive, checks), _stamp_before(layout, drive.name)
-        if again or not stamp or stamp != before:
-            try:
-                layout.write(drive.name, _read(drive, checks, stamp))
-            except OutputError:
-                raise  # what befell the catalogue befalls all drives
-            except (SceneloomError, OSError, MemoryError) as error:
-                failed.append(Failure(path=drive.path, error=str(error) or type(error).__name__))
-            else:
-                (added if before is None or again else changed).append(drive.path)
-        if progress is not None:
-            progress(number + 1, len(drives))
+    known, whole = parts.entries, parts.whole()
+    stamps = {drive.name: drive.stamp(checks) for drive in drives}
+    due = [
+        drive
+        for drive in drives
+        if not stamps[drive.name] or drive.name not in whole or whole[drive.name].stamp != stamps[drive.name]
+    ]
+    run = Run(parts, layout.drafts, checks, workers=workers, progress=progress)
+    run.go(due, done=len(drives) - len(due))
+    lost = [
+        Failure(path=damage.file, error=f"{damage}; delete it, and say `update` with the paths of its drives")
+        for damage in parts.lost
+    ]
     return CatalogReport(
         catalogue=str(layout.folder),
-        scenes=len(layout.scenes()),
-        added=tuple(added),
-        changed=tuple(changed),
-        unchanged=len(drives) - len(added) - len(changed) - len(failed),
-        failed=tuple(failed),
+        scenes=len(parts.entries),
+        added=tuple(drive.path for drive in run.read if drive.name not in known),
+        changed=tuple(drive.path for drive in run.read if drive.name in known),
+        unchanged=len(drives) - len(due),
+        failed=(*lost, *run.failed),
     )
-
-
-def _stamp(drive: _Drive, checks: Checks) -> str:
-    """What tells a drive and how it is catalogued from another time; "" where that is not known."""
-    try:
-        files = fingerprint(drive.path)
-    except DataError:
-        files = ""  # reading it tells why
-    told = repr((files, VERSION, __version__, checks.value))
-    return blake2b(told.encode(), digest_size=16).hexdigest() if files else ""
-
-
-def _stamp_before(layout: Layout, name: str) -> str | None:
-    """The stamp of a scene that stands whole in the catalogue; "" where it is damaged, None where it is not there."""
-    scenes = layout.part("scenes", name)
-    if not scenes.is_file():
-        return None
-    try:
-        for table in TABLES:
-            check_file(layout.part(table, name))
-        (row,) = read_columns(scenes, ["fingerprint"])
-    except (DataError, ValueError):
-        return ""
-    return str(row["fingerprint"])
-
-
-def _read(drive: _Drive, checks: Checks, stamp: str) -> dict[str, Rows]:
-    place = path_or_url(drive.path)
-    with open_scene(place, **drive.reading) as scene:
-        return scene_rows(
-            scene,
-            path=drive.path,
-            options=drive.reading,
-            fingerprint=stamp,
-            size_bytes=size_on_disk(place),
-            findings=tuple(_findings(drive, checks)),
-        )
-
-
-def _findings(drive: _Drive, checks: Checks) -> Iterator[Finding]:
-    if checks is Checks.NONE:
-        return
-    report = validate(path_or_url(drive.path), frames=checks is Checks.FULL, **drive.reading)
-    yield from report.findings

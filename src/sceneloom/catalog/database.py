@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.catalog.layout import Layout
-from sceneloom.catalog.parquet import check_file
+from sceneloom.catalog.parquet import read_footer
 from sceneloom.catalog.tables import TABLES, Kind
 from sceneloom.errors import DataError, MissingExtraError, OptionError
 
@@ -106,7 +106,7 @@ class Database:
         """Name the file that is at fault, where its end tells it."""
         for file in (file for table in TABLES for file in self._layout.files(table)):
             try:
-                check_file(file)
+                read_footer(file)
             except DataError as damage:
                 return DataError(damage.file, "", f"{damage.problem}; {_REMEDY}")
         return DataError(self._layout.folder, "", f"{' '.join(str(error).split())}; {_REMEDY}")
@@ -114,7 +114,7 @@ class Database:
 
 _ABOUT_A_FILE = re.compile(r"\.parquet\"|in file '[^']*\.parquet'")
 """What DuckDB's messages about files hold, and those about SQL do not."""
-_REMEDY = "delete the file, and `sceneloom catalog update CATALOGUE DRIVE` makes it anew"
+_REMEDY = "`sceneloom catalog update CATALOGUE` makes it anew"
 
 
 @contextmanager
@@ -149,14 +149,11 @@ def opened(catalogue: str | Path) -> Iterator[Database]:
 
 def _view(table: str, layout: Layout) -> str:
     kinds = {"scene": "VARCHAR", **{column.name: _SQL_KINDS[column.kind] for column in TABLES[table]}}
-    if not any(True for _ in layout.files(table)):
+    if not layout.files(table):
         nulls = ", ".join(f"NULL::{kind} AS {name}" for name, kind in kinds.items())
         return f"CREATE VIEW {table} AS SELECT {nulls} WHERE false"
-    files = _quoted(f"{_literal(str(layout.folder.absolute()))}/{layout.pattern(table)}")
-    return (
-        f"CREATE VIEW {table} AS SELECT {', '.join(kinds)} FROM read_parquet('{files}', "  # noqa: S608
-        "hive_partitioning = true, hive_types = {'scene': VARCHAR})"
-    )
+    files = _quoted(f"{_literal(str(layout.folder.absolute()))}/{table}/part-*.parquet")
+    return f"CREATE VIEW {table} AS SELECT {', '.join(kinds)} FROM read_parquet('{files}')"  # noqa: S608
 
 
 def _literal(path: str) -> str:

@@ -1,23 +1,23 @@
-"""Where the files of a catalogue lie: TABLE/scene=NAME/part-0.parquet, as Spark, pandas and polars expect it."""
+"""Where the files of a catalogue lie: TABLE/part-NUMBER.parquet, which any program reads as one table."""
 
 import json
 import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from sceneloom.catalog.parquet import write_table
-from sceneloom.catalog.tables import TABLES, Rows
+from sceneloom.catalog.tables import TABLES
 from sceneloom.errors import DataError, OutputError
 
 MARKER = "catalog.json"
-VERSION = 1
-_PARTITION = "scene="
-_PART = "part-0.parquet"
+VERSION = 2
+_LOCK, _DRAFTS = ".lock.sqlite", ".drafts"
+_PART = re.compile(r"part-(\d{5,9})\.parquet")
 _ODD = re.compile(r"[^A-Za-z0-9_]+")
 _NAME_LENGTH = 60
 
@@ -45,7 +45,7 @@ class Layout:
         """Take a folder in which a catalogue is.
 
         Raises:
-            DataError: there is none, or one of a later version.
+            DataError: there is none, or one of another version.
         """
         try:
             told: Any = json.loads((folder / MARKER).read_text("utf-8"))
@@ -77,64 +77,51 @@ class Layout:
             )
         try:
             folder.mkdir(exist_ok=True)
-            _replaced(
-                folder / MARKER, json.dumps({"format": "sceneloom catalogue", "version": VERSION}).encode()
-            )
+            draft = folder / f".{MARKER}.{os.getpid()}"
+            draft.write_text(json.dumps({"format": "sceneloom catalogue", "version": VERSION}), "utf-8")
+            draft.replace(folder / MARKER)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written: {error.strerror}") from error
         return cls(folder)
 
-    def part(self, table: str, scene: str) -> Path:
-        """The file of a table and a scene."""
-        return self.folder / table / f"{_PARTITION}{scene}" / _PART
-
-    def pattern(self, table: str) -> str:
-        """What all files of a table fit, below the folder."""
-        return f"{table}/{_PARTITION}*/{_PART}"
-
-    def scenes(self) -> list[str]:
-        """The names of all scenes."""
-        return sorted(path.parent.name.removeprefix(_PARTITION) for path in self.files("scenes"))
-
-    def files(self, table: str) -> Iterator[Path]:
-        """The files of a table."""
-        try:
-            entries = sorted(os.scandir(self.folder / table), key=lambda entry: entry.name)
-        except FileNotFoundError:
-            return
-        for entry in entries:
-            path = Path(entry.path, _PART)
-            if entry.name.startswith(_PARTITION) and path.is_file():
-                yield path
-
-    def write(self, scene: str, tables: Mapping[str, Rows]) -> None:
-        """Write all tables of a scene, each beside its place and then into it; no other scene is touched.
-
-        The table `scenes`, which holds the fingerprint, comes last: a scene that was left half written is done again.
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Be the only one that writes; what is drafted meanwhile, or was before, is taken away in the end.
 
         Raises:
-            OutputError: they cannot be written.
+            OutputError: another process writes, or the folder cannot be written.
         """
+        from sceneloom.batch.locks import locked
+
+        with locked(self.folder / _LOCK, self.folder):
+            try:
+                yield
+            finally:
+                shutil.rmtree(self.drafts, ignore_errors=True)
+
+    @property
+    def drafts(self) -> Path:
+        """Where scenes are written before they are put into parts."""
+        return self.folder / _DRAFTS
+
+    def part(self, table: str, number: int) -> Path:
+        """The file of a table and a part."""
+        return self.folder / table / f"part-{number:05d}.parquet"
+
+    def numbers(self) -> list[int]:
+        """The numbers of all parts of which a file is there."""
+        files = (file for table in TABLES for file in self.files(table))
+        return sorted({int(found[1]) for file in files if (found := _PART.fullmatch(file.name))})
+
+    def files(self, table: str) -> list[Path]:
+        """The files of a table."""
         try:
-            for table in [*(name for name in TABLES if name != "scenes"), "scenes"]:
-                place = self.part(table, scene)
-                place.parent.mkdir(parents=True, exist_ok=True)
-                draft = place.with_name(f".{place.name}.{os.getpid()}")
-                try:
-                    write_table(table, tables[table], draft)
-                    draft.replace(place)
-                finally:
-                    draft.unlink(missing_ok=True)
-        except OSError as error:
-            raise OutputError(f"{self.folder}: cannot be written: {error.strerror or error}") from error
+            with os.scandir(self.folder / table) as entries:
+                return sorted(Path(entry.path) for entry in entries if _PART.fullmatch(entry.name))
+        except FileNotFoundError:
+            return []
 
-    def remove(self, scene: str) -> None:
-        """Take a scene out of all tables, its fingerprint first."""
-        for table in TABLES:
-            shutil.rmtree(self.part(table, scene).parent, ignore_errors=True)
-
-
-def _replaced(place: Path, content: bytes) -> None:
-    draft = place.with_name(f".{place.name}.{os.getpid()}")
-    draft.write_bytes(content)
-    draft.replace(place)
+    def clear(self) -> None:
+        """Take out all scenes."""
+        for table in ("scenes", *TABLES):
+            shutil.rmtree(self.folder / table, ignore_errors=True)

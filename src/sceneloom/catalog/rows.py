@@ -10,7 +10,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.catalog.attributes import attribute_rows
 from sceneloom.catalog.boxes import annotation_rows, box_rows, distances, track_rows
 from sceneloom.catalog.ego import Ego
-from sceneloom.catalog.tables import Repeated, Rows, text_of
+from sceneloom.catalog.values import Repeated, Rows, text_of
 from sceneloom.scene import (
     CameraSensor,
     DepthCameraSensor,

@@ -4,9 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
-
-import numpy as np
 
 
 class Kind(StrEnum):
@@ -32,26 +29,6 @@ class Column:
     name: str
     kind: Kind
     words: str
-
-
-@dataclass(frozen=True, slots=True)
-class Repeated:
-    """A column of text in which few words stand in many rows.
-
-    Attributes:
-        codes: (N,) integers, which word stands in each row.
-        words: the words; None for null.
-    """
-
-    codes: np.ndarray[Any, Any]
-    words: tuple[str | None, ...]
-
-
-Values = np.ndarray[Any, Any] | list[Any] | Repeated
-"""The rows of a column: NaN, None and counts below 0 are null."""
-
-Rows = dict[str, Values]
-"""The rows of a table, by columns."""
 
 
 def _columns(*rows: tuple[str, Kind, str]) -> tuple[Column, ...]:
@@ -167,9 +144,4 @@ TABLES: Mapping[str, tuple[Column, ...]] = MappingProxyType(
         ),
     }
 )
-"""Columns by tables; every table has a further one, `scene`, which is its partition."""
-
-
-def text_of(identifier: object) -> str | None:
-    """An id as text; None where there is none."""
-    return None if identifier is None else str(identifier)
+"""Columns by tables; every table has a further one before them, `scene`."""

@@ -75,6 +75,18 @@ def target(text: str) -> Path:
     return Path(text)
 
 
+def lists(words: str) -> Callable[[Any], Any]:
+    """Lists of drives in files (`sceneloom.batch.inputs`); `words` say what counts of their lines."""
+    return click.option(
+        "--list",
+        "lists",
+        type=click.Path(path_type=Path, exists=True, dir_okay=False),
+        multiple=True,
+        metavar="FILE",
+        help=f"Drives by lines: {words}; may be said again.",
+    )
+
+
 reading = _stacked(
     click.option(
         "--read-as",

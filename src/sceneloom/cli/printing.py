@@ -4,13 +4,14 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
-from sceneloom.formats.loss import Fate, LossReport
-from sceneloom.scene import Notice
+if TYPE_CHECKING:  # a verb that reads no drive starts quickly without them
+    from sceneloom.formats.loss import LossReport
+    from sceneloom.scene import Notice
 
 SHOWN = 5
 """Notices and losses shown unless `--verbose` is said."""
@@ -26,7 +27,7 @@ def print_json(result: Any) -> None:
     click.echo(text)
 
 
-def print_notices(notices: Sequence[Notice], *, verbose: bool) -> None:
+def print_notices(notices: "Sequence[Notice]", *, verbose: bool) -> None:
     """Print what was assumed, repaired or left out."""
     print_lines(
         [
@@ -39,15 +40,15 @@ def print_notices(notices: Sequence[Notice], *, verbose: bool) -> None:
 
 
 _HAPPENED = {
-    Fate.KEPT: "note",
-    Fate.CONVERTED: "converted",
-    Fate.APPROXIMATED: "approximated",
-    Fate.DROPPED: "lost",
+    "kept": "note",
+    "converted": "converted",
+    "approximated": "approximated",
+    "dropped": "lost",
 }
 """What a line about a loss begins with."""
 
 
-def print_losses(losses: LossReport, *, verbose: bool) -> None:
+def print_losses(losses: "LossReport", *, verbose: bool) -> None:
     """Print what the target format has no place for: lost, or kept where only we look for it."""
     print_lines(
         [

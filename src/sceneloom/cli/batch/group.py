@@ -117,14 +117,7 @@ _OPTIONS = (
         metavar="DIR",
         help="Folder of the run's record where OUT is a URL. [default: one in ~/.local/state/sceneloom]",
     ),
-    click.option(
-        "--list",
-        "lists",
-        type=click.Path(path_type=Path, exists=True, dir_okay=False),
-        multiple=True,
-        metavar="FILE",
-        help='Drives by lines: a path, or {"path": …, "start": …, "stop": …}; may be said again.',
-    ),
+    options.lists('a path, or {"path": …, "start": …, "stop": …}'),
     click.option(
         "--workers",
         type=click.IntRange(1, 1024),

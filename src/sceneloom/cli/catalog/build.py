@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.catalog.telling import checks, lists, print_report
+from sceneloom.cli.catalog.telling import checks, lists, print_report, workers
 from sceneloom.cli.printing import progress_bar
 
 
@@ -18,6 +18,7 @@ from sceneloom.cli.printing import progress_bar
 @lists
 @click.option("--overwrite", is_flag=True, help="Replace a catalogue that exists.")
 @checks
+@workers
 @options.reading
 @options.printing
 def build(
@@ -26,6 +27,7 @@ def build(
     lists: tuple[Path, ...],
     overwrite: bool,
     checks: str,
+    workers: int | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -46,6 +48,7 @@ def build(
             output,
             overwrite=overwrite,
             checks=checks,
+            workers=workers,
             progress=progress,
             **options.said(**reading),
         )

@@ -1,10 +1,10 @@
 """What the verbs that write catalogues share: options, and how the result is told."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_lines, several
 
 if TYPE_CHECKING:
@@ -17,14 +17,13 @@ checks = click.option(
     show_default=True,
     help="How drives are checked for the table of findings; `full` reads every frame.",
 )
-lists = click.option(
-    "--list",
-    "lists",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    multiple=True,
-    metavar="FILE",
-    help='Drives by lines: a path, or {"path": …}; may be said again.',
+workers = click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    metavar="N",
+    help="Processes that read drives, each with one thread. [default: one for each processor, if drives are many]",
 )
+lists = options.lists('a path, or {"path": …}')
 
 
 def print_report(report: "CatalogReport", *, as_json: bool, verbose: bool) -> int:
@@ -54,5 +53,6 @@ def print_report(report: "CatalogReport", *, as_json: bool, verbose: bool) -> in
 
 
 def _told(failure: "Failure") -> str:
-    """Errors of files begin with their path already."""
-    return failure.error if failure.error.startswith(failure.path) else f"{failure.path}: {failure.error}"
+    """Errors of files begin with their path already; of a fault of ours the last line says what it is."""
+    text = (failure.error.strip().splitlines() or [""])[-1]
+    return text if text.startswith(failure.path) else f"{failure.path}: {text}"

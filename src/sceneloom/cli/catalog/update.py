@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.catalog.telling import checks, lists, print_report
+from sceneloom.cli.catalog.telling import checks, lists, print_report, workers
 from sceneloom.cli.printing import progress_bar
 
 
@@ -16,6 +16,7 @@ from sceneloom.cli.printing import progress_bar
 @lists
 @click.option("--prune", is_flag=True, help="Take out drives that are not there any more.")
 @checks
+@workers
 @options.reading
 @options.printing
 def update(
@@ -24,6 +25,7 @@ def update(
     lists: tuple[Path, ...],
     prune: bool,
     checks: str,
+    workers: int | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -40,6 +42,12 @@ def update(
     places = [drive.place for drive in find_inputs(drives, lists)] if drives or lists else []
     with progress_bar("looking at drives", quiet=quiet) as progress:
         report = update_catalogue(
-            catalogue, places, prune=prune, checks=checks, progress=progress, **options.said(**reading)
+            catalogue,
+            places,
+            prune=prune,
+            checks=checks,
+            workers=workers,
+            progress=progress,
+            **options.said(**reading),
         )
     return print_report(report, as_json=as_json, verbose=verbose)

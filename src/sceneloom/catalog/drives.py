@@ -1,0 +1,88 @@
+"""Drives that are catalogued, and reading one of them, in whatever process that happens."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+from sceneloom.catalog.drafts import write_draft
+from sceneloom.catalog.layout import VERSION, scene_name
+from sceneloom.catalog.rows import scene_rows
+from sceneloom.checks import validate
+from sceneloom.errors import DataError
+from sceneloom.formats import open_scene, size_on_disk
+from sceneloom.formats.fingerprints import fingerprint
+from sceneloom.formats.urls import path_or_url
+from sceneloom.scene import Finding
+from sceneloom.version import __version__
+
+
+class Checks(StrEnum):
+    """How drives are checked for the table of findings."""
+
+    NONE = "none"
+    QUICK = "quick"
+    """Without reading frames and pictures."""
+    FULL = "full"
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A drive to be catalogued.
+
+    Attributes:
+        path: of the drive, or its URL.
+        reading: options for opening it.
+    """
+
+    path: str
+    reading: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """What its scene is called in the catalogue."""
+        return scene_name(self.path, self.reading)
+
+    def stamp(self, checks: Checks) -> str:
+        """What tells it and how it is catalogued from another time; "" where that is not known."""
+        try:
+            files = fingerprint(self.path)
+        except DataError:
+            files = ""  # reading it tells why
+        told = repr((files, VERSION, __version__, checks.value))
+        return blake2b(told.encode(), digest_size=16).hexdigest() if files else ""
+
+
+def read_drive(place: str, output: Path, options: Mapping[str, Any]) -> int:
+    """Read a drive and write the rows of all its tables.
+
+    Args:
+        place: path or URL of the drive.
+        output: folder to write (`write_draft`).
+        options: `scene`, its name; `stamp`, what tells it from another time; `checks`; `reading`, options for opening.
+
+    Returns:
+        the number of rows of the longest table.
+
+    Raises:
+        SceneloomError: it cannot be read, or the rows cannot be written.
+    """
+    where, reading = path_or_url(place), options["reading"]
+    with open_scene(where, **reading) as scene:
+        tables = scene_rows(
+            scene,
+            path=place,
+            options=reading,
+            fingerprint=options["stamp"],
+            size_bytes=size_on_disk(where),
+            findings=tuple(_findings(place, Checks(options["checks"]), reading)),
+        )
+    return write_draft(options["scene"], tables, output)
+
+
+def _findings(place: str, checks: Checks, reading: Mapping[str, Any]) -> Iterator[Finding]:
+    if checks is Checks.NONE:
+        return
+    yield from validate(path_or_url(place), frames=checks is Checks.FULL, **reading).findings

@@ -9,14 +9,15 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import amount, print_json, print_notices, progress_bar, several
 
 if TYPE_CHECKING:  # the viewer takes long to import, and `--help` needs none of it
-    from sceneloom.view import DriveShown, Viewer, ViewReport
+    from sceneloom.view import DrivePart, DriveShown, Viewer, ViewReport
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 _FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
 @click.command()
-@click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=options.place)
+@click.argument("paths", nargs=-1, metavar="PATH...", type=options.place)
+@options.lists('a path, or {"path": …, "start": …, "stop": …}, as `sceneloom catalog query --as list` writes')
 @click.option(
     "--save", type=options.target, metavar="F.rrd", help="Save the view to a file that `rerun F.rrd` opens."
 )
@@ -57,6 +58,7 @@ _FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 @options.printing
 def view(
     paths: tuple[Path | str, ...],
+    lists: tuple[Path, ...],
     save: Path | None,
     web: bool,
     overwrite: bool,
@@ -67,24 +69,35 @@ def view(
 ) -> None:
     """Look at drives in Rerun's viewer: every sensor, annotation and result, on one clock and in one world.
 
-    Nothing leaves this machine. Several drives have a tab each, and one in which their worlds lie over each other.
+    Nothing leaves this machine. Several drives, or parts of them out of a list, have a tab
+    each, and one in which their worlds lie over each other.
     """
     from sceneloom.view import save_view, show_view
 
-    settings = _settings(given)
+    settings, sources = _settings(given), [*paths, *_listed(lists)]
     if save is not None and web:
         raise click.UsageError(
             "--save and --web: the one keeps the view, the other shows it; say one of them"
         )
     with progress_bar("showing" if save is None else "saving", quiet=quiet) as progress:
         if save is not None:
-            report = save_view(paths, save, settings=settings, overwrite=overwrite, progress=progress)
+            report = save_view(sources, save, settings=settings, overwrite=overwrite, progress=progress)
         else:
-            report = show_view(paths, settings=settings, web=web, ready=_tell_where, progress=progress)
+            report = show_view(sources, settings=settings, web=web, ready=_tell_where, progress=progress)
     if as_json:
         print_json(report)
     else:
         print_view(report, quiet=quiet, verbose=verbose)
+
+
+def _listed(lists: tuple[Path, ...]) -> "list[DrivePart]":
+    """The drives of lists, and the parts of them that these name."""
+    if not lists:
+        return []
+    from sceneloom.batch.inputs import find_inputs
+    from sceneloom.view import DrivePart
+
+    return [DrivePart(options.place(drive.place), **drive.options) for drive in find_inputs((), lists)]
 
 
 def _settings(given: dict[str, Any]) -> Any:

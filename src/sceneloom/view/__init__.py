@@ -2,7 +2,16 @@
 
 from sceneloom.view.report import DriveShown, ViewReport
 from sceneloom.view.saving import save_view
-from sceneloom.view.settings import ColourBy, ViewSettings
+from sceneloom.view.settings import ColourBy, DrivePart, ViewSettings
 from sceneloom.view.showing import Viewer, show_view
 
-__all__ = ["ColourBy", "DriveShown", "ViewReport", "ViewSettings", "Viewer", "save_view", "show_view"]
+__all__ = [
+    "ColourBy",
+    "DrivePart",
+    "DriveShown",
+    "ViewReport",
+    "ViewSettings",
+    "Viewer",
+    "save_view",
+    "show_view",
+]

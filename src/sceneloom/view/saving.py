@@ -16,16 +16,18 @@ from sceneloom.view.drive import DriveView, check_single, log_drive, prepare_dri
 from sceneloom.view.layout import layout
 from sceneloom.view.report import DriveShown, ViewReport
 from sceneloom.view.sdk import sdk
-from sceneloom.view.settings import ViewSettings
+from sceneloom.view.settings import DrivePart, Source, ViewSettings
 from sceneloom.view.stream import Stream, is_calendar
 
 _APPLICATION = "sceneloom"
 SUFFIX = ".rrd"
+MOST_DRIVES = 32
+"""So many have a tab each that can still be found."""
 
 
 @contextmanager
 def opened_drives(
-    sources: Sequence[str | Path | Scene], settings: ViewSettings, *, progress: Progress | None = None
+    sources: Sequence[Source], settings: ViewSettings, *, progress: Progress | None = None
 ) -> Iterator[tuple[DriveView, ...]]:
     """Open drives, each under a root of its own name.
 
@@ -37,29 +39,32 @@ def opened_drives(
     """
     if not sources:
         raise OptionError("no drive to show; expected one or more paths")
+    if len(sources) > MOST_DRIVES:
+        raise OptionError(
+            f"{len(sources)} drives, or parts of drives; expected no more than {MOST_DRIVES} at once: choose some, as "
+            f"`sceneloom catalog query … --limit {MOST_DRIVES}` does"
+        )
     check_single(len(sources), settings)
+    parts = [source if isinstance(source, DrivePart) else DrivePart(source) for source in sources]
     with ExitStack() as stack:
-        names = _roots(sources)
         scenes = [
-            source
-            if isinstance(source, Scene)
-            else stack.enter_context(open_scene(source, **settings.reading))
-            for source in sources
+            part.source
+            if isinstance(part.source, Scene)
+            else stack.enter_context(open_scene(part.source, **settings.reading))
+            for part in parts
         ]
         yield tuple(
-            prepare_drive(scene, name, settings, progress=progress)
-            for scene, name in zip(scenes, names, strict=True)
+            prepare_drive(scene, name, part.settings(settings), progress=progress)
+            for scene, name, part in zip(scenes, _roots(parts), parts, strict=True)
         )
 
 
-def _roots(sources: Sequence[str | Path | Scene]) -> list[str]:
-    """Names of the files without their suffixes, each once."""
+def _roots(parts: Sequence[DrivePart]) -> list[str]:
+    """The names of drives, each once."""
     roots: list[str] = []
-    for source in sources:
-        place = source.source if isinstance(source, Scene) else str(source)
-        stem = Path(place).resolve().stem or "drive"
-        taken = sum(root == stem or root.startswith(f"{stem} (") for root in roots)
-        roots.append(f"{stem} ({taken + 1})" if taken else stem)
+    for part in parts:
+        taken = sum(root == part.name or root.startswith(f"{part.name} (") for root in roots)
+        roots.append(f"{part.name} ({taken + 1})" if taken else part.name)
     return roots
 
 
@@ -91,7 +96,7 @@ def log_drives(
 
 
 def save_view(
-    sources: Sequence[str | Path | Scene],
+    sources: Sequence[Source],
     output: str | Path,
     *,
     settings: ViewSettings | None = None,
@@ -101,7 +106,8 @@ def save_view(
     """Save drives with a layout of the viewer to a file that `rerun FILE` opens.
 
     Args:
-        sources: paths of recordings, scenes, …, or scenes that are open; each is under a root of its own.
+        sources: paths of recordings, scenes, …, scenes that are open, or parts of either; each is under a root of its
+            own.
         output: the file, which ends in `.rrd`.
         settings: what is shown, and how.
         overwrite: whether the file may be replaced.

@@ -1,13 +1,13 @@
 """What of a drive is shown, and how."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import OptionError
-from sceneloom.scene import Identifier
+from sceneloom.scene import Identifier, Scene
 
 
 class ColourBy(StrEnum):
@@ -68,3 +68,36 @@ class ViewSettings:
     def accompanied(self) -> bool:
         """Whether files belong to the drive that say of which one it is theirs."""
         return any(path is not None for path in (self.detections, self.tracks, self.depth))
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePart:
+    """A drive of which a part is shown, whatever is said of the others.
+
+    Attributes:
+        source: path of the drive, or a scene that is open.
+        start, stop: seconds after its first time stamp; None where `ViewSettings` decides.
+    """
+
+    source: str | Path | Scene
+    start: float | None = None
+    stop: float | None = None
+
+    def settings(self, common: ViewSettings) -> ViewSettings:
+        """What of it is shown, where `common` is said of all."""
+        if self.start is None and self.stop is None:
+            return common
+        return replace(common, start=self.start, stop=self.stop)
+
+    @property
+    def name(self) -> str:
+        """That of the file without its suffix, and of what part it is."""
+        place = self.source.source if isinstance(self.source, Scene) else str(self.source)
+        stem = Path(place).resolve().stem or "drive"
+        if self.start is None and self.stop is None:
+            return stem
+        return f"{stem} {self.start or 0.0:g}-{'' if self.stop is None else f'{self.stop:g} s'}"
+
+
+Source = str | Path | Scene | DrivePart
+"""What is shown of a drive: all of it, or a part."""

@@ -13,14 +13,13 @@ from pathlib import Path
 from urllib.parse import quote
 
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.scene import Scene
 from sceneloom.scene.types import Progress
 from sceneloom.view.layout import layout
 from sceneloom.view.page import LOOPBACK, guarded_page
 from sceneloom.view.report import ViewReport
 from sceneloom.view.saving import log_drives, new_recording, opened_drives
 from sceneloom.view.sdk import sdk, silent_environment, viewer_command
-from sceneloom.view.settings import ViewSettings
+from sceneloom.view.settings import Source, ViewSettings
 
 _SERVER_MEMORY = "2GiB"
 """What the browser's server holds for it; beyond that the earliest frames go."""
@@ -52,7 +51,7 @@ def has_screen(environment: Mapping[str, str] | None = None) -> bool:
 
 
 def show_view(
-    sources: Sequence[str | Path | Scene],
+    sources: Sequence[Source],
     *,
     settings: ViewSettings | None = None,
     web: bool = False,
@@ -64,7 +63,8 @@ def show_view(
     The viewer listens on this machine only, sends no usage data and writes nothing to the home folder.
 
     Args:
-        sources: paths of recordings, scenes, …, or scenes that are open; each is under a root of its own.
+        sources: paths of recordings, scenes, …, scenes that are open, or parts of either; each is under a root of its
+            own.
         settings: what is shown, and how.
         web: in a browser in place of a window: until the program is interrupted.
         ready: told when the viewer runs, before anything is logged.

@@ -4,6 +4,9 @@ import json
 
 import pytest
 
+import sceneloom
+from sceneloom.scene.span import time_span
+
 pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'sceneloom[view]'")
 
 
@@ -51,3 +54,31 @@ def test_what_cannot_be_followed_is_told(call, recording, tmp_path, words, told)
     assert outcome.code in (1, 2)
     assert told in outcome.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_list_names_drives_and_parts_of_them(call, recording, tmp_path):
+    parts = tmp_path / "parts.jsonl"
+    with sceneloom.open(recording) as scene:
+        sweeps_ns, first_ns = scene.lidars[0].frames.timestamps_ns, time_span(scene)[0]
+    between = round(float(sweeps_ns[:2].mean() - first_ns) / 1e9, 3)
+    lines = [{"path": str(recording), "stop": between}, {"path": str(recording), "start": between}]
+    parts.write_text("\n".join(map(json.dumps, lines)))
+    words = ("--save", tmp_path / "d.rrd", "--no-findings", "--json", "--start", "99")
+    outcome = call("view", "--list", parts, *words)
+    assert outcome.code == 0, outcome.err
+    first, second = json.loads(outcome.out)["drives"]
+    assert first["source"] == second["source"]
+    assert (first["logged"]["sweeps"], second["logged"]["sweeps"]) == (1, len(sweeps_ns) - 1)
+    assert [shown["root"].replace("\\", "") for shown in (first, second)] == [
+        f"/{recording.name} 0-{between:g} s",
+        f"/{recording.name} {between:g}-",
+    ]
+
+
+def test_more_than_can_be_looked_at_is_refused(call, recording, tmp_path):
+    parts = tmp_path / "parts.jsonl"
+    parts.write_text("\n".join(json.dumps({"path": str(recording), "start": 0.01 * k}) for k in range(33)))
+    outcome = call("view", "--list", parts, "--save", tmp_path / "d.rrd")
+    assert (outcome.code, "33 drives" in outcome.err, "--limit 32" in outcome.err) == (2, True, True)
+    assert not (tmp_path / "d.rrd").exists()
+    assert call("view", "--save", tmp_path / "d.rrd").code == 2

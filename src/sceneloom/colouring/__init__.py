@@ -14,10 +14,10 @@ from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.normals import estimate_normals
 from sceneloom.colouring.provenance import PointSources
 from sceneloom.colouring.results import FusedFrame, FusedView, PointSight
-from sceneloom.colouring.rolling_shutter import ShutterWay
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.colouring.weights import BlendSettings
+from sceneloom.visibility.rolling_shutter import ShutterWay
 
 __all__ = [
     "ALGORITHMS",

@@ -15,12 +15,12 @@ from sceneloom.colouring.colours import colour_points
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.normals import estimate_normals
 from sceneloom.colouring.results import FusedView
-from sceneloom.colouring.rolling_shutter import ShutterWay
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.crew import Crew
 from sceneloom.scene import Identifier
+from sceneloom.visibility.rolling_shutter import ShutterWay
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

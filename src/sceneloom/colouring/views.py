@@ -9,12 +9,12 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector, projection_kernel
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedView
-from sceneloom.colouring.rolling_shutter import ShutterWay, project_by_lines
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
 from sceneloom.scene import Identifier
+from sceneloom.visibility.rolling_shutter import ShutterWay, project_by_lines
 
 
 def view_points(

@@ -31,6 +31,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, Picture
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
+from sceneloom.scene.shutter import GLOBAL
 
 REACH_NS = 200_000_000
 """How far beyond the last pose the way of the vehicle is continued: poses come later than what they are for."""
@@ -244,6 +245,9 @@ class Rig:
             if (camera_id, lidar_id) not in self._cameras:
                 self._systems[lidar_id].add_camera(f"camera{camera_id}", _AT_LIDAR, index=camera_id % 255)
                 self._cameras.add((camera_id, lidar_id))
+            declared = setting.sensors.get(camera_id)
+            shutter = GLOBAL if declared is None else declared.shutter
+            self._systems[lidar_id].roll(f"camera{camera_id}", shutter)
         for lidar_id, system in self._systems.items():
             system.configure(setting.configuration, period_ns=setting.sweep_period_ns)
             self._move(lidar_id)

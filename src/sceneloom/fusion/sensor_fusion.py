@@ -10,7 +10,6 @@ from sceneloom.arrays import UInt8Array
 from sceneloom.colouring.algorithms import FusionAlgorithm, ViewRequest
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.colouring.rolling_shutter import ShutterWay
 from sceneloom.errors import DataError, PoseError
 from sceneloom.fusion.pairing import Pairing, Waiting
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
@@ -19,6 +18,7 @@ from sceneloom.motion.deskew import points_to_world
 from sceneloom.scene import Identifier, LidarFrame, Picture
 from sceneloom.scene.point_times import TimesFound
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.visibility.rolling_shutter import ShutterWay
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -105,6 +105,16 @@ class FusionSystem:
         self._sweeps.add_camera(camera_id, most=self.configuration.most_waiting)
         self._boxes.add_camera(camera_id, most=self.configuration.most_waiting)
 
+    def roll(self, camera_id: Identifier, shutter: Shutter) -> None:
+        """Take the lines of a camera's pictures for taken like this from now on.
+
+        Raises:
+            OptionError: the camera is not known.
+        """
+        if camera_id not in self._cameras:
+            raise OptionError(f"camera {camera_id!r} is not known; known are {list(self._cameras)}")
+        self._cameras[camera_id].shutter = shutter
+
     def move(self, path: PosePath, *, reach_ns: int = 0) -> None:
         """Let all sensors ride along another way of the ego from now on."""
         for lidar in self._lidars.values():

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array
+from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations import CuboidAnnotation
@@ -46,6 +47,11 @@ class Boxes:
     def rotations_world(self) -> Float64Array:
         """(B, 3, 3) float64 `world_from_box`: the columns are the boxes' forward, left and up."""
         return matrix_from_quaternion(self.quaternions_xyzw)
+
+    @property
+    def corners_world(self) -> Float64Array:
+        """(B, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`."""
+        return box_corners(self.centers_world, self.sizes_lwh, self.quaternions_xyzw)
 
     @property
     def yaws_world(self) -> Float64Array:

@@ -8,7 +8,8 @@ from sceneloom.arrays import Float64Array, FloatArray, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.scene.cameras import CameraSensor
 
-_LONGEST = 1.0
+LONGEST_ROLL_S = 1.0
+"""What takes longer from a picture's first line to its last is no shutter, but another unit [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,7 @@ class Shutter:
         if not isinstance(entry, dict):
             return cls()
         seconds = entry.get("shutterRollTimeSeconds")
-        if not isinstance(seconds, int | float) or not 0 <= seconds <= _LONGEST:
+        if not isinstance(seconds, int | float) or not 0 <= seconds <= LONGEST_ROLL_S:
             return cls()
         return cls(float(seconds), entry.get("rollingShutterLeftToRight") is True)
 

@@ -17,7 +17,14 @@ from sceneloom.scene import Notice, NoticeKind, PosePath, Scene
 from sceneloom.scene.span import sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Progress
 from sceneloom.service.sent_records import Piece, pieces_of
-from sceneloom.service.sent_rig import CAMERA_AXES, LIDAR_AXES, SentRig, format_lenses, sent_rig
+from sceneloom.service.sent_rig import (
+    CAMERA_AXES,
+    LIDAR_AXES,
+    SentRig,
+    format_lenses,
+    format_sensors,
+    sent_rig,
+)
 
 _WAITS_S = tuple(0.002 * 2**k for k in range(8))
 """How long a sender waits where the session's queue is full, each time anew: half a second in all."""
@@ -218,7 +225,7 @@ def _configure(receiver: Receiver, rig: SentRig) -> None:
     settings: dict[str, Any] = {
         "camera_axes": CAMERA_AXES,
         "lidar_axes": LIDAR_AXES,
-        "sensors": "",
+        "sensors": format_sensors(rig),
         "lidar_frequency": _frequency(
             sweep_period_ns(lidar) for lidar in rig.scene.lidars if lidar.id in rig.numbers
         ),

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -31,6 +32,7 @@ from sceneloom.scene import (
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import points_source, sensor_source
+from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.span import scene_period_ns
 
 CAMERA_AXES, LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
@@ -161,6 +163,23 @@ def format_lenses(lenses: Mapping[int, Camera]) -> str:
         }
         for number, lens in lenses.items()
     }
+    return msgspec.json.encode(entries).decode()
+
+
+def format_sensors(rig: SentRig) -> str:
+    """Write the value of the property `sensors`: what shutters roll; empty where none does, as kinds need no saying."""
+    shutters = {
+        rig.numbers[camera.id]: Shutter.of(camera) for camera in rig.scene.cameras if camera.id in rig.numbers
+    }
+    if not any(shutter.seconds for shutter in shutters.values()):
+        return ""
+    entries: dict[str, dict[str, Any]] = {str(number): {"kind": "lidar"} for number in rig.numbers.values()}
+    for number, shutter in shutters.items():
+        entries[str(number)] = {
+            "kind": "camera",
+            "shutter_roll_s": shutter.seconds,
+            "shutter_left_to_right": shutter.over_columns,
+        }
     return msgspec.json.encode(entries).decode()
 
 

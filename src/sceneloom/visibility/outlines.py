@@ -48,7 +48,7 @@ COARSE = Steps(
 )
 """Within 1 px, and three times as quick."""
 
-_ROUNDS = 24
+ROUNDS = 24
 """How often the step in which an edge leaves the lens is halved."""
 _BORDER_STEPS = 33
 
@@ -93,14 +93,14 @@ def box_extents(
     if len(leaving):
         ends = _lens_limits(camera, directions[leaving[:, 1]], directions[leaving[:, 2]])
         extend_bounds(extents, leaving, pixels[leaving[:, 1]], ends, width, height)
-    extend_to_corners(extents, corners, *_picture_corner_rays(camera))
+    extend_to_corners(extents, corners, *picture_corner_rays(camera))
     return extents, shares
 
 
 def _lens_limits(camera: Camera, known: Float64Array, unknown: Float64Array) -> Float64Array:
     """Pixels (L, 2), corner convention, where steps leave the lens between directions within and beyond it."""
     middles, pixels = known.copy(), np.zeros((len(known), 2))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         halve_steps(known, unknown, middles, pixels)
         pixels = project_unbounded(camera, middles)
     halve_steps(known, unknown, middles, pixels)
@@ -108,7 +108,7 @@ def _lens_limits(camera: Camera, known: Float64Array, unknown: Float64Array) -> 
 
 
 @lru_cache(maxsize=256)
-def _picture_corner_rays(camera: Camera) -> tuple[Float64Array, Float64Array]:
-    """The corners of the picture (4, 2) [px], corner convention, and the rays (4, 3) that they look along."""
+def picture_corner_rays(camera: Camera) -> tuple[Float64Array, Float64Array]:
+    """Give the corners of the picture (4, 2) [px], corner convention, and the rays (4, 3) that they look along."""
     corners = np.array([[0.0, 0.0], [camera.width, 0.0], [camera.width, camera.height], [0.0, camera.height]])
     return read_only(corners), read_only(unproject(camera, corners - CENTRE_TO_CORNER))

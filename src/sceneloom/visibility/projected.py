@@ -27,11 +27,14 @@ from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample_boxes import BoxTable
 from sceneloom.scene.sample_places import choose_ego, places_of
 from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
+from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.types import Progress, key_of
 from sceneloom.visibility.activations import activation_of
 from sceneloom.visibility.counted import with_attributes
 from sceneloom.visibility.evidence import SweptPoints
 from sceneloom.visibility.points import points_place
+from sceneloom.visibility.rolled_outlines import Rolling
+from sceneloom.visibility.rolling_shutter import ShutterWay
 from sceneloom.visibility.sights import Sights, sight
 
 SHARES = ("truncation", "occlusion", "occlusion_by_points")
@@ -39,6 +42,9 @@ SHARES = ("truncation", "occlusion", "occlusion_by_points")
 
 LEAST_POINTS = 5
 """Fewer points before and on a cuboid tell no share."""
+
+_STANDS = 1e-9
+"""What goes less far than this while a picture is taken does not move [m]."""
 
 _DECIMALS = 3
 """Of shares and pixels that are written: far below what they are good for."""
@@ -148,9 +154,11 @@ class _Look:
         self, camera: CameraSensor, source: PoseSource
     ) -> Iterator[tuple[int, Sights | None, Int64Array]]:
         """What each picture shows: its number, the sights (None where its pose is not known), the rows of its boxes."""
+        shutter = Shutter.of(camera)
         for k, time_ns in enumerate(camera.pictures.timestamps_ns.tolist()):
             picture = camera.pictures[k]
-            pose = source.mounted(picture.mount).at(np.array([time_ns], np.int64))
+            place = source.mounted(picture.mount)
+            pose = place.at(np.array([time_ns], np.int64))
             rows, boxes = self.table.find(time_ns)
             if not np.isfinite(pose.positions).all():
                 yield k, None, rows
@@ -162,8 +170,20 @@ class _Look:
                 hides=np.array([label not in self.see_through for label in boxes.labels], np.bool_),
                 min_pixels=self.min_pixels,
                 points_world=None if self.swept is None else self.swept.at(time_ns),
+                rolling=self._rolling(shutter, time_ns, place, rows),
             )
             yield k, sights, rows
+
+    def _rolling(self, shutter: Shutter, time_ns: int, place: PoseSource, rows: Int64Array) -> Rolling | None:
+        """What moved while a picture was taken; None where nothing did, or all lines were taken at once."""
+        if shutter.seconds == 0.0 or len(rows) == 0:
+            return None
+        first, last = (self.table.placed(rows, end) for end in shutter.knots_ns(time_ns, 2).tolist())
+        drifts = last.corners_world - first.corners_world
+        way = ShutterWay.of(shutter, time_ns, place)
+        if way is None and not (np.abs(drifts) > _STANDS).any():
+            return None
+        return Rolling(way or ShutterWay.at_rest(shutter), drifts)
 
 
 def _keep(view: _View, picture: int, found: Sights | None, rows: Int64Array) -> None:

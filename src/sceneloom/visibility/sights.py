@@ -13,6 +13,8 @@ from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaterni
 from sceneloom.kernels.box_sight import count_evidence, count_sights
 from sceneloom.scene import Boxes
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER, box_extents, widest_angle
+from sceneloom.visibility.rolled_outlines import Rolling, rolled_extents
+from sceneloom.visibility.rolling_shutter import ShutterWay, pixels_by_lines, project_by_lines
 
 NEAR = 0.05
 """A box nearer to the camera than this holds the camera: it is not seen, and hides nothing [m]."""
@@ -30,6 +32,8 @@ _CELLS = 24
 """Cells along each side of a face, to tell how much of a box the picture cuts off."""
 _BOXES_AT_ONCE = 256
 """Whose cells are looked at together: enough to be quick, few enough for little memory."""
+_AT_ONCE = np.zeros((0, 4))
+"""`lines` of pictures whose lines were taken at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +72,7 @@ def sight(
     hides: BoolArray | None = None,
     min_pixels: float = 1.0,
     points_world: FloatArray | None = None,
+    rolling: Rolling | None = None,
 ) -> Sights:
     """See boxes with a camera.
 
@@ -80,39 +85,52 @@ def sight(
         hides: (B,) bool, which of the boxes hide what is behind them; None for all.
         points_world: (N, 3) [m], what a lidar saw about then, as evidence of what hides the boxes; None for none.
         min_pixels: what is narrower or lower than this in the picture is not seen, but hides [px].
+        rolling: how camera and boxes moved while the lines were taken, `world_from_camera` and `boxes` being of the
+            picture's time; None where all lines were taken at once.
 
     Raises:
         CalibrationError: the lens is unknown.
     """
-    rows, near = _in_view(camera, world_from_camera, boxes)
+    rows, near = _in_view(camera, world_from_camera, boxes, rolling)
     corners = box_corners(near.centers, near.sizes, near.quaternions)
-    extents, shares = box_extents(camera, corners)
+    way = None if rolling is None else rolling.way
+    if rolling is None or way is None:
+        extents, shares = box_extents(camera, corners)
+    else:
+        drifts = rolling.drifts_world[rows] @ world_from_camera.rotation
+        extents, shares = rolled_extents(camera, corners, drifts, way)
     whole = shares == 1.0
     there = np.flatnonzero((extents[:, 2:] > extents[:, :2]).all(axis=1))
     rows, near, extents, whole = rows[there], near.some(there), extents[there], whole[there]
     solid = np.ones(len(rows), np.bool_) if hides is None else hides[rows]
-    occlusions = _occlusions(camera, near, extents, solid)
+    occlusions = _occlusions(camera, near, extents, solid, way)
     truncations = np.zeros(len(rows))
-    truncations[~whole] = _truncations(camera, near.some(np.flatnonzero(~whole)))
+    truncations[~whole] = _truncations(camera, near.some(np.flatnonzero(~whole)), way)
     seen = np.flatnonzero((extents[:, 2:] - extents[:, :2] >= min_pixels).all(axis=1))
     evidences = np.zeros((len(rows), 2), np.int64)
     if points_world is not None:
-        finite = points_world[np.isfinite(points_world).all(axis=1)]
-        evidences = _evidences(camera, world_from_camera.inverse().apply(finite), near, extents)
+        finite = points_world[np.isfinite(points_world).all(axis=1)].astype(np.float64)
+        evidences = _evidences(camera, world_from_camera, finite, near, extents, way)
     return Sights(rows[seen], extents[seen], truncations[seen], occlusions[seen], evidences[seen])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Near:
-    """Boxes in the camera's frame: centres (B, 3), sizes (B, 3) [m], quaternions (B, 4) and axes (B, 3, 3)."""
+    """Boxes in the camera's frame: centres (B, 3), sizes (B, 3) [m], quaternions (B, 4) and axes (B, 3, 3).
+
+    `drifts` (B, 3) [m]: how far they go while the picture is taken.
+    """
 
     centers: Float64Array
     sizes: Float64Array
     quaternions: Float64Array
     axes: Float64Array
+    drifts: Float64Array
 
     def some(self, rows: Int64Array) -> "_Near":
-        return _Near(self.centers[rows], self.sizes[rows], self.quaternions[rows], self.axes[rows])
+        return _Near(
+            self.centers[rows], self.sizes[rows], self.quaternions[rows], self.axes[rows], self.drifts[rows]
+        )
 
     @property
     def arrays(self) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -126,7 +144,9 @@ class _Near:
         return place
 
 
-def _in_view(camera: Camera, world_from_camera: RigidTransform, boxes: Boxes) -> tuple[Int64Array, _Near]:
+def _in_view(
+    camera: Camera, world_from_camera: RigidTransform, boxes: Boxes, rolling: Rolling | None
+) -> tuple[Int64Array, _Near]:
     """The boxes that may be in the picture, in the camera's frame, and which they are."""
     places = (np.abs(boxes.centers_world) < _FARTHEST).all(axis=1) & np.isfinite(boxes.quaternions_xyzw).all(
         axis=1
@@ -136,31 +156,44 @@ def _in_view(camera: Camera, world_from_camera: RigidTransform, boxes: Boxes) ->
     camera_from_world = world_from_camera.inverse()
     centers, sizes = camera_from_world.apply(boxes.centers_world[rows]), boxes.sizes_lwh[rows]
     distances, reaches = np.linalg.norm(centers, axis=1), np.linalg.norm(sizes, axis=1) / 2.0
+    drifts, widest = np.zeros_like(centers), widest_angle(camera)
+    if rolling is not None:
+        drifts = rolling.drifts_world[rows].mean(axis=1) @ world_from_camera.rotation
+        reaches = reaches + rolling.way.way + np.linalg.norm(rolling.drifts_world[rows], axis=2).max(axis=1)
+        widest += rolling.way.turn
     off_axis = np.arccos(np.clip(centers[:, 2] / np.maximum(distances, NEAR), -1.0, 1.0))
     spreads = np.arcsin(np.clip(reaches / np.maximum(distances, NEAR), 0.0, 1.0))
-    kept = np.flatnonzero((reaches >= distances) | (off_axis - spreads <= widest_angle(camera)))
+    kept = np.flatnonzero((reaches >= distances) | (off_axis - spreads <= widest))
     turns = multiply_quaternions(
         conjugate_quaternion(world_from_camera.quaternion_xyzw), boxes.quaternions_xyzw[rows[kept]]
     )
     axes = world_from_camera.rotation.T @ boxes.rotations_world[rows[kept]]
-    near = _Near(centers[kept], sizes[kept], turns, axes)
+    near = _Near(centers[kept], sizes[kept], turns, axes, drifts[kept])
     away = np.maximum(np.abs(near.cameras_box) - near.sizes / 2.0, 0.0)
     outside = np.flatnonzero(np.linalg.norm(away, axis=1) > NEAR)
     return rows[kept][outside], near.some(outside)
 
 
-def _occlusions(camera: Camera, near: _Near, extents: Float64Array, solid: BoolArray) -> Float64Array:
+def _occlusions(
+    camera: Camera, near: _Near, extents: Float64Array, solid: BoolArray, way: ShutterWay | None
+) -> Float64Array:
     """Which share of each box in the picture others hide: rays through a grid over its place in the picture."""
     count = len(extents)
     if count == 0:
         return np.zeros(0)
-    rays, starts = _rays(camera, extents)
+    pixels, starts = _grids(extents)
+    rays, lines = unproject(camera, pixels), _AT_ONCE
+    if way is not None:
+        turns, lines = _eyes(camera, pixels, way)
+        rays = np.einsum("nij,nj->ni", turns, rays)
     rivals, rival_starts = _rivals(near, extents, solid)
     met, hidden = np.zeros(count, np.int64), np.zeros(count, np.int64)
     count_sights(
         rays,
         starts,
         *near.arrays,
+        lines,
+        near.drifts,
         rival_starts,
         rivals,
         met,
@@ -170,31 +203,61 @@ def _occlusions(camera: Camera, near: _Near, extents: Float64Array, solid: BoolA
     return shares
 
 
-def _rays(camera: Camera, extents: Float64Array) -> tuple[Float64Array, Int64Array]:
-    """Rays through a grid over each box's place in the picture, (R, 3), and where those of each begin, (B + 1,)."""
+def _eyes(camera: Camera, pixels: Float64Array, way: ShutterWay) -> tuple[Float64Array, Float64Array]:
+    """How the camera was turned at the lines of pixels, (R, 3, 3), and `lines` of `count_sights`, (R, 4).
+
+    Both are in the frame of the camera at the picture's time.
+    """
+    lines = pixels[:, way.axis]
+    poses = way.poses_at(lines, camera)
+    turns = np.ascontiguousarray(poses[:, :, :3].transpose(0, 2, 1))
+    places = -np.einsum("nij,nj->ni", turns, poses[:, :, 3])
+    shares = np.clip((lines + 0.5) / way.line_count(camera) - 0.5, -0.5, 0.5)
+    return turns, np.column_stack([places, shares])
+
+
+def _grids(extents: Float64Array) -> tuple[Float64Array, Int64Array]:
+    """Pixels of a grid over each box's place in the picture, (R, 2), and where those of each begin, (B + 1,)."""
     spans = extents[:, 2:] - extents[:, :2]
     sides = np.array([side for _, side in _RAYS])[np.searchsorted([px for px, _ in _RAYS], spans.max(axis=1))]
     starts = np.concatenate([[0], np.cumsum(sides**2)])
-    rays = np.empty((int(starts[-1]), 3))
+    grids = np.empty((int(starts[-1]), 2))
     for side in np.unique(sides).tolist():
         rows = np.flatnonzero(sides == side)
         v, u = (grid.ravel() for grid in np.mgrid[0:side, 0:side])
         shares = (np.column_stack([u, v]) + 0.5) / side
         pixels = extents[rows, None, :2] + shares * spans[rows, None] - CENTRE_TO_CORNER
         places = starts[rows, None] + np.arange(side * side)
-        rays[places.ravel()] = unproject(camera, pixels.reshape(-1, 2))
-    return rays, starts
+        grids[places.ravel()] = pixels.reshape(-1, 2)
+    return grids, starts
 
 
-def _evidences(camera: Camera, points_camera: Float64Array, near: _Near, extents: Float64Array) -> Int64Array:
+def _evidences(
+    camera: Camera,
+    world_from_camera: RigidTransform,
+    points_world: Float64Array,
+    near: _Near,
+    extents: Float64Array,
+    way: ShutterWay | None,
+) -> Int64Array:
     """How many points lie before each box and on it."""
-    pixels, visible = project(camera, points_camera)
+    points, lines = world_from_camera.inverse().apply(points_world), _AT_ONCE
+    if way is None:
+        pixels, visible = project(camera, points)
+        points, pixels = points[visible], pixels[visible]
+    else:
+        rolled = project_by_lines(points_world, camera, world_from_camera, way)
+        pixels = rolled.pixels.astype(np.float64)
+        lines = _eyes(camera, pixels, way)[1]
+        points = points[rolled.point_ids] - lines[:, :3]
     evidences = np.zeros((len(extents), 2), np.int64)
     count_evidence(
-        np.ascontiguousarray(points_camera[visible]),
-        pixels[visible] + CENTRE_TO_CORNER,
+        np.ascontiguousarray(points),
+        pixels + CENTRE_TO_CORNER,
         np.ascontiguousarray(extents),
         *near.arrays,
+        lines,
+        near.drifts,
         ON_BOX,
         evidences,
     )
@@ -222,7 +285,7 @@ def _rivals(near: _Near, extents: Float64Array, solid: BoolArray) -> tuple[Int64
     return np.concatenate(found), starts
 
 
-def _truncations(camera: Camera, near: _Near) -> Float64Array:
+def _truncations(camera: Camera, near: _Near, way: ShutterWay | None) -> Float64Array:
     """Which share of the solid angle of each box lies outside the picture: of the faces that look at the camera."""
     all_of, inside_of = np.zeros(len(near.centers)), np.zeros(len(near.centers))
     sides = near.cameras_box / (near.sizes / 2.0)
@@ -234,11 +297,20 @@ def _truncations(camera: Camera, near: _Near) -> Float64Array:
             corners = _face_grids(some, axis, np.sign(sides[rows, axis]))
             angles = _solid_angles(corners)
             middles = (corners[:, :-1, :-1] + corners[:, 1:, 1:]).reshape(-1, 3) / 2.0
-            _, inside = project(camera, middles)
+            inside = _shown(camera, middles, np.repeat(some.drifts, len(middles) // len(rows), axis=0), way)
             all_of[rows] += angles.sum(axis=1)
             inside_of[rows] += np.where(inside.reshape(angles.shape), angles, 0.0).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.clip(1.0 - inside_of / all_of, 0.0, 1.0)
+
+
+def _shown(camera: Camera, points: Float64Array, drifts: Float64Array, way: ShutterWay | None) -> BoolArray:
+    """Say which points fall into the picture."""
+    if way is None:
+        return project(camera, points)[1]
+    pixels = pixels_by_lines(points, drifts, camera, way) + CENTRE_TO_CORNER
+    shown: BoolArray = np.all((pixels >= 0.0) & (pixels <= (camera.width, camera.height)), axis=1)
+    return shown
 
 
 def _face_grids(near: _Near, axis: int, sides: Float64Array) -> Float64Array:

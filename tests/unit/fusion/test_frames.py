@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -211,6 +212,82 @@ def test_without_a_way_that_reaches_all_is_fused_as_if_standing_and_says_so(piec
     column, row, depth = seen(from_lidar(0.0) * (1, -1, 1))
     assert record.depths[row, column] == pytest.approx(depth, abs=1e-4)
     assert ("motion.beyond-reach" in counts) is counted
+
+
+ROLL_S = 0.1
+"""From the first line of a picture to its last: the vehicle goes 2 m meanwhile, and turns by 5 degrees."""
+
+
+def seen_by_line(picture_s, *, over_columns):
+    """Column, row and depth of the thing in a picture of a rolling shutter: the line's time is looked for by halves."""
+    size = WIDTH if over_columns else HEIGHT
+
+    def look(line):
+        seconds = picture_s + ((line + 0.5) / size - 0.5) * ROLL_S
+        forward, right, up = from_lidar(seconds) * (1, -1, 1) - CAMERA_AT
+        return 31.5 + 50.0 * right / forward, 23.5 - 50.0 * up / forward, forward
+
+    low, high = -0.5, size - 0.5
+    for _ in range(50):
+        line = 0.5 * (low + high)
+        low, high = (line, high) if look(line)[0 if over_columns else 1] > line else (low, line)
+    return look(low)
+
+
+@pytest.mark.parametrize("over_columns", [False, True])
+@pytest.mark.parametrize("told", ["before", "after"])
+def test_a_shutter_that_rolls_sees_each_point_at_the_time_of_its_line(over_columns, told):
+    camera = {"kind": "camera", "shutter_roll_s": ROLL_S, "shutter_left_to_right": over_columns}
+    sensors = json.dumps({"0": {"kind": "lidar"}, "1": camera})
+    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+        if told == "before":
+            assert fusion.set_property("sensors", sensors)
+        assert fusion.send_motion(path(-50, 200))
+        assert fusion.send(moving_sweep())
+        if told == "after":  # what waits for its picture goes by it as well
+            assert fusion.set_property("sensors", sensors)
+        assert fusion.send(image(90, 1))
+        fusion.flush()
+        record = fusion.get(0).record
+    column, row, depth = seen_by_line(0.09, over_columns=over_columns)
+    assert abs(depth - seen(from_lidar(0.09) * (1, -1, 1))[2]) > 0.05
+    assert record.depths[round(row), round(column)] == pytest.approx(depth, abs=2e-4)
+
+
+def test_a_shutter_that_does_not_roll_any_more_takes_all_lines_at_once():
+    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+        assert fusion.send_motion(path(-50, 200))
+        for told in (
+            json.dumps({"0": {"kind": "lidar"}, "1": {"kind": "camera", "shutter_roll_s": 0.1}}),
+            "",
+        ):
+            assert fusion.set_property("sensors", told)
+            assert fusion.send(moving_sweep() if told else replace(moving_sweep(), seq=2))
+            assert fusion.send(image(90, 1 if told else 2))
+            fusion.flush()
+            record = fusion.get(0).record
+    column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
+    assert record.depths[row, column] == pytest.approx(depth, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("entry", "place", "problem"),
+    [
+        ({"kind": "camera", "shutter_roll_s": 33}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
+        ({"kind": "camera", "shutter_roll_s": -0.01}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
+        ({"kind": "camera", "shutter_roll_s": True}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
+        ({"kind": "camera", "shutter_roll_s": "0.03"}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
+        ({"kind": "camera", "shutter_left_to_right": 1}, "1.shutter_left_to_right", "expected true or false"),
+        ({"kind": "lidar", "shutter_roll_s": 0.03}, "1.shutter_roll_s", "of a lidar; expected of cameras"),
+        ({"kind": "camera", "shutter": 0.03}, "1.shutter", "expected kind and perhaps raw, shutter_roll_s"),
+    ],
+)
+def test_a_shutter_that_is_none_is_refused(entry, place, problem):
+    with FusionInterface(inline=True) as fusion:
+        outcome = fusion.set_property("sensors", json.dumps({"1": entry}))
+        assert outcome.status == 0
+        assert place in outcome.reason
+        assert problem in outcome.reason
 
 
 BODY_FROM_LIDAR = (Rotation.from_euler("zyx", [0.4, -0.1, 0.2]), np.array([1.5, -0.7, 2.0]))

@@ -17,10 +17,10 @@ from sceneloom.formats.rig.transforms import frame_from_optical
 from sceneloom.formats.rig.videos import VideoFile, VideoPictures
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LazyFrames, NoticeKind
+from sceneloom.scene.shutter import LONGEST_ROLL_S
 from sceneloom.scene.types import NO_FIELDS
 
 _RATIO_ERROR = 0.01
-_LONGEST_ROLL = 1.0
 
 
 def build_camera(drive: Drive, record: Record, place: str) -> CameraSensor:
@@ -94,8 +94,8 @@ def _shutter(drive: Drive, record: Record, place: str) -> Mapping[str, Any]:
     if "shutter_roll_s" not in record:
         return NO_FIELDS
     seconds = record["shutter_roll_s"] / 1e9
-    if seconds > _LONGEST_ROLL:
-        problem = f"{seconds:g} s; expected at most {_LONGEST_ROLL:g} s"
+    if seconds > LONGEST_ROLL_S:
+        problem = f"{seconds:g} s; expected at most {LONGEST_ROLL_S:g} s"
         raise DataError(drive.manifest.path, f"{place}.shutter_roll_s", problem)
     entry = {"shutterRollTimeSeconds": seconds}
     left_to_right = {"rollingShutterLeftToRight": True} if record.get("shutter_left_to_right") else {}

@@ -152,7 +152,8 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
                 "sensors",
                 'what each sensor_id is and what its raw data (table 4) hold, as JSON: {"0": {"kind": "lidar", '
                 '"raw": "records"}, "1": {"kind": "camera", "raw": "jpeg"}}; of a lidar also body_from_lidar, its '
-                "mounting on the body whose way SendMotion tells; empty: told by what is sent",
+                "mounting on the body whose way SendMotion tells; of a camera shutter_roll_s and "
+                "shutter_left_to_right, its rolling shutter; empty: told by what is sent",
                 "string",
                 "",
                 check=parse_sensors,

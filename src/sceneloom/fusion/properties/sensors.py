@@ -10,8 +10,12 @@ from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.json_property import read_by_sensor
 from sceneloom.fusion.mounting import parse_mounting
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.shutter import GLOBAL, LONGEST_ROLL_S, Shutter
 
 _PLACE, _MOUNTING = "sensors", "body_from_lidar"
+_ROLL, _ROLLS_OVER_COLUMNS = "shutter_roll_s", "shutter_left_to_right"
+_OF_KIND = {SensorKind.LIDAR: (_MOUNTING,), SensorKind.CAMERA: (_ROLL, _ROLLS_OVER_COLUMNS)}
+"""What is said of sensors of one kind alone."""
 
 
 class RawForm(StrEnum):
@@ -43,12 +47,14 @@ class DeclaredSensor:
         kind: camera or lidar.
         raw: what its raw data hold, or None where it sends none.
         body_from_lidar: of a lidar, how it is mounted on the body whose way is told; None: the way is its own.
+        shutter: of a camera, when the lines of its pictures are taken.
     """
 
     sensor_id: int
     kind: SensorKind
     raw: RawForm | None = None
     body_from_lidar: RigidTransform | None = None
+    shutter: Shutter = GLOBAL
 
 
 def parse_sensors(text: str) -> Mapping[int, DeclaredSensor]:
@@ -63,18 +69,43 @@ def parse_sensors(text: str) -> Mapping[int, DeclaredSensor]:
 
 def _declared(sensor_id: int, entry: Any) -> DeclaredSensor:
     name = str(sensor_id)
-    if not isinstance(entry, dict) or not {"kind"} <= set(entry) <= {"kind", "raw", _MOUNTING}:
-        raise DataError(
-            _PLACE, name, f"{entry!r}; expected an object with kind and perhaps raw and {_MOUNTING}"
-        )
+    if not isinstance(entry, dict) or "kind" not in entry:
+        raise DataError(_PLACE, name, f"{entry!r}; expected an object with kind")
     if entry["kind"] not in list(SensorKind):
         raise DataError(_PLACE, f"{name}.kind", f"{entry['kind']!r}; expected {' or '.join(SensorKind)}")
     kind = SensorKind(entry["kind"])
+    for word in entry:
+        _check_word(word, kind, f"{name}.{word}")
     raw = entry.get("raw")
     if raw is not None and raw not in RAW_FORMS[kind]:
         raise DataError(_PLACE, f"{name}.raw", f"{raw!r}; expected one of {', '.join(RAW_FORMS[kind])}")
-    place = f"{name}.{_MOUNTING}"
-    mounting = parse_mounting(entry[_MOUNTING], _PLACE, place) if _MOUNTING in entry else None
-    if mounting is not None and kind is not SensorKind.LIDAR:
-        raise DataError(_PLACE, place, "of a camera; expected of lidars: cameras are where calibrations say")
-    return DeclaredSensor(sensor_id, kind, None if raw is None else RawForm(raw), mounting)
+    mounting = parse_mounting(entry[_MOUNTING], _PLACE, f"{name}.{_MOUNTING}") if _MOUNTING in entry else None
+    return DeclaredSensor(
+        sensor_id, kind, None if raw is None else RawForm(raw), mounting, _shutter(entry, name)
+    )
+
+
+def _check_word(word: str, kind: SensorKind, place: str) -> None:
+    """Refuse what is said of no sensor of this kind."""
+    if word in ("kind", "raw", *_OF_KIND[kind]):
+        return
+    others = {other.value for other, words in _OF_KIND.items() if word in words}
+    if others:
+        raise DataError(_PLACE, place, f"of a {kind}; expected of {' and '.join(others)}s")
+    expected = ", ".join(("raw", *_OF_KIND[kind]))
+    raise DataError(_PLACE, place, f"no word of a {kind}; expected kind and perhaps {expected}")
+
+
+def _shutter(entry: Mapping[str, Any], name: str) -> Shutter:
+    """What a camera's entry says of its shutter; all at once where it says nothing."""
+    seconds, over_columns = entry.get(_ROLL, 0.0), entry.get(_ROLLS_OVER_COLUMNS, False)
+    if (
+        isinstance(seconds, bool)
+        or not isinstance(seconds, int | float)
+        or not 0 <= seconds <= LONGEST_ROLL_S
+    ):
+        problem = f"{seconds!r}; expected seconds, 0 to {LONGEST_ROLL_S:g}"
+        raise DataError(_PLACE, f"{name}.{_ROLL}", problem)
+    if not isinstance(over_columns, bool):
+        raise DataError(_PLACE, f"{name}.{_ROLLS_OVER_COLUMNS}", f"{over_columns!r}; expected true or false")
+    return Shutter(float(seconds), over_columns)

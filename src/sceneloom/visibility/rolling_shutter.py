@@ -74,6 +74,37 @@ class ShutterWay:
         moved = np.concatenate([to_line @ rotations[-1], shifts], axis=2)
         return None if np.abs(moved - np.eye(4)[:3]).max() < _STILL else cls(shutter.over_columns, moved)
 
+    @classmethod
+    def at_rest(cls, shutter: Shutter) -> "ShutterWay":
+        """Give the way of a camera that stands: what moves by itself still depends on the line that sees it."""
+        return cls(shutter.over_columns, np.tile(np.eye(4)[:3], (2, 1, 1)))
+
+    @property
+    def axis(self) -> int:
+        """What of a pixel says in which line it is: 0, its column, or 1, its row."""
+        return 0 if self.over_columns else 1
+
+    def line_count(self, camera: Camera) -> int:
+        """How many lines a picture has."""
+        return camera.width if self.over_columns else camera.height
+
+    def poses_at(self, lines: FloatArray, camera: Camera) -> Float64Array:
+        """Give the camera at the time of lines, from where it was at the picture's time.
+
+        Args:
+            lines: (N,) rows or columns [px], also between two; those beyond the edges count as at them.
+
+        Returns:
+            (N, 3, 4) float64.
+        """
+        last = len(self.lines_from_middle) - 1
+        at = np.clip((np.asarray(lines) + 0.5) / self.line_count(camera), 0.0, 1.0) * last
+        knots = np.minimum(at.astype(np.int64), last - 1)
+        later = (at - knots)[:, None, None]
+        first, second = self.lines_from_middle[knots], self.lines_from_middle[knots + 1]
+        poses: Float64Array = first + later * (second - first)
+        return poses
+
     @property
     def turn(self) -> float:
         """How far the camera turns at most from its pose at the picture's time [rad]."""
@@ -139,33 +170,95 @@ def project_by_lines(
     )
 
 
-def _project_part(in_middle: Float64Array, camera: Camera, shutter: ShutterWay) -> RolledPoints:
-    """Project a few points, so few that the processor's cache holds them."""
+def pixels_by_lines(
+    points_middle: Float64Array, drifts: Float64Array, camera: Camera, shutter: ShutterWay
+) -> Float64Array:
+    """Project points that may move, each at the time of the line that sees it, also beyond the picture's edges.
+
+    Args:
+        points_middle: (N, 3) float64 [m], at the picture's time, in the frame of the camera at that time.
+        drifts: (N, 3) float64 [m], how far they go in that frame from the first line to the last, evenly.
+        camera: the lens, of any model.
+        shutter: where the camera was, line by line.
+
+    Returns:
+        (N, 2) float64 [px]; beyond an edge by the time of that edge, NaN for what no line sees.
+
+    Raises:
+        CalibrationError: the camera's model is unknown or has other coefficients.
+    """
+    found = _search(np.ascontiguousarray(points_middle), camera, shutter, drifts)
+    beyond = np.flatnonzero(np.isnan(found.pixels[:, 0]))
+    line_count = shutter.line_count(camera)
+    there = np.empty((len(beyond), 3))
+    moved = _drifted(points_middle, drifts, found.lines, line_count)
+    place_at_lines(moved, beyond, found.lines, shutter.lines_from_middle, line_count, there)
+    found.pixels[beyond] = project_unbounded(camera, there)
+    return found.pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What the search for lines gives: pixels (N, 2) [px] and places (N, 3) [m], NaN where no line sees a point.
+
+    `lines` (N,) are those that were looked at last, and `unsettled` the points for which the search was given up.
+    """
+
+    pixels: Float64Array
+    placed: Float64Array
+    lines: Float64Array
+    unsettled: Int64Array
+
+
+def _search(
+    in_middle: Float64Array, camera: Camera, shutter: ShutterWay, drifts: Float64Array | None = None
+) -> _Found:
+    """Find the line that sees each point."""
     size = len(in_middle)
-    lines, before, off = (np.full(size, value) for value in (0.0, np.nan, np.nan))
-    line_count = camera.width if shutter.over_columns else camera.height
-    lines += 0.5 * (line_count - 1)
-    pixels, placed = np.full((size, 2), np.nan, np.float32), np.empty((size, 3))
+    line_count = shutter.line_count(camera)
+    lines, before, off = (np.full(size, value) for value in (0.5 * (line_count - 1), np.nan, np.nan))
+    pixels, placed = np.full((size, 2), np.nan), np.empty((size, 3))
     active = np.arange(size)
     for attempt in range(_ATTEMPTS):
         there, settled = np.empty((len(active), 3)), np.empty(len(active), np.int64)
         looked_at = active.copy()
-        place_at_lines(in_middle, active, lines, shutter.lines_from_middle, line_count, there)
+        moved = in_middle if drifts is None else _drifted(in_middle, drifts, lines, line_count)
+        place_at_lines(moved, active, lines, shutter.lines_from_middle, line_count, there)
         found = project_unbounded(camera, there)
-        axis = 0 if shutter.over_columns else 1
         remaining = search_lines(
-            found, axis, attempt, line_count, _TOLERANCE_PX, active, lines, before, off, settled
+            found, shutter.axis, attempt, line_count, _TOLERANCE_PX, active, lines, before, off, settled
         )
         settled = settled[settled >= 0]
         pixels[looked_at[settled]], placed[looked_at[settled]] = found[settled], there[settled]
         active = active[:remaining].copy()
         if remaining == 0:
             break
+    return _Found(pixels, placed, lines, active)
+
+
+def _drifted(
+    in_middle: Float64Array, drifts: Float64Array, lines: Float64Array, line_count: int
+) -> Float64Array:
+    moved: Float64Array = in_middle + drifts * ((lines + 0.5) / line_count - 0.5)[:, None]
+    return moved
+
+
+def _project_part(in_middle: Float64Array, camera: Camera, shutter: ShutterWay) -> RolledPoints:
+    """Project a few points, so few that the processor's cache holds them."""
+    found = _search(in_middle, camera, shutter)
+    pixels = found.pixels.astype(np.float32)
     rows = np.flatnonzero(_in_picture(pixels, camera))
-    there = np.empty((len(active), 3))
-    place_at_lines(in_middle, active, lines, shutter.lines_from_middle, line_count, there)
+    there = np.empty((len(found.unsettled), 3))
+    place_at_lines(
+        in_middle,
+        found.unsettled,
+        found.lines,
+        shutter.lines_from_middle,
+        shutter.line_count(camera),
+        there,
+    )
     near = _in_picture(project_unbounded(camera, there), camera, border=max(camera.width, camera.height))
-    return RolledPoints(rows, pixels[rows], placed[rows], int(near.sum()))
+    return RolledPoints(rows, pixels[rows], found.placed[rows], int(near.sum()))
 
 
 def _in_picture(pixels: FloatArray, camera: Camera, *, border: int = 0) -> BoolArray:

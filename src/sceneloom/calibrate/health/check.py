@@ -9,6 +9,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames
 from sceneloom.calibrate.health.objective import Objective
+from sceneloom.calibrate.health.principal_point import instead_of_turn, why_untold
 from sceneloom.calibrate.health.search import GROUPS, Top, find_group, find_rotation
 from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
 from sceneloom.calibrate.measures.agreement import MEASURES, Agreement
@@ -143,7 +144,7 @@ class _Found:
             self._rotation(),
             self._joint("translation"),
             self._joint("focal_length"),
-            Item.unknown("principal_point", "moving it looks like turning the camera"),
+            Item.unknown("principal_point", why_untold(self.frames[0].camera)),
             self._time_offset(),
         )
 
@@ -154,6 +155,11 @@ class _Found:
         if item.verdict is Verdict.GOOD and best is self.rotation and stated < _ALIKE * best.height:
             reason = "pictures and sweeps agree much better a little away from it"
             return msgspec.structs.replace(item, verdict=Verdict.CANNOT_TELL, reason=reason)
+        if item.verdict in _WORST_FIRST:
+            instead = instead_of_turn(self.frames[0].camera, best.change[:3])
+            return msgspec.structs.replace(
+                item, reason=f"{item.reason}; {instead}" if instead else item.reason
+            )
         return item
 
     def _joint(self, name: str) -> Item:

@@ -1,11 +1,9 @@
 """Which box of a sweep and which of a picture are one object."""
 
-from scipy.optimize import linear_sum_assignment
-
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.detections.classes import FAMILIES
-from sceneloom.detections.results import NO_BOX
 from sceneloom.kernels import box_overlaps
+from sceneloom.kernels.assignment import best_partners
 
 SAME_FAMILY = 0.8
 """What a pair of boxes is worth whose classes are taken for one another, of one with the same class."""
@@ -66,8 +64,7 @@ def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
     Returns:
         (N,) int64, the column of each row, and (M,) int64, the row of each column; NO_BOX for none.
 
-    Source: Crouse 2016, "On implementing 2D rectangular assignment algorithms", as SciPy has it.
+    Source: Crouse 2016, "On implementing 2D rectangular assignment algorithms", solved apart for what hangs together.
     """
-    rows, columns = linear_sum_assignment(gains, maximize=True)
-    found: tuple[Int64Array, Int64Array] = box_overlaps.both_ways(gains, rows, columns, NO_BOX)
+    found: tuple[Int64Array, Int64Array] = best_partners(gains)
     return found

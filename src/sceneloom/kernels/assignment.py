@@ -120,3 +120,117 @@ def best_columns(gains: Float64Array) -> Int64Array:
     for j in range(columns):
         paired[owned[j]] = j
     return paired
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _root(parents, place):  # type: ignore[no-untyped-def]
+    """The first of the group of a place, and a shorter way there."""
+    while parents[place] != place:
+        parents[place] = parents[parents[place]]
+        place = parents[place]
+    return place
+
+
+@njit(nogil=True, error_model="numpy")
+def _groups(rows, columns, row_count, column_count):  # type: ignore[no-untyped-def]
+    """The order of pairs by what hangs together, and where each group of them begins."""
+    parents = np.arange(row_count + column_count)
+    for k in range(len(rows)):
+        first, second = _root(parents, rows[k]), _root(parents, row_count + columns[k])
+        parents[max(first, second)] = min(first, second)
+    names = np.full(row_count + column_count, -1, np.int64)
+    groups, count = np.empty(len(rows), np.int64), 0
+    for k in range(len(rows)):
+        root = _root(parents, rows[k])
+        if names[root] < 0:
+            names[root] = count
+            count += 1
+        groups[k] = names[root]
+    starts = np.zeros(count + 1, np.int64)
+    for k in range(len(rows)):
+        starts[groups[k] + 1] += 1
+    starts[:] = np.cumsum(starts)
+    order, filled = np.empty(len(rows), np.int64), starts[:count].copy()
+    for k in range(len(rows)):
+        order[filled[groups[k]]] = k
+        filled[groups[k]] += 1
+    return order, starts
+
+
+@njit(
+    "int64[::1](int64[::1], int64[::1], float64[::1], int64, int64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def best_pairs(
+    rows: Int64Array, columns: Int64Array, gains: Float64Array, row_count: int, column_count: int
+) -> Int64Array:
+    """Pair rows with columns so that the sum of their gains is the largest; what gains nothing is no pair.
+
+    What does not hang together by pairs is solved apart.
+
+    Args:
+        rows, columns: (K,), the pairs that there may be, each once.
+        gains: (K,), of each.
+        row_count, column_count: how many rows and columns there are.
+
+    Returns:
+        (row_count,) int64, the column of each row, -1 for none.
+    """
+    worth = np.flatnonzero(gains > 0.0)
+    rows, columns, gains = rows[worth], columns[worth], gains[worth]
+    order, starts = _groups(rows, columns, row_count, column_count)
+    paired, places = np.full(row_count, -1, np.int64), np.full(row_count + column_count, -1, np.int64)
+    own_rows, own_columns = np.empty(row_count, np.int64), np.empty(column_count, np.int64)
+    for group in range(len(starts) - 1):
+        high, wide, first, last = 0, 0, starts[group], starts[group + 1]
+        if last - first == 1:
+            paired[rows[order[first]]] = columns[order[first]]
+            continue
+        for n in range(first, last):
+            row, column = rows[order[n]], columns[order[n]]
+            if places[row] < 0:
+                places[row], own_rows[high] = high, row
+                high += 1
+            if places[row_count + column] < 0:
+                places[row_count + column], own_columns[wide] = wide, column
+                wide += 1
+        table = np.zeros((high, wide))
+        for n in range(first, last):
+            k = order[n]
+            table[places[rows[k]], places[row_count + columns[k]]] = gains[k]
+        found = best_columns(table)
+        for i in range(high):
+            if found[i] >= 0 and table[i, found[i]] > 0.0:
+                paired[own_rows[i]] = own_columns[found[i]]
+    return paired
+
+
+@njit("Tuple((int64[::1], int64[::1]))(float64[:,::1])", nogil=True, cache=True, error_model="numpy")
+def best_partners(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
+    """Pair the rows of a table with its columns as `best_pairs` does.
+
+    Args:
+        gains: (N, M), not NaN.
+
+    Returns:
+        (N,) int64, the column of each row, and (M,) int64, the row of each column, -1 for none.
+    """
+    high, wide = gains.shape
+    count = 0
+    for i in range(high):
+        for j in range(wide):
+            count += gains[i, j] > 0.0
+    rows, columns, worth = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count)
+    k = 0
+    for i in range(high):
+        for j in range(wide):
+            if gains[i, j] > 0.0:
+                rows[k], columns[k], worth[k] = i, j, gains[i, j]
+                k += 1
+    of_rows, of_columns = best_pairs(rows, columns, worth, high, wide), np.full(wide, -1, np.int64)
+    for i in range(high):
+        if of_rows[i] >= 0:
+            of_columns[of_rows[i]] = i
+    return of_rows, of_columns

@@ -16,17 +16,17 @@ def _unit(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def _arc(corners, b, first, last):  # type: ignore[no-untyped-def]
-    """Where an edge begins, where it heads at a right angle to that, and how far [rad]."""
-    ax, ay, az = _unit(corners[b, first, 0], corners[b, first, 1], corners[b, first, 2])
-    bx, by, bz = _unit(corners[b, last, 0], corners[b, last, 1], corners[b, last, 2])
+def _arc(units, first, last):  # type: ignore[no-untyped-def]
+    """Where an edge heads at a right angle to its beginning, and how far [rad]."""
+    ax, ay, az = units[first, 0], units[first, 1], units[first, 2]
+    bx, by, bz = units[last, 0], units[last, 1], units[last, 2]
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     cosine, sine = ax * bx + ay * by + az * bz, np.sqrt(cx * cx + cy * cy + cz * cz)
     if sine > _FLAT:
         tx, ty, tz = (bx - cosine * ax) / sine, (by - cosine * ay) / sine, (bz - cosine * az) / sine
     else:
         tx, ty, tz = 0.0, 0.0, 0.0
-    return ax, ay, az, tx, ty, tz, np.arctan2(sine, cosine)
+    return tx, ty, tz, np.arctan2(sine, cosine)
 
 
 @njit(
@@ -53,10 +53,17 @@ def sample_edges(
     """
     boxes, count = len(corners), len(edges)
     starts = np.zeros(boxes + 1, np.int64)
+    units, arcs = np.empty((boxes, 8, 3)), np.empty((boxes, count, 4))
     for b in range(boxes):
+        for c in range(8):
+            units[b, c, 0], units[b, c, 1], units[b, c, 2] = _unit(
+                corners[b, c, 0], corners[b, c, 1], corners[b, c, 2]
+            )
         longest = 0.0
         for e in range(count):
-            longest = max(longest, _arc(corners, b, edges[e, 0], edges[e, 1])[6])
+            tx, ty, tz, angle = _arc(units[b], edges[e, 0], edges[e, 1])
+            arcs[b, e, 0], arcs[b, e, 1], arcs[b, e, 2], arcs[b, e, 3] = tx, ty, tz, angle
+            longest = max(longest, angle)
         k = 0
         while k < len(limits) - 1 and longest > limits[k]:
             k += 1
@@ -65,7 +72,9 @@ def sample_edges(
     for b in range(boxes):
         samples = (starts[b + 1] - starts[b]) // count
         for e in range(count):
-            ax, ay, az, tx, ty, tz, angle = _arc(corners, b, edges[e, 0], edges[e, 1])
+            first = edges[e, 0]
+            ax, ay, az = units[b, first, 0], units[b, first, 1], units[b, first, 2]
+            tx, ty, tz, angle = arcs[b, e, 0], arcs[b, e, 1], arcs[b, e, 2], arcs[b, e, 3]
             step_cosine, step_sine = np.cos(angle / (samples - 1)), np.sin(angle / (samples - 1))
             cosine, sine, row = 1.0, 0.0, starts[b] + e * samples
             for k in range(samples):

@@ -58,6 +58,8 @@ def pair_gains(
     for i in range(len(first)):
         family = families[min(first_classes[i], last)]
         for j in range(len(second)):
+            if first[i, 2] <= second[j, 0] or second[j, 2] <= first[i, 0]:
+                continue
             common = _common(first, i, second, j)
             if common <= 0.0:
                 continue
@@ -110,37 +112,16 @@ def hide_covered(
     for i in range(len(boxes)):
         if gaps[i] <= near or boxes[i, 2] <= boxes[i, 0] or boxes[i, 3] <= boxes[i, 1]:
             boxes[i], shares[i] = 0.0, 0.0
-    for i in range(len(boxes)):
-        area, most = _area(boxes, i), 0.0
-        if area <= 0.0:
-            continue
-        for j in range(len(boxes)):
-            if distances[j] < distances[i] - margin:
-                most = max(most, likely[j] * _common(boxes, i, boxes, j) / area)
+    shown = np.flatnonzero((boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1]))
+    order = shown[np.argsort(distances[shown])]
+    lefts, rights = boxes[order, 0], boxes[order, 2]
+    nearer = 0
+    for k in range(len(order)):
+        i, most = order[k], 0.0
+        while distances[order[nearer]] < distances[i] - margin:
+            nearer += 1
+        for n in range(nearer):
+            if lefts[n] < boxes[i, 2] and rights[n] > boxes[i, 0]:
+                j = order[n]
+                most = max(most, likely[j] * _common(boxes, i, boxes, j) / _area(boxes, i))
         shares[i] *= 1.0 - most
-
-
-@njit(
-    "Tuple((int64[::1], int64[::1]))(float64[:,::1], int64[::1], int64[::1], int64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
-def both_ways(
-    gains: Float64Array, rows: Int64Array, columns: Int64Array, none: int
-) -> tuple[Int64Array, Int64Array]:
-    """Give an assignment as the partner of each row and of each column.
-
-    Args:
-        gains: (N, M), what pairs are worth; those without worth are none.
-        rows, columns: (K,), the pairs.
-        none: stands for no partner.
-
-    Returns:
-        (N,) and (M,) int64.
-    """
-    of_rows, of_columns = np.full(gains.shape[0], none), np.full(gains.shape[1], none)
-    for k in range(len(rows)):
-        if gains[rows[k], columns[k]] > 0.0:
-            of_rows[rows[k]], of_columns[columns[k]] = columns[k], rows[k]
-    return of_rows, of_columns

@@ -20,9 +20,22 @@ def _may_be_one(a, i, b, j):  # type: ignore[no-untyped-def]
     return a[i, 1] == b[j, 1] and a[i, 1] >= 0
 
 
+@njit(nogil=True, error_model="numpy", inline="always")
+def _trace(matrices, i):  # type: ignore[no-untyped-def]
+    return matrices[i, 0, 0] + matrices[i, 1, 1] + matrices[i, 2, 2]
+
+
+@njit(nogil=True, error_model="numpy")
+def _with_room(column, room):  # type: ignore[no-untyped-def]
+    """The same numbers, and room for more behind them."""
+    wider = np.empty(room, column.dtype)
+    wider[: len(column)] = column
+    return wider
+
+
 @njit(
-    "float64[:,::1](float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64[:,::1], float64[:,:,::1], "
-    "int64[:,::1], float64[::1], float64, float64, float64)",
+    "Tuple((int64[::1], int64[::1], float64[::1]))(float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], "
+    "float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64, float64, float64)",
     nogil=True,
     cache=True,
     error_model="numpy",
@@ -39,7 +52,7 @@ def gains_in_space(
     least_variance: float,
     freedom: float,
     most: float,
-) -> Float64Array:
+) -> tuple[Int64Array, Int64Array, Float64Array]:
     """Compare where objects are expected with where boxes are.
 
     Args:
@@ -50,17 +63,34 @@ def gains_in_space(
         seen_doubts: (M,), what is added for each box.
         least_variance: is added along each axis [m²].
         freedom: degrees of freedom of Student's distribution.
-        most: how much pictures can add later; pairs that will stay below 0 need not be told apart.
+        most: how much pictures can add later; pairs that will stay below 0 are left out.
 
     Returns:
-        (N, M) float64 logarithms of ratios of likelihoods on the ground, -inf for what cannot be one.
+        The pairs that may be one: (K,) int64 objects, rising, (K,) int64 boxes, and (K,) float64 logarithms of ratios
+        of likelihoods on the ground.
     """
-    gains = np.full((len(places), len(seen_places)), -np.inf)
+    count = len(seen_places)
+    xs, ys, zs = seen_places[:, 0].copy(), seen_places[:, 1].copy(), seen_places[:, 2].copy()
+    reach = np.empty(count)
+    for j in range(count):
+        reach[j] = _trace(seen_spreads, j) + 3.0 * least_variance
+    room, found = 4 * (len(places) + count), 0
+    rows, columns, gains = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    near = np.empty(count, np.int64)
     for i in range(len(places)):
         # no pair is worth more than one whose places are known as well as can be; farther ones are hopeless
         best = most - expected[i] - np.log(2.0 * np.pi * least_variance)
         farthest = freedom * np.expm1(max(2.0 * best, 0.0) / (freedom + 3.0))
-        for j in range(len(seen_places)):
+        own, nearby = _trace(spreads, i), 0
+        for j in range(count):
+            x, y, z = xs[j] - places[i, 0], ys[j] - places[i, 1], zs[j] - places[i, 2]
+            near[nearby] = j
+            nearby += x * x + y * y + z * z <= farthest * (own + reach[j])
+        if found + nearby > room:
+            room = 2 * (found + nearby)
+            rows, columns, gains = _with_room(rows, room), _with_room(columns, room), _with_room(gains, room)
+        for k in range(nearby):
+            j = near[k]
             if not _may_be_one(codes, i, seen_codes, j):
                 continue
             x = seen_places[j, 0] - places[i, 0]
@@ -72,8 +102,6 @@ def gains_in_space(
             d = spreads[i, 1, 1] + seen_spreads[j, 1, 1] + least_variance
             e = spreads[i, 1, 2] + seen_spreads[j, 1, 2]
             f = spreads[i, 2, 2] + seen_spreads[j, 2, 2] + least_variance
-            if x * x + y * y + z * z > farthest * (a + d + f):
-                continue
             area = a * d - b * b
             # the adjugate of the symmetric matrix, row by row
             r, s, t = d * f - e * e, c * e - b * f, b * e - c * d
@@ -81,17 +109,23 @@ def gains_in_space(
             square = x * x * r + y * y * (a * f - c * c) + z * z * area
             square += 2.0 * (x * y * s + x * z * t + y * z * (b * c - a * e))
             far = _heavy(square / whole, 3.0, freedom)
-            gains[i, j] = seen_doubts[j] - expected[i] - np.log(2.0 * np.pi) - 0.5 * (np.log(area) + far)
-    return gains
+            gain = seen_doubts[j] - expected[i] - np.log(2.0 * np.pi) - 0.5 * (np.log(area) + far)
+            if gain > -most:
+                rows[found], columns[found], gains[found] = i, j, gain
+                found += 1
+    return rows[:found].copy(), columns[:found].copy(), gains[:found].copy()
 
 
 @njit(
-    "void(float64[:,::1], float64[:,::1], float64[:,::1], boolean[::1], float64, float64, float64, float64)",
+    "void(int64[::1], int64[::1], float64[::1], float64[:,::1], float64[:,::1], boolean[::1], float64, float64, "
+    "float64, float64)",
     nogil=True,
     cache=True,
     error_model="numpy",
 )
 def add_gains_in_picture(
+    rows: Int64Array,
+    columns: Int64Array,
     gains: Float64Array,
     foreseen: Float64Array,
     corners: Float64Array,
@@ -104,7 +138,8 @@ def add_gains_in_picture(
     """Add to gains what boxes in a picture say.
 
     Args:
-        gains: (N, M), are changed in place.
+        rows, columns: (K,), pairs of objects and boxes.
+        gains: (K,), are changed in place; -inf for what cannot be one.
         foreseen, corners: (N, 4) and (M, 4) [px], where objects are expected and where boxes are, NaN for none.
         measured: (M,), whether there is a box in space behind the one in the picture.
         sigma: deviation of the share by which boxes of one object fail to overlap.
@@ -113,20 +148,18 @@ def add_gains_in_picture(
         freedom: degrees of freedom of Student's distribution.
     """
     neutral = _heavy(((1.0 - usual) / sigma) ** 2, 1.0, freedom)
-    for j in range(len(corners)):
+    for k in range(len(gains)):
+        i, j = rows[k], columns[k]
         area = (corners[j, 2] - corners[j, 0]) * (corners[j, 3] - corners[j, 1])
         if not area > 0.0:
             continue
-        for i in range(len(foreseen)):
-            if gains[i, j] == -np.inf:
-                continue
-            own = (foreseen[i, 2] - foreseen[i, 0]) * (foreseen[i, 3] - foreseen[i, 1])
-            share = usual
-            if own > 0.0:
-                wide = min(foreseen[i, 2], corners[j, 2]) - max(foreseen[i, 0], corners[j, 0])
-                high = min(foreseen[i, 3], corners[j, 3]) - max(foreseen[i, 1], corners[j, 1])
-                common = max(wide, 0.0) * max(high, 0.0)
-                share = common / (own + area - common)
-                gains[i, j] += 0.5 * (neutral - _heavy(((1.0 - share) / sigma) ** 2, 1.0, freedom))
-            if not measured[j] and (share < least or not own > 0.0):
-                gains[i, j] = -np.inf
+        own = (foreseen[i, 2] - foreseen[i, 0]) * (foreseen[i, 3] - foreseen[i, 1])
+        share = usual
+        if own > 0.0:
+            wide = min(foreseen[i, 2], corners[j, 2]) - max(foreseen[i, 0], corners[j, 0])
+            high = min(foreseen[i, 3], corners[j, 3]) - max(foreseen[i, 1], corners[j, 1])
+            common = max(wide, 0.0) * max(high, 0.0)
+            share = common / (own + area - common)
+            gains[k] += 0.5 * (neutral - _heavy(((1.0 - share) / sigma) ** 2, 1.0, freedom))
+        if not measured[j] and (share < least or not own > 0.0):
+            gains[k] = -np.inf

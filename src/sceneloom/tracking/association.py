@@ -14,10 +14,12 @@ Source: Reid 1979, "An Algorithm for Tracking Multiple Targets", eq. 16 for the 
 and Kirubarajan 2001, ch. 2.6; Lange, Little and Taylor 1989, "Robust Statistical Modeling Using the t Distribution".
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.kernels.assignment import best_columns
+from sceneloom.kernels.assignment import best_pairs
 from sceneloom.kernels.object_gains import add_gains_in_picture, gains_in_space
 from sceneloom.tracking.population import ByCamera, Population
 from sceneloom.tracking.settings import TrackerSettings
@@ -39,10 +41,18 @@ _AGREEMENT = 0.5 * (FREEDOM + 1.0) * float(np.log1p(((1.0 - USUAL_OVERLAP) / OVE
 """What a picture adds at most: where boxes are the same."""
 
 
-def gains(
+class Candidates(NamedTuple):
+    """Pairs of objects and boxes: (K,) int64 of both, and (K,) float64, how much likelier they are one than not."""
+
+    rows: Int64Array
+    columns: Int64Array
+    gains: Float64Array
+
+
+def candidates(
     objects: Population, foreseen: ByCamera, seen: Sightings, settings: TrackerSettings
-) -> Float64Array:
-    """How much likelier it is that boxes are of objects than of anything else, (N, M) logarithms.
+) -> Candidates:
+    """Which boxes may be of which objects, and how much likelier that is than that they are of anything else.
 
     Args:
         objects: as they are expected at the time of the boxes.
@@ -51,23 +61,25 @@ def gains(
         settings: what is taken for granted.
     """
     density = np.where(objects.vehicles, settings.vehicle_density, settings.person_density)
-    gained: Float64Array = gains_in_space(
-        np.ascontiguousarray(objects.means[:, :3]),
-        np.ascontiguousarray(objects.covariances[:, :3, :3]),
-        objects.codes,
-        np.log(density),
-        np.ascontiguousarray(seen.measures[:, :3]),
-        np.ascontiguousarray(seen.covariances[:, :3, :3]),
-        seen.codes,
-        np.minimum(seen.log_odds, 0.0),
-        LEAST_SIGMA**2,
-        FREEDOM,
-        len(seen.corners_xyxy) * _AGREEMENT,
+    found = Candidates(
+        *gains_in_space(
+            np.ascontiguousarray(objects.means[:, :3]),
+            np.ascontiguousarray(objects.covariances[:, :3, :3]),
+            objects.codes,
+            np.log(density),
+            np.ascontiguousarray(seen.measures[:, :3]),
+            np.ascontiguousarray(seen.covariances[:, :3, :3]),
+            seen.codes,
+            np.minimum(seen.log_odds, 0.0),
+            LEAST_SIGMA**2,
+            FREEDOM,
+            len(seen.corners_xyxy) * _AGREEMENT,
+        )
     )
     for camera_id, corners in seen.corners_xyxy.items():
         if camera_id in foreseen:
             add_gains_in_picture(
-                gained,
+                *found,
                 foreseen[camera_id],
                 corners,
                 seen.measured,
@@ -76,13 +88,11 @@ def gains(
                 LEAST_OVERLAP,
                 FREEDOM,
             )
-    return gained
+    return found
 
 
-def pair(gained: Float64Array) -> tuple[Int64Array, Int64Array]:
-    """Pair objects with boxes: (K,) rows and columns of (N, M) gains, of which only those above 0 are pairs."""
-    worth = np.maximum(gained, 0.0)
-    columns = best_columns(worth)
+def pair(found: Candidates, objects: int, boxes: int) -> tuple[Int64Array, Int64Array]:
+    """Pair objects with boxes, so many there are of each: (K,) rows and columns."""
+    columns = best_pairs(*found, objects, boxes)
     rows = np.flatnonzero(columns >= 0)
-    rows = rows[worth[rows, columns[rows]] > 0.0]
     return rows, columns[rows]

@@ -125,14 +125,3 @@ def has_area(corners: Float64Array) -> BoolArray:
     """Which boxes (N, 4) have an area; those with NaN have none."""
     area: BoolArray = (corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1])
     return area
-
-
-def overlaps(first: Float64Array, second: Float64Array) -> Float64Array:
-    """Intersection over union of boxes (N, 4) and (M, 4): (N, M), NaN where one has no area."""
-    low = np.maximum(first[:, None, :2], second[None, :, :2])
-    high = np.minimum(first[:, None, 2:], second[None, :, 2:])
-    common = np.maximum(high - low, 0.0).prod(axis=2)
-    areas = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (first, second)]
-    areas = [np.where(has_area(b), a, np.nan) for b, a in zip((first, second), areas, strict=True)]
-    shares: Float64Array = common / (areas[0][:, None] + areas[1][None] - common)
-    return shares

@@ -4,11 +4,12 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 from sceneloom.catalog.layout import Layout
-from sceneloom.catalog.parquet import read_footer
+from sceneloom.catalog.parquet import read_footer, read_part
 from sceneloom.catalog.tables import TABLES, Kind
 from sceneloom.errors import DataError, MissingExtraError, OptionError
 
@@ -59,9 +60,12 @@ class Database:
             limit: at most so many rows; None for all.
 
         Raises:
-            OptionError: the SQL is wrong, writes, or wants other files.
+            OptionError: the SQL is wrong, writes, wants other files or gives what Python has no value for.
             DataError: files of the catalogue are damaged.
         """
+        _check_text(sql)
+        if limit is not None and limit < 0:
+            raise OptionError(f"limit {limit}; expected 0 or more")
         try:
             statements = self._connection.extract_statements(sql)
             self._check(statements)
@@ -73,11 +77,14 @@ class Database:
             raise self._damage(error) from error
         try:
             self._connection.execute(statements[0], list(parameters))
-            columns = tuple(column[0] for column in self._connection.description)
-            rows = self._connection.fetchall() if limit is None else self._connection.fetchmany(limit)
-            return Result(columns, rows)
+            columns = _each_once([column[0] for column in self._connection.description])
+            if limit is None or limit > _MOST_ROWS:
+                return Result(columns, self._connection.fetchall())
+            return Result(columns, self._connection.fetchmany(limit))
         except self._duckdb.Error as error:
             raise self._told(error) from error
+        except (OverflowError, ValueError) as error:  # of the way from DuckDB's values to Python's
+            raise OptionError(f"SQL: a value that Python cannot hold ({error}); cast it to text") from error
 
     def _view_tables(self, sql: str) -> None:
         """Make views of the tables that the text names, all where it names none: each looks through its files."""
@@ -99,22 +106,29 @@ class Database:
         """An error of DuckDB's as one of ours: what was asked is wrong, or what was found."""
         asked = tuple(getattr(self._duckdb, name) for name in _WRONG_SQL if hasattr(self._duckdb, name))
         text = " ".join(str(error).split())
+        if _NEEDS_ZONES in text:
+            return OptionError("SQL: a time with its zone in the result; cast it to TIMESTAMP or to text")
         is_asked = isinstance(error, asked) and _ABOUT_A_FILE.search(text) is None
         return OptionError(f"SQL: {text}") if is_asked else self._damage(error)
 
     def _damage(self, error: Exception) -> DataError:
-        """Name the file that is at fault, where its end tells it."""
-        for file in (file for table in TABLES for file in self._layout.files(table)):
-            try:
-                read_footer(file)
-            except DataError as damage:
-                return DataError(damage.file, "", f"{damage.problem}; {_REMEDY}")
+        """Name the file that is at fault: first by the ends of all files, then by what is in them."""
+        files = [file for table in TABLES for file in self._layout.files(table)]
+        for check in (read_footer, read_part):
+            for file in files:
+                try:
+                    check(file)
+                except DataError as damage:
+                    return DataError(damage.file, "", f"{damage.problem}; {_REMEDY}")
         return DataError(self._layout.folder, "", f"{' '.join(str(error).split())}; {_REMEDY}")
 
 
 _ABOUT_A_FILE = re.compile(r"\.parquet\"|in file '[^']*\.parquet'")
 """What DuckDB's messages about files hold, and those about SQL do not."""
-_REMEDY = "`sceneloom catalog update CATALOGUE` makes it anew"
+_NEEDS_ZONES = "Required module 'pytz'"
+"""What DuckDB says where a time with a zone would become an object of Python's."""
+_MOST_ROWS = 2**31 - 1
+_REMEDY = "delete the file, and `sceneloom catalog update CATALOGUE` makes it anew"
 
 
 @contextmanager
@@ -154,6 +168,22 @@ def _view(table: str, layout: Layout) -> str:
         return f"CREATE VIEW {table} AS SELECT {nulls} WHERE false"
     files = _quoted(f"{_literal(str(layout.folder.absolute()))}/{table}/part-*.parquet")
     return f"CREATE VIEW {table} AS SELECT {', '.join(kinds)} FROM read_parquet('{files}')"  # noqa: S608
+
+
+def _each_once(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of columns; those that stand there a second time are numbered, as DuckDB does in tables."""
+    taken: list[str] = []
+    for name in names:
+        numbered = (f"{name}_{number}" for number in count(1))
+        taken.append(name if name not in taken else next(own for own in numbered if own not in taken))
+    return tuple(taken)
+
+
+def _check_text(sql: str) -> None:
+    try:
+        sql.encode()
+    except UnicodeEncodeError as error:
+        raise OptionError(f"SQL {sql!r}: is no text in Unicode ({error.reason})") from error
 
 
 def _literal(path: str) -> str:

@@ -57,16 +57,17 @@ def format_cell(value: Any) -> str:
 
 
 def _cell(value: Any) -> str:
-    return (
-        ""
-        if value is None
-        else str(_plain(value) if not isinstance(value, list | dict) else json.dumps(value))
-    )
+    plain = _plain(value)
+    if plain is None:
+        return ""
+    return json.dumps(plain, ensure_ascii=False) if isinstance(plain, list | dict) else str(plain)
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if value is None or isinstance(value, str | int | list | dict):
-        return value
-    return str(value)
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    return value if value is None or isinstance(value, str | int) else str(value)

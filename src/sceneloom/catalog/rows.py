@@ -12,7 +12,9 @@ from sceneloom.catalog.boxes import annotation_rows, box_rows, distances, track_
 from sceneloom.catalog.ego import Ego
 from sceneloom.catalog.values import Repeated, Rows, text_of
 from sceneloom.scene import (
+    Box2DAnnotation,
     CameraSensor,
+    CuboidAnnotation,
     DepthCameraSensor,
     Finding,
     GnssSensor,
@@ -55,7 +57,7 @@ def scene_rows(
     summary = summarise(scene)
     start_ns = summary.start_ns or 0
     ego, reference = Ego.of(scene), reference_sensor(scene)
-    moments_ns = np.zeros(0, np.int64) if reference is None else np.unique(frame_times(reference))
+    moments_ns = _annotated_ns(scene) if reference is None else np.unique(frame_times(reference))
     boxes = box_rows(scene, moments_ns)
     tables = {
         "sensors": _sensors(summary.sensors),
@@ -95,6 +97,12 @@ def reference_sensor(scene: Scene) -> Sensor | None:
             if isinstance(sensor, kind) and len(frame_times(sensor)):
                 return sensor
     return None
+
+
+def _annotated_ns(scene: Scene) -> Int64Array:
+    """The times at which boxes are said to be: the moments of a scene without frames."""
+    boxes = [one for one in scene.annotations if isinstance(one, CuboidAnnotation | Box2DAnnotation)]
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *(box.path.timestamps_ns for box in boxes)]))
 
 
 def _sensors(sensors: Sequence[SensorSummary]) -> Rows:

@@ -1,5 +1,6 @@
 """Ready filters: what is looked for, as SQL."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -51,6 +52,10 @@ class Selection:
             raise OptionError(
                 f"near {self.near[0]}, {self.near[1]}; expected latitude and longitude in degrees"
             )
+        if self.near is not None and not self.near[2] >= 0:
+            raise OptionError(f"near: {self.near[2]} m; expected 0 or more")
+        if self.count is not None and self.count < 1:
+            raise OptionError(f"count {self.count}; expected 1 or more")
 
     @property
     def of_boxes(self) -> bool:
@@ -87,9 +92,13 @@ def _any_of(condition: str, values: Any) -> Part:
 
 def _timed(value: float | str, name: str, sign: str) -> Part:
     try:
-        return f"m.seconds {sign} ?", (float(value),)
+        seconds = float(value)
     except ValueError:
         pass
+    else:
+        if math.isnan(seconds):
+            raise OptionError(f"{name} {value}; expected a number of seconds")
+        return f"m.seconds {sign} ?", (seconds,)
     try:
         moment = datetime.fromisoformat(str(value))
     except ValueError as error:
@@ -109,8 +118,6 @@ def _near(latitude: float, longitude: float, metres: float) -> Part:
 
     Source: NIMA TR8350.2, radii of curvature in the meridian and the prime vertical.
     """
-    import math
-
     from sceneloom.geometry.geodesy import FLATTENING, SEMI_MAJOR_AXIS
 
     eccentricity_2 = FLATTENING * (2 - FLATTENING)
@@ -150,10 +157,13 @@ def sql_of(selection: Selection, *, show: str = "spans", gap: float = 1.0, margi
         margin: spans are so many seconds longer at both ends.
 
     Raises:
-        OptionError: a time is none, or there is no such way to show it.
+        OptionError: a time is none, gap or margin are below 0, or there is no such way to show it.
     """
     if show not in SHOWN:
         raise OptionError(f"show {show!r}; expected one of {', '.join(SHOWN)}")
+    for name, seconds in (("gap", gap), ("margin", margin)):
+        if not seconds >= 0:
+            raise OptionError(f"{name} {seconds}; expected 0 s or more")
     table = "annotations" if selection.of_boxes else "frames"
     joins, conditions = list(selection.joins()), list(selection.conditions())
     if not selection.of_boxes:
@@ -168,8 +178,12 @@ def sql_of(selection: Selection, *, show: str = "spans", gap: float = 1.0, margi
     if show == "rows":
         sql = _ROWS.format(chosen=chosen, least=int(least))
         return sql, values
-    sql = _SPANS.format(chosen=chosen, least=int(least), gap=float(gap), margin=float(margin))
+    sql = _SPANS.format(chosen=chosen, least=int(least), gap=_number(gap), margin=_number(margin))
     return (f"{sql} {_OF_SPANS}" if show == "spans" else f"{sql} {_OF_DRIVES}"), values
+
+
+def _number(value: float) -> str:
+    return f"'{float(value)!r}'::DOUBLE"  # so that "inf" is one, too
 
 
 _ROWS = """SELECT s.path, c.* FROM ({chosen}) c JOIN scenes s USING (scene)

@@ -1,11 +1,14 @@
 """What stands in the tables."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sceneloom.catalog import TABLES, query
+import sceneloom
+from sceneloom.catalog import TABLES, Selection, build, query
 
-from .conftest import street
+from .conftest import box, street
 
 
 def rows_of(catalogue, sql):
@@ -86,3 +89,18 @@ def test_other_readers_find_the_same_rows_and_scenes(catalogue, reader):
         frame = polars.scan_parquet(folder, hive_partitioning=True, glob=False).collect()
         found = (frame.height, frame["scene"].n_unique())
     assert found == rows_of(catalogue, "SELECT count(*), count(DISTINCT scene) FROM annotations")[0]
+
+
+def test_the_moments_of_a_drive_without_frames_are_the_stamps_of_its_boxes(tmp_path):
+    stands = replace(box("stands", "car", [0.0], [[1, 2, 0]]), stationary=True)
+    boxes = (stands, box("goes", "car", [1.0, 2.0, 4.0], [[0, 0, 0], [2, 0, 0], [6, 0, 0]]))
+    sceneloom.write(replace(street(annotations=boxes), sensors=()), tmp_path / "boxes.sfs")
+    build([tmp_path / "boxes.sfs"], tmp_path / "catalogue")
+    rows = rows_of(
+        tmp_path / "catalogue", "SELECT annotation, x FROM annotations ORDER BY timestamp_ns, track"
+    )
+    assert rows[:1] == [("stands", 1.0)]
+    assert rows[1:] == [
+        (name, x) for goes in (0.0, 2.0, 6.0) for name, x in (("stands", 1.0), ("goes", goes))
+    ]
+    assert query(tmp_path / "catalogue", Selection(labels=("car",), count=2), gap=5.0).rows[0][3:] == (3, 2)

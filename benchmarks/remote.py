@@ -1,25 +1,32 @@
-"""What one frame of a large scene file behind a URL costs: bytes and requests, counted by a server on this machine.
+"""What reading drives behind URLs costs: bytes, requests and seconds, counted by a store on this machine.
 
-`python -m benchmarks.remote [--frames 600]`: the file is sparse, so that a gigabyte takes no room on disk.
+`python -m benchmarks.remote [--only scene|folder|mcap] [--frames 600]`: one frame of a scene file of a gigabyte; what
+`sceneloom info` and five seconds of fusion take of a folder with a drive of a minute, beside fetching it whole by
+s3fs; one sweep of an MCAP file of a gigabyte, beside the `mcap` package's reader on a file of fsspec.
 """
 
 import argparse
 import json
-import re
-import threading
+import os
+import shutil
+import subprocess
+import sys
 import time
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import sceneloom
+from benchmarks.bucket import Bucket
+from sceneloom.cameras.camera import Camera
 
 POINTS = 131_072
 ARRAYS = (("positions", "float32", 3, 4), ("intensities", "uint8", 1, 1))
 
 
 def write_sparse_scene(path: Path, frames: int) -> None:
-    """A lidar whose points are all zero."""
+    """A lidar whose points are all zero: a gigabyte that takes no room on disk."""
     sweeps, items, offset = [], [], 64
     for k in range(frames):
         sweeps.append({"timestamp": 100_000 * k, "points": dict.fromkeys(("positions", "intensities"))})
@@ -36,81 +43,86 @@ def write_sparse_scene(path: Path, frames: int) -> None:
         file.truncate(len(header) + offset)
 
 
-class CountingServer(ThreadingHTTPServer):
-    """Serves one file by ranges, and counts what it sends."""
-
-    def __init__(self, path: Path, latency: float) -> None:
-        super().__init__(("127.0.0.1", 0), Answers)
-        self.path, self.latency, self.sent, self.requests = path, latency, 0, 0
-        threading.Thread(target=self.serve_forever, daemon=True).start()
-
-
-class Answers(BaseHTTPRequestHandler):
-    def do_HEAD(self) -> None:
-        self._answer(with_content=False)
-
-    def do_GET(self) -> None:
-        self._answer(with_content=True)
-
-    def _answer(self, *, with_content: bool) -> None:
-        time.sleep(self.server.latency)
-        size = self.server.path.stat().st_size
-        wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
-        start, stop = (int(wanted[1]), min(int(wanted[2]) + 1, size)) if wanted else (0, size)
-        self.send_response(206 if wanted else 200)
-        if wanted:
-            self.send_header("Content-Range", f"bytes {start}-{stop - 1}/{size}")
-        self.send_header("Accept-Ranges", "bytes")
-        self.send_header("Content-Length", str(stop - start))
-        self.end_headers()
-        self.server.requests += 1
-        if with_content:
-            with self.server.path.open("rb") as file:
-                file.seek(start)
-                content = file.read(stop - start)
-            self.server.sent += len(content)  # before the client may have it and look
-            self.wfile.write(content)
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
-def measure(path: Path, latency: float) -> dict[str, float]:
-    server = CountingServer(path, latency)
+def counted(bucket: Bucket, work: Callable[[], object]) -> str:
+    """Do something, and say what it took."""
+    bucket.begin()
     begun = time.perf_counter()
-    with sceneloom.open(f"http://127.0.0.1:{server.server_port}/drive.sfs") as scene:
-        opened = time.perf_counter()
-        told = {
-            "opening_mb": server.sent / 1e6,
-            "opening_seconds": opened - begun,
-            "opening_requests": server.requests,
+    work()
+    seconds = time.perf_counter() - begun
+    return f"{bucket.sent / 1e6:8.2f} MB, {bucket.requests:5d} requests, {seconds:6.2f} s"
+
+
+def measure_scene(folder: Path, frames: int, latency: float) -> None:
+    path = folder / "drive.sfs"
+    write_sparse_scene(path, frames)
+    with Bucket(folder, latency) as bucket:
+        scenes = []
+        print(f"a scene file of {path.stat().st_size / 1e9:.2f} GB, {frames} frames:")
+        print(
+            "  opening   ",
+            counted(bucket, lambda: scenes.append(sceneloom.open(f"{bucket.address}/b/drive.sfs"))),
+        )
+        lidar = scenes[0].lidars[0]
+        print("  one frame ", counted(bucket, lambda: lidar.frames[frames // 2].points.positions))
+        scenes[0].close()
+
+
+def write_drive(folder: Path, frames: int) -> None:
+    """A minute of a street as KITTI has its raw drives."""
+    from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+    street = simulate_street(
+        0, frames=frames, lidar=LidarSpec(beams=32, steps=900), cameras=(CameraSpec(small_lens()),)
+    )
+    sceneloom.write(street.scene, folder, format="kitti-raw")
+
+
+def small_lens() -> Camera:
+    return Camera("pinhole", 621, 188, 360.0, 360.0, 310.0, 93.5)
+
+
+def measure_folder(folder: Path, frames: int, latency: float) -> None:
+    write_drive(folder / "drive", frames)
+    files = [path for path in (folder / "drive").rglob("*") if path.is_file()]
+    size = sum(path.stat().st_size for path in files)
+    print(f"a folder of {size / 1e6:.0f} MB in {len(files)} files, {frames} sweeps and pictures:")
+    with Bucket(folder, latency) as bucket, TemporaryDirectory() as place:
+        environment = {
+            **os.environ,
+            "AWS_ACCESS_KEY_ID": "whoever",
+            "AWS_SECRET_ACCESS_KEY": "whatever",
+            "AWS_DEFAULT_REGION": "us-east-1",
+            "AWS_ENDPOINT_URL": bucket.address,
         }
-        lidar = scene.lidars[0]
-        assert len(lidar.frames[len(lidar.frames) // 2].points.positions) == POINTS
-        told |= {
-            "frame_mb": server.sent / 1e6 - told["opening_mb"],
-            "frame_seconds": time.perf_counter() - opened,
-            "all_mb": server.sent / 1e6,
-            "requests": server.requests,
-        }
-    server.shutdown()
-    server.server_close()
-    return told
+
+        def run(*command: str) -> None:
+            subprocess.run([sys.executable, *command], env=environment, check=True, stdout=subprocess.DEVNULL)
+
+        def whole_then(*command: str) -> None:
+            copy = Path(place, "whole")
+            shutil.rmtree(copy, ignore_errors=True)
+            run("-c", f"import s3fs; s3fs.S3FileSystem().get('drives/drive', {str(copy)!r}, recursive=True)")
+            run("-m", "sceneloom", command[0], str(copy), *command[1:])
+
+        url, out = "s3://drives/drive", ("-o", str(Path(place, "out.sfs")), "--overwrite", "--quiet")
+        commands = {"info": ("info",), "5 s fused": ("fuse", *out, "--start", "20", "--stop", "25")}
+        for name, command in commands.items():
+            ours = counted(bucket, partial(run, "-m", "sceneloom", command[0], url, *command[1:]))
+            print(f"  {name:10}", ours)
+            print(f"  {'':10}", counted(bucket, partial(whole_then, *command)), "fetched whole by s3fs first")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--latency", type=float, default=0.02, help="of each answer [s]")
+    parser.add_argument("--only", choices=("scene", "folder", "mcap"))
     given = parser.parse_args()
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "drive.sfs"
-        write_sparse_scene(path, given.frames)
-        told = measure(path, given.latency)
-        print(f"one frame of a scene file of {path.stat().st_size / 1e9:.2f} GB, {given.frames} frames:")
-        for name, value in told.items():
-            print(f"  {name}: {value:.3f}")
-        assert told["all_mb"] < 20.0
+    parts = {"scene": measure_scene, "folder": measure_folder}
+    for name, measure in parts.items():
+        if given.only in {None, name}:
+            with TemporaryDirectory() as folder:
+                measure(Path(folder), given.frames, given.latency)
 
 
 if __name__ == "__main__":

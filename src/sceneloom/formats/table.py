@@ -206,7 +206,8 @@ def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by
-            ranges, all others fetched into a temporary folder, which is removed when the scene is closed.
+            ranges, files of folders fetched when they are opened, and other files at once, into a temporary folder,
+            which is removed when the scene is closed.
         format: the format's name, where the content should not decide.
         options: reading options of the format.
 
@@ -233,7 +234,7 @@ def _read_by_ranges(url: str, format: str | None) -> bool:
 
 
 def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Scene:
-    """Fetch a file or folder, and open it; it goes when the scene is closed."""
+    """Open a file that is fetched, or a folder whose files are when they are read; they go when the scene is closed."""
     from sceneloom.formats.remote import fetch
 
     fetched = fetch(url)
@@ -246,8 +247,7 @@ def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Sce
         kind=NoticeKind.ASSUMED,
         code="fetched",
         place=redacted(url),
-        message=f"{fetched.files} files, {fetched.size / 1e6:.1f} MB, were fetched to {fetched.path}; they go when the "
-        "scene is closed",
+        message=fetched.told(),
     )
     return replace(
         scene,

@@ -15,6 +15,8 @@ def is_url(path: object) -> bool:
 
 def path_or_url(text: str | Path) -> Path | str:
     """Give the path that text names, `file://` resolved, or the text itself where it is a URL."""
+    if isinstance(text, Path):
+        return text
     if not is_url(text):
         return Path(text)
     parts = urlsplit(str(text))

@@ -1,5 +1,6 @@
 """Columns of feather files, by pyarrow."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ def read_columns(path: Path, columns: Columns) -> dict[str, AnyArray]:
     if not path.is_file():
         raise DataError(path, "", "is not there; expected a feather file")
     try:
-        table = feather.read_table(str(path), memory_map=False)
+        table = feather.read_table(os.fspath(path), memory_map=False)
         # without it a damaged file would be read beyond its end
         table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError) as error:

@@ -55,7 +55,7 @@ def holds_kind(path: Path, kind: CloudKind) -> bool:
     if not path.is_dir():
         return False
     try:
-        folders = [Path(entry.path) for entry in _entries(path) if entry.is_dir()]
+        folders = [path / entry.name for entry in _entries(path) if entry.is_dir()]
         if not folders:
             return _is_flat(path, kind)
         return all(_is_flat(folder, kind) for folder in folders) and not any(
@@ -74,7 +74,7 @@ def _is_flat(folder: Path, kind: CloudKind) -> bool:
             return False
         same = samples.setdefault(_ending(entry.name), [])
         if len(same) < _LOOKED_AT and entry.name not in _BESIDE:
-            same.append(Path(entry.path))
+            same.append(folder / entry.name)
     found = [path for same in samples.values() for path in same]
     known = all(any(other.has_name(path.name) for other in KINDS.values()) for path in found)
     return known and any(kind.recognises(path) for path in found if kind.has_name(path.name))
@@ -119,7 +119,7 @@ def find_folders(path: Path, kind: CloudKind) -> list[CloudFolder]:
     if path.is_file():
         return [CloudFolder(DEFAULT_ID, path, (path,), {})]
     try:
-        folders = sorted(Path(entry.path) for entry in _entries(path) if entry.is_dir())
+        folders = sorted(path / entry.name for entry in _entries(path) if entry.is_dir())
         own = _files(path, kind)
         found = [] if own is None else [own]
         if own is None:
@@ -136,9 +136,11 @@ def find_folders(path: Path, kind: CloudKind) -> list[CloudFolder]:
 def _files(folder: Path, kind: CloudKind) -> CloudFolder | None:
     entries = [entry for entry in _entries(folder) if entry.is_file()]
     files = tuple(
-        Path(entry.path) for entry in sorted(entries, key=lambda one: one.name) if kind.has_name(entry.name)
+        folder / entry.name
+        for entry in sorted(entries, key=lambda one: one.name)
+        if kind.has_name(entry.name)
     )
-    beside = {entry.name: Path(entry.path) for entry in entries if entry.name in _BESIDE}
+    beside = {entry.name: folder / entry.name for entry in entries if entry.name in _BESIDE}
     if folder.name == "data" and not beside:
         # KITTI's raw data have the times beside the folder of the files
         beside = {name: there for name in TIME_FILES if (there := folder.parent / name).is_file()}

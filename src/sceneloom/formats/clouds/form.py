@@ -40,7 +40,7 @@ class CloudFormat:
         """
         given = {name: value for name, value in options.items() if value is not None}
         check_option_names("opening clouds", given, tuple(CloudReading.__dataclass_fields__))
-        return open_clouds(Path(path), self._kind, CloudReading(**given))
+        return open_clouds(path, self._kind, CloudReading(**given))
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write the lidar frames of a scene; the options are those of `CloudSaving`.

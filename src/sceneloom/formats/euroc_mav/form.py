@@ -39,7 +39,7 @@ class EurocFormat:
 
         given = {name: value for name, value in options.items() if value is not None}
         check_option_names("opening a EuRoC folder", given, ("lenient",))
-        return read_euroc(Path(path), **given)
+        return read_euroc(path, **given)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Refuse: such folders are only read.

@@ -45,7 +45,7 @@ class OpenLabelFormat:
         """
         given = {name: value for name, value in options.items() if value is not None}
         check_option_names("opening OpenLABEL", given, _READING_OPTIONS)
-        return read_openlabel(Path(path), **given)
+        return read_openlabel(path, **given)
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write a file.

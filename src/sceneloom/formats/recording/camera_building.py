@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -276,11 +276,7 @@ def _video(files: PictureFiles | None, indices: Int64Array) -> VideoContent | No
         return None
     all_in_order = np.array_equal(indices, np.arange(files.count))
     return VideoContent(
-        open=partial(_open_binary, Path(files.name)),
+        open=files.open_file,
         codec=files.codec,
         frame_indices=None if all_in_order else tuple(indices.tolist()),
     )
-
-
-def _open_binary(path: Path) -> BinaryIO:
-    return path.open("rb")

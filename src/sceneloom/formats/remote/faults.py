@@ -86,9 +86,14 @@ def faults(url: str, place: str, *, doing: str = "read") -> Iterator[None]:
         raise
     except Exception as error:  # noqa: BLE001 - back ends raise what the libraries of their protocols raise
         ours = _ours(error, redacted(url), place, doing)
-    if ours is not None:
-        # what the back end raised is left behind: a traceback would show addresses with all their secrets
-        raise ours from None
+    if ours is None:
+        return
+    try:
+        raise ours
+    finally:
+        # what the back end raised is left behind: it has addresses with all their secrets, and handlers of errors
+        # that look around, and processes that an error is sent to, would find them
+        ours.__cause__ = ours.__context__ = None
 
 
 def _ours(error: Exception, url: str, place: str, doing: str) -> SceneloomError:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
 
@@ -197,10 +198,16 @@ def _abandon(file: Any) -> None:
 
 def _facts(told: Mapping[str, Any]) -> Facts:
     size = told.get("size")
-    version = next((str(told[name]) for name in _VERSIONS if told.get(name)), None)
+    version = next((_mark(told[name]) for name in _VERSIONS if told.get(name)), None)
     return Facts(
         str(told["name"]), size if isinstance(size, int) else None, version, told.get("type") == "directory"
     )
+
+
+def _mark(told: object) -> str:
+    """What a back end says that changes with the content, as text; lists and single files word it differently."""
+    when = told.timestamp() if isinstance(told, datetime) else told
+    return f"{when:.6f}" if isinstance(when, float) else str(when).strip('"')
 
 
 def _protocols(files: Any) -> tuple[str, ...]:

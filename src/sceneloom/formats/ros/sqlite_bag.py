@@ -58,7 +58,7 @@ class SqliteBag:
 
     def _opened(self) -> sqlite3.Connection:
         if self._database is None or self._process != os.getpid():
-            address = f"file:{quote(str(self.path.absolute()))}?mode=ro"
+            address = f"file:{quote(os.fspath(self.path.absolute()))}?mode=ro"
             self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
             self._process = os.getpid()
         return self._database

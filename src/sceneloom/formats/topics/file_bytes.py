@@ -9,7 +9,7 @@ from typing import Any, BinaryIO, Protocol
 from sceneloom.errors import DataError
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.remote import Range, RangedFile, RemoteIdentity
-from sceneloom.formats.urls import is_url
+from sceneloom.formats.urls import path_or_url
 from sceneloom.redaction import redacted
 
 _READ_AHEAD = 64 << 10
@@ -46,10 +46,11 @@ class FileBytes:
         Raises:
             DataError: it cannot be opened.
         """
-        self.path = redacted(path) if is_url(path) else Path(path)
+        place = path_or_url(path)
+        self.path = redacted(place) if isinstance(place, str) else place
         self._identity: FileIdentity | RemoteIdentity
         try:
-            self._identity = RemoteIdentity.of(str(path)) if is_url(path) else FileIdentity.of(Path(path))
+            self._identity = RemoteIdentity.of(place) if isinstance(place, str) else FileIdentity.of(place)
         except OSError as error:
             raise DataError(path, "", f"cannot be opened: {error.strerror or error}") from error
         self.size = self._identity.size

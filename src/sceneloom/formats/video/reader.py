@@ -3,7 +3,7 @@
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from av.video.frame import VideoFrame
@@ -15,7 +15,14 @@ from sceneloom.formats.video.colours import Colours
 from sceneloom.formats.video.cursor import Cursor
 from sceneloom.formats.video.forking import rest_while_forking
 from sceneloom.formats.video.index import VideoIndex, read_index
-from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults, source_name
+from sceneloom.formats.video.source import (
+    OpenVideo,
+    VideoSource,
+    as_path,
+    decoder_faults,
+    open_bytes,
+    source_name,
+)
 
 _STEPS = ("gray16le", "gray16be")
 """FFmpeg's names of pixels that are one 16-bit number each."""
@@ -62,7 +69,7 @@ class VideoReader:
         self._source = source
         self._ahead = True
         self._opened: OpenVideo | None = self._open_source()
-        self._identity = FileIdentity.of(Path(source)) if isinstance(source, Path | str) else None
+        self._identity = FileIdentity.of(as_path(source)) if isinstance(source, Path | str) else None
         decoder = self._opened.stream.codec_context
         self.codec: str = decoder.codec.canonical_name
         self.width, self.height = decoder.width, decoder.height
@@ -126,6 +133,10 @@ class VideoReader:
         """
         with self._lock:
             return self._known_index()
+
+    def open_file(self) -> BinaryIO:
+        """Open what it reads from, as it is."""
+        return open_bytes(self._source)
 
     @property
     def is_remainder(self) -> bool:

@@ -1,6 +1,7 @@
 """Where the bytes of a video come from, and how a decoder's complaints become ours."""
 
 import io
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -36,10 +37,15 @@ def source_name(source: VideoSource, name: str | None) -> str:
     return str(source) if isinstance(source, Path | str) else "video"
 
 
+def as_path(source: Path | str) -> Path:
+    """The path of a file, of the class that it is of."""
+    return source if isinstance(source, Path) else Path(source)
+
+
 def open_bytes(source: VideoSource) -> BinaryIO:
     """Open the source as a new seekable binary file."""
     if isinstance(source, Path | str):
-        return Path(source).open("rb")
+        return as_path(source).open("rb")
     if callable(source):
         return source()
     return cast("BinaryIO", io.BufferedReader(ByteStream(memoryview(source).cast("B"))))
@@ -79,8 +85,8 @@ class OpenVideo:
             name: what messages call it.
             options: further ones for the container.
         """
-        if isinstance(source, Path | str) and not Path(source).is_file():
-            raise DataError(name, "", "not a file" if Path(source).exists() else "no such file")
+        if isinstance(source, Path | str) and not as_path(source).is_file():
+            raise DataError(name, "", "not a file" if as_path(source).exists() else "no such file")
         self._file: BinaryIO | None = None
         with decoder_faults(name, ""):
             self._open(source, options or {})
@@ -93,7 +99,7 @@ class OpenVideo:
     def _open(self, source: VideoSource, further: Mapping[str, str]) -> None:
         if isinstance(source, Path | str):
             # the prefix keeps a colon in a file's name from being taken for a protocol
-            target: Any = f"file:{source}"
+            target: Any = f"file:{os.fspath(source)}"
         else:
             target = self._file = open_bytes(source)
         options = {"format_whitelist": _DEMUXERS, **further}

@@ -1,6 +1,5 @@
-"""Folders behind URLs: fetched whole, told, bounded, and gone when the drive is closed."""
+"""What is fetched behind URLs: told, bounded, and gone when the drive is closed."""
 
-import pickle
 from pathlib import Path
 
 import fsspec
@@ -44,8 +43,6 @@ def test_a_folder_opens_as_on_disk_and_goes_when_it_is_closed(memory):
         assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [1, 2, 3, 4, 5]
         place = place_of(scene)
         assert sorted(path.name for path in place.iterdir()) == [f"{k}.pcd" for k in range(5)]
-        again = pickle.loads(pickle.dumps(scene))
-        assert again.lidars[0].frames[3].points.positions[0, 0] == 4
     assert not place.parent.exists()
 
 
@@ -60,7 +57,7 @@ def test_a_folder_of_no_format_leaves_nothing_behind(memory, monkeypatch, tmp_pa
 def test_more_than_may_be_fetched_is_refused_before_it_is(memory, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr(stores.Store, "get", None)
-    with pytest.raises(DataError, match=r"has 0\.0 GB, and 0\.0 GB may be fetched"):
+    with pytest.raises(DataError, match=r"a file of 0\.0 GB is more than the 0\.0 GB that may be fetched"):
         fetch("memory://bucket/clouds", largest=100)
     assert list(tmp_path.iterdir()) == []
 
@@ -76,8 +73,8 @@ def test_files_that_come_short_are_fetched_again(memory, monkeypatch, waits):
 
     monkeypatch.setattr(stores.Store, "get", short)
     fetched = fetch("memory://bucket/clouds")
-    assert len(waits) == 2
     assert all((fetched.path / f"{k}.pcd").read_text() == CLOUD.format(k + 1) for k in range(5))
+    assert len(waits) == 2
     fetched.remove()
 
 

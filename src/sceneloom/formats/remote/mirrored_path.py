@@ -1,0 +1,138 @@
+"""Paths of files that are fetched when someone opens them: readers of folders take them as they take others."""
+
+import io
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import msgspec
+
+from sceneloom.formats.remote.late_file import LateFile
+from sceneloom.formats.remote.mirror import HEAD, ListedFile, Listing, Mirror
+
+WORKPLACE = "sceneloom-"
+"""What the names of the folders begin with that trees are planted in."""
+
+_LISTING = "listing.json"
+
+_open: dict[tuple[int, str], Mirror] = {}
+"""What processes fetch from: by their number, since a forked one must begin anew, and the tops of trees."""
+
+if TYPE_CHECKING:
+    from pathlib import Path as _Path
+else:
+    # which class paths are of depends on the system
+    _Path = type(Path())
+
+
+class MirroredPath(_Path):
+    """A path below a folder that stands for one behind a URL.
+
+    Whatever asks for the place of a file on disk, as `open` does, has it fetched first. Its size and time are known
+    without. In other processes it does the same.
+    """
+
+    def __fspath__(self) -> str:
+        """Have the file fetched, and give its place on disk.
+
+        Raises:
+            DataError: it cannot be fetched, or was changed after the folder was opened.
+        """
+        text = str(self)
+        mirror, file = _find(text)
+        if mirror is not None and file is not None:
+            mirror.bring(file)
+        return text
+
+    def open(self, mode: str = "r", buffering: int = -1, *more: Any, **named: Any) -> Any:
+        """Open it as any path; who reads a few bytes at its beginning fetches no more than some around them.
+
+        Raises:
+            DataError: it cannot be fetched, or was changed after the folder was opened.
+        """
+        mirror, file = _find(str(self))
+        if mode != "rb" or mirror is None or file is None or file.size <= HEAD or mirror.is_near(file):
+            return super().open(mode, buffering, *more, **named)
+        late = LateFile(mirror, file, str(self))
+        return late if buffering == 0 else io.BufferedReader(late)
+
+    def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
+        """Look at it; a file that was not fetched yet is as long as it is in the store."""
+        found = self._plain().stat(follow_symlinks=follow_symlinks)
+        _, file = _find(str(self))
+        if file is None or found.st_size == file.size:
+            return found
+        times = {name: getattr(found, name) for name in ("st_atime_ns", "st_mtime_ns", "st_ctime_ns")}
+        return os.stat_result((*found[:6], file.size, *found[7:]), times)
+
+    def exists(self, *, follow_symlinks: bool = True) -> bool:
+        """Whether it is there; there are no links."""
+        del follow_symlinks
+        return self._plain().exists()
+
+    def is_file(self, *, follow_symlinks: bool = True) -> bool:
+        """Whether it is a file; there are no links."""
+        del follow_symlinks
+        return self._plain().is_file()
+
+    def is_dir(self, *, follow_symlinks: bool = True) -> bool:
+        """Whether it is a folder; there are no links."""
+        del follow_symlinks
+        return self._plain().is_dir()
+
+    def resolve(self, strict: bool = False) -> Self:  # noqa: FBT001, FBT002 - as all paths have it
+        """Follow links above the folder."""
+        return type(self)(self._plain().resolve(strict))
+
+    def _plain(self) -> Path:
+        return Path(str(self))
+
+
+def plant(listing: Listing) -> MirroredPath:
+    """Make the tree of a folder behind a URL, and give its top."""
+    listing.plant()
+    Path(listing.top).with_name(_LISTING).write_bytes(msgspec.json.encode(listing))
+    _open[os.getpid(), listing.top] = Mirror(listing)
+    return MirroredPath(listing.top)
+
+
+def mirror_of(path: Path) -> Mirror | None:
+    """What a path is fetched by, in this process."""
+    return _find(str(path))[0]
+
+
+def uproot(workplace: Path) -> None:
+    """Fetch nothing more to what is below a folder."""
+    for process, top in list(_open):
+        if process == os.getpid() and Path(top).parent == workplace:
+            _open.pop((process, top)).close()
+
+
+def _find(text: str) -> tuple[Mirror | None, ListedFile | None]:
+    """What fetches a path, and the file that it means, if any."""
+    mirror = _opened(text) or _planted(Path(text).parents)
+    if mirror is None:
+        return None, None
+    name = text[len(mirror.listing.top) + 1 :]
+    return mirror, mirror.file(name.replace(os.sep, "/"))
+
+
+def _opened(text: str) -> Mirror | None:
+    process = os.getpid()
+    for (owner, top), mirror in list(_open.items()):
+        if owner == process and (text == top or text.startswith(top + os.sep)):
+            return mirror
+    return None
+
+
+def _planted(above: Iterable[Path]) -> Mirror | None:
+    """Begin to fetch to a tree that another process has planted."""
+    workplace = next((folder for folder in above if folder.name.startswith(WORKPLACE)), None)
+    if workplace is None:
+        return None
+    try:
+        listing = msgspec.json.decode((workplace / _LISTING).read_bytes(), type=Listing)
+    except OSError:
+        return None
+    return _open.setdefault((os.getpid(), listing.top), Mirror(listing))

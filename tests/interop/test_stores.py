@@ -1,0 +1,216 @@
+"""Drives in stores of other programs, by the protocols of S3, Google and Azure: moto, an emulator, Azurite.
+
+The servers are no part of the development environment. With `SCENELOOM_MOTO_PYTHON` naming an interpreter that has
+`moto[server]` installed, `SCENELOOM_GCS_PYTHON` one that has `gcp-storage-emulator`, and `SCENELOOM_AZURITE` the
+program `azurite-blob`, these tests run; without them, they are skipped.
+"""
+
+import os
+import re
+import subprocess
+from pathlib import Path
+from uuid import uuid4
+
+import fsspec
+import numpy as np
+import pytest
+from tests.peers import python_with
+
+import sceneloom
+from sceneloom.errors import DataError, OutputError
+from sceneloom.formats.remote import MARKER, find_urls, stores, upload
+
+MOTO = """
+from moto.server import ThreadedMotoServer
+server = ThreadedMotoServer("127.0.0.1", 0)
+server.start()
+print("at http://127.0.0.1:%d" % server._server.server_port, flush=True)
+input()
+"""
+
+GOOGLE = """
+from gcp_storage_emulator.server import create_server
+server = create_server("127.0.0.1", 0, in_memory=True)
+server.start()
+print("at http://127.0.0.1:%d" % server._api._httpd.server_port, flush=True)
+input()
+"""
+
+AZURITE = ("--inMemoryPersistence", "--disableTelemetry", "--skipApiVersionCheck", "--blobPort", "0")
+
+KEY = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2UVErCz4I6tq/K1SZFPTOtr/KBHBeksoGMGw=="
+"""Azurite's own account has this key. Source: its documentation."""
+
+
+# how the client of Google sends parts is its own affair
+pytestmark = pytest.mark.filterwarnings("ignore:Sending a large body directly:ResourceWarning")
+
+
+def command(scheme):
+    """What serves a scheme."""
+    if scheme == "s3":
+        return [python_with("moto[server]", "SCENELOOM_MOTO_PYTHON"), "-c", MOTO]
+    if scheme == "gs":
+        return [python_with("gcp-storage-emulator", "SCENELOOM_GCS_PYTHON"), "-c", GOOGLE]
+    program = os.environ.get("SCENELOOM_AZURITE")
+    if program is None:
+        pytest.skip("no Azurite: SCENELOOM_AZURITE names no program azurite-blob")
+    return [program, *AZURITE]
+
+
+def environment(scheme, address):
+    """Where the server is, and who asks."""
+    account = f"{address}/devstoreaccount1"
+    return {
+        "s3": {
+            "AWS_ACCESS_KEY_ID": "whoever",
+            "AWS_SECRET_ACCESS_KEY": "hidden",
+            "AWS_DEFAULT_REGION": "us-east-1",
+            "AWS_ENDPOINT_URL": address,
+        },
+        # else the client of Google looks for credentials, to ask of what kind a bucket is
+        "gs": {"STORAGE_EMULATOR_HOST": address, "GCSFS_EXPERIMENTAL_ZB_HNS_SUPPORT": "false"},
+        "az": {
+            "AZURE_STORAGE_CONNECTION_STRING": "DefaultEndpointsProtocol=http;AccountName=devstoreaccount1;"
+            f"AccountKey={KEY};BlobEndpoint={account};"
+        },
+    }[scheme]
+
+
+@pytest.fixture(scope="module", params=["s3", "gs", "az"])
+def server(request):
+    """A scheme, and the address of a server of its own, which ends with the tests."""
+    with subprocess.Popen(
+        command(request.param),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as running:
+        address = next(
+            found[1] for line in running.stdout if (found := re.search(r" (http://127\S+\d)", line))
+        )
+        yield request.param, address
+        running.kill()
+
+
+@pytest.fixture
+def bucket(server, monkeypatch):
+    """An empty bucket; where the server is and who asks stands in the environment."""
+    scheme, address = server
+    for name, value in environment(scheme, address).items():
+        monkeypatch.setenv(name, value)
+    fsspec.get_filesystem_class(scheme).clear_instance_cache()
+    yield Bucket(scheme, fsspec.filesystem(scheme))
+    fsspec.get_filesystem_class(scheme).clear_instance_cache()
+
+
+class Bucket:
+    """A new bucket, as another client sees it; servers do not all remove them."""
+
+    def __init__(self, scheme, files):
+        self.scheme, self.files = scheme, files
+        self.name = f"drives-{uuid4().hex}"
+        files.mkdir(self.name)
+
+    def url(self, name):
+        return f"{self.scheme}://{self.name}/{name}"
+
+    def names(self):
+        self.files.invalidate_cache()
+        return [name.removeprefix(f"{self.name}/") for name in self.files.find(self.name)]
+
+
+@pytest.fixture
+def drive(tmp_path, encode_sfs):
+    rng = np.random.default_rng(7)
+    frames = [
+        {"timestamp": 100_000 * k, "points": {"positions": rng.normal(size=(50_000, 3)).astype(np.float32)}}
+        for k in range(30)
+    ]
+    path = tmp_path / "drive.sfs"
+    path.write_bytes(
+        encode_sfs({"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]})
+    )
+    return path
+
+
+def same_frames(url, drive, numbers):
+    with sceneloom.open(url) as scene, sceneloom.open(drive) as local:
+        for k in numbers:
+            found, expected = scene.lidars[0].frames[k].points, local.lidars[0].frames[k].points
+            np.testing.assert_array_equal(found.positions, expected.positions)
+
+
+def test_a_scene_goes_there_in_parts_and_comes_back_by_ranges(bucket, drive, monkeypatch):
+    monkeypatch.setattr(stores, "_PART", 5 << 20)
+    sceneloom.convert(drive, bucket.url("deep/copy.sfs"))
+    if bucket.scheme == "s3":
+        tag = bucket.files.info(f"{bucket.name}/deep/copy.sfs")["ETag"]
+        assert "-" in tag, "the mark of an object that was put in parts"
+    same_frames(bucket.url("deep/copy.sfs"), drive, (0, 17, 29))
+    assert find_urls(bucket.url("*/*.sfs")) == [bucket.url("deep/copy.sfs")]
+    with pytest.raises(OutputError, match="exists already"):
+        sceneloom.convert(drive, bucket.url("deep/copy.sfs"))
+
+
+def test_mcap_files_come_by_ranges(bucket, drive):
+    sceneloom.convert(drive, bucket.url("copy.mcap"))
+    same_frames(bucket.url("copy.mcap"), drive, (3,))
+
+
+def test_an_upload_that_fails_leaves_neither_object_nor_parts(bucket, drive, monkeypatch):
+    if bucket.scheme == "gs":
+        pytest.skip("the emulator does not know how an upload is given up")
+    monkeypatch.setattr(stores, "_PART", 5 << 20)
+    opened = type(bucket.files).open
+
+    def failing(self, *arguments, **options):
+        file = opened(self, *arguments, **options)
+        if "w" in arguments[1]:
+            write, count = file.write, iter(range(9))
+
+            def stops(piece):
+                if next(count) == 2:
+                    raise PermissionError(13, "not any more")
+                return write(piece)
+
+            file.write = stops
+        return file
+
+    with monkeypatch.context() as faulty:
+        faulty.setattr(type(bucket.files), "open", failing)
+        with pytest.raises(OutputError, match="not any more"):
+            upload(drive, bucket.url("copy.sfs"))
+    assert bucket.names() == []
+    if bucket.scheme == "s3":
+        assert bucket.files.call_s3("list_multipart_uploads", Bucket=bucket.name).get("Uploads", []) == []
+
+
+def test_folders_are_written_with_their_marker_and_read_again(bucket, drive):
+    sceneloom.convert(drive, bucket.url("clouds"), to="pcd")
+    names = [name.removeprefix("clouds/") for name in bucket.names()]
+    assert MARKER in names
+    assert sum(name.endswith(".pcd") for name in names) == 30
+    same_frames(bucket.url("clouds"), drive, (7, 8, 9))
+
+
+def test_a_file_of_a_folder_that_changed_meanwhile_is_an_error(bucket, drive):
+    sceneloom.convert(drive, bucket.url("clouds"), to="pcd")
+    with sceneloom.open(bucket.url("clouds")) as scene:
+        name = sorted(bucket.files.find(f"{bucket.name}/clouds"))[20]
+        content = bucket.files.cat(name)
+        bucket.files.pipe(name, content[:-1] + bytes([content[-1] ^ 1]))
+        with pytest.raises(DataError, match="was changed after it was opened"):
+            scene.lidars[0].frames[20].points.positions  # noqa: B018
+
+
+def test_what_is_missing_is_said_and_no_key_is_shown(bucket):
+    with pytest.raises(DataError, match=r"/absent\.sfs: cannot be found") as told:
+        sceneloom.open(bucket.url("absent.sfs"))
+    assert not told.value.passing
+    with pytest.raises(OutputError, match="nobucket") as refused:
+        upload(Path(__file__), f"{bucket.scheme}://nobucket/copy.sfs")
+    for error in (told, refused):
+        assert "hidden" not in str(error.value)
+        assert KEY not in str(error.value)

@@ -1,0 +1,204 @@
+"""Folders behind URLs: what is opened is fetched, ahead of who reads on, within bounds, and is as on disk."""
+
+import hashlib
+import json
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError
+from sceneloom.formats.remote import fetch, mirror, stores
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+COUNT = 40
+POINTS = 8_000
+FILE = POINTS * 16
+"""What one of the clouds takes [bytes]; more than the beginning of a file that is looked at."""
+
+
+def cloud(number):
+    return np.random.default_rng(number).uniform(-9, 9, (POINTS, 3)).astype(np.float32)
+
+
+@pytest.fixture
+def clouds(tmp_path, monkeypatch):
+    """A folder of clouds, which a store of this machine serves."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    bright = np.full(POINTS, 7, np.uint8)
+    frames = [LidarFrame(k * 100_000_000, LidarPoints(cloud(k), bright)) for k in range(COUNT)]
+    lidar = LidarSensor("top", LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]))
+    sceneloom.write(Scene((lidar,)), tmp_path / "clouds", format="kitti-bin")
+    return tmp_path / "clouds"
+
+
+@pytest.fixture
+def fetched(monkeypatch):
+    """Names of the files that were fetched whole."""
+    names, get = [], stores.Store.get
+
+    def noted(self, target):
+        names.append(Path(self.path).name)
+        get(self, target)
+
+    monkeypatch.setattr(stores.Store, "get", noted)
+    return names
+
+
+def numbers(names, folder):
+    """Which of the clouds they are."""
+    order = sorted(path.name for path in folder.glob("*.bin"))
+    return sorted(order.index(name) for name in names if name.endswith(".bin"))
+
+
+def test_a_frame_costs_its_own_file(clouds, fetched):
+    with sceneloom.open(f"local://{clouds}") as scene:
+        assert numbers(fetched, clouds) == [0], "what brightness means is told by the first one"
+        np.testing.assert_array_equal(scene.lidars[0].frames[17].points.positions, cloud(17))
+        assert numbers(fetched, clouds) == [0, 17]
+        np.testing.assert_array_equal(scene.lidars[0].frames[17].points.positions, cloud(17))
+        np.testing.assert_array_equal(scene.lidars[0].frames[3].points.positions, cloud(3))
+        assert numbers(fetched, clouds) == [0, 3, 17]
+
+
+def test_files_are_fetched_ahead_of_who_reads_on_and_each_once(clouds, fetched):
+    with sceneloom.open(f"local://{clouds}") as scene:
+        frames = scene.lidars[0].frames
+        for k in range(10, 20):
+            np.testing.assert_array_equal(frames[k].points.positions, cloud(k))
+    found = numbers(fetched, clouds)
+    assert found == sorted(set(found))
+    assert {0, *range(10, 20)} <= set(found) <= {0, *range(10, 20 + mirror._AHEAD)}
+    assert len(found) > 11
+
+
+def test_no_more_stays_on_disk_than_may_and_what_went_comes_again(clouds, fetched, monkeypatch):
+    monkeypatch.setattr(mirror, "_STAY", 2)
+    place = fetch(f"local://{clouds}", largest=6 * FILE)
+    with sceneloom.open(place.path) as scene:
+        for _ in range(2):
+            for k in (2, 5, 9, 14, 20, 26, 30, 33, 37):
+                np.testing.assert_array_equal(scene.lidars[0].frames[k].points.positions, cloud(k))
+                used = sum(path.stat().st_blocks * 512 for path in Path(str(place.path)).iterdir())
+                assert used <= 6 * (FILE + 4096)
+    assert len(numbers(fetched, clouds)) == 19
+    place.remove()
+
+
+@pytest.mark.parametrize("change", ["longer", "newer", "removed"])
+def test_a_file_that_changed_since_the_folder_was_opened_is_an_error(clouds, change):
+    with sceneloom.open(f"local://{clouds}") as scene:
+        kept = scene.lidars[0].frames[4]
+        kept.points.positions  # noqa: B018 - read now
+        file = sorted(clouds.glob("*.bin"))[7]
+        if change == "removed":
+            file.unlink()
+        else:
+            content = file.read_bytes()
+            file.write_bytes(content + bytes(16) if change == "longer" else content)
+            os.utime(file, (1, 1))
+        expected = (
+            "cannot be found" if change == "removed" else "was changed after it was opened|the server gave"
+        )
+        with pytest.raises(DataError, match=expected) as told:
+            scene.lidars[0].frames[7].points.positions  # noqa: B018
+        assert file.name in str(told.value)
+
+
+READER = """
+import hashlib, json, pickle, sys
+with open(sys.argv[1], "rb") as file:
+    scene = pickle.load(file)
+said = [hashlib.sha256(scene.lidars[0].frames[k].points.positions.tobytes()).hexdigest() for k in (30, 31, 32, 33)]
+scene.close()
+print(json.dumps(said))
+"""
+
+
+def test_other_processes_fetch_what_they_read(clouds, tmp_path):
+    with sceneloom.open(f"local://{clouds}") as scene:
+        parcel = tmp_path / "scene.pickle"
+        parcel.write_bytes(pickle.dumps(scene))
+        assert parcel.stat().st_size < FILE / 4
+        command = [sys.executable, "-W", "error", "-c", READER, str(parcel)]
+        done = [subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(2)]
+        expected = [hashlib.sha256(cloud(k).tobytes()).hexdigest() for k in (30, 31, 32, 33)]
+        for one in done:
+            assert one.returncode == 0, one.stderr
+            assert json.loads(one.stdout) == expected
+        # and what they closed is still there for this one
+        np.testing.assert_array_equal(scene.lidars[0].frames[30].points.positions, cloud(30))
+
+
+def test_what_gets_around_the_fetching_finds_nothing_rather_than_zeros(clouds):
+    place = fetch(f"local://{clouds}")
+    first = min(place.path.glob("*.bin"))
+    assert first.stat().st_size == FILE
+    assert Path(str(first)).read_bytes() == b""
+    assert len(first.read_bytes()) == FILE
+    assert Path(str(first)).stat().st_size == FILE
+    place.remove()
+    with pytest.raises(FileNotFoundError):
+        first.read_bytes()
+
+
+def test_the_beginning_of_a_file_is_fetched_alone_until_more_is_read(clouds, fetched):
+    place = fetch(f"local://{clouds}")
+    first = min(place.path.glob("*.bin"))
+    content = (clouds / first.name).read_bytes()
+    with first.open("rb") as file:
+        assert file.read(100) == content[:100]
+        assert file.seek(-100, os.SEEK_END) == FILE - 100
+        assert file.seek(50) == file.tell() == 50
+        assert file.read(10) == content[50:60]
+        assert fetched == []
+        assert file.read() == content[60:]
+        assert fetched == [first.name]
+    other = sorted(place.path.glob("*.bin"))[1]
+    with other.open("rb", buffering=0) as file:
+        assert os.fstat(file.fileno()).st_size == FILE
+    place.remove()
+
+
+@pytest.fixture(scope="module")
+def drive():
+    lens = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
+    spec = LidarSpec(beams=8, steps=90)
+    return simulate_street(1, frames=4, lidar=spec, cameras=(CameraSpec(lens),)).scene
+
+
+def content(scene):
+    """All that can be read of points and pictures, and what of the ways."""
+    said = hashlib.sha256()
+    for lidar in scene.lidars:
+        for frame in lidar.frames:
+            said.update(repr(frame.timestamp_ns).encode() + frame.points.positions.tobytes())
+    for camera in scene.cameras:
+        for picture in camera.pictures:
+            said.update(repr((picture.timestamp_ns, picture.camera)).encode() + picture.rgb.tobytes())
+    for name, way in sorted(scene.trajectories.items()):
+        said.update(name.encode() + way.positions.tobytes())
+    return said.hexdigest(), len(scene.annotations)
+
+
+@pytest.mark.parametrize(
+    ("form", "options"),
+    [
+        *[("recording", {"pictures": kind}) for kind in ("png", "ffv1", "h264")],
+        *[(form, {}) for form in ("nuscenes", "pcd", "ply", "las", "laz", "nuscenes-bin", "npz", "ros2")],
+        *[(form, {}) for form in ("kitti-raw", "kitti-odometry", "kitti-object", "kitti-tracking")],
+    ],
+)
+def test_folders_of_all_formats_hold_what_they_hold_on_disk(drive, tmp_path, form, options):
+    sceneloom.write(drive, tmp_path / "drive", format=form, **options)
+    with sceneloom.open(tmp_path / "drive") as local, sceneloom.open(f"local://{tmp_path}/drive") as remote:
+        assert remote.format == local.format == form
+        assert content(remote) == content(local)
+        assert len(local.lidars[0].frames) == 4

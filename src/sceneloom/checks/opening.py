@@ -13,6 +13,7 @@ from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.sfs import SfsFormat
 from sceneloom.formats.sfs.faults import Examination
 from sceneloom.formats.table import Format, format_and_place
+from sceneloom.redaction import redacted
 from sceneloom.scene import Scene
 
 
@@ -78,4 +79,4 @@ def _unreadable(path: Path, error: DataError) -> PlacedFault:
 
 
 def _nothing(path: str | Path, format_name: str) -> Scene:
-    return Scene((), source=str(path), format=format_name)
+    return Scene((), source=redacted(path), format=format_name)

@@ -49,6 +49,12 @@ def test_the_other_doors_bring_nothing_either(tmp_path):
         assert "hidden" not in all_that_hangs_on(told.value)[1]
 
 
+def test_what_is_said_of_a_drive_that_cannot_be_read_shows_none():
+    told = sceneloom.validate("http://me:hidden@127.0.0.1:9/drive.sfs" + SIGNED)
+    assert "127.0.0.1" in told.source
+    assert "hidden" not in repr(told)
+
+
 POOL = """
 import json, logging, multiprocessing, sys, traceback
 from concurrent.futures import ProcessPoolExecutor

@@ -6,6 +6,7 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
 from sceneloom.detections.fitting import FitSettings, LabelledPair, fit_detectors
+from sceneloom.detections.fitting.existence_fit import fit_told
 from sceneloom.detections.fitting.regression import fit_deviations, fit_odds, weighted_quantile
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.settings import ProjectionSettings
@@ -56,6 +57,28 @@ def test_the_quantile_of_even_weights_is_numpy_s():
     assert weighted_quantile(values, np.ones(1001), 0.95) == pytest.approx(
         np.quantile(values, 0.95), abs=0.02
     )
+
+
+def told_and_verdicts(slope, base):
+    """Scores, and boxes of which as many are true as a logistic function says."""
+    generator = np.random.default_rng(3)
+    told = generator.normal(2.0, 3.0, 20_000)
+    return told, (generator.random(20_000) < 1 / (1 + np.exp(-(base + slope * told)))).astype(np.int64)
+
+
+def test_scores_are_held_from_where_on_nearly_all_boxes_are_true():
+    told, verdicts = told_and_verdicts(1.0, -2.0)
+    high = fit_told(told, verdicts).high
+    low, most = np.quantile(told[verdicts == 1], (0.65, 0.99))
+    assert low + 0.3 < high < most - 0.3
+    # the share of true ones above a score rises with it
+    assert verdicts[told >= high].mean() == pytest.approx(0.99, abs=1e-3)
+
+
+@pytest.mark.parametrize(("slope", "base", "share"), [(1.0, 4.0, 0.65), (0.0, 0.5, 0.99)])
+def test_scores_are_held_within_those_of_most_true_boxes(slope, base, share):
+    told, verdicts = told_and_verdicts(slope, base)
+    assert fit_told(told, verdicts).high == pytest.approx(np.quantile(told[verdicts == 1], share))
 
 
 def outline(center):

@@ -4,18 +4,20 @@ import itertools
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.detections.detectors import Agreement, Sight, Told
 from sceneloom.detections.fitting.examples import IGNORED, PictureColumns, SweepColumns
 from sceneloom.detections.fitting.regression import fit_odds
 from sceneloom.kernels.existence_odds import USUAL_OVERLAP
 
-_ENDS = (0.001, 0.35)
-"""Shares of the true boxes below which and above which scores are held: the lowest tell of few, and above the second
-nearly all are true, so that nothing is known of the slope there."""
+_LOWEST = 0.001
+"""Scores are held above those of so few true boxes, the lowest of which tell of few."""
+_SURE, _SURE_ENDS = 0.99, (0.65, 0.99)
+"""Scores are held from where on so many are true: nothing is known of the slope there. That is not below and not above
+the scores of these shares of the true boxes."""
 SUREST_2D = 5.0
 """Probabilities of pictures are held at 0.993: what is surer says how they were rounded."""
-_AGREEMENT, _AGREEMENT_WEIGHTS = (1.0, 0.5, 0.2, 2.0), (10.0, 100.0, 300.0, 100.0)
+_AGREEMENT, _AGREEMENT_WEIGHTS = (1.0, 0.5, 0.2, 2.0), (30.0, 300.0, 1000.0, 300.0)
 """What boxes of both come to where data say nothing, and as how many examples' worth that counts: half the slope of a
 calibrated score, since what one detector takes for an object misleads the other one, too."""
 _HEIGHTS_PX = ((10.0, 20.0), (15.0, 25.0), (20.0, 35.0), (25.0, 50.0))
@@ -34,7 +36,7 @@ def fit_told(told: Float64Array, verdicts: Int64Array, *, highest: float = np.in
     came_true = verdicts[rows] == 1
     if not came_true.any():
         return Told(low=0.0, high=0.0, base=float(np.log(_PRIOR / (1.0 - _PRIOR))), slope=0.0)
-    low, high = np.minimum(_held(told[rows][came_true]), highest).tolist()
+    low, high = np.minimum(_ends(told[rows], came_true), highest).tolist()
     held = np.clip(told[rows], low, high)
     base, slope = fit_odds(
         np.column_stack([np.ones(len(held)), held]),
@@ -45,9 +47,14 @@ def fit_told(told: Float64Array, verdicts: Int64Array, *, highest: float = np.in
     return Told(low=low, high=high, base=float(base), slope=float(slope))
 
 
-def _held(told: Float64Array) -> tuple[float, float]:
-    low, high = np.quantile(told, (_ENDS[0], 1.0 - _ENDS[1]))
-    return float(low), float(max(high, low))
+def _ends(told: Float64Array, came_true: BoolArray) -> tuple[float, float]:
+    """Between which scores are held."""
+    low, least, most = np.quantile(told[came_true], (_LOWEST, *_SURE_ENDS)).tolist()
+    order = np.argsort(-told, kind="stable")
+    shares = np.cumsum(came_true[order]) / np.arange(1, len(order) + 1)
+    sure = np.flatnonzero(shares >= _SURE)
+    high = told[order[sure[-1]]] if len(sure) else most
+    return low, max(float(np.clip(high, least, most)), low)
 
 
 def fit_agreement(columns: SweepColumns, of_sweep: Told, of_picture: Told) -> Agreement:

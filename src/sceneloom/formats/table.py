@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -76,11 +76,12 @@ class Format(Protocol):
         ...
 
 
-def _entry_points() -> list[Any]:
-    """The formats that other packages add; what finds them is slow to import, so not before it is needed."""
+@cache
+def _entry_points() -> tuple[Any, ...]:
+    """The formats that other packages add: looked for once, and not before it is needed, since that takes a while."""
     from importlib.metadata import entry_points
 
-    return [point for point in entry_points(group="sceneloom.formats") if point.name not in FORMATS]
+    return tuple(point for point in entry_points(group="sceneloom.formats") if point.name not in FORMATS)
 
 
 def format_names() -> list[str]:

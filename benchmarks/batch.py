@@ -27,11 +27,12 @@ from sceneloom.batch import Input, Job, RunSummary, run
 from sceneloom.batch.cluster import DaskCluster
 from sceneloom.batch.pool import ProcessPool
 from sceneloom.batch.record import FOLDER, Record
-from sceneloom.cli.batch.one_drive import CALL
+from sceneloom.cli.batch.one_drive import BATCHED, CALL
 from sceneloom.simulate import LidarSpec, simulate_street
 
 STREETS = 8
 KILL_SECONDS = 3.0
+MODULES = BATCHED["fuse"].modules
 
 
 def make_drives(folder: Path, count: int, frames: int) -> list[Path]:
@@ -61,14 +62,15 @@ def fuse_job(places: list[Path], retries: int = 2) -> Job:
         options={"verb": "fuse", **options},
         suffix=".sfs",
         retries=retries,
+        modules=MODULES,
     )
 
 
 def speed(places: list[Path], scratch: Path, frames: int) -> None:
     sides = {
-        "pool, 1 worker": lambda: ProcessPool(1),
-        "pool, 2 workers": lambda: ProcessPool(2),
-        "dask local, 2 workers": lambda: DaskCluster.local(2),
+        "pool, 1 worker": lambda: ProcessPool(1, MODULES),
+        "pool, 2 workers": lambda: ProcessPool(2, MODULES),
+        "dask local, 2 workers": lambda: DaskCluster.local(2, MODULES),
     }
     seconds, busy, found = {}, {}, {}
     for name, make in sides.items():
@@ -152,7 +154,10 @@ def kills(places: list[Path], scratch: Path) -> None:
     if not calm.exists():
         run(fuse_job(places), calm, workers=2)
     expected = hashes(calm)
-    for name, make in {"pool": lambda: ProcessPool(2), "dask local": lambda: DaskCluster.local(2)}.items():
+    for name, make in {
+        "pool": lambda: ProcessPool(2, MODULES),
+        "dask local": lambda: DaskCluster.local(2, MODULES),
+    }.items():
         out = scratch / "kills" / name
         summary, made, killed = disturbed(places, out, make(), KILL_SECONDS)
         with Record.opened(out) as record:

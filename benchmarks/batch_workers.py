@@ -9,13 +9,17 @@ from pathlib import Path
 
 
 def workers() -> list[int]:
-    """Processes that were started here to work: those of the pool, and those of dask on this machine."""
-    children = [
-        int(number)
-        for thread in Path("/proc/self/task").iterdir()
-        for number in (thread / "children").read_text().split()
-    ]
-    return [child for child in children if b"spawn_main" in _command(child)]
+    """Processes that work for this one: those of the pool, and those of dask on this machine."""
+    ours = _children("self")
+    forked = [worker for child in ours if b"forkserver" in _command(child) for worker in _children(child)]
+    return forked + [child for child in ours if b"spawn_main" in _command(child)]
+
+
+def _children(process: int | str) -> list[int]:
+    with suppress(OSError):
+        threads = list(Path(f"/proc/{process}/task").iterdir())
+        return [int(child) for thread in threads for child in (thread / "children").read_text().split()]
+    return []
 
 
 def _command(process: int) -> bytes:

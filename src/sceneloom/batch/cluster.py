@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from typing import Any, Self
@@ -20,6 +20,7 @@ from typing import Any, Self
 import msgspec
 
 from sceneloom.batch.jobs import Outcome, Task
+from sceneloom.batch.nursery import Nursery
 from sceneloom.batch.pool import LOST
 from sceneloom.batch.working import NUMBA, THREADS, run_task
 from sceneloom.errors import MissingExtraError, OptionError
@@ -29,6 +30,7 @@ from sceneloom.version import __version__
 try:
     import dask
     from distributed import Client, Future, KilledWorker, LocalCluster
+    from distributed.utils import get_mp_context
 except ImportError as missing:
     raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[cluster]'") from missing
 
@@ -41,6 +43,7 @@ _ALLOCATION = {
 }
 """Keep dask from giving memory back whenever 64 KB are free, and the thread that works from a heap of its own, which
 does the same: arrays come and go with each frame, and seven times as many page faults cost a third more time."""
+_METHOD = "distributed.worker.multiprocessing-method"
 _CONNECTING_SECONDS = 60.0
 _COUNTING_SECONDS = 2.0
 _CLOSING_SECONDS = 5.0
@@ -65,23 +68,39 @@ class _Ended:
 class DaskCluster:
     """Runs tasks on workers of dask, one at a time on each."""
 
-    def __init__(self, client: "Client", cluster: LocalCluster | None = None) -> None:
+    def __init__(
+        self, client: "Client", cluster: LocalCluster | None = None, ending: ExitStack | None = None
+    ) -> None:
         """Use a client, and the workers of this machine if there are any; see `local` and `at`."""
-        self._client, self._cluster = client, cluster
+        self._client, self._cluster, self._ending = client, cluster, ending or ExitStack()
         self._ended = _Ended(SimpleQueue())
         self._tasks: dict[Any, tuple[Task, Future[bytes]]] = {}
         self._workers, self._counted = 0, -_COUNTING_SECONDS
 
     @classmethod
-    def local(cls, workers: int) -> Self:
-        """Start a scheduler and so many workers on this machine, each with one thread."""
+    def local(cls, workers: int, modules: Sequence[str] = ()) -> Self:
+        """Start a scheduler and so many workers on this machine, each with one thread.
+
+        Args:
+            workers: how many.
+            modules: what they import, once for all of them.
+        """
         environment = {name: os.environ.get(name, "1") for name in THREADS}
-        with dask.config.set(_ALLOCATION):
+        with ExitStack() as stack:
+            nursery = Nursery(["distributed", *modules])
+            nursery.open()
+            stack.callback(nursery.close)
+            # until the end: dask starts a worker anew where one was lost
+            stack.enter_context(dask.config.set({**_ALLOCATION, _METHOD: nursery.method}))
+            if nursery.method == "forkserver":
+                get_mp_context()  # once, before modules are named: dask names its own then
+                nursery.open()
             cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, memory_limit=0, dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL, env=environment,
             )  # fmt: skip
-        return cls(_client(cluster.scheduler_address), cluster)
+            stack.callback(_close, cluster)
+            return cls(_client(cluster.scheduler_address), cluster, stack.pop_all())
 
     @classmethod
     def at(cls, address: str, *, seconds: float = _CONNECTING_SECONDS) -> Self:
@@ -149,14 +168,17 @@ class DaskCluster:
                 self._client.cancel([future for _, future in self._tasks.values()], force=True)
             self._tasks.clear()
             self._client.close(timeout=_CLOSING_SECONDS)
-        if self._cluster is not None:
-            with suppress(OSError, TimeoutError):
-                self._cluster.close(timeout=_CLOSING_SECONDS)
+        self._ending.close()
 
 
-def open_cluster(place: str, workers: int) -> DaskCluster:
+def _close(cluster: LocalCluster) -> None:
+    with suppress(OSError, TimeoutError):
+        cluster.close(timeout=_CLOSING_SECONDS)
+
+
+def open_cluster(place: str, workers: int, modules: Sequence[str] = ()) -> DaskCluster:
     """Use workers of dask: so many of our own if `place` is `local`, else those of the scheduler there."""
-    return DaskCluster.local(workers) if place == LOCAL else DaskCluster.at(place)
+    return DaskCluster.local(workers, modules) if place == LOCAL else DaskCluster.at(place)
 
 
 def run_packed(version: str, packed: bytes) -> bytes:

@@ -53,6 +53,7 @@ class Job:
         options: of the verb, alike for all; they pickle.
         suffix: what names of outputs end in; "" for folders.
         retries: how often a drive is tried again where the cause can pass.
+        modules: what workers of this machine import before they begin, once for all of them.
     """
 
     verb: str
@@ -61,6 +62,7 @@ class Job:
     options: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
     suffix: str = ""
     retries: int = 2
+    modules: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,5 @@
 """Workers on this machine: processes of their own, each of which may die without harm to the others."""
 
-import multiprocessing
 import os
 import signal
 import sys
@@ -13,6 +12,7 @@ from multiprocessing.process import BaseProcess
 from typing import Protocol
 
 from sceneloom.batch.jobs import Outcome, Task
+from sceneloom.batch.nursery import Nursery
 from sceneloom.batch.working import NUMBA, THREADS, run_task
 
 LOST = "Lost"
@@ -52,9 +52,14 @@ class _Worker:
 class ProcessPool:
     """Processes of this machine, each with one thread; those that die are replaced."""
 
-    def __init__(self, workers: int) -> None:
-        """Have so many workers, which are started when they are needed."""
-        self._context = multiprocessing.get_context("spawn")
+    def __init__(self, workers: int, modules: Sequence[str] = ()) -> None:
+        """Have so many workers, which are started when they are needed.
+
+        Args:
+            workers: how many.
+            modules: what they import, once for all of them.
+        """
+        self._nursery = Nursery(modules)
         self._most = workers
         self._workers: list[_Worker] = []
 
@@ -108,10 +113,12 @@ class ProcessPool:
             worker.process.join(_ENDING_SECONDS)
             worker.pipe.close()
         self._workers.clear()
+        self._nursery.close()
 
     def _start(self) -> _Worker:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_work, args=(theirs,), name="sceneloom batch", daemon=True)
+        context = self._nursery.open()
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs,), name="sceneloom batch", daemon=True)
         with _one_thread(), _without_main():
             process.start()
         theirs.close()

@@ -97,7 +97,7 @@ def run(
         OptionError: there is a record for outputs on disk, or drives differ in secrets of their addresses only.
         DataError: the record is damaged, or a store does not answer.
     """
-    pool = ProcessPool(workers) if executor is None else executor
+    pool = ProcessPool(workers, job.modules) if executor is None else executor
     store = str(output) if is_url(output) else ""
     if record is not None and not store:
         raise OptionError(f"{output}: outputs on disk have their record beside them; name none")
@@ -134,6 +134,7 @@ class _Run:
     name: str = field(default_factory=lambda: secrets.token_hex(4))
     """Tells drafts of this run from those that a worker of an earlier one may still be writing."""
     warming: Warming = field(default_factory=Warming)
+    running: int = 0
 
     def __post_init__(self) -> None:
         asked = asked_drives(self.job)
@@ -162,19 +163,18 @@ class _Run:
     def go(self) -> RunSummary:
         """Do what is due until nothing is left."""
         begun = time.monotonic()
-        running = 0
-        while self.due or running:
-            while self._may_begin(running):
-                _, number, attempt = heapq.heappop(self.due)
-                self._begin(number, attempt)
-                running += 1
-            if not running:
+        while self.due or self.running:
+            self._hand_out()
+            if not self.running:
                 patience = self.due[0][0] - time.monotonic() if self.executor.free else _LOOK_SECONDS
                 time.sleep(max(min(patience, _LOOK_SECONDS), 0.0))
                 continue
-            for task, outcome in self.executor.finished(_LOOK_SECONDS):
-                running -= 1
+            ended = self.executor.finished(_LOOK_SECONDS)
+            if ended:
+                self.running -= len(ended)
                 self.warming.end()
+                self._hand_out()  # workers need not wait until what they did is put in its place
+            for task, outcome in ended:
                 self._end(task, outcome)
                 self.summary = msgspec.structs.replace(
                     self.summary,
@@ -185,10 +185,17 @@ class _Run:
                     self.told(self.summary, outcome)
         return self.summary
 
-    def _may_begin(self, running: int) -> bool:
+    def _hand_out(self) -> None:
+        """Begin as much as workers take."""
+        while self._may_begin():
+            _, number, attempt = heapq.heappop(self.due)
+            self._begin(number, attempt)
+            self.running += 1
+
+    def _may_begin(self) -> bool:
         if not self.due or not self.executor.free or self.due[0][0] > time.monotonic():
             return False
-        return not running or not self.warming.goes_on()
+        return not self.running or not self.warming.goes_on()
 
     def _begin(self, number: int, attempt: int) -> None:
         row = self.rows[number]

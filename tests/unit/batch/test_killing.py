@@ -25,11 +25,20 @@ pytestmark = [
 ]
 
 
+def children(process):
+    with suppress(OSError):
+        for thread in Path(f"/proc/{process}/task").iterdir():
+            yield from map(int, (thread / "children").read_text().split())
+
+
 def workers():
-    lists = [(thread / "children").read_text().split() for thread in Path("/proc/self/task").iterdir()]
-    for child in (int(number) for numbers in lists for number in numbers):
+    """Processes that were forked for us or started afresh."""
+    for child in children("self"):
         with suppress(OSError):
-            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+            command = Path(f"/proc/{child}/cmdline").read_bytes()
+            if b"forkserver" in command:
+                yield from children(child)
+            elif b"spawn_main" in command:
                 yield child
 
 

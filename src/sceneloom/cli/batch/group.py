@@ -169,6 +169,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         options={"verb": name, **values},
         suffix=BATCHED[name].suffix if own["suffix"] is None else own["suffix"],
         retries=own["retries"],
+        modules=BATCHED[name].modules,
     )
     with _progress(name, len(job.inputs), quiet=own["quiet"]) as told:
         workers = own["workers"] or processors()
@@ -177,7 +178,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
             own["output"],
             record=own["record"],
             workers=workers,
-            executor=_cluster(own, workers),
+            executor=_cluster(name, own, workers),
             resume=own["resume"],
             told=_all_told(told, own["metrics"]),
         )
@@ -206,13 +207,13 @@ def _all_told(told: "Told | None", metrics: Path | None) -> "Told | None":
     return both
 
 
-def _cluster(own: dict[str, Any], workers: int) -> "Executor | None":
+def _cluster(name: str, own: dict[str, Any], workers: int) -> "Executor | None":
     """The workers of dask that were asked for, and where dask shows them."""
     if own["cluster"] is None:
         return None
     from sceneloom.batch.cluster import open_cluster
 
-    cluster = open_cluster(own["cluster"], workers)
+    cluster = open_cluster(own["cluster"], workers, BATCHED[name].modules)
     if cluster.dashboard and not own["quiet"]:
         click.echo(f"dask's dashboard: {cluster.dashboard}", err=True)
     return cluster

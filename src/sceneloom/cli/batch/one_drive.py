@@ -26,20 +26,26 @@ class Batched:
         drive: name of its parameter that is the drive.
         output: name of the one that is its output; "" if it only prints, which is then what is written.
         suffix: what names of outputs end in, unless the user says otherwise.
+        modules: what it imports when it is called and takes long to import.
     """
 
     drive: str
     output: str
     suffix: str
+    modules: tuple[str, ...]
 
 
 BATCHED: Mapping[str, Batched] = MappingProxyType(
     {
-        "fuse": Batched("path", "output", ".sfs"),
-        "convert": Batched("source", "target", ".sfs"),
-        "validate": Batched("path", "", ".json"),
-        "track": Batched("path", "output", ".sfs"),
-        "report": Batched("path", "output", ".html"),
+        "fuse": Batched("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing.job")),
+        "convert": Batched(
+            "source", "target", ".sfs", ("sceneloom.cli.convert", "sceneloom.pipeline.converting.job")
+        ),
+        "validate": Batched("path", "", ".json", ("sceneloom.cli.validate", "sceneloom.checks.validation")),
+        "track": Batched(
+            "path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.found_objects")
+        ),
+        "report": Batched("path", "output", ".html", ("sceneloom.cli.report", "sceneloom.report.writing")),
     }
 )
 

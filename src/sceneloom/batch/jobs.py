@@ -95,7 +95,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
         error: what went wrong, for a person; "" if nothing did.
         kind: name of the error's class, "Lost" for a worker that is gone.
         passing: whether the same may work another time.
-        report: what the verb told, as JSON values.
+        report: what the verb told, as JSON values; if it is an object, with the seconds of its stages as `stages`.
         fingerprint: of the drive as it was before.
         seconds: by the clock [s].
         processor_seconds: of the worker's processor [s].

@@ -15,6 +15,7 @@ from sceneloom.batch.outputs import send
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.fingerprints import fingerprint
 from sceneloom.redaction import redacted
+from sceneloom.stages import stage, timed
 
 NUMBA = "NUMBA_NUM_THREADS"
 THREADS = (
@@ -32,7 +33,10 @@ def run_task(task: Task) -> Outcome:
     begun, busy = time.perf_counter(), time.process_time()
     told: dict[str, Any] = {}
     try:
-        told = _done(task)
+        with timed() as stages:
+            told = _done(task)
+        if stages and isinstance(told.get("report"), dict):
+            told["report"]["stages"] = {name: round(seconds, 6) for name, seconds in stages.items()}
     except (SceneloomError, OSError, MemoryError) as error:
         told = {
             "error": redacted(error) or type(error).__name__,
@@ -61,7 +65,8 @@ def _done(task: Task) -> dict[str, Any]:
     if not draft.exists():
         return {"error": f"{redacted(task.place)}: ended without its output {draft.name}", "kind": "Missing"}
     if task.target:
-        send(draft, task.target)
+        with stage("sending"):
+            send(draft, task.target)
     return {"report": _without_secrets(report), "fingerprint": seen}
 
 

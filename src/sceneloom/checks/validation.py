@@ -24,6 +24,7 @@ from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.table import check_scene_output, format_for_output, write_scene
 from sceneloom.scene import Finding, Notice, NoticeKind, Scene
 from sceneloom.scene.types import Progress
+from sceneloom.stages import stage
 
 _MEANS_NOTHING = "what is at fault decides what the rest means"
 
@@ -109,9 +110,11 @@ def validate(
     )
     if fix is not None:
         check_scene_output(Path(fix), overwrite=overwrite)
-    subject = Subject(source) if isinstance(source, Scene) else open_subject(source, **reading)
+    with stage("opening"):
+        subject = Subject(source) if isinstance(source, Scene) else open_subject(source, **reading)
     try:
-        hits = terms.hits(subject)
+        with stage("checking"):
+            hits = terms.hits(subject)
         report = terms.report(subject, hits)
         if fix is None:
             return report
@@ -120,7 +123,8 @@ def validate(
         scene, applied = mended(subject.scene, terms.rules, hits)
         told = replace(scene, notices=(*scene.notices, *_remarks(subject.faults)))
         try:
-            losses = _write(told, Path(fix), profile, overwrite=overwrite)
+            with stage("writing"):
+                losses = _write(told, Path(fix), profile, overwrite=overwrite)
         except _UNWRITABLE as error:
             return msgspec.structs.replace(report, unwritten=str(error))
     finally:

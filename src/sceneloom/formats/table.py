@@ -15,6 +15,7 @@ from sceneloom.formats.output import check_output
 from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.redaction import redacted
 from sceneloom.scene import Notice, NoticeKind, Scene
+from sceneloom.stages import stage
 
 FORMATS: Mapping[str, str] = MappingProxyType(
     {
@@ -219,8 +220,9 @@ def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -
     where = path_or_url(path)
     if isinstance(where, str) and not _read_by_ranges(where, format):
         return _fetched_scene(where, format, options)
-    form, place = format_and_place(path, format=format)
-    return form.open(place, **options)
+    with stage("opening"):
+        form, place = format_and_place(path, format=format)
+        return form.open(place, **options)
 
 
 def _read_by_ranges(url: str, format: str | None) -> bool:
@@ -238,7 +240,8 @@ def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Sce
     """Open a file that is fetched, or a folder whose files are when they are read; they go when the scene is closed."""
     from sceneloom.formats.remote import fetch
 
-    fetched = fetch(url)
+    with stage("fetching"):
+        fetched = fetch(url)
     try:
         scene = open_scene(fetched.path, format=format, **options)
     except BaseException:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene
 from sceneloom.formats.kitti import KittiTracking, open_tracking_folder
@@ -15,6 +17,7 @@ from sceneloom.pipeline.detections.report import DetectionFusionReport
 from sceneloom.pipeline.tracking.files import TrackableDrive, track_folder, track_into, track_many
 from sceneloom.pipeline.tracking.report import TrackReport
 from sceneloom.scene import Identifier, Scene
+from sceneloom.stages import timed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +108,22 @@ def track_objects(
         OutputError: the output exists, or cannot be written.
         PoseError: it is not known where a sensor was.
     """
-    wanted = chosen or DetectionInput()
+    with timed() as stages:
+        report = _track_objects(
+            path, output, chosen or DetectionInput(), lenient=lenient, reading=reading, **how
+        )
+    return msgspec.structs.replace(report, stages=dict(stages))
+
+
+def _track_objects(
+    path: str | Path,
+    output: str | Path,
+    wanted: DetectionInput,
+    *,
+    lenient: bool,
+    reading: Mapping[str, Any] | None,
+    **how: Any,
+) -> TrackReport:
     if _is_kitti(path, wanted):
         return track_folder(_kitti(path, wanted, lenient=lenient), output, sequences=wanted.sequences, **how)
     _refuse_kitti(path, wanted)

@@ -34,6 +34,7 @@ from sceneloom.scene.sensor_sources import needs_ego
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.summary import SceneSummary, summarise
 from sceneloom.scene.types import Progress
+from sceneloom.stages import stage
 
 MOST_SWEEPS_FOR_A_WAY = 200
 """The way of the ego is found from the sweeps of longer drives only where that is asked for: it takes a while."""
@@ -143,7 +144,8 @@ class _Collector:
     def part(self, name: str, work: Callable[[], Part], otherwise: Part) -> Part:
         """Do a part of the work; note why where it cannot be done."""
         try:
-            found = work()
+            with stage(name):
+                found = work()
         except SceneloomError as error:
             self.left_out[name] = str(error)
             found = otherwise

@@ -16,6 +16,7 @@ from sceneloom.report.page.rendering import check_extra, render_page
 from sceneloom.report.settings import ReportSettings
 from sceneloom.scene import Scene
 from sceneloom.scene.types import Progress
+from sceneloom.stages import stage
 
 
 def write_report(
@@ -71,7 +72,8 @@ def write_report(
         ".json": lambda: numbers_as_json(found.report),
     }
     for target, suffix in wanted:
-        content = contents[suffix]()
+        with stage("drawing the page"):
+            content = contents[suffix]()
         with replacing(target, overwrite=overwrite) as draft:
             draft.write_bytes(content)
     return found.report

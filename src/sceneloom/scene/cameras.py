@@ -12,6 +12,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import Kept, LazyFrames
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
+from sceneloom.stages import stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,8 @@ class Picture:
     @property
     def rgb(self) -> UInt8Array:
         """The picture, (height, width, 3) uint8, decoded now; keep it if you need it twice."""
-        return self.decode()
+        with stage("reading"):
+            return self.decode()
 
     def loaded(self) -> "Picture":
         """The same picture, decoded now and kept in memory.

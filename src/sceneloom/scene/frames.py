@@ -7,6 +7,7 @@ from typing import Any, Generic, TypeVar, cast, overload
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array, check_array, read_only
+from sceneloom.stages import stage
 
 Item_co = TypeVar("Item_co", covariant=True)
 Array_co = TypeVar("Array_co", bound=AnyArray, covariant=True)
@@ -69,7 +70,8 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     def __getitem__(self, index: int | slice) -> "Item_co | LazyFrames[Item_co]":
         if isinstance(index, slice):
             return LazyFrames(self.timestamps_ns[index], _Chosen(self._read, range(len(self))[index]))
-        return self._read(range(len(self))[index])
+        with stage("reading"):
+            return self._read(range(len(self))[index])
 
     def __iter__(self) -> Iterator[Item_co]:
-        return (self._read(k) for k in range(len(self)))
+        return (self[k] for k in range(len(self)))

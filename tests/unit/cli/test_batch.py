@@ -14,6 +14,9 @@ def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, rec
     assert report["source"] == str(recording)
     told = call("batch", "status", tmp_path / "out", "--json")
     assert [row["state"] for row in json.loads(told.out)["drives"]] == ["done", "failed"]
+    stages = json.loads(told.out)["stages"]
+    assert set(stages) == {"opening", "checking", "everything else"}
+    assert "checking 0." in call("batch", "status", tmp_path / "out").out
     again = call("batch", "validate", recording, "-o", tmp_path / "out", "--quick", "--resume", "--json")
     assert json.loads(again.out)["skipped"] == 1
 

@@ -13,6 +13,8 @@ from sceneloom.batch.record import Record, Row
 
 _MOST_BINS = 60
 _MOST_SHOWN = 20
+_REST = "everything else"
+"""Starting, importing, compiling, and what no stage is told of."""
 _NUMBERS = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -72,8 +74,7 @@ class RunFigures(msgspec.Struct, frozen=True, kw_only=True):
         spans: drives that ended, over time.
         slowest: the drives that took longest, and their seconds by the clock.
         causes: why drives failed, the most frequent first.
-        stages: seconds of each stage over all drives, where the verb reports them; else those in which the verb was at
-            work, and the rest: starting, importing, compiling.
+        stages: seconds of each stage over all drives, and of the rest.
         workers: who worked, by name.
         drive_seconds: of all ended drives, in order [s].
     """
@@ -185,9 +186,10 @@ def _stages(rows: Iterable[Row], reports: Mapping[int, Any]) -> dict[str, float]
         if isinstance(stages, dict):
             for name, value in stages.items():
                 found[str(name)] += _seconds(value)
+            found[_REST] += max(row.seconds - sum(map(_seconds, stages.values())), 0.0)
         elif own is not None:
             found["the verb at work"] += _seconds(own)
-            found["starting, importing, compiling, putting in place"] += max(row.seconds - _seconds(own), 0.0)
+            found[_REST] += max(row.seconds - _seconds(own), 0.0)
     return dict(found)
 
 

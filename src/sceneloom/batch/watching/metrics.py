@@ -4,6 +4,7 @@ Source: Prometheus, "Exposition formats", text format 0.0.4.
 """
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,12 +16,19 @@ _EVERY_SECONDS = 5.0
 _ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
 
 
-def format_metrics(summary: RunSummary, *, peak_bytes: int = 0, now: float | None = None) -> str:
+def format_metrics(
+    summary: RunSummary,
+    *,
+    peak_bytes: int = 0,
+    stages: Mapping[str, float] | None = None,
+    now: float | None = None,
+) -> str:
     """Say how a run stands.
 
     Args:
         summary: how it stands.
         peak_bytes: the most memory that any of its workers had.
+        stages: seconds of each stage over all drives [s].
         now: when that was so [s since 1970]; by default, now.
     """
     run = f'verb="{summary.verb.translate(_ESCAPES)}",output="{summary.output.translate(_ESCAPES)}"'
@@ -37,6 +45,12 @@ def format_metrics(summary: RunSummary, *, peak_bytes: int = 0, now: float | Non
     ):
         full = f"sceneloom_batch_{name}"
         lines += [f"# HELP {full} {told}", f"# TYPE {full} {kind}", f"{full}{{{run}}} {value}"]
+    if stages:
+        full = "sceneloom_batch_stage_seconds_total"
+        lines += [f"# HELP {full} By the clock, in each stage of the work.", f"# TYPE {full} counter"]
+        lines += [
+            f'{full}{{{run},stage="{name.translate(_ESCAPES)}"}} {taken}' for name, taken in stages.items()
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -50,11 +64,15 @@ class MetricsFile:
 
     path: Path
     _peak_bytes: int = 0
+    _stages: dict[str, float] = field(default_factory=dict)
     _due: float = field(default=0.0)
 
     def told(self, summary: RunSummary, outcome: Outcome) -> None:
         """Take in what came of a try."""
         self._peak_bytes = max(self._peak_bytes, outcome.peak_bytes)
+        told = outcome.report.get("stages") if isinstance(outcome.report, dict) else None
+        for name, taken in told.items() if isinstance(told, dict) else ():
+            self._stages[name] = self._stages.get(name, 0.0) + taken
         if time.monotonic() >= self._due or not summary.left:
             self.write(summary)
 
@@ -65,5 +83,7 @@ class MetricsFile:
             OutputError: the file cannot be written.
         """
         with replacing(self.path, overwrite=True) as draft:
-            draft.write_text(format_metrics(summary, peak_bytes=self._peak_bytes), encoding="utf-8")
+            draft.write_text(
+                format_metrics(summary, peak_bytes=self._peak_bytes, stages=self._stages), encoding="utf-8"
+            )
         self._due = time.monotonic() + _EVERY_SECONDS

@@ -42,17 +42,17 @@ def status(
     from sceneloom.batch.jobs import State
     from sceneloom.batch.outputs import record_folder
     from sceneloom.batch.record import Record
+    from sceneloom.batch.watching import read_figures, write_page
     from sceneloom.redaction import redacted
 
     folder = record or (record_folder(output) if isinstance(output, str) else output)
     with Record.opened(folder) as opened:
         told, rows = opened.told(), opened.rows()
+    figures = read_figures(folder)
     if html is not None:
-        from sceneloom.batch.watching import read_figures, write_page
-
-        write_page(read_figures(folder), html, overwrite=overwrite)
+        write_page(figures, html, overwrite=overwrite)
     if as_json:
-        print_json({"run": told, "drives": [asdict(row) for row in rows]})
+        print_json({"run": told, "stages": figures.stages, "drives": [asdict(row) for row in rows]})
         return
     counts = {state: sum(row.state is state for row in rows) for state in State}
     parts = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
@@ -61,6 +61,9 @@ def status(
     )
     if quiet:
         return
+    stages = sorted(figures.stages.items(), key=lambda stage: -stage[1])
+    if stages:
+        click.echo("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages))
     shown = rows if verbose else [row for row in rows if row.state is State.FAILED]
     print_table(
         [

@@ -42,6 +42,7 @@ from sceneloom.scene.counting import Counting
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Progress
 from sceneloom.scene.watched import AnyFrame, watched
+from sceneloom.stages import stage
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,10 +218,11 @@ def _written(
     target: _Target,
 ) -> ConversionReport:
     written = partial(write, overwrite=target.overwrite, **target.writing)
-    if not target.strict:
-        return judged(written(target.place))
-    check_nothing_lost(expected)
-    return write_strictly(written, target.place, judged, overwrite=target.overwrite)
+    with stage("writing"):
+        if not target.strict:
+            return judged(written(target.place))
+        check_nothing_lost(expected)
+        return write_strictly(written, target.place, judged, overwrite=target.overwrite)
 
 
 def _writer(place: Path, to: str | None) -> Format:

@@ -6,6 +6,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, PoseError
 from sceneloom.formats.loss import LossReport
@@ -17,6 +19,7 @@ from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene import Scene
 from sceneloom.scene.types import Progress
+from sceneloom.stages import stage, timed
 
 
 def iter_fused(
@@ -81,6 +84,35 @@ def fuse(
         OutputError: an output exists, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
+    with timed() as stages:
+        report = _fuse(
+            scene,
+            output,
+            trajectory=trajectory,
+            heading=heading,
+            start=start,
+            stop=stop,
+            outputs=outputs,
+            configuration=configuration,
+            lenient=lenient,
+            progress=progress,
+        )
+    return msgspec.structs.replace(report, stages=dict(stages))
+
+
+def _fuse(
+    scene: Scene,
+    output: str | Path | None,
+    *,
+    trajectory: str | None,
+    heading: str | None,
+    start: float | None,
+    stop: float | None,
+    outputs: FusionOutputs | None,
+    configuration: FusionConfiguration | None,
+    lenient: bool,
+    progress: Progress | None,
+) -> FusionReport:
     begun = time.perf_counter()
     if not scene.lidars:
         raise DataError(scene.source, "", "no lidar in it; fusing needs one")
@@ -101,17 +133,23 @@ def fuse(
         system.on_unreadable = skips.add
     tally = _tally(woven)
     total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
-    with telling(skips), ExitStack() as stack:
+    with telling(skips), stage("writing"), ExitStack() as stack:
         sinks = open_sinks(woven, wanted, stack, skips)
-        for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
-            tally.add(frame)
-            for sink in sinks.all:
-                sink.add(frame)
-            steps.fusing(done, total)
+        with stage("fusing"):
+            for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
+                tally.add(frame)
+                _write(sinks, frame)
+                steps.fusing(done, total)
         _refuse_nothing_fused(scene, tally)
         losses = sinks.finish()
     seconds = time.perf_counter() - begun
     return _report(woven, wanted, tally, sinks, skips, seconds=seconds, losses=losses)
+
+
+def _write(sinks: Sinks, frame: FusedFrame) -> None:
+    with stage("writing"):
+        for sink in sinks.all:
+            sink.add(frame)
 
 
 def _report(
@@ -139,6 +177,7 @@ def _report(
         files=sinks.files,
         depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
         seconds=seconds,
+        stages={},
         losses=losses,
         notices=told_once(woven.scene.notices, tally.notices()),
     )

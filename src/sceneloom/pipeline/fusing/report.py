@@ -1,5 +1,6 @@
 """What a fusion did, in numbers."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import msgspec
@@ -54,6 +55,7 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
         files: further files written, with counts by kind.
         depth_beyond_range: pixels too far for the depth image's format.
         seconds: how long it took.
+        stages: how much of that by stage: reading, fusing, writing …
         losses: what the scene file could not hold.
         notices: what was assumed, repaired or left out on reading and fusing.
     """
@@ -72,6 +74,7 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
     files: dict[str, int]
     depth_beyond_range: int
     seconds: float
+    stages: Mapping[str, float]
     losses: LossReport
     notices: tuple[Notice, ...]
 

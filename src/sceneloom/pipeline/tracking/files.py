@@ -28,6 +28,7 @@ from sceneloom.pipeline.tracking.report import TrackedReport, TrackReport
 from sceneloom.pipeline.tracking.tracked import TrackedDrive
 from sceneloom.scene import Notice, Scene
 from sceneloom.scene.types import Progress
+from sceneloom.stages import stage
 from sceneloom.tracking import Observation, PictureBox
 
 
@@ -325,13 +326,17 @@ def _track_into(
 ) -> tuple[TrackedReport, LossReport]:
     chosen = settings or TrackingSettings()
     chosen = replace(chosen, tracker=replace(chosen.tracker, picture_box=box2d))
-    if source.observations is None:
-        tracked = track(source.drive, settings=chosen, progress=progress)
-    else:
-        tracked = track_observations(source.drive, source.observations, settings=chosen, progress=progress)
+    with stage("tracking"):
+        if source.observations is None:
+            tracked = track(source.drive, settings=chosen, progress=progress)
+        else:
+            tracked = track_observations(
+                source.drive, source.observations, settings=chosen, progress=progress
+            )
     suffix, write = FORMS[form]
     place = folder / (name or f"{source.drive.name}{suffix}")
-    losses = write(tracked, source, place, box2d, scene_options)
+    with stage("writing"):
+        losses = write(tracked, source, place, box2d, scene_options)
     if pictures is not None:
         save_tracking_pictures(source.scene, source.drive, tracked.moments, pictures)
     labels = {

@@ -45,6 +45,7 @@ class TrackReport(msgspec.Struct, frozen=True, kw_only=True):
         drives: one by one.
         ms_per_frame: what a sweep takes, over all of them [ms].
         seconds: the whole call.
+        stages: how much of that by stage: reading, tracking, writing …
         notices: of all of them.
         losses: what the form has no place for.
     """
@@ -57,3 +58,4 @@ class TrackReport(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float
     notices: tuple[Notice, ...] = ()
     losses: LossReport = LossReport()
+    stages: Mapping[str, float] = msgspec.field(default_factory=dict)

@@ -32,6 +32,7 @@ from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import must_be_placed, needs_ego, sensor_source
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Progress
+from sceneloom.stages import stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +86,8 @@ def weave(
             )
         return Woven(part, None, np.zeros(3))
     if is_computed(scene, trajectory):
-        ego = find_ego_motion(part, name=trajectory, heading=heading, lenient=lenient, progress=progress)
+        with stage("finding the way"):
+            ego = find_ego_motion(part, name=trajectory, heading=heading, lenient=lenient, progress=progress)
         part = with_way_found(part, ego)
     else:
         # chosen from the whole drive: a heading comes from the way before the part, too

@@ -24,10 +24,11 @@ def folder(tmp_path):
         for k in range(1, 10):
             record.begin(k, 1 + (k == 3))
             failed = k in {4, 8}
+            stages = {"stages": {"reading": 0.5, "fusing": 0.5}} if k == 9 else {}
             outcome = Outcome(
                 number=k, seconds=2.0 + (k == 5), processor_seconds=1.5, peak_bytes=k * 10**6, worker=f"host:{k % 2}",
                 kind="DataError" if failed else "", error=f"in/{k}.sfs: line {k}: <7>; expected 8" if failed else "",
-                report=None if failed else {"seconds": 1.25},
+                report=None if failed else {"seconds": 1.25} | stages,
             )  # fmt: skip
             record.end(outcome, State.FAILED if failed else State.DONE, finished_ns=(100 + k) * SECOND)
     return tmp_path / "out"
@@ -46,8 +47,10 @@ def test_figures_are_those_of_the_record(folder):
     assert [(one.name, one.drives, one.peak_bytes) for one in figures.workers] == [
         ("host:0", 4, 8 * 10**6), ("host:1", 5, 9 * 10**6),
     ]  # fmt: skip
-    # seven done: 1.25 s each at work, 0.75 s each beside it, and one of them a second more
-    assert list(figures.stages.values()) == pytest.approx([7 * 1.25, 7 * 0.75 + 1.0])
+    # seven done: six of 1.25 s each at work, 0.75 s each beside it, and one of them a second more; one with its stages
+    assert figures.stages == pytest.approx(
+        {"the verb at work": 6 * 1.25, "everything else": 6 * 0.75 + 1.0 + 1.0, "reading": 0.5, "fusing": 0.5}
+    )
 
 
 class Reader(HTMLParser):
@@ -108,11 +111,12 @@ def test_text_for_prometheus_has_a_type_for_each_figure_and_escaped_labels():
         seconds=8.5,
         processor_seconds=16.0,
     )
-    text = format_metrics(summary, peak_bytes=7, now=12.0)
+    text = format_metrics(summary, peak_bytes=7, stages={'read"ing': 1.5}, now=12.0)
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     run = r'verb="fuse",output="o\"u\\t\n"'
     assert f'sceneloom_batch_drives{{{run},state="left"}} 4' in lines
     assert f"sceneloom_batch_retries_total{{{run}}} 2" in lines
+    assert rf'sceneloom_batch_stage_seconds_total{{{run},stage="read\"ing"}} 1.5' in lines
     assert f"sceneloom_batch_updated_timestamp_seconds{{{run}}} 12.0" in lines
     assert {line.split("{")[0] for line in lines} == set(re.findall(r"# TYPE (\S+) (?:gauge|counter)", text))
 

@@ -9,6 +9,8 @@ from typing import Self
 from urllib.parse import parse_qs, unquote, urlsplit
 from xml.sax.saxutils import escape
 
+_BLOCK = 1 << 16
+
 
 class Bucket(ThreadingHTTPServer):
     """Serves the files of a folder by ranges, and lists them.
@@ -106,8 +108,6 @@ class _Answers(BaseHTTPRequestHandler):
         with file.open("rb") as content:
             content.seek(start)
             piece = content.read(stop - start) if with_content else b""
-        with self.server.count:
-            self.server.sent += len(piece)  # before the client may have it and look
         self._send(206 if wanted else 200, piece, named, with_content=with_content, length=stop - start)
 
     def _send(
@@ -125,7 +125,18 @@ class _Answers(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(content) if length is None else length))
         self.end_headers()
         if with_content:
-            self.wfile.write(content)
+            self._write(content, counts=200 <= status < 300 and "ETag" in named)
+
+    def _write(self, content: bytes, *, counts: bool) -> None:
+        for start in range(0, len(content), _BLOCK):
+            piece = content[start : start + _BLOCK]
+            with self.server.count:
+                self.server.sent += len(piece) if counts else 0  # before the client may have it and look
+            try:
+                self.wfile.write(piece)
+            except ConnectionError:  # it has hung up
+                self.close_connection = True
+                return
 
     def log_message(self, *_: object) -> None:
         pass

@@ -13,15 +13,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import fsspec
+import numpy as np
+from mcap.reader import make_reader
+
 import sceneloom
 from benchmarks.bucket import Bucket
 from sceneloom.cameras.camera import Camera
+from sceneloom.scene import ImuSensor, LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene, VectorSamples
 
 POINTS = 131_072
+_IMU = ("accelerometer", "gyroscope")
 ARRAYS = (("positions", "float32", 3, 4), ("intensities", "uint8", 1, 1))
 
 
@@ -74,7 +81,7 @@ def write_drive(folder: Path, frames: int) -> None:
     street = simulate_street(
         0, frames=frames, lidar=LidarSpec(beams=32, steps=900), cameras=(CameraSpec(small_lens()),)
     )
-    sceneloom.write(street.scene, folder, format="kitti-raw")
+    sceneloom.write(replace(street.scene, annotations=()), folder, format="kitti-raw")
 
 
 def small_lens() -> Camera:
@@ -112,13 +119,53 @@ def measure_folder(folder: Path, frames: int, latency: float) -> None:
             print(f"  {'':10}", counted(bucket, partial(whole_then, *command)), "fetched whole by s3fs first")
 
 
+def write_log(path: Path, frames: int, compression: str) -> None:
+    """Sweeps of points that no compression makes smaller, and an IMU beside them."""
+    rng = np.random.default_rng(0)
+    sweeps = [rng.normal(size=(POINTS, 3)).astype(np.float32) for _ in range(4)]
+    times = np.arange(frames, dtype=np.int64) * 100_000_000
+    fast = np.arange(frames * 10, dtype=np.int64) * 10_000_000
+    points = LazyFrames(times, lambda k: LidarFrame(int(times[k]), LidarPoints(sweeps[k % 4])))
+    imu = ImuSensor("imu", {name: VectorSamples(fast, rng.normal(size=(len(fast), 3))) for name in _IMU})
+    sceneloom.write(Scene((LidarSensor("top", points), imu)), path, format="mcap", compression=compression)
+
+
+def read_by_peer(address: str, time_ns: int) -> None:
+    """One sweep by the reader of the package `mcap`, on a file of fsspec."""
+    with fsspec.open(address, "rb") as file:
+        reader = make_reader(file)
+        (_,) = reader.iter_messages(topics=["/top/points"], starting_at=time_ns, ending_before=time_ns + 1)
+
+
+def measure_log(folder: Path, frames: int, latency: float) -> None:
+    for compression in ("none", "zstd"):
+        path = folder / f"{compression}.mcap"
+        write_log(path, frames, compression)
+        print(
+            f"an MCAP file of {path.stat().st_size / 1e9:.2f} GB, compression {compression}, {frames} sweeps:"
+        )
+        with Bucket(folder, latency) as bucket:
+            read_log(bucket, f"{bucket.address}/b/{path.name}", frames)
+        path.unlink()
+
+
+def read_log(bucket: Bucket, address: str, frames: int) -> None:
+    scenes = []
+    print("  opening   ", counted(bucket, lambda: scenes.append(sceneloom.open(address))))
+    lidar = scenes[0].lidars[0]
+    print("  one sweep ", counted(bucket, lambda: lidar.frames[frames // 2].points.positions))
+    time_ns = int(lidar.frames.timestamps_ns[frames // 2])
+    print("  both      ", counted(bucket, lambda: read_by_peer(address, time_ns)), "by the package mcap")
+    scenes[0].close()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--latency", type=float, default=0.02, help="of each answer [s]")
     parser.add_argument("--only", choices=("scene", "folder", "mcap"))
     given = parser.parse_args()
-    parts = {"scene": measure_scene, "folder": measure_folder}
+    parts = {"scene": measure_scene, "folder": measure_folder, "mcap": measure_log}
     for name, measure in parts.items():
         if given.only in {None, name}:
             with TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Writing MCAP files: messages in chunks, then an index of all of them; nothing is kept but the chunk at hand.
+"""Writing MCAP files: messages in chunks, then an index of all of them; nothing is kept but the chunks at hand.
 
 Source: the MCAP specification, mcap.dev/spec.
 """
@@ -32,6 +32,43 @@ CHUNK_BYTES = 1 << 20
 MOST_IDS = 65535
 
 Part = bytes | memoryview
+
+_LARGE_MESSAGE = 16 << 10
+"""Messages from here on stand in chunks of their own where chunks are compressed [bytes]."""
+
+
+class _Chunk:
+    """What will be written at once.
+
+    Attributes:
+        parts: its bytes, in pieces.
+        size: of all of them.
+        span: of the times of its messages [ns], None where it has none.
+        index: times of the messages of each channel, and where they stand.
+        said: channels that were described in this chunk, or one before that was written in its place.
+    """
+
+    def __init__(self) -> None:
+        self.said: set[int] = set()
+        self.begin()
+
+    def begin(self) -> None:
+        """Hold nothing."""
+        self.parts: list[Part] = []
+        self.size = 0
+        self.span: tuple[int, int] | None = None
+        self.index: dict[int, list[tuple[int, int]]] = {}
+
+    def take(self, parts: Sequence[Part]) -> None:
+        """Take bytes."""
+        self.parts += parts
+        self.size += sum(len(part) for part in parts)
+
+    def take_message(self, channel_id: int, log_time_ns: int, parts: Sequence[Part]) -> None:
+        """Take a message."""
+        self.index.setdefault(channel_id, []).append((log_time_ns, self.size))
+        self.span = _wider(self.span, log_time_ns)
+        self.take(parts)
 
 
 class McapWriter:
@@ -72,15 +109,14 @@ class McapWriter:
         self._chunk_indexes: list[bytes] = []
         self._metadata_indexes: list[bytes] = []
         self._span: tuple[int, int] | None = None
-        self._chunk_span: tuple[int, int] | None = None
-        self._begin_chunk()
+        self._chunk, self._large_chunk = _Chunk(), _Chunk()
         self._write(MAGIC + record(Op.HEADER, text_bytes(profile) + text_bytes(library)))
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Say what messages are, and give the number of that."""
         schema = Schema(_next_id(self._schemas), name, encoding, data)
         self._schemas[schema.id] = schema
-        self._take([schema_record(schema)])
+        self._chunk.take([schema_record(schema)])
         return schema.id
 
     def add_channel(
@@ -90,7 +126,8 @@ class McapWriter:
         channel = Channel(_next_id(self._channels), schema_id, topic, encoding, metadata or {})
         self._channels[channel.id] = channel
         self._counts[channel.id] = 0
-        self._take([channel_record(channel)])
+        self._chunk.take([channel_record(channel)])
+        self._chunk.said.add(channel.id)
         return channel.id
 
     def add_message(
@@ -116,29 +153,32 @@ class McapWriter:
         head = HEAD.pack(Op.MESSAGE, size) + MESSAGE.pack(
             channel_id, self._counts[channel_id] & 0xFFFFFFFF, log_time_ns, published
         )
-        self._index.setdefault(channel_id, []).append((log_time_ns, self._chunk_size))
         self._counts[channel_id] += 1
-        self._chunk_span = _wider(self._chunk_span, log_time_ns)
-        self._take([head, *parts])
-        if self._chunk_size >= self._chunk_bytes:
-            self._end_chunk()
+        # who wants the poses of a drive would else decompress, and fetch, its clouds and pictures, too
+        apart = self._compress is not None and size >= _LARGE_MESSAGE
+        chunk = self._large_chunk if apart else self._chunk
+        if channel_id not in chunk.said:
+            self._say(chunk, channel_id)
+        chunk.take_message(channel_id, log_time_ns, [head, *parts])
+        if chunk.size >= self._chunk_bytes:
+            self._end_chunk(chunk)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write values that are no message."""
-        self._end_chunk()
+        self._end_chunks()
         content = record(Op.METADATA, text_bytes(name) + pairs_bytes(values))
         index = struct.pack("<QQ", self._place, len(content)) + text_bytes(name)
         self._metadata_indexes.append(record(Op.METADATA_INDEX, index))
         self._write(content)
 
     def flush(self) -> None:
-        """End the chunk at hand and hand all to the stream."""
-        self._end_chunk()
+        """End the chunks at hand and hand all to the stream."""
+        self._end_chunks()
         self._stream.flush()
 
     def finish(self) -> None:
         """Write the index; the stream stays open."""
-        self._end_chunk()
+        self._end_chunks()
         self._write(record(Op.DATA_END, bytes(4)))
         start = self._place
         groups = (
@@ -160,21 +200,22 @@ class McapWriter:
         crc = zlib.crc32(head, zlib.crc32(summary + offsets))
         self._write(summary + offsets + head + struct.pack("<I", crc) + MAGIC)
 
-    def _begin_chunk(self) -> None:
-        self._parts: list[Part] = []
-        self._chunk_size = 0
-        self._chunk_span = None
-        self._index: dict[int, list[tuple[int, int]]] = {}
+    def _say(self, chunk: "_Chunk", channel_id: int) -> None:
+        """Say in a chunk of its own what the messages of a channel are: it may be written before the other one."""
+        channel = self._channels[channel_id]
+        schema = self._schemas.get(channel.schema_id)
+        chunk.take([*([] if schema is None else [schema_record(schema)]), channel_record(channel)])
+        chunk.said.add(channel_id)
 
-    def _take(self, parts: Sequence[Part]) -> None:
-        self._parts += parts
-        self._chunk_size += sum(len(part) for part in parts)
+    def _end_chunks(self) -> None:
+        self._end_chunk(self._chunk)
+        self._end_chunk(self._large_chunk)
 
-    def _end_chunk(self) -> None:
-        if not self._parts:
+    def _end_chunk(self, chunk: "_Chunk") -> None:
+        if not chunk.parts:
             return
-        start_ns, stop_ns = self._chunk_span or (0, 0)
-        size, crc, parts = self._chunk_size, 0, self._parts
+        start_ns, stop_ns = chunk.span or (0, 0)
+        size, crc, parts = chunk.size, 0, chunk.parts
         if self._compress is not None:
             whole = b"".join(parts)
             crc, parts = zlib.crc32(whole), [self._compress(whole)]
@@ -183,21 +224,21 @@ class McapWriter:
         head += struct.pack("<Q", stored)
         place, length = self._place, HEAD.size + len(head) + stored
         self._write(HEAD.pack(Op.CHUNK, len(head) + stored) + head, *parts)
-        self._end_index(struct.pack("<QQQQ", start_ns, stop_ns, place, length), stored)
+        self._end_index(chunk, struct.pack("<QQQQ", start_ns, stop_ns, place, length), stored)
 
-    def _end_index(self, head: bytes, stored: int) -> None:
+    def _end_index(self, chunk: "_Chunk", head: bytes, stored: int) -> None:
         """Write where each channel's messages stand in the chunk, and note down where that is said."""
         begin, places = self._place, {}
-        for channel_id, rows in self._index.items():
+        for channel_id, rows in chunk.index.items():
             places[channel_id] = self._place
             content = b"".join(struct.pack("<QQ", *row) for row in rows)
             self._write(record(Op.MESSAGE_INDEX, struct.pack("<HI", channel_id, len(content)) + content))
         tail = struct.pack("<Q", self._place - begin) + text_bytes(self._compression)
-        tail += struct.pack("<QQ", stored, self._chunk_size)
+        tail += struct.pack("<QQ", stored, chunk.size)
         self._chunk_indexes.append(record(Op.CHUNK_INDEX, head + numbers_bytes(places) + tail))
-        for time_ns in self._chunk_span or ():
+        for time_ns in chunk.span or ():
             self._span = _wider(self._span, time_ns)
-        self._begin_chunk()
+        chunk.begin()
 
     def _statistics(self) -> bytes:
         counts = {channel: count for channel, count in self._counts.items() if count}

@@ -42,6 +42,19 @@ class Input:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """How long drives are split in time.
+
+    Attributes:
+        seconds: about how long a part is; None for as many parts as keep all workers busy.
+        count: then, how many parts.
+    """
+
+    seconds: float | None = None
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
     """One verb over many drives.
 
@@ -54,6 +67,7 @@ class Job:
         suffix: what names of outputs end in; "" for folders.
         retries: how often a drive is tried again where the cause can pass.
         modules: what workers of this machine import before they begin, once for all of them.
+        parts: how drives are split in time, where they are; `batch.pieces` says how `call` takes part in it.
     """
 
     verb: str
@@ -63,6 +77,7 @@ class Job:
     suffix: str = ""
     retries: int = 2
     modules: tuple[str, ...] = ()
+    parts: Parts | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +91,7 @@ class Task:
         draft: where the output is written; from there it is moved to its place once it is whole. Below the temporary
             folder of the worker's machine if there is a `target`.
         target: the folder of a store that the worker sends the output to once it is whole; "" for none.
+        writes: whether there is an output at all; else what is told is all.
     """
 
     number: int
@@ -85,6 +101,7 @@ class Task:
     draft: Path
     options: Mapping[str, Any]
     target: str = ""
+    writes: bool = True
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):

@@ -83,7 +83,7 @@ def prepare(job: Job, record: Record, outputs: Outputs) -> None:
     record.tell("sceneloom", __version__)
     record.tell("options", {name: redacted(repr(value)) for name, value in job.options.items()})
     meant = {row.number: asked[key] for key, row in known.items() if key in asked}
-    done = _done(job, outputs, {row.number: row for row in known.values() if row.number in meant}, meant)
+    done = done_rows(job, outputs, {row.number: row for row in known.values() if row.number in meant}, meant)
     record.wait_again([number for number in meant if number not in done])
 
 
@@ -110,7 +110,7 @@ def _numbered(name: str, suffix: str) -> Iterator[str]:
         number += 1
 
 
-def _done(job: Job, outputs: Outputs, rows: Mapping[int, Row], meant: Mapping[int, Input]) -> set[int]:
+def done_rows(job: Job, outputs: Outputs, rows: Mapping[int, Row], meant: Mapping[int, Input]) -> set[int]:
     """Drives that are done as the job wants them, where neither they nor their outputs changed since."""
     perhaps = [
         number

@@ -62,9 +62,9 @@ def _done(task: Task) -> dict[str, Any]:
     draft.parent.mkdir(parents=True, exist_ok=True)
     module, _, name = task.call.partition(":")
     report = getattr(import_module(module), name)(task.place, draft, task.options)
-    if not draft.exists():
+    if task.writes and not draft.exists():
         return {"error": f"{redacted(task.place)}: ended without its output {draft.name}", "kind": "Missing"}
-    if task.target:
+    if task.target and task.writes:
         with stage("sending"):
             send(draft, task.target)
     return {"report": _without_secrets(report), "fingerprint": seen}

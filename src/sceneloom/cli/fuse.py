@@ -1,5 +1,6 @@
 """`sceneloom fuse`."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,6 +71,8 @@ def fuse(
     benchmark.
     """
     if fusion_type == "detection":
+        if given.pop("instead", None) is not None:
+            raise click.UsageError("--parts: --type detection does a drive in one piece")
         detection_options.refuse(given, _OF_SENSOR_DATA, "detections are fused into lines of JSON")
         found = {name: given.pop(name) for name in (*detection_options.NAMES, *_WAY)}
         kept = {name: value for name, value in given.items() if name not in _OF_SENSOR_DATA}
@@ -110,8 +113,10 @@ def _fuse_sensor_data(
     as_json: bool,
     quiet: bool,
     verbose: bool,
+    instead: Callable[..., Any] | None = None,
     **reading: Any,
 ) -> None:
+    """Fuse, or do what is to be done `instead`: of a drive in parts."""
     if output is None and depth is None and pictures is None:
         raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
     _refuse_idle("--depth-form", depth_form, "--depth", depth)
@@ -132,7 +137,7 @@ def _fuse_sensor_data(
         open_scene(path, **options.said(**reading)) as scene,
         progress_bar("fusing", quiet=quiet) as progress,
     ):
-        report = fuse_scene(
+        report = (instead or fuse_scene)(
             scene,
             trajectory=trajectory,
             heading=heading,

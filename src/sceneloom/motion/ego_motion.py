@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -13,6 +14,9 @@ from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.types import Progress
 
+if TYPE_CHECKING:
+    from sceneloom.motion.odometry import OdometryRun
+
 
 def find_ego_motion(
     scene: Scene,
@@ -21,6 +25,7 @@ def find_ego_motion(
     heading: str | None = None,
     progress: Progress | None = None,
     lenient: bool = False,
+    odometry: "OdometryRun | None" = None,
 ) -> EgoMotion:
     """Take a recorded way of the ego, or find it from satellite fixes, IMU and lidar.
 
@@ -31,6 +36,7 @@ def find_ego_motion(
         heading: "motion" to derive orientations from positions where a trajectory has none.
         progress: told after each sweep, where the way is found from the sweeps.
         lenient: pass over sweeps that cannot be read.
+        odometry: what was made of the sweeps before; else they are followed now, where they are needed.
 
     Raises:
         OptionError: the name or the heading is unknown.
@@ -45,9 +51,10 @@ def find_ego_motion(
         )
     match computed_name(scene, name):
         case "gnss":
-            return _from_gnss(scene, heading, progress=progress, lenient=lenient)
+            return _from_gnss(scene, heading, odometry, progress=progress, lenient=lenient)
         case "lidar":
-            return _from_lidar(scene, by_default=name is None, progress=progress, lenient=lenient)
+            run = odometry or _followed(scene, progress, lenient=lenient)
+            return _from_lidar(scene, run, by_default=name is None)
     return choose_trajectory(scene, name=name, heading=heading)
 
 
@@ -96,20 +103,30 @@ def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:
     )
 
 
-def _from_lidar(scene: Scene, *, by_default: bool, progress: Progress | None, lenient: bool) -> EgoMotion:
+def _followed(scene: Scene, progress: Progress | None, *, lenient: bool) -> "OdometryRun":
     from sceneloom.motion.odometry import lidar_odometry
 
-    run = lidar_odometry(scene, progress=progress, lenient=lenient)
+    return lidar_odometry(scene, progress=progress, lenient=lenient)
+
+
+def _from_lidar(scene: Scene, run: "OdometryRun", *, by_default: bool) -> EgoMotion:
     notices = (_assumed(scene), *run.notices) if by_default else tuple(run.notices)
     return _in_known_world(replace(EgoMotion.of(run.trajectory), notices=notices), scene)
 
 
-def _from_gnss(scene: Scene, heading: str | None, *, progress: Progress | None, lenient: bool) -> EgoMotion:
+def _from_gnss(
+    scene: Scene,
+    heading: str | None,
+    odometry: "OdometryRun | None",
+    *,
+    progress: Progress | None,
+    lenient: bool,
+) -> EgoMotion:
     from sceneloom.motion.gnss_imu import gnss_imu_motion
 
     if heading not in {None, "motion"}:
         raise OptionError(f"heading {heading!r}; expected 'motion'")
-    lidar, told = _lidar_beside_gnss(scene, progress, lenient=lenient)
+    lidar, told = _lidar_beside_gnss(scene, odometry, progress, lenient=lenient)
     run = gnss_imu_motion(scene, lidar=lidar)
     latitude, longitude, height = run.origin_lla.tolist()
     way = run.trajectory
@@ -127,15 +144,13 @@ def _from_gnss(scene: Scene, heading: str | None, *, progress: Progress | None, 
 
 
 def _lidar_beside_gnss(
-    scene: Scene, progress: Progress | None, *, lenient: bool
+    scene: Scene, odometry: "OdometryRun | None", progress: Progress | None, *, lenient: bool
 ) -> tuple[Trajectory | None, tuple[Notice, ...]]:
     """The way by lidar odometry to be taken in with the fixes, where there is one."""
-    from sceneloom.motion.odometry import lidar_odometry
-
     if not gnss_receivers(scene) or not placeable_lidars(scene):
         return None, ()
     try:
-        run = lidar_odometry(scene, progress=progress, lenient=lenient)
+        run = odometry or _followed(scene, progress, lenient=lenient)
     except PoseError as error:
         message = f"the lidar could not be taken in with the fixes: {error}"
         return None, (

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.batch.in_parts import check_parts
 from sceneloom.cli.batch.one_drive import BATCHED, CALL, verb_named
 from sceneloom.cli.batch.status import print_summary, status
 from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
     from sceneloom.batch import Outcome, RunSummary
+    from sceneloom.batch.jobs import Parts
     from sceneloom.batch.pool import Executor
     from sceneloom.batch.running import Told
 
@@ -28,6 +30,7 @@ _OWN = (
     "metrics",
     "resume",
     "retries",
+    "parts",
     "suffix",
     "as_json",
     "quiet",
@@ -35,6 +38,8 @@ _OWN = (
 )
 _LEFT_OUT = ("as_json", "quiet", "verbose", "overwrite")
 """Options of the verbs that the run decides."""
+
+_AUTO = "auto"
 
 FAILED_CODE = 1
 """The exit code of a run in which drives failed."""
@@ -101,6 +106,21 @@ def target(text: str) -> "Path | str":
     return place if isinstance(place, str) else options.target(str(place))
 
 
+def _seconds_of_parts(
+    context: click.Context, option: click.Parameter, said: str | None
+) -> float | str | None:
+    """Read how long parts are: seconds, or `auto`."""
+    if said is None or said == _AUTO:
+        return said
+    try:
+        seconds = float(said)
+    except ValueError:
+        seconds = 0.0
+    if not 0.0 < seconds < float("inf"):
+        raise click.BadParameter(f"{said!r}; expected seconds, more than 0, or `auto`", context, option)
+    return seconds
+
+
 _OPTIONS = (
     click.argument("inputs", nargs=-1, metavar="DRIVES..."),
     click.option(
@@ -141,6 +161,13 @@ _OPTIONS = (
         help="So often is tried again what may work another time: a lost worker, a network.",
     ),
     click.option(
+        "--parts",
+        callback=_seconds_of_parts,
+        metavar="SECONDS|auto",
+        help="Split long drives in time into parts of about so many seconds, done side by side and joined; `auto`: as "
+        "many as keep all workers busy. Of fuse.",
+    ),
+    click.option(
         "--metrics",
         type=options.target,
         metavar="FILE",
@@ -162,23 +189,28 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     from sceneloom.batch.inputs import find_inputs
     from sceneloom.formats.processors import processors
 
+    if own["parts"] is not None:
+        check_parts(name)
+    workers = own["workers"] or processors()
+    inputs = find_inputs(own["inputs"], own["lists"])
+    executor = _cluster(name, own, workers)
     job = Job(
         verb=name,
         call=CALL,
-        inputs=find_inputs(own["inputs"], own["lists"]),
+        inputs=inputs,
         options={"verb": name, **values},
         suffix=BATCHED[name].suffix if own["suffix"] is None else own["suffix"],
         retries=own["retries"],
         modules=BATCHED[name].modules,
+        parts=_parts(own["parts"], len(inputs), executor.free if executor else workers),
     )
     with _progress(name, len(job.inputs), quiet=own["quiet"]) as told:
-        workers = own["workers"] or processors()
         summary = run(
             job,
             own["output"],
             record=own["record"],
             workers=workers,
-            executor=_cluster(name, own, workers),
+            executor=executor,
             resume=own["resume"],
             told=_all_told(told, own["metrics"]),
         )
@@ -187,6 +219,18 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     else:
         print_summary(summary, verbose=own["verbose"])
     return FAILED_CODE if summary.failed else 0
+
+
+def _parts(said: float | str | None, drives: int, workers: int) -> "Parts | None":
+    """How drives are split: none where there are enough of them to keep all workers busy as they are."""
+    if said is None:
+        return None
+    from sceneloom.batch.jobs import Parts
+
+    if isinstance(said, float):
+        return Parts(seconds=said)
+    count = -(-workers // drives)
+    return Parts(count=count) if count > 1 else None
 
 
 def _all_told(told: "Told | None", metrics: Path | None) -> "Told | None":
@@ -241,9 +285,8 @@ def _progress(name: str, total: int, *, quiet: bool) -> Iterator["Told | None"]:
             ended = summary.done + summary.failed - summary.skipped
             rate = f"{60.0 * ended / summary.seconds:.1f}/min" if summary.seconds else ""
             failed = f"{summary.failed} failed" if summary.failed else ""
-            bar.update(
-                row, completed=summary.done + summary.failed, total=summary.total, rate=rate, failed=failed
-            )
+            done, total = ended + summary.skipped + summary.pieces_done, summary.total + summary.pieces
+            bar.update(row, completed=done, total=total, rate=rate, failed=failed)
             if outcome.error:
                 bar.console.print(f"{outcome.error.strip().splitlines()[-1]}", markup=False, highlight=False)
 

@@ -11,7 +11,9 @@ from typing import Any
 
 import click
 
+from sceneloom.batch.pieces import PIECE
 from sceneloom.cli import options
+from sceneloom.cli.batch.in_parts import instead_of
 from sceneloom.errors import OptionError
 
 CALL = "sceneloom.cli.batch.one_drive:run_verb"
@@ -66,13 +68,13 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
     Args:
         place: path or URL of the drive.
         output: the file or folder to write.
-        values: of the verb's other parameters, and its name as `verb`.
+        values: of the verb's other parameters, its name as `verb`, and the piece that is meant, if it is only one.
 
     Raises:
         SceneloomError: the verb refuses the drive.
     """
     given = dict(values)
-    name = given.pop("verb")
+    name, piece = given.pop("verb"), given.pop(PIECE, None)
     batched, command = BATCHED[name], verb_named(name)
     fixed = {"as_json": True, "quiet": True, "verbose": True, "overwrite": False}
     given |= {
@@ -81,6 +83,8 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
     given[batched.drive] = options.place(place)
     if batched.output:
         given[batched.output] = output
+    if piece is not None:
+        given["instead"] = instead_of(name, piece, output)
     printed = io.StringIO()
     with click.Context(command, info_name=f"sceneloom {name}") as context, redirect_stdout(printed):
         try:

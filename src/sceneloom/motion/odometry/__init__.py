@@ -2,13 +2,17 @@
 
 from sceneloom.motion.odometry.configuration import OdometryConfiguration
 from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
-from sceneloom.motion.odometry.run import OdometryRun, lidar_odometry
+from sceneloom.motion.odometry.run import OdometryRun, joined_odometry, lidar_odometry, odometry_piece
+from sceneloom.motion.odometry.stitching import OdometryPiece
 
 __all__ = [
     "LidarOdometry",
     "OdometryConfiguration",
+    "OdometryPiece",
     "OdometryRun",
     "Outcome",
     "PoseEstimate",
+    "joined_odometry",
     "lidar_odometry",
+    "odometry_piece",
 ]

@@ -261,11 +261,16 @@ class LidarOdometry:
     def _carried_drift(self, state: MotionState) -> Float64Array:
         """The drift so far, seen from a new position: an error of the orientation moves what lies farther on."""
         before = self._state.position if self._state is not None else state.position
-        x, y, z = state.position - before
-        lever = np.eye(6)
-        lever[SHIFT, TURN] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-        carried: Float64Array = lever @ self._drift @ lever.T
-        return carried
+        return carried_covariance(self._drift, state.position - before)
+
+
+def carried_covariance(covariance: Float64Array, way: Float64Array) -> Float64Array:
+    """The covariance (6, 6) of a turn and a shift, seen from a place that lies (3,) [m] farther on."""
+    x, y, z = way
+    lever = np.eye(6)
+    lever[SHIFT, TURN] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    carried: Float64Array = lever @ covariance @ lever.T
+    return carried
 
 
 def _to_world(sweep: Sweep, state: MotionState) -> Float64Array:

@@ -1,5 +1,6 @@
 """The sweeps of a scene's lidars in the ego frame, those of one period as one cloud."""
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -87,7 +88,7 @@ class SceneSweeps:
 
     Attributes:
         groups: the sweeps that make each cloud: number of the lidar, number of the frame.
-        notices: what was assumed, repaired or left out so far.
+        notices: what was assumed, repaired or left out of the whole scene.
     """
 
     scene: Scene
@@ -111,21 +112,41 @@ class SceneSweeps:
     def __len__(self) -> int:
         return len(self.groups)
 
-    def clouds(self) -> Iterator[EgoCloud]:
-        """Read the clouds in the order of their time.
+    def rows_within(self, span_ns: tuple[int, int] | None) -> range:
+        """The clouds that begin in [start, stop) [ns]; None: all of them."""
+        if span_ns is None:
+            return range(len(self.groups))
+        stamps = [self.sources[group[0][0]].lidar.frames.timestamps_ns for group in self.groups]
+        starts_ns = [int(times[group[0][1]]) for times, group in zip(stamps, self.groups, strict=True)]
+        return range(bisect_left(starts_ns, span_ns[0]), bisect_left(starts_ns, span_ns[1]))
+
+    def clouds(self, rows: range, *, counted_from: int = 0) -> Iterator[tuple[int, EgoCloud]]:
+        """Read clouds in the order of their time, each with its number.
+
+        Args:
+            rows: which ones.
+            counted_from: what is to be said of those before is forgotten.
 
         Raises:
             DataError: a sweep cannot be read, and this is not lenient.
         """
-        for group in self.groups:
-            cloud = self._cloud(group)
+        for row in rows:
+            if row == counted_from:
+                self._count_anew()
+            cloud = self._cloud(self.groups[row])
             if cloud is not None:
-                yield cloud
+                yield row, cloud
 
-    def finished_notices(self) -> tuple[Notice, ...]:
-        """All remarks, when the last cloud has been read."""
+    def _count_anew(self) -> None:
+        self.untimed = 0
+        for source in self.sources:
+            source.tally = PointTimesTally()
+            source.unreadable = source.empty = source.repeated = 0
+
+    def counted_notices(self) -> tuple[Notice, ...]:
+        """Remarks on the clouds that were read; `notices` are those on the whole scene."""
         of_lidars = [notice for source in self.sources for notice in source.notices()]
-        return (*self.notices, *of_lidars, *self._untimed_notice())
+        return (*of_lidars, *self._untimed_notice())
 
     def _untimed_notice(self) -> list[Notice]:
         if not self.untimed:

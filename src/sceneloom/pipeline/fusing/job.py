@@ -1,7 +1,7 @@
 """The main job: one scene in, one fused scene out."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +11,10 @@ import msgspec
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, PoseError
 from sceneloom.formats.loss import LossReport
-from sceneloom.fusion import FusionConfiguration
+from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pipeline.fusing.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
-from sceneloom.pipeline.fusing.report import CameraTally, FusionReport, FusionTally, told_once
+from sceneloom.pipeline.fusing.report import CameraTally, FrameCounts, FusionReport, FusionTally, told_once
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene import Scene
@@ -114,8 +114,7 @@ def _fuse(
     progress: Progress | None,
 ) -> FusionReport:
     begun = time.perf_counter()
-    if not scene.lidars:
-        raise DataError(scene.source, "", "no lidar in it; fusing needs one")
+    check_has_lidar(scene)
     wanted = checked_outputs(outputs or FusionOutputs(), output)
     steps = _Steps(progress)
     woven = weave(
@@ -128,19 +127,66 @@ def _fuse(
         progress=steps.finding,
     )
     skips = Skips() if lenient else None
+    system = fusion_system(woven, configuration, skips)
+    counted = ((f, FrameCounts.of(f)) for f in play(woven.scene, system, skips=skips))
+    return write_fused(woven, wanted, counted, skips, begun=begun, progress=steps.fusing)
+
+
+def check_has_lidar(scene: Scene) -> None:
+    """Refuse a scene without a lidar.
+
+    Raises:
+        DataError: it is one.
+    """
+    if not scene.lidars:
+        raise DataError(scene.source, "", "no lidar in it; fusing needs one")
+
+
+def fusion_system(
+    woven: Woven, configuration: FusionConfiguration | None, skips: Skips | None
+) -> FusionSystem:
+    """Make the fusion system of a drive; pictures that cannot be read go to `skips`, if there is one."""
     system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
     if skips is not None:
         system.on_unreadable = skips.add
+    return system
+
+
+def write_fused(
+    woven: Woven,
+    wanted: FusionOutputs,
+    frames: Iterable[tuple[FusedFrame, FrameCounts]],
+    skips: Skips | None,
+    *,
+    begun: float,
+    progress: Progress | None = None,
+) -> FusionReport:
+    """Write fused sweeps, in the order in which they come, and everything else of the drive.
+
+    Args:
+        woven: the drive.
+        wanted: where to write what, checked before.
+        frames: the sweeps, each with what there is to count of it.
+        skips: what could not be read is or will be in there; None where that is an error.
+        begun: when the work began, by `time.perf_counter` [s].
+        progress: told after each sweep.
+
+    Raises:
+        PoseError: no sweep could be fused.
+        DataError: something cannot be read.
+        OutputError: an output exists, or cannot be written.
+    """
     tally = _tally(woven)
     total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
     with telling(skips), stage("writing"), ExitStack() as stack:
         sinks = open_sinks(woven, wanted, stack, skips)
         with stage("fusing"):
-            for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
-                tally.add(frame)
+            for done, (frame, counts) in enumerate(frames, start=1):
+                tally.count(counts, frame.times)
                 _write(sinks, frame)
-                steps.fusing(done, total)
-        _refuse_nothing_fused(scene, tally)
+                if progress is not None:
+                    progress(done, total)
+        _refuse_nothing_fused(woven.scene, tally)
         losses = sinks.finish()
     seconds = time.perf_counter() - begun
     return _report(woven, wanted, tally, sinks, skips, seconds=seconds, losses=losses)

@@ -1,0 +1,93 @@
+"""Verbs over a part of a drive, and over all its parts together: done in place of the verb's own function."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from sceneloom.errors import OptionError
+
+if TYPE_CHECKING:
+    from sceneloom.motion.odometry import OdometryRun
+    from sceneloom.scene import Scene
+
+WHOLE: Mapping[str, str] = MappingProxyType(
+    {
+        "convert": "it only copies, and joining the parts would copy everything once more",
+        "validate": "many of its rules look at a drive as a whole",
+        "report": "its page is about a drive as a whole",
+        "track": "what is known of an object goes on from sweep to sweep",
+    }
+)
+"""Verbs that do a drive in one piece, and why."""
+
+
+def check_parts(verb: str) -> None:
+    """Refuse to split drives for a verb that does them in one piece.
+
+    Raises:
+        OptionError: it is one of those.
+    """
+    if verb in WHOLE:
+        raise OptionError(f"--parts: {verb} does a drive in one piece: {WHOLE[verb]}; expected fuse")
+
+
+def instead_of(verb: str, piece: Mapping[str, Any], target: Path) -> Callable[..., Any]:
+    """What is called in place of the verb's function, with the same arguments, for a piece of a drive.
+
+    Args:
+        verb: its name.
+        piece: which one, as `batch.pieces` says.
+        target: the file to write.
+    """
+    return partial({"fuse": _fuse}[verb], piece, target)
+
+
+def _fuse(piece: Mapping[str, Any], target: Path, scene: "Scene", **how: Any) -> Any:
+    from sceneloom.batch.pieces import stage_files
+    from sceneloom.pipeline.fusing.parts import check_outputs_of_parts, fuse_part, join_fused, reference_times
+    from sceneloom.scene.part import cut_scene
+
+    del how["progress"]
+    outputs, configuration = how.pop("outputs"), how.pop("configuration")
+    if piece["work"] == "plan":
+        check_outputs_of_parts(outputs)
+        part = cut_scene(scene, start=how["start"], stop=how["stop"])
+        return _stages("fuse", part, reference_times(part), piece, how["trajectory"])
+    if piece["work"] == "odometry":
+        return _follow(piece, target, cut_scene(scene, start=how["start"], stop=how["stop"]), how["lenient"])
+    way = _way(piece, scene)
+    if piece["work"] == "join":
+        return join_fused(scene, stage_files(piece), outputs=outputs, odometry=way, **how)
+    return fuse_part(
+        scene, target, span_ns=tuple(piece["span_ns"]), odometry=way, configuration=configuration, **how
+    )
+
+
+def _stages(
+    work: str, scene: "Scene", times_ns: Any, piece: Mapping[str, Any], trajectory: str | None
+) -> list[list[dict[str, Any]]]:
+    """The pieces of a drive: its way first, where that is found from the sweeps; none where it is short."""
+    from sceneloom.batch.pieces import cut_times
+    from sceneloom.pipeline.parts.odometry import annotations_need_way, goes_by_sweeps
+
+    spans = cut_times(times_ns, seconds=piece["seconds"], count=piece["count"])
+    if len(spans) == 1 or annotations_need_way(scene, trajectory):
+        return []
+    works = [*(["odometry"] if goes_by_sweeps(scene, trajectory) else []), work]
+    return [[{"work": each, "span_ns": list(span)} for span in spans] for each in works]
+
+
+def _follow(piece: Mapping[str, Any], target: Path, scene: "Scene", lenient: bool) -> int:
+    from sceneloom.pipeline.parts.odometry import follow_part
+
+    return follow_part(scene, target, span_ns=tuple(piece["span_ns"]), lenient=lenient)
+
+
+def _way(piece: Mapping[str, Any], scene: "Scene") -> "OdometryRun | None":
+    """The way of all parts, where an earlier stage has found it."""
+    from sceneloom.batch.pieces import stage_files
+    from sceneloom.pipeline.parts.odometry import join_ways
+
+    return join_ways(stage_files(piece, 0), scene.source) if len(piece["stages"]) > 1 else None

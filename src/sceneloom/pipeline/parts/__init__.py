@@ -1,0 +1,1 @@
+"""What the parts of a drive leave for the task that joins them."""

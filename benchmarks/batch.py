@@ -1,8 +1,10 @@
 """How many drives go through a batch, and what a run costs beside the work itself.
 
-Run with `python -m benchmarks.batch [--drives 200] [--only speed,nothing,kills] [--keep DIR] [--frames 20]`. Simulated
-drives (a few streets, each under many names) are fused; every worker has one thread.
+Run with `python -m benchmarks.batch [--drives 200] [--only ceiling,speed,nothing,kills] [--keep DIR] [--frames 20]`.
+Simulated drives (a few streets, each under many names) are fused; every worker has one thread.
 
+- ceiling: two processes against one that share nothing but the machine: plain NumPy with copying of files, and the verb
+  without a batch. More than that no batch can give.
 - speed: one worker of the pool, two of the pool, two of dask on this machine, in turns. Limits: two at least 1.8 times
   one; dask at most 15 % more than the pool. Also what a frame costs: core-seconds, bytes read and written.
 - nothing: drives whose verb writes an empty file: what scheduler, record and moving cost. Limit: 20 ms a drive.
@@ -11,6 +13,7 @@ drives (a few streets, each under many names) are fused; every worker has one th
 """
 
 import argparse
+import multiprocessing
 import random
 import tempfile
 import threading
@@ -22,15 +25,16 @@ from hashlib import blake2b
 from pathlib import Path
 
 import sceneloom
-from benchmarks.batch_workers import kill_workers, processor_seconds
+from benchmarks.batch_workers import alone, kill_workers, processor_seconds
 from sceneloom.batch import Input, Job, RunSummary, run
 from sceneloom.batch.cluster import DaskCluster
-from sceneloom.batch.pool import ProcessPool
+from sceneloom.batch.pool import ProcessPool, one_thread
 from sceneloom.batch.record import FOLDER, Record
 from sceneloom.cli.batch.one_drive import BATCHED, CALL
 from sceneloom.simulate import LidarSpec, simulate_street
 
 STREETS = 8
+CEILING_DRIVES = 24
 KILL_SECONDS = 3.0
 MODULES = BATCHED["fuse"].modules
 
@@ -96,6 +100,39 @@ def speed(places: list[Path], scratch: Path, frames: int) -> None:
         f"  a frame: {found['pool, 1 worker'].processor_seconds / count:.4f} core-seconds, {read / count / 1e6:.2f} MB "
         f"read, {written / count / 1e6:.2f} MB written"
     )
+
+
+def ceiling(places: list[Path], scratch: Path) -> None:
+    """Two processes against one where they share nothing but the machine."""
+    for work in ("plain", "fuse"):
+        taken = {}
+        for count in (1, 2):
+            sides = [
+                _begin_alone(work, places, scratch / "ceiling" / f"{work}-{count}-{k}") for k in range(count)
+            ]
+            for _, pipe in sides:
+                pipe.recv()
+            for _, pipe in sides:
+                pipe.send(None)
+            taken[count] = [pipe.recv() for _, pipe in sides]
+            for process, _ in sides:
+                process.join()
+        clock, busy = ([max(t[part] for t in taken[n]) for n in (1, 2)] for part in (0, 1))
+        name = {"plain": "sorting and copying", "fuse": "the verb without a batch"}[work]
+        print(
+            f"  {name:24} 2 processes do {2 * clock[0] / clock[1]:.2f} times what 1 does by the clock, "
+            f"{2 * busy[0] / busy[1]:.2f} times by processors"
+        )
+
+
+def _begin_alone(work: str, places: list[Path], folder: Path):
+    folder.mkdir(parents=True)
+    ours, theirs = multiprocessing.get_context("spawn").Pipe()
+    arguments = (work, [str(place) for place in places], str(folder), theirs)
+    process = multiprocessing.get_context("spawn").Process(target=alone, args=arguments)
+    with one_thread():
+        process.start()
+    return process, ours
 
 
 def nothing(places: list[Path], scratch: Path) -> None:
@@ -178,12 +215,13 @@ def main() -> None:
     )
     parser.add_argument("--drives", type=int, default=200)
     parser.add_argument("--frames", type=int, default=20)
-    parser.add_argument("--only", default="speed,nothing,kills")
+    parser.add_argument("--only", default="ceiling,speed,nothing,kills")
     parser.add_argument("--keep", type=Path, help="folder of the drives, which are made once")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         places = make_drives(given.keep or Path(scratch) / "drives", given.drives, given.frames)
         parts = {
+            "ceiling": lambda: ceiling(places[:CEILING_DRIVES], Path(scratch)),
             "speed": lambda: speed(places, Path(scratch), given.frames),
             "nothing": lambda: nothing(places, Path(scratch)),
             "kills": lambda: kills(places, Path(scratch)),

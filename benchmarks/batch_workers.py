@@ -3,9 +3,15 @@
 import os
 import random
 import resource
+import shutil
 import signal
+import time
 from contextlib import suppress
 from pathlib import Path
+
+import numpy as np
+
+from sceneloom.batch import Task
 
 
 def workers() -> list[int]:
@@ -42,6 +48,35 @@ def processor_seconds() -> float:
     """How long this process and those that it has seen end were busy [s]."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def alone(work: str, places: list[str], folder: str, pipe) -> None:
+    """Work without anything of a batch, once the other side says so; tell what it took by clock and processor [s]."""
+    from benchmarks.batch import fuse_job
+    from sceneloom.batch.working import run_task
+
+    out = Path(folder)
+    job = fuse_job([Path(place) for place in places])
+
+    def fuse(place: str, k: int) -> None:
+        draft = out / f"{k}" / "made.sfs"
+        task = Task(number=k, attempt=1, call=job.call, place=place, draft=draft, options=job.options)
+        assert not run_task(task).error
+
+    def plain(place: str, k: int) -> None:
+        values = np.random.default_rng(k + 1).random(1 << 20)
+        for _ in range(3):
+            values = np.sort(np.sin(values))
+        shutil.copyfile(place, out / f"{k}.copy")
+
+    do = {"fuse": fuse, "plain": plain}[work]
+    do(places[0], -1)  # imports and first touches
+    pipe.send(None)
+    pipe.recv()
+    begun, busy = time.perf_counter(), time.process_time()
+    for k, place in enumerate(places):
+        do(place, k)
+    pipe.send((time.perf_counter() - begun, time.process_time() - busy))
 
 
 def touch(_place, output, _options):

@@ -119,7 +119,7 @@ class ProcessPool:
         context = self._nursery.open()
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(theirs,), name="sceneloom batch", daemon=True)
-        with _one_thread(), _without_main():
+        with one_thread(), _without_main():
             process.start()
         theirs.close()
         worker = _Worker(process, ours)
@@ -139,7 +139,7 @@ def _work(pipe: Connection) -> None:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Let processes that are started now have one thread in each library, unless the user said otherwise."""
     # Numba, which may be at work here, looks at its own again and again: workers set it themselves
     wanted = {name: "1" for name in THREADS if name not in os.environ and name != NUMBA}

@@ -18,7 +18,6 @@ import msgspec
 
 from sceneloom.batch.jobs import Task
 from sceneloom.errors import OutputError
-from sceneloom.formats.urls import is_url
 from sceneloom.redaction import redacted
 
 CLAIM = ".sceneloom-run"
@@ -177,11 +176,6 @@ def send(draft: Path, target: str) -> None:
 
     for made in _own_last(draft):
         upload(made, f"{target.rstrip('/')}/{made.name}")
-
-
-def shown_place(output: "str | Path") -> str:
-    """What people call a folder of outputs."""
-    return redacted(output) if is_url(output) else str(output)
 
 
 def _own_last(draft: Path) -> list[Path]:

@@ -1,6 +1,7 @@
 """Detection fusion and tracking of what a path holds: KITTI's sequences, a drive with lists of boxes, or objects."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,30 @@ def _track_objects(
     with open_scene(path, **_opening(reading, lenient=lenient)) as scene:
         drive = scene_drive(scene, with_known_ids(scene, wanted.files), lenient=lenient)
         return track_into(TrackableDrive(drive, scene), output, **how)
+
+
+@contextmanager
+def open_listed(
+    path: str | Path,
+    chosen: DetectionInput,
+    *,
+    lenient: bool = False,
+    reading: Mapping[str, Any] | None = None,
+) -> Iterator[tuple[Scene, DetectionFiles]]:
+    """Open a drive with lists of boxes beside it, as `track_objects` does.
+
+    Raises:
+        OptionError: the path holds several drives, or what was fused before.
+        DataError: it cannot be read.
+    """
+    if _is_kitti(path, chosen) or (not chosen.has_lists and fused_files(Path(path))):
+        raise OptionError(
+            f"{path}: only drives with lists of boxes beside them, --boxes3d and --boxes2d, are tracked in parts; "
+            "leave out --parts"
+        )
+    _refuse_kitti(path, chosen)
+    with open_scene(path, **_opening(reading, lenient=lenient)) as scene:
+        yield scene, with_known_ids(scene, chosen.files)
 
 
 def _opening(reading: Mapping[str, Any] | None, *, lenient: bool) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def test_drives_in_parts_give_the_files_of_whole_ones(call, recording, tmp_path)
 
 
 def test_what_cannot_be_split_says_why(call, recording, tmp_path):
-    for verb in ("convert", "validate", "report", "track"):
+    for verb in ("convert", "validate", "report"):
         refused = call("batch", verb, recording, "-o", tmp_path / "out", "--parts", 10)
         assert refused.code == 2
         assert f"--parts: {verb} does a drive in one piece" in refused.err

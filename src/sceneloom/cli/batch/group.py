@@ -165,7 +165,7 @@ _OPTIONS = (
         callback=_seconds_of_parts,
         metavar="SECONDS|auto",
         help="Split long drives in time into parts of about so many seconds, done side by side and joined; `auto`: as "
-        "many as keep all workers busy. Of fuse.",
+        "many as keep all workers busy. Of fuse and track.",
     ),
     click.option(
         "--metrics",

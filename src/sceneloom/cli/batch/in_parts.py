@@ -10,6 +10,7 @@ from sceneloom.errors import OptionError
 
 if TYPE_CHECKING:
     from sceneloom.motion.odometry import OdometryRun
+    from sceneloom.pipeline.found_objects import DetectionInput
     from sceneloom.scene import Scene
 
 WHOLE: Mapping[str, str] = MappingProxyType(
@@ -17,7 +18,6 @@ WHOLE: Mapping[str, str] = MappingProxyType(
         "convert": "it only copies, and joining the parts would copy everything once more",
         "validate": "many of its rules look at a drive as a whole",
         "report": "its page is about a drive as a whole",
-        "track": "what is known of an object goes on from sweep to sweep",
     }
 )
 """Verbs that do a drive in one piece, and why."""
@@ -30,7 +30,7 @@ def check_parts(verb: str) -> None:
         OptionError: it is one of those.
     """
     if verb in WHOLE:
-        raise OptionError(f"--parts: {verb} does a drive in one piece: {WHOLE[verb]}; expected fuse")
+        raise OptionError(f"--parts: {verb} does a drive in one piece: {WHOLE[verb]}; expected fuse or track")
 
 
 def instead_of(verb: str, piece: Mapping[str, Any], target: Path) -> Callable[..., Any]:
@@ -41,7 +41,8 @@ def instead_of(verb: str, piece: Mapping[str, Any], target: Path) -> Callable[..
         piece: which one, as `batch.pieces` says.
         target: the file to write.
     """
-    return partial({"fuse": _fuse}[verb], piece, target)
+    done: Mapping[str, Callable[..., Any]] = {"fuse": _fuse, "track": _track}
+    return partial(done[verb], piece, target)
 
 
 def _fuse(piece: Mapping[str, Any], target: Path, scene: "Scene", **how: Any) -> Any:
@@ -63,6 +64,38 @@ def _fuse(piece: Mapping[str, Any], target: Path, scene: "Scene", **how: Any) ->
     return fuse_part(
         scene, target, span_ns=tuple(piece["span_ns"]), odometry=way, configuration=configuration, **how
     )
+
+
+def _track(
+    piece: Mapping[str, Any],
+    target: Path,
+    path: "Path | str",
+    output: Path,
+    *,
+    chosen: "DetectionInput",
+    lenient: bool,
+    reading: Mapping[str, Any],
+    **how: Any,
+) -> Any:
+    from sceneloom.batch.pieces import stage_files
+    from sceneloom.pipeline.detections.detected_scene import scene_drive
+    from sceneloom.pipeline.found_objects import open_listed
+    from sceneloom.pipeline.fusing.parts import reference_times
+    from sceneloom.pipeline.tracking.parts import track_joined, track_part
+
+    del how["progress"]
+    if how["settings"].offline:
+        raise OptionError("--offline smooths over a drive as a whole; leave it out, or --parts")
+    with open_listed(path, chosen, lenient=lenient, reading=reading) as (scene, files):
+        if piece["work"] == "plan":
+            return _stages("track", scene, reference_times(scene), piece, files.trajectory)
+        if piece["work"] == "odometry":
+            return _follow(piece, target, scene, lenient)
+        drive = scene_drive(scene, files, lenient=lenient, odometry=_way(piece, scene))
+        if piece["work"] == "join":
+            return track_joined(drive, scene, stage_files(piece), output, **how)
+        own = {name: how[name] for name in ("settings", "box2d") if name in how}
+        return track_part(drive, target, span_ns=tuple(piece["span_ns"]), **own)
 
 
 def _stages(

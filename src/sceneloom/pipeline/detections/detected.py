@@ -1,7 +1,9 @@
 """What detectors found in a drive: lists of boxes by time, where the sensors were, and what belongs together."""
 
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +21,8 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
 from sceneloom.scene import Boxes2D, Boxes3D, Identifier, Notice, NoticeKind, PosePath
 from sceneloom.scene.pose_source import PoseSource
+
+Timed = TypeVar("Timed", Boxes2D, Boxes3D)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +96,20 @@ class DetectedDrive:
     def places(self) -> tuple[RigidTransform, ...]:
         """`world_from_lidar` at each sweep; beyond the ends of the ego's way its first and last pose hold."""
         return poses_at(self.source, self.timestamps_ns)
+
+    def between(self, span_ns: tuple[int, int]) -> "DetectedDrive":
+        """The same drive, as if detectors had looked in [start, stop) [ns] alone, and in pictures a period around."""
+
+        def within(boxes: Sequence[Timed], more_ns: int) -> tuple[Timed, ...]:
+            times = [one.timestamp_ns for one in boxes]
+            rows = slice(bisect_left(times, span_ns[0] - more_ns), bisect_left(times, span_ns[1] + more_ns))
+            return tuple(boxes[rows])
+
+        cameras = {
+            camera_id: replace(camera, boxes=within(camera.boxes, self.period_ns))
+            for camera_id, camera in self.cameras.items()
+        }
+        return replace(self, boxes=within(self.boxes, 0), cameras=cameras)
 
     def of_classes(self, classes: frozenset[str]) -> "DetectedDrive":
         """The same drive, as if detectors looked for some classes alone; sweeps and pictures stay."""

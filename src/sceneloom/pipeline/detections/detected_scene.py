@@ -11,6 +11,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.motion.odometry import OdometryRun
 from sceneloom.pipeline.detections.detected import DetectedCamera, DetectedDrive, poses_at
 from sceneloom.pipeline.detections.lists import ListContext, read_boxes_2d, read_boxes_3d
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
@@ -48,11 +49,19 @@ class DetectionFiles:
     heading: str | None = None
 
 
-def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -> DetectedDrive:
+def scene_drive(
+    scene: Scene, files: DetectionFiles, *, lenient: bool = False, odometry: OdometryRun | None = None
+) -> DetectedDrive:
     """Read the boxes of a scene's detectors.
 
     Without boxes of sweeps, the sweeps of the lidar are those in which nothing was looked for; without a lidar, the
     pictures of the first camera take their place.
+
+    Args:
+        scene: the drive.
+        files: which boxes.
+        lenient: leave out what is faulty, and count it.
+        odometry: what was made of the sweeps before; else they are followed now, where they are needed.
 
     Raises:
         OptionError: there are no files, or several sensors and none was chosen, or a chosen one is not there.
@@ -66,7 +75,9 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
         lidar = _chosen(scene, "lidar", scene.lidars, files.lidar)
         ego = None
         if needs_ego(scene):
-            ego = find_ego_motion(scene, name=files.trajectory, heading=files.heading, lenient=lenient)
+            ego = find_ego_motion(
+                scene, name=files.trajectory, heading=files.heading, lenient=lenient, odometry=odometry
+            )
         cameras = _cameras(scene, files, ego, ledger)
         source = sensor_source(scene, lidar, ego, reach_ns=scene_period_ns(scene))
         sweeps = _reference_times(lidar)

@@ -41,12 +41,14 @@ class TrackableDrive:
         scene: what labels are put into.
         rectified_from_lidar: into the frame of KITTI's boxes; None for that of the camera.
         observations: what was fused before, of each sweep; None where it has to be fused.
+        tracked: what was followed before; None where it has to be done now.
     """
 
     drive: DetectedDrive
     scene: Scene
     rectified_from_lidar: RigidTransform | None = None
     observations: tuple[Observation, ...] | None = None
+    tracked: TrackedDrive | None = None
 
     @classmethod
     def of_fused(cls, path: Path) -> "TrackableDrive":
@@ -327,7 +329,9 @@ def _track_into(
     chosen = settings or TrackingSettings()
     chosen = replace(chosen, tracker=replace(chosen.tracker, picture_box=box2d))
     with stage("tracking"):
-        if source.observations is None:
+        if source.tracked is not None:
+            tracked = source.tracked
+        elif source.observations is None:
             tracked = track(source.drive, settings=chosen, progress=progress)
         else:
             tracked = track_observations(

@@ -38,7 +38,11 @@ class TrackingSettings:
 
 
 def track(
-    drive: DetectedDrive, *, settings: TrackingSettings | None = None, progress: Progress | None = None
+    drive: DetectedDrive,
+    *,
+    settings: TrackingSettings | None = None,
+    within_ns: tuple[int, int] | None = None,
+    progress: Progress | None = None,
 ) -> TrackedDrive:
     """Follow the objects of a drive.
 
@@ -47,6 +51,7 @@ def track(
 
     Args:
         settings: how.
+        within_ns: [start, stop) of the sweeps to be gone through [ns]; None for all.
         progress: told after each sweep.
 
     Raises:
@@ -57,8 +62,9 @@ def track(
     fusion = projection_settings(drive, wanted.fusion)
     parts, seconds = [], 0.0
     groups = tuple(_groups(drive))
-    for k, (part, recalls) in enumerate(groups):
+    for k, (of_group, recalls) in enumerate(groups):
         own = replace(wanted, fusion=replace(fusion, **recalls), tracker=replace(wanted.tracker, **recalls))
+        part = of_group if within_ns is None else of_group.between(within_ns)
         steps = _Steps(progress, k, len(groups), len(part.boxes))
         found, spent = _track_part(part, own, steps)
         parts.append(found)

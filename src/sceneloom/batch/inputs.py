@@ -13,6 +13,9 @@ from sceneloom.formats.urls import is_url
 PART = ("start", "stop")
 """What a line of a list may say of its drive beside the path: the seconds between which it counts."""
 
+READING = "reading."
+"""Before the name of an option that a line says its drive is to be opened with."""
+
 _WILD = frozenset("*?[")
 
 
@@ -21,7 +24,8 @@ def find_inputs(places: Iterable[str], lists: Iterable[Path] = ()) -> tuple[Inpu
 
     Args:
         places: paths, patterns such as `drives/**/*.sfs`, or URLs.
-        lists: files with a path, or an object {"path": …, "start": …, "stop": …}, in each line.
+        lists: files with a path, or an object {"path": …, "start": …, "stop": …, "reading": {"sequence": …}}, in each
+            line; options of reading are named `reading.sequence` and so on.
 
     Returns:
         each once, in the order in which they were named; those of one pattern by their names.
@@ -86,7 +90,17 @@ def _line(line: str, file: Path, number: int) -> Input:
     for name, value in part.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise DataError(file, place, f"{name} {value!r}; expected seconds")
-    return Input(place=_beside(file, path), options=part)
+    return Input(place=_beside(file, path), options={**part, **_reading(told.get("reading"), file, place)})
+
+
+def _reading(told: Any, file: Path, place: str) -> dict[str, str | bool]:
+    """How a drive is opened, as far as a line says it."""
+    said = {} if told is None else told
+    if not isinstance(said, dict) or not all(isinstance(value, str | bool) for value in said.values()):
+        raise DataError(
+            file, place, f"reading {told!r}; expected options by their names, each a text or true"
+        )
+    return {READING + name: value for name, value in said.items()}
 
 
 def _beside(file: Path, text: str) -> str:

@@ -3,8 +3,10 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import PurePosixPath
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
+from sceneloom.batch.inputs import READING
 from sceneloom.batch.jobs import Input
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.urls import is_url
@@ -37,6 +39,12 @@ def _parts(drive: Input) -> tuple[str, ...]:
     path = PurePosixPath(text.rstrip("/"))
     parts = [part for part in path.parts if part not in {"/", ".", ".."}] or ["drive"]
     parts[-1] = path.stem or parts[-1]
-    span = "_".join(f"{name}{value:g}" for name, value in sorted(drive.options.items()))
-    parts[-1] += f"_{span}" if span else ""
+    parts[-1] = "_".join([parts[-1], *(_word(name, value) for name, value in sorted(drive.options.items()))])
     return tuple(parts)
+
+
+def _word(name: str, value: Any) -> str:
+    """What counts for a drive alone, as a word."""
+    if name.startswith(READING):
+        return name.removeprefix(READING) if value is True else str(value)
+    return f"{name}{value:g}"

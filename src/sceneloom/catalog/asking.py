@@ -34,4 +34,13 @@ def query(
         if isinstance(wanted, str):
             return database.query(wanted, limit=limit)
         sql, values = sql_of(wanted, show=show, gap=gap, margin=margin)
-        return database.query(sql, values, limit=limit)
+        return _without_idle_options(database.query(sql, values, limit=limit))
+
+
+def _without_idle_options(result: Result) -> Result:
+    """Leave out how drives are read, where all are read as they come."""
+    column = result.columns.index("options")
+    if any(row[column] is not None for row in result.rows):
+        return result
+    columns = result.columns[:column] + result.columns[column + 1 :]
+    return Result(columns, [row[:column] + row[column + 1 :] for row in result.rows])

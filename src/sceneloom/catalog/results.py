@@ -35,7 +35,7 @@ def iter_list(result: Result) -> Iterator[str]:
     """
     if "path" not in result.columns:
         raise OptionError(
-            f"a list of drives needs the column `path`, and takes `start` and `stop`; the result has "
+            f"a list of drives needs the column `path`, and takes `start`, `stop` and `options`; the result has "
             f"{', '.join(result.columns)}"
         )
     seen: set[str] = set()
@@ -43,10 +43,19 @@ def iter_list(result: Result) -> Iterator[str]:
         if not isinstance(row["path"], str):
             raise OptionError(f"path {row['path']!r}; expected the path of a drive in each row")
         part = {name: row[name] for name in _SPAN if row.get(name) is not None}
-        line = json.dumps({"path": row["path"], **part}, ensure_ascii=False)
+        line = json.dumps({"path": row["path"], **part, **_reading(row.get("options"))}, ensure_ascii=False)
         if line not in seen:
             seen.add(line)
             yield line
+
+
+def _reading(options: Any) -> dict[str, Any]:
+    """How a drive is to be opened, out of the column `options` of `scenes`."""
+    try:
+        said = json.loads(options) if isinstance(options, str) else None
+    except ValueError as error:
+        raise OptionError(f"options {options!r}; expected an object of JSON, as in `scenes`") from error
+    return {"reading": said} if said else {}
 
 
 def format_cell(value: Any) -> str:

@@ -176,9 +176,11 @@ def sql_of(selection: Selection, *, show: str = "spans", gap: float = 1.0, margi
     chosen = f"SELECT {columns} FROM (SELECT m.* FROM {table} m WHERE {where}) m {joined}"  # noqa: S608
     least = selection.count or 1
     if show == "rows":
-        sql = _ROWS.format(chosen=chosen, least=int(least))
+        sql = _ROWS.format(chosen=chosen, least=int(least), options=_OPTIONS)
         return sql, values
-    sql = _SPANS.format(chosen=chosen, least=int(least), gap=_number(gap), margin=_number(margin))
+    sql = _SPANS.format(
+        chosen=chosen, least=int(least), options=_OPTIONS, gap=_number(gap), margin=_number(margin)
+    )
     return (f"{sql} {_OF_SPANS}" if show == "spans" else f"{sql} {_OF_DRIVES}"), values
 
 
@@ -186,20 +188,22 @@ def _number(value: float) -> str:
     return f"'{float(value)!r}'::DOUBLE"  # so that "inf" is one, too
 
 
-_ROWS = """SELECT s.path, c.* FROM ({chosen}) c JOIN scenes s USING (scene)
+_OPTIONS = "nullif(s.options, '{}') AS options"
+_ROWS = """SELECT s.path, {options}, c.* FROM ({chosen}) c JOIN scenes s USING (scene)
 QUALIFY count(*) OVER (PARTITION BY c.scene, c.timestamp_ns) >= {least} ORDER BY s.path, c.timestamp_ns"""
 
 _SPANS = """WITH chosen AS ({chosen}),
 moments AS (SELECT scene, timestamp_ns, any_value(seconds) AS seconds, count(*) AS found FROM chosen
   GROUP BY scene, timestamp_ns HAVING count(*) >= {least}),
-marked AS (SELECT m.*, s.path, s.period, CASE WHEN m.seconds - lag(m.seconds) OVER of_scene <= greatest({gap},
-  1.5 * s.period) + 2 * {margin} THEN 0 ELSE 1 END AS fresh FROM moments m JOIN scenes s USING (scene)
+marked AS (SELECT m.*, s.path, {options}, s.period, CASE WHEN m.seconds - lag(m.seconds) OVER of_scene
+  <= greatest({gap}, 1.5 * s.period) + 2 * {margin} THEN 0 ELSE 1 END AS fresh
+  FROM moments m JOIN scenes s USING (scene)
   WINDOW of_scene AS (PARTITION BY m.scene ORDER BY m.timestamp_ns)),
 numbered AS (SELECT *, sum(fresh) OVER (PARTITION BY scene ORDER BY timestamp_ns) AS span FROM marked),
-spans AS (SELECT path, greatest(0.0, min(seconds) - {margin}) AS start,
+spans AS (SELECT path, options, greatest(0.0, min(seconds) - {margin}) AS start,
   max(seconds) + any_value(period) + {margin} AS stop, count(*) AS moments, max(found) AS most
-  FROM numbered GROUP BY scene, path, span)"""
+  FROM numbered GROUP BY scene, path, options, span)"""
 
-_OF_SPANS = "SELECT path, start, stop, moments, most FROM spans WHERE stop > 0 ORDER BY path, start"
-_OF_DRIVES = """SELECT path, sum(stop - start) AS seconds, count(*) AS spans, sum(moments)::BIGINT AS moments,
-max(most) AS most FROM spans GROUP BY path ORDER BY path"""
+_OF_SPANS = "SELECT path, options, start, stop, moments, most FROM spans WHERE stop > 0 ORDER BY ALL"
+_OF_DRIVES = """SELECT path, options, sum(stop - start) AS seconds, count(*) AS spans, sum(moments)::BIGINT AS moments,
+max(most) AS most FROM spans GROUP BY path, options ORDER BY path, options"""

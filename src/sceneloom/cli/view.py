@@ -94,10 +94,21 @@ def _listed(lists: tuple[Path, ...]) -> "list[DrivePart]":
     """The drives of lists, and the parts of them that these name."""
     if not lists:
         return []
-    from sceneloom.batch.inputs import find_inputs
+    from sceneloom.batch.inputs import PART, READING, find_inputs
     from sceneloom.view import DrivePart
 
-    return [DrivePart(options.place(drive.place), **drive.options) for drive in find_inputs((), lists)]
+    return [
+        DrivePart(
+            options.place(drive.place),
+            **{name: value for name, value in drive.options.items() if name in PART},
+            reading={
+                name.removeprefix(READING): value
+                for name, value in drive.options.items()
+                if name.startswith(READING)
+            },
+        )
+        for drive in find_inputs((), lists)
+    ]
 
 
 def _settings(given: dict[str, Any]) -> Any:

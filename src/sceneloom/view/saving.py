@@ -50,7 +50,7 @@ def opened_drives(
         scenes = [
             part.source
             if isinstance(part.source, Scene)
-            else stack.enter_context(open_scene(part.source, **settings.reading))
+            else stack.enter_context(open_scene(part.source, **{**settings.reading, **part.reading}))
             for part in parts
         ]
         yield tuple(

@@ -77,11 +77,13 @@ class DrivePart:
     Attributes:
         source: path of the drive, or a scene that is open.
         start, stop: seconds after its first time stamp; None where `ViewSettings` decides.
+        reading: options of opening it, before those of `ViewSettings`.
     """
 
     source: str | Path | Scene
     start: float | None = None
     stop: float | None = None
+    reading: Mapping[str, Any] = field(default_factory=dict)
 
     def settings(self, common: ViewSettings) -> ViewSettings:
         """What of it is shown, where `common` is said of all."""
@@ -93,7 +95,8 @@ class DrivePart:
     def name(self) -> str:
         """That of the file without its suffix, and of what part it is."""
         place = self.source.source if isinstance(self.source, Scene) else str(self.source)
-        stem = Path(place).resolve().stem or "drive"
+        words = (value if isinstance(value, str) else name for name, value in self.reading.items())
+        stem = " ".join([Path(place).resolve().stem or "drive", *words])
         if self.start is None and self.stop is None:
             return stem
         return f"{stem} {self.start or 0.0:g}-{'' if self.stop is None else f'{self.stop:g} s'}"

@@ -34,6 +34,10 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
         ('{"path": 3}', "line 1: path 3; expected"),
         ('{"start": 3}', "line 1: path None"),
         ('{"path": "a", "start": "x"}', "start 'x'; expected seconds"),
+        (
+            '{"path": "a", "reading": {"sequence": 3}}',
+            "reading {'sequence': 3}; expected options by their names",
+        ),
         ('{"path": ', "expected a path or an object"),
     ],
 )

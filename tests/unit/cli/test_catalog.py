@@ -1,6 +1,7 @@
 """`sceneloom catalog`: drives into tables, and out again as lists."""
 
 import json
+import shutil
 
 
 def test_a_catalogue_is_built_updated_and_asked(call, recording, tmp_path):
@@ -26,3 +27,27 @@ def test_filters_beside_sql_and_what_is_no_catalogue_are_refused(call, tmp_path)
     assert (none.code, "holds no catalogue" in none.err) == (1, True)
     bad = call("catalog", "query", tmp_path, "--attribute", "rain")
     assert (bad.code, "NAME=VALUE" in bad.err) == (2, True)
+
+
+def test_a_list_says_how_its_drives_are_opened(call, recording, tmp_path):
+    both, fleet = tmp_path / "kitti", tmp_path / "fleet"
+    for name in ("0001", "0002"):
+        written = tmp_path / name
+        to = ("--to", "kitti-tracking", "--set", f"sequence={name}")
+        assert call("convert", recording, written, *to).code == 0
+        shutil.copytree(written, both, dirs_exist_ok=True)
+    assert call("catalog", "build", both, "-o", fleet, "--read-with", "sequence=0001").code == 0
+    assert call("catalog", "update", fleet, both, "--read-with", "sequence=0002").code == 0
+    told = call("catalog", "query", fleet, "--speed", 0, "inf", "--show", "drives", "--as", "list").out
+    assert [json.loads(line)["reading"] for line in told.splitlines()] == [
+        {"sequence": "0001"}, {"sequence": "0002"},
+    ]  # fmt: skip
+    (tmp_path / "list.jsonl").write_text(told)
+    done = call("batch", "convert", "--list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
+    assert done.code == 0, done.err
+    names = sorted(file.name for file in (tmp_path / "out").glob("*.sfs"))
+    assert names == ["kitti_0001.sfs", "kitti_0002.sfs"]
+    saved = call("view", "--list", tmp_path / "list.jsonl", "--save", tmp_path / "both.rrd", "--json")
+    assert (saved.code, [drive["root"] for drive in json.loads(saved.out)["drives"]]) == (
+        0, [r"/kitti\ 0001", r"/kitti\ 0002"],
+    )  # fmt: skip

@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from sceneloom.batch.inputs import PART, READING
 from sceneloom.batch.pieces import PIECE
 from sceneloom.cli import options
 from sceneloom.cli.batch.in_parts import instead_of
@@ -83,6 +84,7 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
     given[batched.drive] = options.place(place)
     if batched.output:
         given[batched.output] = output
+    _read_as_listed(given, command)
     if piece is not None:
         given["instead"] = instead_of(name, piece, output)
     printed = io.StringIO()
@@ -101,3 +103,25 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
         return json.loads(text)
     except ValueError:
         return text.strip()
+
+
+def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
+    """Put what a list says of reading a drive where the verb has it, in place of what is said of all.
+
+    Raises:
+        OptionError: it names a part of the drive, and the verb does drives as a whole.
+    """
+    names = {parameter.name for parameter in command.params}
+    if any(name in given for name in PART) and not names.issuperset(PART):
+        raise OptionError(
+            f"{command.name} does a drive as a whole, and the list names a part of it: leave out start and stop, or "
+            "cut the drive first, with `sceneloom edit crop`"
+        )
+    for own in [name for name in given if name.startswith(READING)]:
+        name, value = own.removeprefix(READING), given.pop(own)
+        if name in names:
+            given[name] = value
+        elif f"{name}s" in names:
+            given[f"{name}s"] = (value,)
+        else:
+            given[options.READ_WITH] = (*given.get(options.READ_WITH, ()), f"{name}={value}")

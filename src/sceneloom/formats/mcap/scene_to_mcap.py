@@ -91,7 +91,7 @@ def write_mcap(
 
 
 def _write(scene: Scene, stream: BinaryIO, compression: str, pictures: str) -> LossReport:
-    writer = McapWriter(stream, library=f"sceneloom {__version__}", compression=compression)
+    writer = McapWriter(stream, library=f"sceneloom {__version__}", compression=compression, large_apart=True)
     plan = SceneStreams(scene, DIALECT, pictures=pictures)
     shift_ns = max(0, -plan.start_ns)
     records = FoxgloveWriter(writer, shift_ns)

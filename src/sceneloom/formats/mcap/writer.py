@@ -34,7 +34,7 @@ MOST_IDS = 65535
 Part = bytes | memoryview
 
 _LARGE_MESSAGE = 16 << 10
-"""Messages from here on stand in chunks of their own where chunks are compressed [bytes]."""
+"""Messages from here on stand in chunks of their own where that is wanted [bytes]."""
 
 
 class _Chunk:
@@ -85,6 +85,7 @@ class McapWriter:
         library: str,
         compression: str = "none",
         chunk_bytes: int = CHUNK_BYTES,
+        large_apart: bool = False,
     ) -> None:
         """Begin the file.
 
@@ -94,6 +95,9 @@ class McapWriter:
             library: who writes.
             compression: "none", "lz4" or "zstd".
             chunk_bytes: how long chunks are before they are compressed.
+            large_apart: put large messages into compressed chunks of their own, so that who wants the poses of a drive
+                need not decompress, and fetch, its clouds and pictures; messages are then in the order of their times
+                by the index alone, not as they come in the file.
 
         Raises:
             OptionError: there is no such compression.
@@ -101,6 +105,7 @@ class McapWriter:
         """
         self._stream = stream
         self._compress = compressor(compression)
+        self._large_apart = large_apart and self._compress is not None
         self._compression = "" if compression == "none" else compression
         self._place, self._chunk_bytes = 0, chunk_bytes
         self._schemas: dict[int, Schema] = {}
@@ -154,9 +159,7 @@ class McapWriter:
             channel_id, self._counts[channel_id] & 0xFFFFFFFF, log_time_ns, published
         )
         self._counts[channel_id] += 1
-        # who wants the poses of a drive would else decompress, and fetch, its clouds and pictures, too
-        apart = self._compress is not None and size >= _LARGE_MESSAGE
-        chunk = self._large_chunk if apart else self._chunk
+        chunk = self._large_chunk if self._large_apart and size >= _LARGE_MESSAGE else self._chunk
         if channel_id not in chunk.said:
             self._say(chunk, channel_id)
         chunk.take_message(channel_id, log_time_ns, [head, *parts])

@@ -96,7 +96,7 @@ def test_large_messages_stand_apart_where_chunks_are_compressed_and_each_chunk_s
     compression, tmp_path
 ):
     stream = io.BytesIO()
-    writer = McapWriter(stream, library="ours", compression=compression, chunk_bytes=50_000)
+    writer = McapWriter(stream, library="ours", compression=compression, chunk_bytes=50_000, large_apart=True)
     schema = writer.add_schema("a.Type", "protobuf", b"schema")
     large, small = (writer.add_channel(f"/{name}", "protobuf", schema) for name in ("large", "small"))
     for k in range(200):

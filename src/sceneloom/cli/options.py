@@ -144,6 +144,9 @@ reading = _stacked(
 )
 """On every verb that reads a drive."""
 
+READING = frozenset(option.name for option in click.command()(reading(lambda: None)).params) - {READ_WITH}
+"""The names of these, but for what each format has of its own."""
+
 
 def way(*, further: str = "") -> Callable[[Command], Command]:
     """On every verb that moves something along the ego's way: which one it is; `further` names one more choice."""

@@ -51,3 +51,14 @@ def test_a_list_says_how_its_drives_are_opened(call, recording, tmp_path):
     assert (saved.code, [drive["root"] for drive in json.loads(saved.out)["drives"]]) == (
         0, [r"/kitti\ 0001", r"/kitti\ 0002"],
     )  # fmt: skip
+
+
+def test_a_list_says_nothing_but_how_a_drive_is_read(call, recording, tmp_path):
+    (tmp_path / "list.jsonl").write_text(
+        json.dumps({"path": str(recording), "reading": {"output": str(tmp_path / "elsewhere.sfs")}})
+    )
+    refused = call(
+        "batch", "convert", "--list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1
+    )
+    assert (refused.code, "'output'" in refused.err) == (1, True)
+    assert not (tmp_path / "elsewhere.sfs").exists()

@@ -119,9 +119,9 @@ def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
         )
     for own in [name for name in given if name.startswith(READING)]:
         name, value = own.removeprefix(READING), given.pop(own)
-        if name in names:
+        if name == "sequence" and "sequences" in names:
+            given["sequences"] = (value,)
+        elif name in names & options.READING:
             given[name] = value
-        elif f"{name}s" in names:
-            given[f"{name}s"] = (value,)
         else:
             given[options.READ_WITH] = (*given.get(options.READ_WITH, ()), f"{name}={value}")

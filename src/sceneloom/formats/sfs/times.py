@@ -75,7 +75,9 @@ class FileClock:
 
     def _absolute_exactly(self, stamps: AnyArray) -> Int64Array:
         if self.offset_ns == 0:
-            return stamps.astype(np.int64) * self.tick_ns
+            absolute_ns = stamps.astype(np.int64)
+            absolute_ns *= self.tick_ns
+            return absolute_ns
         return np.array([self.absolute_ns(stamp) for stamp in stamps.tolist()], np.int64)
 
     def stamp(self, timestamp_ns: int) -> int:

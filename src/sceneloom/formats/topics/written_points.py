@@ -14,6 +14,9 @@ from sceneloom.formats.topics.streams import Said
 from sceneloom.formats.topics.sweeps import DIRECTION_COLUMNS, SPEED_COLUMNS, TIME_COLUMN
 from sceneloom.scene import LidarSensor, PointsSensor, RadarSensor
 
+Columns = dict[tuple[str, ...], AnyArray]
+"""Columns on their way into a message, (N,), or (N, k) by their k names."""
+
 _HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
 _INT32 = 2**31 - 1
 
@@ -45,15 +48,15 @@ class CloudWriter:
             return
         columns = _positions(points.positions)
         if points.intensities is not None:
-            columns["intensity"] = points.intensities
+            columns["intensity",] = points.intensities
         if points.rings is not None:
-            columns["ring"] = points.rings
+            columns["ring",] = points.rings
         if points.timestamps_ns is not None:
-            columns[TIME_COLUMN] = _offsets(points.timestamps_ns, frame.timestamp_ns)
+            columns[TIME_COLUMN,] = _offsets(points.timestamps_ns, frame.timestamp_ns)
         if points.colors is not None:
             columns |= _colours(points.colors)
         if points.camera_index is not None:
-            columns["camera_index"] = points.camera_index
+            columns["camera_index",] = points.camera_index
         self._add_extras(columns, points.extras)
         self._note_frame(frame.extras)
         yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
@@ -64,11 +67,11 @@ class CloudWriter:
         points = frame.points
         columns = _positions(points.positions)
         if points.directions is not None:
-            columns |= {name: points.directions[:, axis] for axis, name in enumerate(DIRECTION_COLUMNS)}
+            columns[DIRECTION_COLUMNS] = points.directions
         if points.lengths is not None:
-            columns[SPEED_COLUMNS[0]] = points.lengths
+            columns[SPEED_COLUMNS[0],] = points.lengths
         if points.timestamps_ns is not None:
-            columns[TIME_COLUMN] = _offsets(points.timestamps_ns, frame.timestamp_ns)
+            columns[TIME_COLUMN,] = _offsets(points.timestamps_ns, frame.timestamp_ns)
         self._add_extras(columns, points.extras)
         self._note_frame(frame.extras)
         yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
@@ -80,32 +83,33 @@ class CloudWriter:
             columns |= _colours(sensor.colors)
         yield self.topic, self._record(columns, len(sensor.positions), timestamp_ns)
 
-    def _record(self, columns: Mapping[str, AnyArray], count: int, timestamp_ns: int) -> CloudRecord:
+    def _record(self, columns: Columns, count: int, timestamp_ns: int) -> CloudRecord:
         packed = pack(columns, count)
         return CloudRecord(
             timestamp_ns, self.frame_id, packed.fields, packed.stride, packed.data, packed.count
         )
 
-    def _add_extras(self, columns: dict[str, AnyArray], extras: Mapping[str, AnyArray]) -> None:
+    def _add_extras(self, columns: Columns, extras: Mapping[str, AnyArray]) -> None:
+        taken = {name for names in columns for name in names}
         for name, column in extras.items():
             place = f"{self.field}.points.extras.{name}"
-            if column.ndim != 1 or name in columns or name.lower() in _TAKEN or name.startswith("_"):
+            if column.ndim != 1 or name in taken or name.lower() in _TAKEN or name.startswith("_"):
                 self.losses.dropped(
                     place, "not one number for each point, or of a name that means something else"
                 )
             elif column.dtype.str[1:] in _HELD:
-                columns[name] = column
+                columns[name,] = column
             elif column.dtype.kind in "iufb":
                 self._add_converted(columns, name, column, place)
             else:
                 self.losses.dropped(place, f"values of type {column.dtype}")
 
-    def _add_converted(self, columns: dict[str, AnyArray], name: str, column: AnyArray, place: str) -> None:
+    def _add_converted(self, columns: Columns, name: str, column: AnyArray, place: str) -> None:
         numbers = column.astype(np.uint8 if column.dtype.kind == "b" else np.float64)
         error = float(np.abs(column.astype(np.longdouble) - numbers.astype(np.longdouble)).max(initial=0))
         what = f"values of type {column.dtype} written as {numbers.dtype}"
         (self.losses.approximated if error else self.losses.converted)(place, what, error=error)
-        columns[name] = numbers
+        columns[name,] = numbers
 
     def _note_frame(self, extras: Mapping[str, object]) -> None:
         self.losses.dropped(f"{self.field}.extras", "further fields of a sweep", count=bool(extras))
@@ -116,18 +120,22 @@ _TAKEN = frozenset(
 )
 
 
-def _positions(positions: AnyArray) -> dict[str, AnyArray]:
-    return {axis: positions[:, k] for k, axis in enumerate("xyz")}
+def _positions(positions: AnyArray) -> Columns:
+    return {("x", "y", "z"): positions}
 
 
-def _colours(colors: AnyArray) -> dict[str, AnyArray]:
+def _colours(colors: AnyArray) -> Columns:
     """Colours as viewers know them, which ask for an alpha value beside the three."""
-    found = {name: colors[:, k] for k, name in enumerate(("red", "green", "blue"))}
-    return {**found, "alpha": np.full(len(colors), 255, np.uint8)}
+    return {("red", "green", "blue"): colors, ("alpha",): np.full(len(colors), 255, np.uint8)}
 
 
 def _offsets(timestamps_ns: AnyArray, stamp_ns: int) -> AnyArray:
     """Times of points from their sweep's stamp; too far for 32 bits, they go into floats, exact to 104 days."""
-    offsets = timestamps_ns - stamp_ns
-    near = len(offsets) == 0 or bool(offsets.min() >= -_INT32 and offsets.max() <= _INT32)
-    return offsets.astype(np.int32 if near else np.float64)
+    span_ns = (
+        (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (stamp_ns, stamp_ns)
+    )
+    if span_ns[0] < stamp_ns - _INT32 or span_ns[1] > stamp_ns + _INT32:
+        return (timestamps_ns - stamp_ns).astype(np.float64)
+    offsets = np.empty(len(timestamps_ns), np.int32)
+    np.subtract(timestamps_ns, stamp_ns, out=offsets, casting="unsafe")
+    return offsets

@@ -43,6 +43,13 @@ _ALLOCATION = {
 }
 """Keep dask from giving memory back whenever 64 KB are free, and the thread that works from a heap of its own, which
 does the same: arrays come and go with each frame, and seven times as many page faults cost a third more time."""
+_WATCHING = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+}
+"""Keep dask from looking a hundred times a second at what its workers do: it takes as long as scheduling."""
 _METHOD = "distributed.worker.multiprocessing-method"
 _CONNECTING_SECONDS = 60.0
 _COUNTING_SECONDS = 2.0
@@ -91,7 +98,7 @@ class DaskCluster:
             nursery.open()
             stack.callback(nursery.close)
             # until the end: dask starts a worker anew where one was lost
-            stack.enter_context(dask.config.set({**_ALLOCATION, _METHOD: nursery.method}))
+            stack.enter_context(dask.config.set({**_ALLOCATION, **_WATCHING, _METHOD: nursery.method}))
             if nursery.method == "forkserver":
                 get_mp_context()  # once, before modules are named: dask names its own then
                 nursery.open()

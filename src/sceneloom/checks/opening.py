@@ -12,23 +12,40 @@ from sceneloom.formats.recording.examination import RecordingExamination
 from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.sfs import SfsFormat
 from sceneloom.formats.sfs.faults import Examination
-from sceneloom.formats.table import Format, format_and_place
+from sceneloom.formats.table import Format, format_and_place, part_of
 from sceneloom.redaction import redacted
 from sceneloom.scene import Scene
 
 
-def open_subject(path: str | Path, *, format: str | None = None, **reading: Any) -> Subject:
+def open_subject(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    **reading: Any,
+) -> Subject:
     """Open a file or folder; what cannot be read is a fault of the subject, not an error.
 
     Args:
         path: a file or folder, or the URL of a scene file.
         format: the format's name, where the content should not decide.
+        start, stop: seconds after the first time stamp: the part between them is a scene of its own, without the texts
+            of its file, with the faults of all of it.
         reading: reading options of the format; `lenient` plays no part.
 
     Raises:
         UnknownFormatError: no format fits the path.
-        OptionError: an option or its value is not known.
+        OptionError: an option or its value is not known, or there is nothing between `start` and `stop`.
     """
+    subject = _whole_subject(path, format, reading)
+    if start is None and stop is None:
+        return subject
+    part = part_of(subject.scene, start=start, stop=stop)
+    return Subject(part, faults=subject.faults, notices=subject.remarks)
+
+
+def _whole_subject(path: str | Path, format: str | None, reading: dict[str, Any]) -> Subject:
     form, where = format_and_place(path, format=format)
     options = {name: value for name, value in reading.items() if value is not None and name != "lenient"}
     if isinstance(form, SfsFormat):

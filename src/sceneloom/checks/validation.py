@@ -95,7 +95,8 @@ def validate(
         ignore: ids of rules that are not to be run.
         places: so many places of one rule are told singly, the others counted; None for all.
         progress: called with the number of frames done and of all.
-        reading: reading options of the format; faulty parts are never an error here.
+        reading: reading options of the format, `start` and `stop` of a part among them; faulty parts are never an
+            error here.
 
     Returns:
         The report; where nothing could be written to `fix`, its `output` is None, and `unwritten` says why.

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     help="Where on earth the world's origin is, for `--to gnss`. [default: that of GNSS, where it is known]",
 )
 @options.trajectories("from", "SOURCE")
+@options.part
 @options.reading
 @options.printing
 def convert(

@@ -88,7 +88,7 @@ def fuse(
 _WAY = ("trajectory", "heading")
 _OF_SENSOR_DATA = (
     *("depth", "depth_form", "pictures", "pictures_every", "threads"),
-    *("start", "stop", "profile", "time_unit"),
+    *("profile", "time_unit"),
 )
 """Options that only the fusion of sensor data has."""
 

@@ -169,6 +169,7 @@ part = _stacked(
     click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp."),
     click.option("--stop", type=float, metavar="S", help="End before S seconds after it."),
 )
+"""On every verb that can take a part of a drive."""
 
 threads = click.option(
     "--threads",
@@ -177,7 +178,6 @@ threads = click.option(
     help="Threads that share the work on a sweep; what they give is the same. [default: 1]",
 )
 """How many processors one sweep may use."""
-"""On every verb that can take a part of a drive."""
 
 
 _PREFIXES = {"opening": ("from_", "est_", "ref_", ""), "writing": ("to_", "")}
@@ -336,4 +336,5 @@ def settings(flag: str, pairs: Iterable[str]) -> dict[str, str]:
 def said(**values: Any) -> dict[str, Any]:
     """The options that the user said; the others are left to the library's defaults."""
     further = settings("--read-with", values.pop(READ_WITH, ()))
-    return {**{name: value for name, value in values.items() if value not in {None, False}}, **further}
+    kept = {name: value for name, value in values.items() if value is not None and value is not False}
+    return {**kept, **further}

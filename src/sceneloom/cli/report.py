@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     help="Pictures that the page may hold.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@options.part
 @options.reading
 @options.printing
 def report(

@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     metavar="DIR",
     help="Draw a dozen moments: over photographs and from above.",
 )
+@options.part
 @options.rewriting
 def track(
     path: Path | str,

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 @click.option("--rule", "rules", multiple=True, metavar="ID", help="Run this rule only; may be said again.")
 @click.option("--ignore", multiple=True, metavar="ID", help="Leave this rule out; may be said again.")
 @click.option("--rules", "list_rules", is_flag=True, help="List the rules and stop.")
+@options.part
 @options.reading
 @options.printing
 @click.pass_context

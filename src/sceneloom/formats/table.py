@@ -203,7 +203,14 @@ def _format_of_url(url: str) -> Format:
     raise UnknownFormatError(url, "", f"expected a URL that ends in {known}; fetch other files first")
 
 
-def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -> Scene:
+def open_scene(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    **options: Any,
+) -> Scene:
     """Open a recording or a scene file lazily.
 
     Args:
@@ -211,12 +218,36 @@ def open_scene(path: str | Path, *, format: str | None = None, **options: Any) -
             ranges, files of folders fetched when they are opened, and other files at once, into a temporary folder,
             which is removed when the scene is closed.
         format: the format's name, where the content should not decide.
+        start, stop: seconds after the scene's first time stamp between which it counts, as of `editing.crop_scene`;
+            None for the beginning and the end.
         options: reading options of the format.
 
     Raises:
         UnknownFormatError: no format fits the path.
         DataError: the content is wrong.
+        OptionError: there is nothing between `start` and `stop`.
     """
+    return part_of(_whole_scene(path, format, options), start=start, stop=stop)
+
+
+def part_of(scene: Scene, *, start: float | None = None, stop: float | None = None) -> Scene:
+    """Give the part of a scene that was asked for on opening it; where there is none, it is closed.
+
+    Raises:
+        OptionError: there is nothing between `start` and `stop`.
+    """
+    if start is None and stop is None:
+        return scene
+    from sceneloom.editing import crop_scene
+
+    try:
+        return crop_scene(scene, start=start, stop=stop)
+    except BaseException:
+        scene.close()
+        raise
+
+
+def _whole_scene(path: str | Path, format: str | None, options: dict[str, Any]) -> Scene:
     where = path_or_url(path)
     if isinstance(where, str) and not _read_by_ranges(where, format):
         return _fetched_scene(where, format, options)

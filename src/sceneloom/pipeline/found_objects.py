@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from sceneloom.editing import crop_scene
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene
 from sceneloom.formats.kitti import KittiTracking, open_tracking_folder
@@ -60,7 +61,7 @@ def fuse_detections(
         chosen: what of it.
         form: "jsonl", or of KITTI's folders "kitti" for its text.
         lenient: leave out what is faulty, and count it.
-        reading: further options of opening a drive.
+        reading: further options of opening a drive, `start` and `stop` of a part among them.
         how: `configuration`, `settings`, `overwrite`, `progress` as of `fuse_drive_detections`.
 
     Raises:
@@ -71,6 +72,7 @@ def fuse_detections(
     """
     wanted = chosen or DetectionInput()
     if _is_kitti(path, wanted):
+        _refuse_part(path, reading)
         return fuse_folder_detections(
             _kitti(path, wanted, lenient=lenient), output, sequences=wanted.sequences, form=form, **how
         )
@@ -79,9 +81,8 @@ def fuse_detections(
         raise OptionError(
             f"format {form!r} is written for folders laid out like KITTI's only; expected 'jsonl' for {path}"
         )
-    with open_scene(path, **_opening(reading, lenient=lenient)) as scene:
-        drive = scene_drive(scene, with_known_ids(scene, wanted.files), lenient=lenient)
-        return fuse_drive_detections(drive, output, **how)
+    with _with_lists(path, wanted, lenient=lenient, reading=reading) as (scene, files):
+        return fuse_drive_detections(scene_drive(scene, files, lenient=lenient), output, **how)
 
 
 def track_objects(
@@ -100,7 +101,7 @@ def track_objects(
         output: the folder of files, or the file.
         chosen: what of it.
         lenient: leave out what is faulty, and count it.
-        reading: further options of opening a drive.
+        reading: further options of opening a drive, `start` and `stop` of a part among them.
         how: `form`, `box2d`, `settings`, `overwrite`, `progress`, … as of `track_into`.
 
     Raises:
@@ -126,17 +127,20 @@ def _track_objects(
     **how: Any,
 ) -> TrackReport:
     if _is_kitti(path, wanted):
+        _refuse_part(path, reading)
         return track_folder(_kitti(path, wanted, lenient=lenient), output, sequences=wanted.sequences, **how)
     _refuse_kitti(path, wanted)
     found = () if wanted.has_lists else fused_files(Path(path))
+    if found:
+        _refuse_part(path, reading)
     if found and Path(path).is_dir():
         return track_many(
             lambda k: TrackableDrive.of_fused(found[k]), len(found), output, source=str(path), **how
         )
     if found:
         return track_into(TrackableDrive.of_fused(found[0]), output, **how)
-    with open_scene(path, **_opening(reading, lenient=lenient)) as scene:
-        drive = scene_drive(scene, with_known_ids(scene, wanted.files), lenient=lenient)
+    with _with_lists(path, wanted, lenient=lenient, reading=reading) as (scene, files):
+        drive = scene_drive(scene, files, lenient=lenient)
         return track_into(TrackableDrive(drive, scene), output, **how)
 
 
@@ -160,12 +164,31 @@ def open_listed(
             "leave out --parts"
         )
     _refuse_kitti(path, chosen)
-    with open_scene(path, **_opening(reading, lenient=lenient)) as scene:
-        yield scene, with_known_ids(scene, chosen.files)
+    with _with_lists(path, chosen, lenient=lenient, reading=reading) as listed:
+        yield listed
 
 
-def _opening(reading: Mapping[str, Any] | None, *, lenient: bool) -> dict[str, Any]:
-    return {**(reading or {}), **({"lenient": True} if lenient else {})}
+@contextmanager
+def _with_lists(
+    path: str | Path, wanted: DetectionInput, *, lenient: bool, reading: Mapping[str, Any] | None
+) -> Iterator[tuple[Scene, DetectionFiles]]:
+    """Open a drive, or the part of it that counts; lists of boxes are of the whole."""
+    options = {**(reading or {}), **({"lenient": True} if lenient else {})}
+    part = {name: options.pop(name) for name in _PART if name in options}
+    with open_scene(path, **options) as scene:
+        files = with_known_ids(scene, wanted.files)
+        yield (crop_scene(scene, **part), replace(files, whole=scene)) if part else (scene, files)
+
+
+_PART = ("start", "stop")
+
+
+def _refuse_part(path: str | Path, reading: Mapping[str, Any] | None) -> None:
+    if not (reading or {}).keys().isdisjoint(_PART):
+        raise OptionError(
+            f"{path}: its files number frames from the beginning, so that it is done whole; start and stop take a part "
+            "of drives with lists of boxes beside them, --boxes3d and --boxes2d"
+        )
 
 
 def with_known_ids(scene: Scene, files: DetectionFiles) -> DetectionFiles:

@@ -66,7 +66,8 @@ def collect(
     Args:
         source: a file or folder, the URL of a scene file, or a scene that is open.
         settings: what is asked for.
-        reading: reading options of the format; what is broken is passed over and told.
+        reading: reading options of the format, `start` and `stop` of a part among them; what is broken is passed over
+            and told.
         made: when the report is said to be made; None for now.
         progress: told how many of the steps are done.
 
@@ -244,8 +245,16 @@ class _Collector:
         return found
 
     def _metrics(self) -> Metrics:
+        is_part = not self.reading.keys().isdisjoint(("start", "stop"))
+        if is_part and self.settings.truth is not None:
+            self.sampling.append(
+                "objects are held against a truth in whole drives only; this is a part of one"
+            )
         return metrics_of(
-            self.scene, source=self.where, truth=self.settings.truth, compare=self.settings.compare
+            self.scene,
+            source=None if is_part else self.where,
+            truth=self.settings.truth,
+            compare=self.settings.compare,
         )
 
 

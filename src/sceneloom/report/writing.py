@@ -42,7 +42,7 @@ def write_report(
         overwrite: whether outputs that exist may be replaced.
         made: when the report is said to be made; None for now.
         progress: told how many of the steps are done.
-        reading: reading options of the format.
+        reading: reading options of the format; `start` and `stop`, seconds between which the drive counts.
 
     Returns:
         The numbers.

@@ -2,6 +2,9 @@
 
 import json
 
+import sceneloom
+from sceneloom.scene.span import time_span
+
 
 def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, recording, tmp_path):
     missing = tmp_path / "missing"
@@ -19,6 +22,25 @@ def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, rec
     assert "checking 0." in call("batch", "status", tmp_path / "out").out
     again = call("batch", "validate", recording, "-o", tmp_path / "out", "--quick", "--resume", "--json")
     assert json.loads(again.out)["skipped"] == 1
+
+
+def test_parts_of_drives_are_those_of_a_list_or_of_the_options(call, recording, tmp_path):
+    parts = tmp_path / "parts.jsonl"
+    with sceneloom.open(recording) as scene:
+        times = scene.lidars[0].frames.timestamps_ns
+        start = round(int(times[1] - time_span(scene)[0]) / 1e9, 3)
+    parts.write_text(json.dumps({"path": str(recording), "start": start, "stop": start + 0.1}))
+    done = call("batch", "convert", "-o", tmp_path / "out", "--list", parts, "--workers", 1)
+    assert done.code == 0, done.err
+    with sceneloom.open(
+        tmp_path / "out" / f"{recording.name}_start{start:g}_stop{start + 0.1:g}.sfs"
+    ) as part:
+        assert part.lidars[0].frames.timestamps_ns.tolist() == [times[1]]
+    words = ("--start", start, "--stop", start + 0.1, "--quick", "--json")
+    numbers = json.loads(call("report", recording, *words).out)
+    assert [sensor["count"] for sensor in numbers["summary"]["sensors"] if sensor["type"] == "lidar"] == [1]
+    checked = json.loads(call("validate", recording, *words).out)
+    assert (checked["passed"], checked["profile"]) == (True, "sfs")
 
 
 def test_options_of_the_verb_are_those_of_the_run(call, tmp_path):

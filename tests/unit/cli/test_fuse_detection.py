@@ -10,6 +10,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.formats.kitti import read_labels
 from sceneloom.fusion.messages.json_form import format_json, parse_json
 from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.scene.span import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, detect_2d, detect_3d, simulate_street
 
 
@@ -50,6 +51,47 @@ def test_objects_of_a_drive_are_records_of_table_10(call, drive, tmp_path):
     assert report["both"] == sum(
         None not in pair for r in records for pair in zip(r.box_3d_ids, r.box_2d_ids, strict=True)
     )
+
+
+@pytest.mark.parametrize("numbered", [False, True], ids=["by times", "by numbers of frames"])
+def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, drive, tmp_path, numbered):
+    folder, _, in_pictures = drive
+    seen = folder / "boxes2d.jsonl"
+    if numbered:
+        (seen := tmp_path / "car" / "seen.txt").parent.mkdir()
+        rows = [
+            (k, *corners, 0.9)
+            for k, boxes in enumerate(in_pictures)
+            for corners in boxes.corners_xyxy.tolist()
+        ]
+        seen.write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", seen)
+    words = ("fuse", folder / "recording", "--type", "detection", *files, "-o")
+    whole = call(*words, tmp_path / "whole.jsonl")
+    with sceneloom.open(folder / "recording") as scene:
+        start = (scene.lidars[0].frames.timestamps_ns[1] - time_span(scene)[0]) / 1e9
+    part = call(*words, tmp_path / "part.jsonl", "--start", start, "--stop", start + 0.1)
+    assert (whole.code, part.code) == (0, 0), part.err
+    fused, cut = (
+        [parse_json(line) for line in (tmp_path / f"{name}.jsonl").read_text().splitlines()]
+        for name in ("whole", "part")
+    )
+    assert len(fused) == 3
+    (one,) = cut
+    assert one.timestamp == fused[1].timestamp
+    assert one.box_2d_ids == fused[1].box_2d_ids
+    assert any(number is not None for number in one.box_2d_ids)
+    tracked = ("track", folder / "recording", *files, "-o", tmp_path / "t.jsonl", "--start", start, "--json")
+    assert json.loads(call(*tracked).out)["drives"][0]["frames"] == 2
+
+
+def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(call, drive, tmp_path):
+    folder, _, _ = drive
+    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
+    out = tmp_path / "objects.jsonl"
+    assert call("fuse", folder / "recording", "--type", "detection", *files, "-o", out).code == 0
+    refused = call("track", out, "-o", tmp_path / "a.jsonl", "--start", 1)
+    assert (refused.code, "done whole" in refused.err) == (2, True)
 
 
 def test_what_was_fused_is_tracked_as_if_at_once(call, drive, tmp_path):

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from sceneloom.batch.inputs import PART, READING
+from sceneloom.batch.inputs import READING
 from sceneloom.batch.pieces import PIECE
 from sceneloom.cli import options
 from sceneloom.cli.batch.in_parts import instead_of
@@ -106,17 +106,8 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
 
 
 def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
-    """Put what a list says of reading a drive where the verb has it, in place of what is said of all.
-
-    Raises:
-        OptionError: it names a part of the drive, and the verb does drives as a whole.
-    """
+    """Put what a list says of reading a drive where the verb has it, in place of what is said of all."""
     names = {parameter.name for parameter in command.params}
-    if any(name in given for name in PART) and not names.issuperset(PART):
-        raise OptionError(
-            f"{command.name} does a drive as a whole, and the list names a part of it: leave out start and stop, or "
-            "cut the drive first, with `sceneloom edit crop`"
-        )
     for own in [name for name in given if name.startswith(READING)]:
         name, value = own.removeprefix(READING), given.pop(own)
         if name == "sequence" and "sequences" in names:

@@ -82,15 +82,16 @@ def convert(
             writing so that nothing is left behind.
         loss: a file for what becomes of every field: `.json`, `.md` or `.txt`; written also where `strict` refuses.
         overwrite: whether a target that exists may be replaced.
-        reading: reading options of the source's format; `format`, its name, where the content does not decide.
+        reading: reading options of the source's format; `format`, its name, where the content does not decide; `start`
+            and `stop`, seconds between which a drive counts.
         progress: told after each sweep, radar cycle and single picture that is written, how many are done of how many.
         writing: writing options of the target's format.
 
     Raises:
         UnknownFormatError: no format fits the source.
         DataError: the source is wrong.
-        OptionError: there is no format or form `to`, it is only read, several have the target's suffix, or
-            `trajectory` is named where a whole drive is written.
+        OptionError: there is no format or form `to`, it is only read, several have the target's suffix, `trajectory`
+            is named where a whole drive is written, or a part is asked for of a trajectory.
         LossError: something would be lost, and `strict` was said.
         OutputError: the target exists, or cannot be written.
     """
@@ -113,6 +114,7 @@ def convert(
     options = dict(reading or {})
     try:
         if to in TRAJECTORY_FORMS or (to is None and is_trajectory_file(to_target.place)):
+            _refuse_part(to_target.place, options)
             if "format" in options:
                 options.setdefault("form", options.pop("format"))
             way = chosen_way(source, trajectory, options, writing, progress)
@@ -168,6 +170,7 @@ def _write_drive(
     writer = _writer(target.place, to)
     opened: AbstractContextManager[Scene]
     if reading.get("form") in TRAJECTORY_FORMS or holds_trajectory_only(source):
+        _refuse_part(source, reading)
         opened = drive_of(source, trajectory, reading)
     elif trajectory is not None:
         files = ", ".join(TRAJECTORY_FORMS)
@@ -179,6 +182,13 @@ def _write_drive(
         opened = open_scene(source, **reading)
     with opened as scene:
         return _write_scene(source, scene, writer, target, progress)
+
+
+def _refuse_part(place: str | Path, reading: Mapping[str, Any]) -> None:
+    if not reading.keys().isdisjoint(("start", "stop")):
+        raise OptionError(
+            f"{redacted(place)}: a trajectory is read and written whole; expected a drive, or no start and stop"
+        )
 
 
 def _write_scene(

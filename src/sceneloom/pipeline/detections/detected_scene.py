@@ -39,6 +39,7 @@ class DetectionFiles:
         cameras: whose boxes each file of `boxes_2d` has, in the same order; one for all; empty for the only camera, or
             for those that the records of the files name.
         trajectory, heading: the ego's way, as for `fuse`.
+        whole: the drive that the scene is a part of, where it is one: lists number its frames.
     """
 
     boxes_3d: Sequence[Path] = ()
@@ -47,12 +48,13 @@ class DetectionFiles:
     cameras: Sequence[Identifier] = ()
     trajectory: str | None = None
     heading: str | None = None
+    whole: Scene | None = None
 
 
 def scene_drive(
     scene: Scene, files: DetectionFiles, *, lenient: bool = False, odometry: OdometryRun | None = None
 ) -> DetectedDrive:
-    """Read the boxes of a scene's detectors.
+    """Read the boxes of a scene's detectors; of a part of a drive those of its time.
 
     Without boxes of sweeps, the sweeps of the lidar are those in which nothing was looked for; without a lidar, the
     pictures of the first camera take their place.
@@ -83,7 +85,9 @@ def scene_drive(
         sweeps = _reference_times(lidar)
         context = ListContext(
             lidar.id,
-            sweeps,
+            sweeps
+            if files.whole is None
+            else _reference_times(_chosen(files.whole, "lidar", files.whole.lidars, lidar.id)),
             source=source,
             sensor_from_camera=_sensor_from_camera(scene, lidar, ego, files),
         )
@@ -91,7 +95,7 @@ def scene_drive(
         boxes = (
             _together_3d(lists) if lists else [Boxes3D.empty(t, sensor_id=lidar.id) for t in sweeps.tolist()]
         )
-        return DetectedDrive(
+        drive = DetectedDrive(
             name=Path(scene.source).stem or "drive",
             lidar_id=lidar.id,
             source=source,
@@ -102,6 +106,10 @@ def scene_drive(
             points=SweepPoints.of(scene, lidar.id, source),
             notices=(*scene.notices, *ledger.notices),
         )
+    if files.whole is None or not len(sweeps):
+        return drive
+    margin_ns = drive.period_ns // 2  # detectors stamp what they find at any time of a sweep
+    return drive.between((int(sweeps[0]) - margin_ns, int(sweeps[-1]) + margin_ns))
 
 
 def _chosen(
@@ -144,7 +152,8 @@ def _cameras(
         return {camera.id: _detected(scene, camera, None, ego) for camera in chosen}
     lists: dict[Identifier, list[Sequence[Boxes2D]]] = {}
     for path, camera, number in _assigned(scene, files):
-        context = ListContext(camera.id, camera.pictures.timestamps_ns, number=number, others=_numbers(scene))
+        whole = camera if files.whole is None else _camera(files.whole, camera.id)
+        context = ListContext(camera.id, whole.pictures.timestamps_ns, number=number, others=_numbers(scene))
         lists.setdefault(camera.id, []).append(read_boxes_2d(path, context, ledger))
     return {
         camera_id: _detected(scene, _camera(scene, camera_id), _together_2d(found), ego)

@@ -14,6 +14,7 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Self
 
@@ -51,6 +52,9 @@ _WATCHING = {
 }
 """Keep dask from looking a hundred times a second at what its workers do: it takes as long as scheduling."""
 _METHOD = "distributed.worker.multiprocessing-method"
+_LASTING = {"distributed.deploy.lost-worker-timeout": "365 days"}
+"""Keep dask from giving a worker up for good that was lost and, so long after (15 s by default), is not there again:
+one that is being started anew then, since it was lost once more, never would be."""
 _CONNECTING_SECONDS = 60.0
 _COUNTING_SECONDS = 2.0
 _CLOSING_SECONDS = 5.0
@@ -98,7 +102,8 @@ class DaskCluster:
             nursery.open()
             stack.callback(nursery.close)
             # until the end: dask starts a worker anew where one was lost
-            stack.enter_context(dask.config.set({**_ALLOCATION, **_WATCHING, _METHOD: nursery.method}))
+            settings = {**_ALLOCATION, **_WATCHING, **_LASTING, _METHOD: nursery.method}
+            stack.enter_context(dask.config.set(settings))
             if nursery.method == "forkserver":
                 get_mp_context()  # once, before modules are named: dask names its own then
                 nursery.open()
@@ -237,8 +242,17 @@ def _client(address: str, seconds: float = _CONNECTING_SECONDS) -> Client:
 
 def _anywhere(task: Task) -> Task:
     """Name files so that they are found from other folders and machines, too."""
-    place = task.place if is_url(task.place) else os.path.abspath(task.place)  # noqa: PTH100 - links stay
-    return replace(task, place=place, draft=task.draft if task.target else task.draft.absolute())
+    place = task.place if is_url(task.place) else str(_whole(Path(task.place)))
+    draft = task.draft if task.target else task.draft.absolute()
+    options = {name: _whole(value) for name, value in task.options.items()}
+    return replace(task, place=place, draft=draft, options=options)
+
+
+def _whole(value: Any) -> Any:
+    """A path, or several, as they are called from the root; whatever else it is, as it is."""
+    if isinstance(value, tuple):
+        return tuple(map(_whole, value))
+    return Path(os.path.abspath(value)) if isinstance(value, Path) else value  # noqa: PTH100 - links stay
 
 
 def _outcome(task: Task, future: Future[bytes]) -> Outcome:

@@ -2,12 +2,16 @@
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
+import dask
 import pytest
+from distributed import LocalCluster
 
 from sceneloom.batch import Task, run
 from sceneloom.batch.cluster import DaskCluster, run_packed
+from sceneloom.batch.jobs import Parts
 from sceneloom.batch.record import Record
 from sceneloom.errors import OptionError
 from sceneloom.version import __version__
@@ -15,14 +19,25 @@ from sceneloom.version import __version__
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # of sockets to workers that were killed
 
 
-def test_a_killed_worker_of_dask_harms_one_try_and_nothing_else(tmp_path, drives, job):
-    cluster = DaskCluster.local(1)
-    summary = run(job("die", drives("a.sfs", "b.sfs")), tmp_path / "out", executor=cluster)
-    assert (summary.done, summary.failed, summary.retried) == (2, 0, 2)
+def test_killed_workers_of_dask_harm_one_try_of_a_drive_or_of_a_piece_and_nothing_else(tmp_path, drives, job):
+    wanted = job("letters", drives("a", "bc"), parts=Parts(seconds=1.0), options={"die": ["all", "twice1"]})
+    # dask itself would give up a worker that is not there again at once
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "1ms"}):
+        summary = run(wanted, tmp_path / "out", executor=DaskCluster.local(1))
+    assert (summary.done, summary.failed, summary.retried, summary.pieces_done) == (2, 0, 2, 4)
     found = {path.name: path.read_text() for path in (tmp_path / "out").glob("*.txt")}
-    assert found == {"a.txt": "a.sfs", "b.txt": "b.sfs"}
+    assert found == {"a.txt": "a", "bc.txt": "BBCC"}
     with Record.opened(tmp_path / "out") as record:
-        assert [row.attempts for row in record.rows()] == [2, 2]
+        tries = [row.attempts for row in (*record.rows(), *record.pieces(2))]
+    assert tries == [2, 1, 1, 1, 1, 2]
+
+
+def test_a_drive_goes_in_pieces_over_the_workers_of_a_running_scheduler(tmp_path, drives, job, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    wanted = job("letters", drives("abc"), parts=Parts(seconds=1.0))
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as workers:
+        run(wanted, "out", executor=DaskCluster.at(workers.scheduler_address))
+    assert (tmp_path / "out" / "abc.txt").read_text() == "AABBCC"
 
 
 @pytest.fixture
@@ -56,3 +71,44 @@ def test_workers_without_the_folder_of_the_run_or_of_another_version_do_nothing(
 def test_a_scheduler_that_is_not_there_is_named():
     with pytest.raises(OptionError, match=r"--cluster tcp://127\.0\.0\.1:9"):
         DaskCluster.at("tcp://127.0.0.1:9", seconds=0.1)
+
+
+class Submitting:
+    """A client of dask that keeps what it is given."""
+
+    status = "running"
+
+    def __init__(self):
+        self.sent = []
+
+    def submit(self, function, version, packed, *, key, **how):
+        self.sent.append(pickle.loads(packed))
+        return Future(key, self)
+
+
+class Future:
+    def __init__(self, key, client):
+        self.key = key
+
+    def add_done_callback(self, function):
+        pass
+
+
+def test_workers_elsewhere_find_files_that_are_named_from_the_folder_of_the_run(task, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    files = {
+        "boxes": (Path("a.jsonl"), Path("/b.jsonl")),
+        "rig": Path("in/rig.toml"),
+        "name": "a",
+        "more": None,
+    }
+    client = Submitting()
+    DaskCluster(client).submit(replace(task, place="in/a.sfs", options=files))
+    (sent,) = client.sent
+    assert sent.place == str(tmp_path / "in" / "a.sfs")
+    assert sent.options == {
+        "boxes": (tmp_path / "a.jsonl", Path("/b.jsonl")),
+        "rig": tmp_path / "in" / "rig.toml",
+        "name": "a",
+        "more": None,
+    }

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 import msgspec
 
+from sceneloom.formats.urls import is_url
 from sceneloom.redaction import redacted
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -55,6 +57,37 @@ class Parts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Further:
+    """A further output that was asked for of all drives.
+
+    Attributes:
+        option: the verb's option that names it.
+        place: what was said: a folder, or a file whose name stands behind those of the drives.
+        is_folder: which of both.
+    """
+
+    option: str
+    place: str
+    is_folder: bool
+
+    @property
+    def folder(self) -> str:
+        """Where those of all drives lie."""
+        if self.is_folder:
+            return self.place.rstrip("/")
+        return self.place.rpartition("/")[0] if is_url(self.place) else str(Path(self.place).parent)
+
+    def of(self, drive: str) -> str:
+        """The place of one drive's.
+
+        Args:
+            drive: what its output is called, without a suffix.
+        """
+        name = drive if self.is_folder else f"{drive}.{name_of(self.place).lstrip('.')}"
+        return f"{self.folder}/{name}" if is_url(self.place) else str(Path(self.folder, name))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
     """One verb over many drives.
 
@@ -68,6 +101,7 @@ class Job:
         retries: how often a drive is tried again where the cause can pass.
         modules: what workers of this machine import before they begin, once for all of them.
         parts: how drives are split in time, where they are; `batch.pieces` says how `call` takes part in it.
+        further: outputs beside these, which `call` writes where its options of these names say.
     """
 
     verb: str
@@ -78,6 +112,7 @@ class Job:
     retries: int = 2
     modules: tuple[str, ...] = ()
     parts: Parts | None = None
+    further: tuple[Further, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +127,7 @@ class Task:
             folder of the worker's machine if there is a `target`.
         target: the folder of a store that the worker sends the output to once it is whole; "" for none.
         writes: whether there is an output at all; else what is told is all.
+        further: where further outputs belong, by the option that names each.
     """
 
     number: int
@@ -102,6 +138,7 @@ class Task:
     options: Mapping[str, Any]
     target: str = ""
     writes: bool = True
+    further: Mapping[str, str] = field(default_factory=dict)
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -112,7 +149,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
         error: what went wrong, for a person; "" if nothing did.
         kind: name of the error's class, "Lost" for a worker that is gone.
         passing: whether the same may work another time.
-        report: what the verb told, as JSON values; if it is an object, with the seconds of its stages as `stages`.
+        report: what the verb told, as JSON values; if it is an object, with the seconds of its stages as `stages`, and
+            where its further outputs are as `further`.
         fingerprint: of the drive as it was before.
         seconds: by the clock [s].
         processor_seconds: of the worker's processor [s].
@@ -130,3 +168,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     processor_seconds: float = 0.0
     peak_bytes: int = 0
     worker: str = ""
+
+
+def name_of(place: str) -> str:
+    """The last part of a path or address."""
+    return PurePosixPath(unquote(urlsplit(place).path)).name if is_url(place) else Path(place).name

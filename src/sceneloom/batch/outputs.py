@@ -23,6 +23,9 @@ from sceneloom.redaction import redacted
 CLAIM = ".sceneloom-run"
 """Name of the object in a store that says whose outputs lie there."""
 
+FURTHER = ".further"
+"""Name of the folder beside a draft in which a verb writes its further outputs, which go to places of their own."""
+
 
 class Outputs(Protocol):
     """Where outputs are put."""
@@ -30,6 +33,11 @@ class Outputs(Protocol):
     @property
     def name(self) -> str:
         """What people call it, without secrets."""
+        ...
+
+    @property
+    def place(self) -> str:
+        """Its path or address."""
         ...
 
     @property
@@ -58,6 +66,11 @@ class FolderOutputs:
         """Its path."""
         return str(self.folder)
 
+    @property
+    def place(self) -> str:
+        """Its path."""
+        return str(self.folder)
+
     def has(self, name: str) -> bool:
         """Whether an output is there."""
         return (self.folder / name).exists()
@@ -69,7 +82,7 @@ class FolderOutputs:
             OSError: it cannot be moved.
         """
         for made in _own_last(task.draft):
-            _move(made, self.folder / made.name)
+            move(made, self.folder / made.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +101,11 @@ class StoreOutputs:
     def name(self) -> str:
         """Its address without secrets."""
         return redacted(self.target)
+
+    @property
+    def place(self) -> str:
+        """Its address."""
+        return self.target
 
     def has(self, name: str) -> bool:
         """Whether an output was there when the run began."""
@@ -179,10 +197,11 @@ def send(draft: Path, target: str) -> None:
 
 
 def _own_last(draft: Path) -> list[Path]:
-    return sorted(draft.parent.iterdir(), key=lambda path: path == draft)
+    made = [path for path in draft.parent.iterdir() if path.name != FURTHER]
+    return sorted(made, key=lambda path: path == draft)
 
 
-def _move(made: Path, place: Path) -> None:
+def move(made: Path, place: Path) -> None:
     """Put something in its place in one step; a folder that is there steps aside first."""
     if place.is_dir() and not place.is_symlink():
         shutil.rmtree(place) if not made.is_dir() else place.rename(made.with_name(f"{made.name}.before"))

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
 from typing import Any
 
+from sceneloom.batch.further import Places, check_places
 from sceneloom.batch.jobs import Input, Job, State
 from sceneloom.batch.naming import output_names
 from sceneloom.batch.outputs import FolderOutputs, Outputs, claimed
@@ -63,9 +64,10 @@ def prepare(job: Job, record: Record, outputs: Outputs) -> None:
 
     Raises:
         OutputError: a file that is no output of the run has the name of one.
-        OptionError: drives differ in secrets of their addresses only.
+        OptionError: drives differ in secrets of their addresses only, or two outputs of one in nothing.
         DataError: the server of a drive does not answer.
     """
+    places = Places()
     known = {drive_key(row.input, row.part): row for row in record.rows()}
     asked = asked_drives(job)
     taken = {row.output for row in known.values()}
@@ -76,6 +78,10 @@ def prepare(job: Job, record: Record, outputs: Outputs) -> None:
         free = next(own for own in _numbered(name, job.suffix) if own not in taken)
         if outputs.has(free):
             raise OutputError(f"{outputs.name.rstrip('/')}/{free}: exists already; choose another folder")
+        further = further_places(job, free)
+        check_places([f"{outputs.place.rstrip('/')}/{free}", *further.values()])
+        for place in filter(places.has, further.values()):
+            raise OutputError(f"{redacted(place)}: exists already; choose another folder")
         taken.add(free)
         new.append((drive.name, drive.options, free))
     record.add(new)
@@ -83,7 +89,9 @@ def prepare(job: Job, record: Record, outputs: Outputs) -> None:
     record.tell("sceneloom", __version__)
     record.tell("options", {name: redacted(repr(value)) for name, value in job.options.items()})
     meant = {row.number: asked[key] for key, row in known.items() if key in asked}
-    done = done_rows(job, outputs, {row.number: row for row in known.values() if row.number in meant}, meant)
+    done = done_rows(
+        job, outputs, record, {row.number: row for row in known.values() if row.number in meant}, meant
+    )
     record.wait_again([number for number in meant if number not in done])
 
 
@@ -110,8 +118,23 @@ def _numbered(name: str, suffix: str) -> Iterator[str]:
         number += 1
 
 
-def done_rows(job: Job, outputs: Outputs, rows: Mapping[int, Row], meant: Mapping[int, Input]) -> set[int]:
+def further_places(job: Job, output: str) -> dict[str, str]:
+    """Where the further outputs of a drive belong, by option."""
+    return {one.option: one.of(output.removesuffix(job.suffix)) for one in job.further}
+
+
+def done_rows(
+    job: Job, outputs: Outputs, record: Record, rows: Mapping[int, Row], meant: Mapping[int, Input]
+) -> set[int]:
     """Drives that are done as the job wants them, where neither they nor their outputs changed since."""
+    places = Places()
+
+    def has_further(number: int) -> bool:
+        report = record.report(number) if job.further else None
+        made = report.get("further", {}) if isinstance(report, dict) else {}
+        wanted = further_places(job, rows[number].output)
+        return all(places.has(place) for option, place in wanted.items() if option in made)
+
     perhaps = [
         number
         for number, row in rows.items()
@@ -119,6 +142,7 @@ def done_rows(job: Job, outputs: Outputs, rows: Mapping[int, Row], meant: Mappin
         and row.fingerprint
         and row.configuration == configuration(job, row.part)
         and outputs.has(row.output)
+        and has_further(number)
     ]
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as crew:  # servers take their time to answer
         now = crew.map(fingerprint, [meant[number].place for number in perhaps])

@@ -19,11 +19,20 @@ from typing import Any
 
 import msgspec
 
+from sceneloom.batch.further import bring, check_further
 from sceneloom.batch.jobs import Input, Job, Outcome, State, Task
 from sceneloom.batch.outputs import FolderOutputs, Outputs, record_folder
 from sceneloom.batch.pieces import JOIN, PIECE, PLAN, Split, Stages, piece_name, plan_of, told_part
 from sceneloom.batch.pool import Executor, ProcessPool
-from sceneloom.batch.preparing import asked_drives, configuration, done_rows, drive_key, open_outputs, prepare
+from sceneloom.batch.preparing import (
+    asked_drives,
+    configuration,
+    done_rows,
+    drive_key,
+    further_places,
+    open_outputs,
+    prepare,
+)
 from sceneloom.batch.record import Record, Row
 from sceneloom.batch.warming import Warming
 from sceneloom.batch.working import draft_of
@@ -101,7 +110,8 @@ def run(
 
     Raises:
         OutputError: the place holds an earlier run or files of the same names, or another run has it.
-        OptionError: there is a record for outputs on disk, or drives differ in secrets of their addresses only.
+        OptionError: there is a record for outputs on disk, drives differ in secrets of their addresses only, or further
+            outputs cannot go where they are to.
         DataError: the record is damaged, or a store does not answer.
     """
     pool = ProcessPool(workers, job.modules) if executor is None else executor
@@ -113,6 +123,7 @@ def run(
             f"{redacted(store)}: outputs in a store are not written in parts, which workers leave for one another in a "
             "folder; expected a folder, or no --parts"
         )
+    check_further(job.further, store)
     folder = (record or record_folder(store)) if store else Path(output)
     with ExitStack() as ending:
         ending.callback(pool.stop)
@@ -230,6 +241,7 @@ class _Run:
                 options={**self.job.options, **row.part, **piece},
                 target=self.outputs.target,
                 writes=step != PLAN,
+                further=further_places(self.job, row.output),
             )
         )
 
@@ -294,7 +306,9 @@ class _Run:
         pieces = self.record.pieces(drive)
         rows = {piece.number: piece for piece in pieces}
         self.meant |= dict.fromkeys(rows, self.meant[drive])
-        left = rows.keys() - done_rows(self.job, FolderOutputs(self.record.folder), rows, self.meant)
+        left = rows.keys() - done_rows(
+            self.job, FolderOutputs(self.record.folder), self.record, rows, self.meant
+        )
         self.record.wait_again(sorted(left))
         self.rows |= rows
         self.drives |= dict.fromkeys(rows, drive)
@@ -348,6 +362,8 @@ class _Run:
         try:
             drive = self.drives.get(task.number)
             if drive is None:
+                if not task.target:
+                    bring(task.draft, task.further)
                 self.outputs.accept(task)
             else:
                 place = self.record.folder / self.record.pieces_of(drive)

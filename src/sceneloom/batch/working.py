@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
 
+from sceneloom.batch.further import bring, drafts_of
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.outputs import send
 from sceneloom.errors import SceneloomError
@@ -60,13 +61,21 @@ def _done(task: Task) -> dict[str, Any]:
     seen = fingerprint(task.place)
     draft = draft_of(task)
     draft.parent.mkdir(parents=True, exist_ok=True)
+    further = drafts_of(draft, task.further)
+    for place in further.values():
+        place.parent.mkdir(parents=True, exist_ok=True)
     module, _, name = task.call.partition(":")
-    report = getattr(import_module(module), name)(task.place, draft, task.options)
+    report = getattr(import_module(module), name)(task.place, draft, {**task.options, **further})
     if task.writes and not draft.exists():
         return {"error": f"{redacted(task.place)}: ended without its output {draft.name}", "kind": "Missing"}
     if task.target and task.writes:
         with stage("sending"):
+            bring(draft, task.further)
             send(draft, task.target)
+    if isinstance(report, dict) and any(place.exists() for place in further.values()):
+        report["further"] = {
+            option: task.further[option] for option, place in further.items() if place.exists()
+        }
     return {"report": _without_secrets(report), "fingerprint": seen}
 
 

@@ -75,6 +75,16 @@ def pair(place, output, options):
     return copy(place, output, options)
 
 
+def more(place, output, options):
+    """A folder and a file beside the output; then it may fail."""
+    for name, inner in (("depth", "0.png"), ("loss", "")):
+        if name in options:
+            made = Path(options[name], inner) if inner else Path(options[name])
+            made.parent.mkdir(exist_ok=True)
+            made.write_text(Path(place).read_text())
+    return refuse(place, output, {})
+
+
 def letters(place, output, options):
     """In pieces: one stage makes each letter large, the next one doubles each of these; then they are put together."""
     from sceneloom.errors import DataError

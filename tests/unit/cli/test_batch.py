@@ -1,8 +1,10 @@
 """`sceneloom batch`: a verb over many drives."""
 
 import json
+import shutil
 
 import sceneloom
+from sceneloom.cli.batch.one_drive import BATCHED, verb_named
 from sceneloom.scene.span import time_span
 
 
@@ -41,6 +43,29 @@ def test_parts_of_drives_are_those_of_a_list_or_of_the_options(call, recording, 
     assert [sensor["count"] for sensor in numbers["summary"]["sensors"] if sensor["type"] == "lidar"] == [1]
     checked = json.loads(call("validate", recording, *words).out)
     assert (checked["passed"], checked["profile"]) == (True, "sfs")
+
+
+def test_what_is_written_beside_the_output_is_of_each_drive_its_own(call, recording, tmp_path):
+    other = tmp_path / "other"
+    shutil.copytree(recording, other)
+    depth = ("--depth", tmp_path / "depth")
+    done = call("batch", "fuse", recording, other, "-o", tmp_path / "out", *depth, "--workers", 1)
+    assert done.code == 0, done.err
+    alone = call("fuse", recording, "--depth", tmp_path / "alone")
+    assert alone.code == 0
+
+    def files(folder):
+        return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+    assert sorted(path.name for path in (tmp_path / "depth").iterdir()) == [recording.name, "other"]
+    for name in (recording.name, "other"):
+        assert files(tmp_path / "depth" / name) == files(tmp_path / "alone")
+
+
+def test_every_output_of_a_verb_is_known_to_batches():
+    for name, batched in BATCHED.items():
+        written = {option.name for option in verb_named(name).params if option.type.name == "target"}
+        assert written - {batched.output} == {*batched.folders, *batched.files}, name
 
 
 def test_options_of_the_verb_are_those_of_the_run(call, tmp_path):

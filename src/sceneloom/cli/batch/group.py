@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
     from sceneloom.batch import Outcome, RunSummary
-    from sceneloom.batch.jobs import Parts
+    from sceneloom.batch.jobs import Further, Parts
     from sceneloom.batch.pool import Executor
     from sceneloom.batch.running import Told
 
@@ -78,7 +79,7 @@ batch.add_command(status)
 def _over_many(name: str) -> click.Command:
     batched, verb = BATCHED[name], verb_named(name)
     theirs = [
-        parameter
+        _placed(parameter) if parameter.name in {*batched.folders, *batched.files} else parameter
         for parameter in verb.params
         if parameter.name not in {batched.drive, batched.output, *_LEFT_OUT}
     ]
@@ -95,8 +96,10 @@ def _over_many(name: str) -> click.Command:
 
 
 _HELP = (
-    "outputs are named by their drives and lie in OUT, a folder or a place in a store, such as s3://bucket/run1/. The "
-    "record of the run is OUT/.sceneloom-run, or --record. Exit code 1 if a drive failed."
+    "outputs are named by their drives and lie in OUT, a folder or a place in a store, such as s3://bucket/run1/. What "
+    "else is written has the drives' names, too: for a folder DIR that an option names DIR/DRIVE, for a file NAME "
+    "DRIVE.NAME beside it. The record of the run is OUT/.sceneloom-run, or --record. Exit code 1 if a "
+    "drive failed."
 )
 
 
@@ -104,6 +107,26 @@ def target(text: str) -> "Path | str":
     """Take an argument as a folder, or as the place in a store, which workers write to."""
     place = options.place(text)
     return place if isinstance(place, str) else options.target(str(place))
+
+
+def _placed(parameter: click.Parameter) -> click.Parameter:
+    """The option of a further output, which may lie in a store as OUT does."""
+    placed = copy(parameter)
+    placed.type = click.types.convert_type(target)
+    return placed
+
+
+def _further(name: str, values: dict[str, Any]) -> "tuple[Further, ...]":
+    """Take the further outputs that were asked for out of the verb's values, as the run writes them."""
+    from sceneloom.batch.jobs import Further
+
+    batched = BATCHED[name]
+    wanted = [option for option in (*batched.folders, *batched.files) if values[option] is not None]
+    for option in wanted:
+        values[option] = str(values[option])
+    return tuple(
+        Further(option=option, place=values[option], is_folder=option in batched.folders) for option in wanted
+    )
 
 
 def _seconds_of_parts(
@@ -193,6 +216,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         check_parts(name)
     workers = own["workers"] or processors()
     inputs = find_inputs(own["inputs"], own["lists"])
+    further = _further(name, values)
     executor = _cluster(name, own, workers)
     job = Job(
         verb=name,
@@ -203,6 +227,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         retries=own["retries"],
         modules=BATCHED[name].modules,
         parts=_parts(own["parts"], len(inputs), executor.free if executor else workers),
+        further=further,
     )
     with _progress(name, len(job.inputs), quiet=own["quiet"]) as told:
         summary = run(

@@ -30,25 +30,38 @@ class Batched:
         output: name of the one that is its output; "" if it only prints, which is then what is written.
         suffix: what names of outputs end in, unless the user says otherwise.
         modules: what it imports when it is called and takes long to import.
+        folders, files: names of those that are further outputs.
     """
 
     drive: str
     output: str
     suffix: str
     modules: tuple[str, ...]
+    folders: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
 
 
 BATCHED: Mapping[str, Batched] = MappingProxyType(
     {
-        "fuse": Batched("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing.job")),
+        "fuse": Batched(
+            *("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing.job")),
+            folders=("depth", "pictures"),
+        ),
         "convert": Batched(
-            "source", "target", ".sfs", ("sceneloom.cli.convert", "sceneloom.pipeline.converting.job")
+            *("source", "target", ".sfs", ("sceneloom.cli.convert", "sceneloom.pipeline.converting.job")),
+            files=("loss",),
         ),
-        "validate": Batched("path", "", ".json", ("sceneloom.cli.validate", "sceneloom.checks.validation")),
+        "validate": Batched(
+            *("path", "", ".json", ("sceneloom.cli.validate", "sceneloom.checks.validation")), files=("fix",)
+        ),
         "track": Batched(
-            "path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.found_objects")
+            *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.found_objects")),
+            folders=("pictures",),
         ),
-        "report": Batched("path", "output", ".html", ("sceneloom.cli.report", "sceneloom.report.writing")),
+        "report": Batched(
+            *("path", "output", ".html", ("sceneloom.cli.report", "sceneloom.report.writing")),
+            files=("numbers",),
+        ),
     }
 )
 

@@ -91,8 +91,9 @@ def convert(
     """
     from sceneloom.pipeline.converting.job import convert as convert_scene
     from sceneloom.pipeline.converting.report import headline
+    from sceneloom.stages import timed
 
-    with progress_bar("converting", quiet=quiet) as progress:
+    with progress_bar("converting", quiet=quiet) as progress, timed() as stages:
         report = convert_scene(
             source,
             target,
@@ -113,7 +114,7 @@ def convert(
             progress=progress,
         )
     if as_json:
-        print_json(report)
+        print_json(report, stages=stages)
         return
     click.echo(headline(report))
     if not quiet:

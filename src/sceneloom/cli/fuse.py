@@ -124,6 +124,7 @@ def _fuse_sensor_data(
     from sceneloom.formats import open_scene
     from sceneloom.pipeline import FusionOutputs
     from sceneloom.pipeline import fuse as fuse_scene
+    from sceneloom.stages import timed
 
     outputs = FusionOutputs(
         scene=output,
@@ -134,6 +135,7 @@ def _fuse_sensor_data(
         overwrite=overwrite,
     )
     with (
+        timed() as stages,
         open_scene(path, **options.said(**reading)) as scene,
         progress_bar("fusing", quiet=quiet) as progress,
     ):
@@ -149,7 +151,7 @@ def _fuse_sensor_data(
             progress=progress,
         )
     if as_json:
-        print_json(report)
+        print_json(report, stages=stages if instead is None else None)
     else:
         print_fusion(report, outputs, quiet=quiet, verbose=verbose)
 

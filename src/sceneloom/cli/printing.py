@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +17,10 @@ SHOWN = 5
 """Notices and losses shown unless `--verbose` is said."""
 
 
-def print_json(result: Any) -> None:
-    """Print a result for machines."""
+def print_json(result: Any, *, stages: Mapping[str, float] | None = None) -> None:
+    """Print a result for machines; with the seconds of its stages, where these were taken (`sceneloom.stages`)."""
+    if stages is not None:
+        result = {**msgspec.to_builtins(result), "stages": dict(stages)}
     try:
         text = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
     except UnicodeEncodeError:

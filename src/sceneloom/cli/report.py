@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import progress_bar, several
+from sceneloom.cli.printing import print_json, progress_bar, several
 
 if TYPE_CHECKING:
     from sceneloom.report import DriveReport
@@ -78,7 +78,8 @@ def report(
     One file that holds everything it shows: a verdict and what to do, timing and gaps, map, calibration, coverage,
     fusion, annotations, all findings of `sceneloom validate`. `--json` prints its numbers.
     """
-    from sceneloom.report import ReportSettings, numbers_as_json, write_report
+    from sceneloom.report import ReportSettings, write_report
+    from sceneloom.stages import timed
 
     page = Path("report.html") if output is None and numbers is None and not as_json else output
     settings = ReportSettings(
@@ -91,7 +92,7 @@ def report(
         pictures=pictures,
         title=title,
     )
-    with progress_bar("looking", quiet=quiet) as progress:
+    with progress_bar("looking", quiet=quiet) as progress, timed() as stages:
         found = write_report(
             path,
             page,
@@ -102,7 +103,7 @@ def report(
             **options.said(**reading),
         )
     if as_json:
-        click.echo(numbers_as_json(found).decode())
+        print_json(found, stages=stages)
         return
     _print_verdict(found, verbose=verbose)
     for name, written in (("page", page), ("numbers", numbers)):

@@ -69,8 +69,9 @@ def validate(
         raise click.UsageError("Missing argument 'PATH'.", context)
     from sceneloom.checks import PLACES
     from sceneloom.checks import validate as validate_scene
+    from sceneloom.stages import timed
 
-    with progress_bar("checking", quiet=quiet) as progress:
+    with progress_bar("checking", quiet=quiet) as progress, timed() as stages:
         report = validate_scene(
             path,
             profile=profile,
@@ -85,7 +86,7 @@ def validate(
             **options.said(**reading),
         )
     if as_json:
-        print_json(report)
+        print_json(report, stages=stages)
     else:
         _print_report(report, asked_to_fix=fix is not None, quiet=quiet)
     if not report.passed or (fix is not None and report.output is None):

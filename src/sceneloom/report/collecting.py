@@ -80,7 +80,9 @@ def collect(
     if isinstance(source, Scene):
         return _Collector(source, None, settings, dict(reading or {}), progress, made).collect(losses)
     where = path_or_url(source)
-    with open_subject(where, **(reading or {})).scene as scene:
+    with stage("opening"):
+        opened = open_subject(where, **(reading or {})).scene
+    with opened as scene:
         return _Collector(scene, where, settings, dict(reading or {}), progress, made).collect(losses)
 
 

@@ -271,3 +271,21 @@ def test_a_dash_is_no_name_of_an_output(call, recording, tmp_path, monkeypatch, 
     assert outcome.code == 2
     assert "standard output" in outcome.err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("verb", "words", "stage"),
+    [
+        ("convert", ("OUT.sfs",), "writing"),
+        ("validate", (), "checking"),
+        ("report", ("--quick",), "fusion"),
+        ("fuse", ("-o", "OUT.sfs"), "fusing"),
+    ],
+)
+def test_json_tells_where_the_time_went(
+    call: Call, recording: Path, tmp_path: Path, verb: str, words: tuple[str, ...], stage: str
+) -> None:
+    told = call(verb, recording, *(word.replace("OUT", str(tmp_path / "out")) for word in words), "--json")
+    stages = json.loads(told.out)["stages"]
+    assert {"opening", stage} <= stages.keys()
+    assert all(seconds >= 0.0 for seconds in stages.values())

@@ -15,6 +15,7 @@ from sceneloom.batch.inputs import READING
 from sceneloom.batch.pieces import PIECE
 from sceneloom.cli import options
 from sceneloom.cli.batch.in_parts import instead_of
+from sceneloom.cli.printing import print_json
 from sceneloom.errors import OptionError
 
 CALL = "sceneloom.cli.batch.one_drive:run_verb"
@@ -109,9 +110,19 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
                 raise OptionError(f"{name} ended with code {ended.exit_code}") from ended
         except click.ClickException as error:
             raise OptionError(error.format_message()) from error
-    text = printed.getvalue()
-    if not batched.output:
-        output.write_text(text, encoding="utf-8")
+    told = _told(printed.getvalue())
+    if not batched.output:  # without times, which the record has: the same drive gives the same file
+        result = (
+            {name: value for name, value in told.items() if name != "stages"}
+            if isinstance(told, dict)
+            else told
+        )
+        with output.open("w", encoding="utf-8") as file, redirect_stdout(file):
+            print_json(result)
+    return told
+
+
+def _told(text: str) -> Any:
     try:
         return json.loads(text)
     except ValueError:

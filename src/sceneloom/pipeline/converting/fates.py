@@ -66,7 +66,7 @@ def lost(fates: Iterable[FieldFate]) -> tuple[FieldFate, ...]:
 
 def _fate(field: str, count: int, holding: Holding | None, lines: list[Loss]) -> FieldFate:
     fates = [Fate.KEPT if line.kept else line.fate for line in lines]
-    how = [_said(line) for line in lines]
+    how = [_said(line, field) for line in lines]
     if holding is not None:
         fates.append(holding.fate)
         how += [holding.how] if holding.how else []
@@ -86,6 +86,8 @@ def _beside(place: str, lines: list[Loss]) -> FieldFate:
     return _fate(place, sum(line.count for line in lines), None, lines)
 
 
-def _said(line: Loss) -> str:
+def _said(line: Loss, field: str) -> str:
+    """What happened, and where unless that is what the field is called."""
+    place = "" if line.field == field else f"{line.field}: "
     times = f" ({line.count} times)" if line.count > 1 else ""
-    return f"{line.field}: {line.what}{times}" + (f"; it is in {line.kept}" if line.kept else "")
+    return f"{place}{line.what}{times}" + (f"; it is in {line.kept}" if line.kept else "")

@@ -100,7 +100,7 @@ def test_the_worst_that_happened_counts_and_the_largest_error():
     assert found["sensors.lidar.id"].fate == Fate.KEPT
     assert "it is in the header" in found["sensors.lidar.id"].how[0]
     assert (found["metadata"].fate, found["metadata"].how) == (Fate.KEPT, ())
-    assert found["replay"].count == 3
+    assert (found["replay"].count, found["replay"].how) == (3, ("a remark (3 times)",))
     assert [fate.field for fate in lost(found.values())] == ["sensors.lidar.frames.points.timestamps_ns"]
 
 

@@ -8,6 +8,7 @@ program `azurite-blob`, these tests run; without them, they are skipped.
 import os
 import re
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from uuid import uuid4
 
@@ -17,6 +18,8 @@ import pytest
 from tests.peers import python_with
 
 import sceneloom
+from sceneloom.batch import Input, Job, run
+from sceneloom.batch.outputs import claimed
 from sceneloom.errors import DataError, OutputError
 from sceneloom.formats.remote import MARKER, find_urls, stores, upload
 
@@ -214,3 +217,84 @@ def test_what_is_missing_is_said_and_no_key_is_shown(bucket):
     for error in (told, refused):
         assert "hidden" not in str(error.value)
         assert KEY not in str(error.value)
+
+
+VERB = '''
+import os, signal
+from pathlib import Path
+
+import sceneloom
+from sceneloom.formats.remote import names_below, stores
+
+put = stores.Store.put
+
+
+def die(self, source):
+    """The first part of an output, and no more."""
+    file = self.files.open(self.path, "wb", block_size=stores._PART, autocommit=False)
+    file.write(source.read_bytes()[: stores._PART + 1])
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def copy(place, output, options):
+    stores._PART = 5 << 20
+    name, mark = output.name, Path(options["marks"], output.name)
+    seen = name in names_below(options["target"])
+    with mark.open("a") as log:
+        log.write(f"{seen} ")
+    stores.Store.put = die if mark.read_text() == "False " else put
+    sceneloom.convert(place, output)
+'''
+
+
+@pytest.mark.slow
+def test_a_batch_into_a_store_is_whole_and_of_one_run(bucket, drive, tmp_path, monkeypatch):
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "verb_that_dies.py").write_text(VERB)
+    monkeypatch.syspath_prepend(tmp_path / "modules")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "modules"), os.environ["PYTHONPATH"]]))
+    (tmp_path / "marks").mkdir()
+    target = bucket.url("run1/")
+    places = [bucket.url(f"in/{name}.sfs") for name in "ab"]
+    for place in places:
+        upload(drive, place)
+    job = Job(
+        verb="copy",
+        call="verb_that_dies:copy",
+        inputs=tuple(Input(place=place) for place in places),
+        options={"marks": str(tmp_path / "marks"), "target": target},
+        suffix=".sfs",
+    )
+
+    def done(**how):
+        return run(job, target, **{"record": tmp_path / "record", "workers": 2, **how})
+
+    first = done()
+    assert (first.done, first.failed, first.retried) == (2, 0, 2)
+    assert bucket.names() == ["in/a.sfs", "in/b.sfs", "run1/.sceneloom-run", "run1/a.sfs", "run1/b.sfs"]
+    # what a worker had sent when it was killed was not to be seen
+    assert {path.read_text() for path in (tmp_path / "marks").iterdir()} == {"False False "}
+    same_frames(bucket.url("run1/b.sfs"), drive, (0, 29))
+    assert done(resume=True).skipped == 2
+    bucket.files.rm_file(f"{bucket.name}/run1/a.sfs")
+    again = done(resume=True)
+    assert (again.done, again.skipped) == (2, 1)
+    same_frames(bucket.url("run1/a.sfs"), drive, (0, 29))
+    with pytest.raises(OutputError, match=r"holds the outputs of a run whose record is .*/record on "):
+        done(record=tmp_path / "other")
+
+
+def test_of_two_runs_that_begin_together_one_has_the_place(bucket, tmp_path):
+    if bucket.scheme == "gs":
+        pytest.skip("the emulator takes an object twice where the store refuses the second one")
+
+    def begin(k):
+        try:
+            return claimed(bucket.url("run1"), run=f"run{k}", record=tmp_path / str(k))
+        except OutputError as error:
+            return str(error)
+
+    with ThreadPoolExecutor(4) as crew:
+        told = list(crew.map(begin, range(4)))
+    assert sum(isinstance(one, str) for one in told) == 3
+    assert bucket.names() == ["run1/.sceneloom-run"]

@@ -123,7 +123,8 @@ def pack(columns: Mapping[tuple[str, ...], AnyArray], count: int) -> PackedPoint
         dtype = column.dtype.newbyteorder("<")
         fields += [PackedField(name, offset + k * dtype.itemsize, dtype) for k, name in enumerate(names)]
         items = _whole_items(column.astype(dtype, copy=False))
-        np.ndarray((count,), items.dtype, table, offset, (stride,))[:] = items
+        if count:  # no view may begin within an empty table
+            np.ndarray((count,), items.dtype, table, offset, (stride,))[:] = items
         offset += items.itemsize
     return PackedPoints(tuple(fields), stride, count, table.reshape(-1).data)
 

@@ -69,7 +69,7 @@ def _fate(field: str, count: int, holding: Holding | None, lines: list[Loss]) ->
     how = [_said(line, field) for line in lines]
     if holding is not None:
         fates.append(holding.fate)
-        how += [holding.how] if holding.how else []
+        how += [holding.how] if holding.how and holding.how not in {line.what for line in lines} else []
     return FieldFate(
         field=field,
         is_=MODEL_FIELDS.get(field, ""),

@@ -62,3 +62,15 @@ def test_a_sweep_whose_time_was_moved_is_packed_anew(log):
         moved = replace(frame, timestamp_ns=frame.timestamp_ns + 1)
         assert kept_record(moved.points, moved.timestamp_ns) is None
         assert kept_record(points(0), frame.timestamp_ns) is None
+
+
+def test_a_sweep_without_points_is_written_with_all_its_fields(tmp_path):
+    empty = LidarPoints(
+        np.zeros((0, 3), np.float32), intensities=np.zeros(0, np.uint8), rings=np.zeros(0, np.uint16)
+    )
+    frames = [LidarFrame(int(STAMPS[0]), empty), LidarFrame(int(STAMPS[1]), points(1))]
+    write_scene(Scene((LidarSensor("top", LazyFrames.of(frames, STAMPS.tolist())),)), tmp_path / "log.mcap")
+    with open_scene(tmp_path / "log.mcap") as scene:
+        first, second = (frame.points for frame in scene.lidars[0].frames)
+        assert (len(first), first.rings.shape, first.intensities.shape) == (0, (0,), (0,))
+        np.testing.assert_array_equal(second.positions, points(1).positions)

@@ -16,6 +16,9 @@ PART = ("start", "stop")
 READING = "reading."
 """Before the name of an option that a line says its drive is to be opened with."""
 
+_LONGEST = 1e10
+"""No drive lasts so long [s]: int64 nanoseconds end before."""
+_SHORT = 40
 _WILD = frozenset("*?[")
 
 
@@ -88,8 +91,11 @@ def _line(line: str, file: Path, number: int) -> Input:
         raise DataError(file, place, f"path {path!r}; expected the path of a drive")
     part = {name: told[name] for name in PART if told.get(name) is not None}
     for name, value in part.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise DataError(file, place, f"{name} {value!r}; expected seconds")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < _LONGEST:
+            said = repr(value)[:_SHORT]
+            raise DataError(
+                file, place, f"{name} {said}; expected seconds from the beginning of the drive on"
+            )
     return Input(place=_beside(file, path), options={**part, **_reading(told.get("reading"), file, place)})
 
 

@@ -34,6 +34,9 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
         ('{"path": 3}', "line 1: path 3; expected"),
         ('{"start": 3}', "line 1: path None"),
         ('{"path": "a", "start": "x"}', "start 'x'; expected seconds"),
+        ('{"path": "a", "start": NaN}', "line 1: start nan; expected seconds"),
+        ('{"path": "a", "stop": 1e999}', "stop inf; expected seconds"),
+        ('{"path": "a", "start": -0.5}', "start -0.5; expected seconds from the beginning of the drive on"),
         (
             '{"path": "a", "reading": {"sequence": 3}}',
             "reading {'sequence': 3}; expected options by their names",

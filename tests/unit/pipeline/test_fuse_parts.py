@@ -137,3 +137,12 @@ def test_the_way_of_one_part_is_that_of_the_whole(drive: Scene, tmp_path: Path) 
     for name in ("timestamps_ns", "positions", "quaternions_xyzw", "covariances"):
         np.testing.assert_array_equal(getattr(joined.trajectory, name), getattr(single.trajectory, name))
     assert joined.notices == single.notices
+
+
+def test_parts_of_single_sweeps_know_how_the_way_begins(drive: Scene, tmp_path: Path) -> None:
+    scene = without_way(drive)
+    single = lidar_odometry(scene).trajectory
+    spans = cut_times(reference_times(scene), seconds=0.01)
+    assert len(spans) == len(reference_times(scene))
+    # each part is led into by all sweeps before it, so that nothing is known less
+    np.testing.assert_allclose(ways(scene, tmp_path, spans).trajectory.positions, single.positions, atol=1e-9)

@@ -1,7 +1,7 @@
 """A scene's trajectory from its lidars."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -10,7 +10,7 @@ from sceneloom.motion.odometry.configuration import OdometryConfiguration
 from sceneloom.motion.odometry.knots import trajectory_of
 from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
 from sceneloom.motion.odometry.motion_state import MotionState
-from sceneloom.motion.odometry.scene_sweeps import SceneSweeps
+from sceneloom.motion.odometry.scene_sweeps import EgoCloud, SceneSweeps
 from sceneloom.motion.odometry.stitching import OdometryPiece, stitched_estimates, summed_notices
 from sceneloom.scene import Notice, NoticeKind, Scene, Trajectory
 
@@ -97,9 +97,25 @@ def odometry_piece(
             late += 1
         if progress is not None:
             progress(row + 1 - led, rows.stop - led)
-    return OdometryPiece(
-        tuple(estimates), leading, late, len(rows), tuple(sweeps.notices), sweeps.counted_notices()
-    )
+    counted, own = sweeps.counted_notices(), len(estimates)
+    if odometry.beginning:
+        _learn_beginning(odometry, estimates, sweeps.clouds(range(rows.stop, len(sweeps))), settings)
+    return OdometryPiece(tuple(estimates[:own]), leading, late, len(rows), tuple(sweeps.notices), counted)
+
+
+def _learn_beginning(
+    odometry: LidarOdometry,
+    estimates: list[PoseEstimate],
+    later: Iterable[tuple[int, EgoCloud]],
+    settings: OdometryConfiguration,
+) -> None:
+    """Go on behind a part that ends before anything tells how the ego moved when its map began."""
+    for _, cloud in later:
+        estimate = odometry.add(cloud.timestamp_ns, cloud.positions_ego, cloud.timestamps_ns)
+        if estimate is not None:
+            _append(estimates, estimate, settings)
+        if not odometry.beginning:
+            return
 
 
 def joined_odometry(

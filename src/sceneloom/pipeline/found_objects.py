@@ -144,6 +144,18 @@ def _track_objects(
         return track_into(TrackableDrive(drive, scene), output, **how)
 
 
+def open_sequences(
+    path: str | Path, chosen: DetectionInput, *, lenient: bool = False
+) -> KittiTracking | None:
+    """Open a folder of KITTI's sequences, as `track_objects` does; None for any other path.
+
+    Raises:
+        OptionError: an option does not concern such a folder.
+        DataError: it cannot be read.
+    """
+    return _kitti(path, chosen, lenient=lenient) if _is_kitti(path, chosen) else None
+
+
 @contextmanager
 def open_listed(
     path: str | Path,
@@ -155,13 +167,13 @@ def open_listed(
     """Open a drive with lists of boxes beside it, as `track_objects` does.
 
     Raises:
-        OptionError: the path holds several drives, or what was fused before.
+        OptionError: the path holds what was fused before.
         DataError: it cannot be read.
     """
-    if _is_kitti(path, chosen) or (not chosen.has_lists and fused_files(Path(path))):
+    if not chosen.has_lists and fused_files(Path(path)):
         raise OptionError(
-            f"{path}: only drives with lists of boxes beside them, --boxes3d and --boxes2d, are tracked in parts; "
-            "leave out --parts"
+            f"{path}: what was fused before is not tracked in parts, only folders of KITTI's sequences and drives with "
+            "lists of boxes beside them, --boxes3d and --boxes2d; leave out --parts"
         )
     _refuse_kitti(path, chosen)
     with _with_lists(path, chosen, lenient=lenient, reading=reading) as listed:

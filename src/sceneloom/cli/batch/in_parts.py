@@ -1,6 +1,6 @@
 """Verbs over a part of a drive, and over all its parts together: done in place of the verb's own function."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 from sceneloom.errors import OptionError
 
 if TYPE_CHECKING:
+    from sceneloom.formats.kitti import KittiTracking
     from sceneloom.motion.odometry import OdometryRun
+    from sceneloom.pipeline.detections.detected import DetectedDrive
     from sceneloom.pipeline.found_objects import DetectionInput
     from sceneloom.scene import Scene
 
@@ -79,13 +81,16 @@ def _track(
 ) -> Any:
     from sceneloom.batch.pieces import stage_files
     from sceneloom.pipeline.detections.detected_scene import scene_drive
-    from sceneloom.pipeline.found_objects import open_listed
+    from sceneloom.pipeline.found_objects import open_listed, open_sequences
     from sceneloom.pipeline.fusing.parts import reference_times
-    from sceneloom.pipeline.tracking.parts import track_joined, track_part
+    from sceneloom.pipeline.tracking.parts import track_joined
 
     del how["progress"]
     if how["settings"].offline:
         raise OptionError("--offline smooths over a drive as a whole; leave it out, or --parts")
+    folder = open_sequences(path, chosen, lenient=lenient)
+    if folder is not None:
+        return _track_sequences(piece, target, folder, output, sequences=chosen.sequences, **how)
     with open_listed(path, chosen, lenient=lenient, reading=reading) as (scene, files):
         if piece["work"] == "plan":
             return _stages("track", scene, reference_times(scene), piece, files.trajectory)
@@ -94,8 +99,43 @@ def _track(
         drive = scene_drive(scene, files, lenient=lenient, odometry=_way(piece, scene))
         if piece["work"] == "join":
             return track_joined(drive, scene, stage_files(piece), output, **how)
-        own = {name: how[name] for name in ("settings", "box2d") if name in how}
-        return track_part(drive, target, span_ns=tuple(piece["span_ns"]), **own)
+        return _track_part(piece, target, drive, how)
+
+
+def _track_sequences(
+    piece: Mapping[str, Any],
+    target: Path,
+    folder: "KittiTracking",
+    output: Path,
+    *,
+    sequences: Sequence[str],
+    **how: Any,
+) -> Any:
+    """As for one drive; each sequence has parts of its own, be it only one."""
+    from sceneloom.batch.pieces import cut_times, stage_files
+    from sceneloom.pipeline.detections.detected import kitti_drive
+    from sceneloom.pipeline.tracking.parts import track_folder_joined
+
+    if piece["work"] == "plan":
+        times = {name: folder.sequence(name).timestamps_ns for name in sequences or folder.sequences}
+        pieces = [
+            {"work": "track", "sequence": name, "span_ns": list(span)}
+            for name, times_ns in times.items()
+            for span in cut_times(times_ns, seconds=piece["seconds"], count=piece["count"])
+        ]
+        return [pieces] if len(pieces) > 1 else []
+    if piece["work"] == "join":
+        return track_folder_joined(folder, stage_files(piece), output, sequences=sequences, **how)
+    return _track_part(piece, target, kitti_drive(folder.sequence(piece["sequence"])), how)
+
+
+def _track_part(
+    piece: Mapping[str, Any], target: Path, drive: "DetectedDrive", how: Mapping[str, Any]
+) -> int:
+    from sceneloom.pipeline.tracking.parts import track_part
+
+    own = {name: how[name] for name in ("settings", "box2d") if name in how}
+    return track_part(drive, target, span_ns=tuple(piece["span_ns"]), **own)
 
 
 def _stages(

@@ -183,6 +183,7 @@ def track_folder(
     overwrite: bool = False,
     scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
+    follow: Callable[[DetectedDrive], TrackedDrive] | None = None,
 ) -> TrackReport:
     """Track the sequences of a folder laid out like KITTI's tracking benchmark; a file each, named after it.
 
@@ -199,6 +200,7 @@ def track_folder(
         overwrite: whether files that exist may be replaced.
         scene_options: how scenes are written, `profile` and `time_unit` as of `write_scene`; of "sfs" only.
         progress: told after each sweep.
+        follow: gives what was followed before through a sequence; None to do it now.
 
     Raises:
         DataError: a file is faulty, or a sequence is not there.
@@ -208,7 +210,8 @@ def track_folder(
     names = tuple(sequences) or tracking.sequences
 
     def read(k: int) -> TrackableDrive:
-        return TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))
+        found = TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))
+        return found if follow is None else replace(found, tracked=follow(found.drive))
 
     report = track_many(
         read,

@@ -13,10 +13,11 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array
+from sceneloom.formats.kitti import KittiTracking
 from sceneloom.kernels.assignment import best_columns
 from sceneloom.pipeline.detections.detected import DetectedDrive
 from sceneloom.pipeline.parts.records import read_records, writing_records
-from sceneloom.pipeline.tracking.files import TrackableDrive, track_into
+from sceneloom.pipeline.tracking.files import TrackableDrive, track_folder, track_into
 from sceneloom.pipeline.tracking.job import TrackingSettings, track
 from sceneloom.pipeline.tracking.report import TrackReport
 from sceneloom.pipeline.tracking.tracked import COLUMNS, TrackedDrive
@@ -54,7 +55,7 @@ def track_part(
     around_ns = (span_ns[0] - round(LEAD_SECONDS * 1e9), span_ns[1] + round(TRAIL_SECONDS * 1e9))
     found = track(drive, settings=chosen, within_ns=around_ns)
     with writing_records(target) as records:
-        records.add({"seconds": found.seconds, "span_ns": span_ns}, {})
+        records.add({"drive": drive.name, "seconds": found.seconds, "span_ns": span_ns}, {})
         for moment in found.moments:
             columns = {name: getattr(moment, name) for name in COLUMNS}
             cameras = list(moment.corners_xyxy)
@@ -103,6 +104,32 @@ def track_joined(
     with timed() as stages:
         source = TrackableDrive(drive, scene, tracked=join_tracked(drive, files))
         report = track_into(source, output, **how)
+    return msgspec.structs.replace(report, stages=dict(stages))
+
+
+def track_folder_joined(
+    folder: KittiTracking, files: Sequence[Path], output: str | Path, **how: Any
+) -> TrackReport:
+    """Write the objects of KITTI's sequences that were tracked in parts.
+
+    Args:
+        folder: of the sequences.
+        files: as `track_part` wrote them, those of each sequence in the order of time.
+        output: the folder to write.
+        how: as of `track_folder`.
+
+    Raises:
+        SceneloomError: as of `track_folder`.
+        DataError: a file is damaged.
+    """
+    parts: dict[str, list[Path]] = {}
+    for file in files:
+        head, _ = next(read_records(file))
+        parts.setdefault(head["drive"], []).append(file)
+    with timed() as stages:
+        report = track_folder(
+            folder, output, follow=lambda drive: join_tracked(drive, parts[drive.name]), **how
+        )
     return msgspec.structs.replace(report, stages=dict(stages))
 
 

@@ -34,6 +34,7 @@ from benchmarks.street import CAMERA_WORLD, LIDAR_WORLD, make_street
 from benchmarks.visibility_in_numpy import find_visible_in_numpy
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector, projection_kernel
+from sceneloom.cameras.points_in_picture import PointsInPicture
 from sceneloom.colouring import LidarWay, ViewRequest, VisibilitySettings, algorithms, fuse_by_projection
 from sceneloom.colouring import views as view_module
 from sceneloom.colouring import visibility as visibility_module
@@ -239,7 +240,6 @@ class Stages:
 
     PLACES = (
         (view_module, "_project", "project"),
-        (visibility_module, "map_directions", "directions"),
         (visibility_module, "_measure", "scan lines"),
         (visibility_module, "mark_unhidden", "hiding"),
         (view_module, "draw_depths", "depth image"),
@@ -278,15 +278,14 @@ def show_stages(count, repetitions):
     view = task.fuse().views[0]
     kept, seen, drawn = len(view.point_ids), int(view.visible.sum()), int((view.depth_image > 0).sum())
     least = {
-        "project": 24 * count + 20 * kept,
-        "directions": 32 * kept + 12 * kept,
+        "project": 24 * count + 32 * kept,
         "scan lines": 12 * kept,
         "hiding": 12 * kept + kept,
         "depth image": 13 * kept + 8 * drawn,
         "colours": 17 * kept + 7 * seen + 4 * count,
     }
     median = {label: float(np.median(values[1:])) for label, values in stages.times.items()}
-    parts = ("project", "directions", "scan lines", "hiding", "depth image")
+    parts = ("project", "scan lines", "hiding", "depth image")
     median["empty image"] = median["a view"] - sum(median[part] for part in parts)
     least["empty image"] = 4 * WIDTH * HEIGHT
     print(f"stages, one thread, way known; copying moves {most / 1e9:.1f} GB/s")
@@ -326,13 +325,14 @@ def show_lenses(count, repetitions):
     from benchmarks.cameras import LENSES
 
     points, matrix = make_street(count), place_camera().inverse().matrix
-    room = np.empty(count, np.int64), np.empty((count, 2), np.float32), np.empty(count, np.float32)
+    ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
+    room = PointsInPicture(ids, pixels, *np.empty((4, count), np.float32))
     times, kept = defaultdict(list), {}
     for _ in range(repetitions + 1):
         for name, camera in LENSES.items():
             kernel, lens = projection_kernel(camera.model), lens_vector(camera)
             start = time.process_time()
-            kept[name] = kernel(points, matrix, lens, WIDTH, HEIGHT, *room)
+            kept[name] = kernel(points, matrix, lens, WIDTH, HEIGHT, room)
             times[name].append(1e3 * (time.process_time() - start))
     median = {name: float(np.median(values[1:])) for name, values in times.items()}
     print("projection into the picture, one thread: ms, beside a pinhole, share in the picture")

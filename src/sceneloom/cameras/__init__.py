@@ -11,6 +11,7 @@ from sceneloom.cameras.models import (
     projection_kernel,
     unproject,
 )
+from sceneloom.cameras.points_in_picture import PointsInPicture
 from sceneloom.cameras.table import MODELS, Chart, Model
 from sceneloom.cameras.undistortion import Undistortion, undistort, undistorted_camera
 
@@ -20,6 +21,7 @@ __all__ = [
     "Chart",
     "Fit",
     "Model",
+    "PointsInPicture",
     "Undistortion",
     "check_camera",
     "domain_angle",

@@ -2,9 +2,9 @@
 
 Every model compiles the same three functions:
 
-- `project_into_picture(points_world, camera_from_world, lens, width, height, point_ids, pixels, depths)` is
-  the hot path. It fills the outputs with the points that fall into the picture, in ascending order of their
-  ids, and returns how many those are.
+- `project_into_picture(points_world, camera_from_world, lens, width, height, kept)` is the hot path. It fills
+  `PointsInPicture` with the points that fall into the picture, in ascending order of their ids, and returns how
+  many those are.
 - `project_points(points_camera, lens, pixels)` gives a pixel for every point, NaN outside the model's domain.
 - `unproject_pixels(pixels, lens, rays)` gives a unit ray for every pixel, NaN where the model has none.
 
@@ -23,6 +23,9 @@ from typing import Any
 from numba import float32, float64, int64, njit, types, void
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
+from sceneloom.cameras.points_in_picture import PointsInPicture
+
+_named_tuple: Any = types.NamedTuple
 _READ_ONLY_ROWS = types.Array(float64, 2, "C", readonly=True)
 _READ_ONLY_NUMBERS = types.Array(float64, 1, "C", readonly=True)
 
@@ -32,9 +35,9 @@ PICTURE_SIGNATURE = int64(
     _READ_ONLY_NUMBERS,
     int64,
     int64,
-    int64[::1],
-    float32[:, ::1],
-    float32[::1],
+    _named_tuple(
+        (int64[::1], float32[:, ::1], float32[::1], float32[::1], float32[::1], float32[::1]), PointsInPicture
+    ),
 )
 ROWS_SIGNATURE = void(_READ_ONLY_ROWS, _READ_ONLY_NUMBERS, float64[:, ::1])
 FOLD_SIGNATURE = float64(_READ_ONLY_NUMBERS)
@@ -73,9 +76,3 @@ def camera_coordinates(x, y, z, pose):  # type: ignore[no-untyped-def]
         pose[4] * x + pose[5] * y + pose[6] * z + pose[7],
         pose[8] * x + pose[9] * y + pose[10] * z + pose[11],
     )
-
-
-@njit(**INLINE)
-def in_picture(u, v, width, height):  # type: ignore[no-untyped-def]
-    """Say whether (u, v) lies in the picture; a NaN does not."""
-    return (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)

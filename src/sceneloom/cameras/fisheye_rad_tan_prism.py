@@ -102,11 +102,9 @@ def _lens(numbers):  # type: ignore[no-untyped-def]
 
 
 @njit(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(  # type: ignore[no-untyped-def]
-    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
-):
+def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
     """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, point_ids, pixels, depths)
+    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
 
 
 @njit(ROWS_SIGNATURE, **KERNEL)

@@ -6,58 +6,92 @@ Each is compiled for every model, with the model's own formulas of `formulas` in
 import math
 
 import numpy as np
-from numba import float32, int64, njit, uint64
+from numba import float32, njit, uint64
 
 from sceneloom.cameras.angles import sine_and_cosine
-from sceneloom.cameras.compiled import BLOCK, PART, camera_coordinates, in_picture, pose_numbers
+from sceneloom.cameras.compiled import BLOCK, PART, camera_coordinates, pose_numbers
 from sceneloom.cameras.formulas import plane_of_pixel, project_point, ray_of_chart, ray_of_pixel
 from sceneloom.cameras.solving import angle_at, approach_angle, approach_place, place_at
+from sceneloom.kernels.directions import turn_to_directions
 
+_EDGE = float32(-0.5)
+"""Where the picture begins, to the left and at the top [px]."""
 _NEAREST = 1e-250
 """Points whose squared distance [m²] is less, or no number, have no pixel: its root would mean nothing."""
 
 
 @njit(**PART)
-def _project_block(flat_points, pose, lens, columns, rows, depths):  # type: ignore[no-untyped-def]
-    """Project as many points as the outputs have room for."""
-    for i in range(len(columns)):
+def _project_block(flat_points, pose, lens, flat_pixels, x_camera, y_camera, z_camera):  # type: ignore[no-untyped-def]
+    """Project as many points as the outputs have room for, and take them into the camera frame."""
+    for i in range(len(z_camera)):
         x, y, z = camera_coordinates(flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2], pose)
         u, v = project_point(x, y, z, lens)
-        columns[i], rows[i], depths[i] = float32(u), float32(v), float32(z)
+        flat_pixels[2 * i], flat_pixels[2 * i + 1] = float32(u), float32(v)
+        x_camera[i], y_camera[i], z_camera[i] = float32(x), float32(y), float32(z)
 
 
 @njit(**PART)
-def _keep_in_picture(  # type: ignore[no-untyped-def]
-    first_id, columns, rows, block_depths, width, height, count, point_ids, flat_pixels, depths
-):
-    """Append those of a block's points that lie in the picture to the outputs; give the new count.
+def _mark_inside(flat_pixels, width, height, inside):  # type: ignore[no-untyped-def]
+    """Mark the pixels that lie in the picture and give their number; a NaN does not.
 
     The test is made on the float32 pixels that are stored: rounding them to the nearest must stay in the picture.
-    `count` is unsigned, which spares the test for indices from the end. Every point is written and only those that
-    count are left standing: there is room for it, and to guess which ones these are would take longer.
     """
-    for i in range(len(columns)):
-        point_ids[count], depths[count] = first_id + i, block_depths[i]
-        flat_pixels[uint64(2) * count], flat_pixels[uint64(2) * count + uint64(1)] = columns[i], rows[i]
-        count += uint64(in_picture(columns[i], rows[i], width, height))
+    right, bottom, count = float32(width - 0.5), float32(height - 0.5), 0
+    for i in range(len(inside)):
+        u, v = flat_pixels[2 * i], flat_pixels[2 * i + 1]
+        inside[i] = (u >= _EDGE) & (u < right) & (v >= _EDGE) & (v < bottom)
+        count += inside[i]
     return count
 
 
 @njit(**PART)
-def pick_points(  # type: ignore[no-untyped-def]
-    points_world, camera_from_world, lens, width, height, point_ids, pixels, depths
-):
-    """Keep the points that fall into the picture; see `compiled`."""
-    pose = pose_numbers(camera_from_world)
-    flat_points, flat_pixels = points_world.reshape(points_world.size), pixels.reshape(pixels.size)
-    room = np.empty((3, BLOCK), np.float32)
+def _count_up(first, numbers):  # type: ignore[no-untyped-def]
+    for i in range(len(numbers)):
+        numbers[i] = first + i
+
+
+@njit(**PART)
+def _close_up(inside, first_id, point_ids, flat_pixels, xs, ys, zs):  # type: ignore[no-untyped-def]
+    """Move the points that are inside to the front.
+
+    Every one is moved and only those that count are left standing: to guess which ones these are would take longer.
+    `count` is unsigned, which spares the test for indices from the end.
+    """
     count = uint64(0)
+    for i in range(len(inside)):
+        point_ids[count], xs[count], ys[count], zs[count] = first_id + i, xs[i], ys[i], zs[i]
+        flat_pixels[uint64(2) * count], flat_pixels[uint64(2) * count + uint64(1)] = (
+            flat_pixels[2 * i],
+            flat_pixels[2 * i + 1],
+        )
+        count += uint64(inside[i])
+
+
+@njit(**PART)
+def pick_points(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the picture; see `compiled`.
+
+    A block is projected to where it would stand if all of it were kept, which is so for most of a lidar's blocks, or
+    none. Directions are made while it is in the nearest cache.
+    """
+    pose = pose_numbers(camera_from_world)
+    flat_points, flat_pixels = points_world.reshape(points_world.size), kept.pixels.reshape(kept.pixels.size)
+    marks, count = np.empty(BLOCK, np.bool_), 0
     for start in range(0, len(points_world), BLOCK):
         size = min(BLOCK, len(points_world) - start)
-        u, v, z = room[0, :size], room[1, :size], room[2, :size]
-        _project_block(flat_points[3 * start : 3 * (start + size)], pose, lens, u, v, z)
-        count = _keep_in_picture(start, u, v, z, width, height, count, point_ids, flat_pixels, depths)
-    return int64(count)
+        stop, inside = count + size, marks[:size]
+        ids, pixels = kept.point_ids[count:stop], flat_pixels[2 * count : 2 * stop]
+        xs, ys, zs = kept.rightward[count:stop], kept.downward[count:stop], kept.depths[count:stop]
+        _project_block(flat_points[3 * start : 3 * (start + size)], pose, lens, pixels, xs, ys, zs)
+        found = _mark_inside(pixels, width, height, inside)
+        if found == size:
+            _count_up(start, ids)
+        elif found > 0:
+            _close_up(inside, start, ids, pixels, xs, ys, zs)
+        near = kept.inverse_ranges[count : count + found]
+        turn_to_directions(xs[:found], ys[:found], zs[:found], near)
+        count += found
+    return count
 
 
 @njit(**PART)

@@ -9,16 +9,15 @@ from typing import Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, read_only
+from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.points_in_picture import PointsInPicture
 from sceneloom.cameras.table import MODELS, Chart, Model
 from sceneloom.errors import ArrayError, CalibrationError
 
 _LARGEST_COEFFICIENT = 1e12
 
-ProjectionKernel = Callable[
-    [Float64Array, Float64Array, Float64Array, int, int, Int64Array, Float32Array, Float32Array], int
-]
+ProjectionKernel = Callable[[Float64Array, Float64Array, Float64Array, int, int, PointsInPicture], int]
 
 
 class ModelModule(Protocol):
@@ -63,9 +62,9 @@ def projection_kernel(model: str) -> ProjectionKernel:
     """Give the compiled function that picks the points which fall into a picture; for tight loops.
 
     It is called with `points_world` (N, 3) float64 [m], `camera_from_world` (3, 4) float64,
-    `lens_vector(camera)`, width and height [px], and three arrays with room for N points, which it fills:
-    `point_ids` int64, `pixels` (N, 2) float32 [px], `depths` float32, z in the camera frame [m]. It returns
-    how many points it kept; ids ascend. All arrays are C-contiguous. Points with a NaN are never kept.
+    `lens_vector(camera)`, width and height [px], and `PointsInPicture` with room for N points, which it fills.
+    It returns how many points it kept; in rows beyond these anything may stand. All arrays are C-contiguous.
+    Points with a NaN are never kept.
 
     Raises:
         CalibrationError: there is no such model.

@@ -7,9 +7,10 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector, projection_kernel
+from sceneloom.cameras.points_in_picture import PointsInPicture
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.results import FusedView
-from sceneloom.colouring.visibility import VisibilitySettings, find_visible
+from sceneloom.colouring.visibility import Looks, VisibilitySettings, find_visible
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
@@ -53,7 +54,9 @@ def view_points(
     seen = _see(points, camera, world_from_camera, shutter, crew)
     point_ids, pixels, depths = seen.point_ids, seen.pixels, seen.depths
     visible = (
-        find_visible(seen.cloud, seen.rows, seen.camera_from_cloud, settings, way=seen.known(way))
+        find_visible(
+            seen.cloud, seen.rows, seen.camera_from_cloud, settings, way=seen.known(way), looks=seen.looks
+        )
         if settings.enabled
         else np.ones(len(point_ids), np.bool_)
     )
@@ -96,6 +99,7 @@ class _Seen:
         cloud: (C, 3) float64 [m], a frame in which the camera has one pose.
         rows: (M,) int64, the points of the picture in `cloud`.
         camera_from_cloud: (4, 4) float64.
+        looks: as of `find_visible`.
         world_from_cloud: None where `cloud` is the whole cloud in the world.
         unsettled: as in `FusedView`.
     """
@@ -106,6 +110,7 @@ class _Seen:
     cloud: Float64Array
     rows: Int64Array
     camera_from_cloud: Float64Array
+    looks: Looks | None = None
     world_from_cloud: RigidTransform | None = None
     unsettled: int = 0
 
@@ -126,8 +131,8 @@ def _see(
 ) -> _Seen:
     if shutter is None:
         camera_from_world = world_from_camera.inverse().matrix
-        point_ids, pixels, depths = _project(points_world, camera, camera_from_world, crew)
-        return _Seen(point_ids, pixels, depths, points_world, point_ids, camera_from_world)
+        point_ids, pixels, depths, looks = _project(points_world, camera, camera_from_world, crew)
+        return _Seen(point_ids, pixels, depths, points_world, point_ids, camera_from_world, looks)
     rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
     return _Seen(
         rolled.point_ids,
@@ -136,6 +141,7 @@ def _see(
         rolled.points_camera,
         np.arange(len(rolled.point_ids)),
         np.eye(4),
+        None,
         world_from_camera,
         rolled.unsettled,
     )
@@ -143,29 +149,32 @@ def _see(
 
 def _project(
     points_world: Float64Array, camera: Camera, camera_from_world: Float64Array, crew: Crew
-) -> tuple[Int64Array, Float32Array, Float32Array]:
-    """Give ids, pixels and depths of the points that fall into the picture."""
-    count = len(points_world)
+) -> tuple[Int64Array, Float32Array, Float32Array, Looks]:
+    """Give ids, pixels and depths of the points that fall into the picture, and where the camera sees them."""
+    count, directions = len(points_world), np.empty((2, len(points_world)), np.float32)
     point_ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
-    depths = np.empty(count, np.float32)
+    depths, inverse_ranges = np.empty(count, np.float32), np.empty(count, np.float32)
+    room = PointsInPicture(point_ids, pixels, depths, directions[0], directions[1], inverse_ranges)
     kernel, lens = projection_kernel(camera.model), lens_vector(camera)
     found: list[tuple[int, int]] = []
 
     def project(_: int, a: int, b: int) -> None:
-        out = point_ids[a:b], pixels[a:b], depths[a:b]
-        size = kernel(points_world[a:b], camera_from_world, lens, camera.width, camera.height, *out)
-        found.append((a, size))
+        part = room.part(a, b)
+        found.append(
+            (a, kernel(points_world[a:b], camera_from_world, lens, camera.width, camera.height, part))
+        )
 
     crew.share(count, project)
     kept = 0
     for start, size in sorted(found):
         if start > 0:
-            point_ids[kept : kept + size] = point_ids[start : start + size] + start
+            point_ids[start : start + size] += start
         if start > kept:
-            pixels[kept : kept + size] = pixels[start : start + size]
-            depths[kept : kept + size] = depths[start : start + size]
+            for rows in room:
+                rows[kept : kept + size] = rows[start : start + size]
         kept += size
+    looks = np.ascontiguousarray(directions[:, :kept]), inverse_ranges[:kept]
     if 2 * kept > count:
-        return point_ids[:kept], pixels[:kept], depths[:kept]
+        return point_ids[:kept], pixels[:kept], depths[:kept], looks
     # The view may live long, and must not hold the room that all points would have needed.
-    return point_ids[:kept].copy(), pixels[:kept].copy(), depths[:kept].copy()
+    return point_ids[:kept].copy(), pixels[:kept].copy(), depths[:kept].copy(), looks

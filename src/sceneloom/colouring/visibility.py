@@ -62,9 +62,12 @@ from sceneloom.colouring.scan_lines import (
 )
 from sceneloom.colouring.uneven_lines import Part, are_uneven, split_by_spacing
 from sceneloom.errors import OptionError
-from sceneloom.kernels.crew import Crew
+from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
+
+Looks = tuple[Float32Array, Float32Array]
+"""Where a camera sees M points: directions (2, M) in the equal-area map [rad], inverse ranges (M,) [1/m]."""
 
 _CELL_DEG = 0.16
 _NEARING = 0.85
@@ -126,6 +129,7 @@ def find_visible(
     settings: VisibilitySettings,
     *,
     way: LidarWay | None = None,
+    looks: Looks | None = None,
 ) -> BoolArray:
     """Tell which of some points the camera sees, as far as these points themselves can say.
 
@@ -135,6 +139,7 @@ def find_visible(
         camera_from_world: (3, 4) or (4, 4) float64, contiguous.
         settings: the rule's numbers; `enabled` is not looked at.
         way: from where the lidar measured the N points; None where that is not known.
+        looks: what `map_directions` gives for the M points, where it is known already.
 
     Returns:
         (M,) bool.
@@ -144,11 +149,11 @@ def find_visible(
     """
     if way is not None:
         check_array("way.fractions", way.fractions, (len(points_world),), np.float32)
-    directions = np.empty((2, len(point_ids)), np.float32)
-    inverse_ranges = np.empty(len(point_ids), np.float32)
-    visible = np.zeros(len(point_ids), np.bool_)
     crew = Crew.of(settings.threads, len(point_ids))
-    map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges, crew=crew)
+    directions, inverse_ranges = (
+        _look(points_world, point_ids, camera_from_world, crew) if looks is None else looks
+    )
+    visible = np.zeros(len(point_ids), np.bool_)
     eyes, fractions = (
         _NO_WAY if way is None else (_in_camera(way.ends_world, camera_from_world), way.fractions)
     )
@@ -177,6 +182,17 @@ def find_visible(
     return visible
 
 
+def _look(
+    points_world: Float64Array, point_ids: Int64Array, camera_from_world: Float64Array, crew: Crew
+) -> Looks:
+    directions, inverse_ranges = (
+        np.empty((2, len(point_ids)), np.float32),
+        np.empty(len(point_ids), np.float32),
+    )
+    map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges, crew=crew)
+    return directions, inverse_ranges
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _FromLidar:
     """Points, and from where the lidar measured them; arguments of `find_visible`, eyes in the camera frame."""
@@ -197,10 +213,7 @@ class _FromLidar:
         share = self.fractions[self.point_ids, None].astype(np.float64)
         from_eyes = _in_camera(self.points_world[self.point_ids], self.camera_from_world)
         from_eyes -= self.eyes[0] + share * (self.eyes[1] - self.eyes[0])
-        count = len(self.point_ids)
-        directions, inverse_ranges = np.empty((2, count), np.float32), np.empty(count, np.float32)
-        map_directions(from_eyes, np.arange(count), np.eye(4), directions, inverse_ranges)
-        return directions
+        return _look(from_eyes, np.arange(len(from_eyes)), np.eye(4), ALONE)[0]
 
 
 def _in_camera(points_world: Float64Array, camera_from_world: Float64Array) -> Float64Array:

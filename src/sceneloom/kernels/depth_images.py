@@ -1,6 +1,7 @@
 """Depths of points into the pixels of a picture."""
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
@@ -8,7 +9,7 @@ from numba import boolean, float32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array
 from sceneloom.kernels.crew import ALONE, Crew
-from sceneloom.kernels.pixel_numbers import BLOCK, PART, number_pixels
+from sceneloom.kernels.pixel_numbers import BLOCK, PART, list_numbered, number_pixels
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
@@ -18,16 +19,22 @@ _NOTHING, _ENDLESS = np.float32(0.0), np.float32(math.inf)
 
 
 @numba.njit(**PART)
-def _lower(
-    numbers: AnyArray, first: int, depths: Float32Array, visible: BoolArray, image: Float32Array
-) -> None:
-    """Lower the pixels of a part of the image, whose first one has the number `first`."""
+def _cross_out(numbers: AnyArray, first: Any, size: Any, depths: Float32Array, visible: BoolArray) -> None:
+    """Count pixels from `first` on; write -1 beyond so many, and for what makes no depth."""
     for i in range(numbers.shape[0]):
-        depth, place = depths[i], np.int64(numbers[i]) - first
-        if visible[i] and 0 <= place < image.shape[0] and _NOTHING < depth < _ENDLESS:
-            p = np.uint32(place)
-            there = image[p]
-            image[p] = depth if (there == _NOTHING) | (depth < there) else there
+        place = np.int32(numbers[i] - first)
+        drawn = (place >= 0) & (place < size) & (depths[i] > _NOTHING) & (depths[i] < _ENDLESS) & visible[i]
+        numbers[i] = place if drawn else np.int32(-1)
+
+
+@numba.njit(**PART)
+def _lower(listed: AnyArray, numbers: AnyArray, depths: Float32Array, image: Float32Array) -> None:
+    """Lower the pixels of the listed points."""
+    for n in range(listed.shape[0]):
+        i = np.uint64(listed[n])
+        depth, p = depths[i], np.uint64(numbers[i])
+        there = image[p]
+        image[p] = depth if (there == _NOTHING) | (depth < there) else there
 
 
 @numba.njit(**PART)
@@ -49,12 +56,15 @@ def _draw_rows(
     """Draw what falls into some rows of the image."""
     height, width = depth_image.shape
     flat_pixels, image = pixels.reshape(pixels.size), depth_image.reshape(depth_image.size)
-    numbers, rows = np.empty(BLOCK, np.int32), image[top * width : bottom * width]
+    numbers, listed = np.empty(BLOCK, np.int32), np.empty(BLOCK + 1, np.uint32)
+    first, rows = np.int32(top * width), image[top * width : bottom * width]
     for start in range(0, depths.shape[0], BLOCK):
         stop = min(start + BLOCK, depths.shape[0])
         block = numbers[: stop - start]
         number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
-        _lower(block, top * width, depths[start:stop], visible[start:stop], rows)
+        _cross_out(block, first, np.int32(rows.shape[0]), depths[start:stop], visible[start:stop])
+        count = list_numbered(block, rows, 1, listed)
+        _lower(listed[:count], block, depths[start:stop], rows)
 
 
 def draw_depths(

@@ -43,6 +43,14 @@ def fraction(value: Any, per_cell: Any) -> Any:
 
 
 @numba.njit(**INNER)
+def _number(column: Any, row: Any, grid: tuple[Any, Any, Any, int, int]) -> Any:
+    """Give the number of a cell; in 32 bits at each step, as Numba would go on in 64, of which vectors hold half."""
+    _, first_column, first_row, columns, _ = grid
+    before = np.int32(np.int32(row - first_row) * np.int32(columns))
+    return np.int32(before + np.int32(column - first_column))
+
+
+@numba.njit(**INNER)
 def span(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, per_cell: Any
 ) -> tuple[Any, Any, Any, Any]:
@@ -89,12 +97,12 @@ def number_cells(
     grid: tuple[Any, Any, Any, int, int], numbers: AnyArray,
 ) -> None:  # fmt: skip
     """Write each point's cell, int32 row * columns + column; 0, where no other point is, if it takes no part."""
-    per_cell, first_column, first_row, columns, _ = grid
+    per_cell = grid[0]
     for i in range(numbers.shape[0]):
         a, b = rightward[i], downward[i]
         placed = _is_placed(a, b, inverse_ranges[i])
-        column, row = _step(a, placed, per_cell) - first_column, _step(b, placed, per_cell) - first_row
-        numbers[i] = row * np.int32(columns) + column if placed else np.int32(0)
+        number = _number(_step(a, placed, per_cell), _step(b, placed, per_cell), grid)
+        numbers[i] = number if placed else np.int32(0)
 
 
 @numba.njit(**INNER)
@@ -107,8 +115,7 @@ def _rank(
     The bits of positive floats are ordered as the floats are, so all fits one integer, whose maximum is that of the
     nearest point. Of equally near ones it is the one farther right.
     """
-    per_cell, first_column, first_row, columns, _ = grid
-    bits = counting.view(np.int32)
+    per_cell, bits = grid[0], counting.view(np.int32)
     for i in range(numbers.shape[0]):
         a, b = rightward[i], downward[i]
         placed = _is_placed(a, b, inverse_ranges[i])
@@ -117,7 +124,7 @@ def _rank(
         column, row = np.int32(steps_a), np.int32(steps_b)
         right = np.int32((steps_a - np.float32(column)) * _PARTS)
         down = np.int32((steps_b - np.float32(row)) * _PARTS)
-        number = (row - first_row) * np.int32(columns) + column - first_column
+        number = _number(column, row, grid)
         numbers[i] = number if placed else np.int32(0)
         keys[i] = (np.int64(bits[i]) << 32) | (np.int64(right) << 16) | np.int64(down)
 

@@ -12,7 +12,8 @@ from sceneloom.kernels.crew import ALONE, Crew
 
 _IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
-_INNER: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_INNER: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False}
+"""Options of functions that are compiled as parts of others: the fast mathematics of those would be theirs, too."""
 
 _NOTHING, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _BEHIND = np.float32(1e-6)
@@ -38,16 +39,25 @@ def _gather(
 
 
 @numba.njit(**_INNER)
-def _map(
+def _move(
     x_world: Float64Array, y_world: Float64Array, z_world: Float64Array, pose: tuple[float, ...],
-    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
+    x_camera: Float32Array, y_camera: Float32Array, z_camera: Float32Array,
 ) -> None:  # fmt: skip
-    """Map as many points as the outputs have room for."""
-    for i in range(inverse_ranges.shape[0]):
+    """Take as many points into the camera frame as the outputs have room for."""
+    for i in range(x_camera.shape[0]):
         px, py, pz = x_world[i], y_world[i], z_world[i]
-        x = np.float32(pose[0] * px + pose[1] * py + pose[2] * pz + pose[3])
-        y = np.float32(pose[4] * px + pose[5] * py + pose[6] * pz + pose[7])
-        z = np.float32(pose[8] * px + pose[9] * py + pose[10] * pz + pose[11])
+        x_camera[i] = np.float32(pose[0] * px + pose[1] * py + pose[2] * pz + pose[3])
+        y_camera[i] = np.float32(pose[4] * px + pose[5] * py + pose[6] * pz + pose[7])
+        z_camera[i] = np.float32(pose[8] * px + pose[9] * py + pose[10] * pz + pose[11])
+
+
+@numba.njit(**_INNER)
+def turn_to_directions(
+    rightward: Float32Array, downward: Float32Array, z_camera: Float32Array, inverse_ranges: Float32Array
+) -> None:
+    """Put directions in the place of coordinates x and y in the camera frame; see `map_directions`."""
+    for i in range(inverse_ranges.shape[0]):
+        x, y, z = rightward[i], downward[i], z_camera[i]
         range_m = math.sqrt(x * x + y * y + z * z)
         # 2 sin(θ/2) / sin θ = sqrt(2 / (1 + cos θ)), with one division for this and for the inverse range.
         ahead = range_m + z
@@ -81,11 +91,13 @@ def _map_all(
         m[1, 0], m[1, 1], m[1, 2], m[1, 3],
         m[2, 0], m[2, 1], m[2, 2], m[2, 3],
     )  # fmt: skip
-    x, y, z = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    x, y, z, depths = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK, np.float32)
     for start in range(0, point_ids.shape[0], _BLOCK):
         stop = min(start + _BLOCK, point_ids.shape[0])
         _gather(points_world, point_ids[start:stop], x, y, z)
-        _map(x, y, z, pose, rightward[start:stop], downward[start:stop], inverse_ranges[start:stop])
+        right, down = rightward[start:stop], downward[start:stop]
+        _move(x, y, z, pose, right, down, depths)
+        turn_to_directions(right, down, depths, inverse_ranges[start:stop])
 
 
 def map_directions(

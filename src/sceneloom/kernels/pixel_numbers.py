@@ -1,4 +1,4 @@
-"""The pixel in which a point falls, as one number."""
+"""The pixel in which a point falls, as one number, and the points that are to go there."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ import numba
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array
+from sceneloom.kernels.fetching import fetch
 
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Options of functions that are compiled, and cached, as parts of others."""
@@ -13,7 +14,14 @@ PART: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 BLOCK = 512
 """Points that are numbered at once, by vector instructions."""
 
-_LOW, _NOTHING = np.float32(-0.5), np.float32(0.0)
+_LOW, _NOTHING, _HALF = np.float32(-0.5), np.float32(0.0), np.float32(0.5)
+
+
+@numba.njit(**PART, inline="always")
+def _round(value: Any) -> Any:
+    """Round a number from -0.5 on, halves upward; 0.49999997 + 0.5 would be 1 in float32."""
+    whole = np.int32(value)
+    return np.int32(whole + np.int32(value - np.float32(whole) >= _HALF))
 
 
 @numba.njit(**PART)
@@ -34,10 +42,28 @@ def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: A
     for i in range(numbers.shape[0]):
         u, v = flat_pixels[2 * i], flat_pixels[2 * i + 1]
         inside = (u >= _LOW) & (u <= right) & (v >= _LOW) & (v <= bottom)
-        u = u if inside else _NOTHING
-        v = v if inside else _NOTHING
-        # The sum is one of doubles: in float32, 0.49999997 + 0.5 is 1.
-        column, row = np.int32(u + 0.5), np.int32(v + 0.5)
-        column = min(last_column, column)
-        row = min(last_row, row)
-        numbers[i] = row * columns + column if inside else np.int32(-1)
+        # In 32 bits at each step: Numba would go on in 64, of which vectors hold half.
+        column = np.int32(min(_round(u if inside else _NOTHING), last_column))
+        row = np.int32(min(_round(v if inside else _NOTHING), last_row))
+        number = np.int32(np.int32(row * columns) + column)
+        numbers[i] = number if inside else np.int32(-1)
+
+
+@numba.njit(**PART)
+def list_numbered(numbers: AnyArray, flat_image: AnyArray, per_pixel: int, listed: AnyArray) -> Any:
+    """List the points of a block that have a pixel, ask for these pixels, and give the count.
+
+    Which ones these are is not guessed, and many pixels are on their way from memory at once.
+
+    Args:
+        numbers: (M,) int32, of pixels, -1 for none.
+        flat_image: (pixels * per_pixel,), where they will be looked for.
+        per_pixel: numbers in a pixel.
+        listed: (M + 1,) uint32, written: places in `numbers`, as many as are given.
+    """
+    count = np.uint64(0)
+    for i in range(numbers.shape[0]):
+        listed[count] = i
+        fetch(flat_image, np.int64(per_pixel) * np.int64(numbers[i]))
+        count += np.uint64(numbers[i] >= 0)
+    return count

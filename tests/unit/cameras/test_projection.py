@@ -10,6 +10,7 @@ import pytest
 from sceneloom.cameras import (
     MODELS,
     Camera,
+    PointsInPicture,
     check_camera,
     domain_angle,
     lens_vector,
@@ -19,6 +20,7 @@ from sceneloom.cameras import (
     unproject,
 )
 from sceneloom.errors import ArrayError, CalibrationError
+from sceneloom.kernels.directions import map_directions
 
 SIZE = (640, 480, 500.0, 510.0, 318.7, 243.2)
 BARREL = (-0.3, 0.1, 0.001, -0.002, -0.01)
@@ -241,14 +243,12 @@ def test_coefficients_that_nearly_vanish_change_nothing(tiny):
 
 def run_kernel(camera: Camera, points_world, camera_from_world):
     count = len(points_world)
-    ids, pixels = np.full(count, -1, np.int64), np.full((count, 2), np.nan, np.float32)
-    depths = np.full(count, np.nan, np.float32)
-    kept = projection_kernel(camera.model)(
-        points_world, camera_from_world, lens_vector(camera), camera.width, camera.height, ids, pixels, depths
+    room = PointsInPicture(
+        np.full(count, -1), np.full((count, 2), np.nan, np.float32), *np.full((4, count), np.nan, np.float32)
     )
-    assert (ids[kept:] == -1).all()  # nothing is written beyond what is kept
-    assert np.isnan(depths[kept:]).all()
-    return ids[:kept], pixels[:kept], depths[:kept]
+    kernel, lens = projection_kernel(camera.model), lens_vector(camera)
+    kept = kernel(points_world, camera_from_world, lens, camera.width, camera.height, room)
+    return room.part(0, kept)
 
 
 POSE = np.array([[0.0, -1.0, 0.0, 0.4], [0.0, 0.0, -1.0, 1.5], [1.0, 0.0, 0.0, -0.7]])
@@ -260,27 +260,50 @@ def test_the_hot_path_keeps_what_the_plain_way_sees_in_ascending_order(camera):
     points_world[::97] = np.nan
     points_camera = np.array([POSE[:, :3] @ point + POSE[:, 3] for point in points_world])
     pixels, visible = project(camera, points_camera)
-    ids, found, depths = run_kernel(camera, points_world, POSE)
+    kept = run_kernel(camera, points_world, POSE)
+    ids = kept.point_ids
     assert np.array_equal(ids, np.flatnonzero(visible))
     assert 100 < len(ids) < 4900
-    assert np.abs(found - pixels[ids]).max() < 4e-5  # float32 of up to 640 px
-    assert np.allclose(depths, points_camera[ids, 2], rtol=1e-7, atol=1e-6)
+    assert np.abs(kept.pixels - pixels[ids]).max() < 4e-5  # float32 of up to 640 px
+    assert np.allclose(kept.depths, points_camera[ids, 2], rtol=1e-7, atol=1e-6)
+    assert_looks_as_mapped(kept, points_world, POSE)
+
+
+def assert_looks_as_mapped(kept, points_world, camera_from_world):
+    directions = np.empty((2, len(kept.point_ids)), np.float32)
+    inverse_ranges = np.empty(len(kept.point_ids), np.float32)
+    map_directions(points_world, kept.point_ids, camera_from_world, directions, inverse_ranges)
+    # Of the doubles one may be rounded once less, which tips few of their float32.
+    np.testing.assert_allclose([kept.rightward, kept.downward], directions, atol=5e-7)
+    np.testing.assert_allclose(kept.inverse_ranges, inverse_ranges, rtol=5e-7)
+
+
+@pytest.mark.parametrize("run", [1, 500, 512, 700])
+@pytest.mark.parametrize("count", [1, 511, 512, 3001])
+def test_runs_of_points_inside_and_outside_the_picture_are_told_apart_wherever_they_end(run, count):
+    camera = CAMERAS[0]
+    points = np.random.default_rng(run).uniform((-0.2, -0.2, 1), (0.2, 0.2, 2), (count, 3))
+    points[np.arange(count) // run % 2 == 1, 2] *= -1
+    pixels, visible = project(camera, points)
+    kept = run_kernel(camera, points, np.eye(4)[:3])
+    np.testing.assert_array_equal(kept.point_ids, np.flatnonzero(visible))
+    np.testing.assert_array_equal(kept.pixels, pixels[visible].astype(np.float32))
+    np.testing.assert_array_equal(kept.depths, points[visible, 2].astype(np.float32))
+    assert_looks_as_mapped(kept, points, np.eye(4)[:3])
 
 
 def test_the_hot_path_stores_nothing_that_rounds_to_the_edge():
     camera = Camera("pinhole", 2048, 4, 1.0, 1.0, 0.0, 0.0)
     just_inside = np.nextafter(2047.5, 0.0)  # below the edge in float64, on it once rounded to float32
-    ids, pixels, _ = run_kernel(
-        camera, np.array([[just_inside, 0.0, 1.0], [2047.0, 0.0, 1.0]]), np.eye(4)[:3]
-    )
-    assert ids.tolist() == [1]
-    assert np.floor(pixels[0] + 0.5).tolist() == [2047, 0]
+    kept = run_kernel(camera, np.array([[just_inside, 0.0, 1.0], [2047.0, 0.0, 1.0]]), np.eye(4)[:3])
+    assert kept.point_ids.tolist() == [1]
+    assert np.floor(kept.pixels[0] + 0.5).tolist() == [2047, 0]
 
 
 def test_the_hot_path_takes_arrays_that_nobody_may_write():
     points = np.array([[0.0, 0.0, 1.0]])
     points.flags.writeable = False
-    assert len(run_kernel(CAMERAS[2], points, np.eye(4)[:3])[0]) == 1
+    assert len(run_kernel(CAMERAS[2], points, np.eye(4)[:3]).point_ids) == 1
 
 
 @EACH_CAMERA

@@ -9,6 +9,7 @@ from sceneloom.calibrate.frames import CalibrationFrame
 from sceneloom.calibrate.measures.depth_edges import find_depth_edges
 from sceneloom.calibrate.measures.pictures import DIRECTIONS, LEVELS, MeasuredPicture, measured_picture
 from sceneloom.cameras.models import domain_angle, project_unbounded, projection_kernel, unproject
+from sceneloom.cameras.points_in_picture import PointsInPicture
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 
 TILES_ACROSS, TILES_DOWN = 6, 3
@@ -119,18 +120,12 @@ def project_features(
         lens: as `Change.lens` gives it.
     """
     camera, count = features.picture.camera, len(points_lidar)
-    point_ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
-    kept = projection_kernel(camera.model)(
-        points_lidar,
-        camera_from_points,
-        lens,
-        camera.width,
-        camera.height,
-        point_ids,
-        pixels,
-        np.empty(count, np.float32),
+    room = PointsInPicture(
+        np.empty(count, np.int64), np.empty((count, 2), np.float32), *np.empty((4, count), np.float32)
     )
-    return point_ids[:kept], pixels[:kept]
+    kernel = projection_kernel(camera.model)
+    kept = kernel(points_lidar, camera_from_points, lens, camera.width, camera.height, room)
+    return room.point_ids[:kept], room.pixels[:kept]
 
 
 def _around_view(frame: CalibrationFrame) -> Int64Array:

@@ -1,0 +1,28 @@
+"""What the hot path of the projection writes."""
+
+from typing import NamedTuple
+
+from sceneloom.arrays import Float32Array, Int64Array
+
+
+class PointsInPicture(NamedTuple):
+    """Room for the points of a cloud that fall into a picture, as many rows as the cloud has points.
+
+    Attributes:
+        point_ids: (N,) int64, ascending.
+        pixels: (N, 2) float32 [px].
+        depths: (N,) float32, z in the camera frame [m].
+        rightward, downward: (N,) float32, direction in the equal-area map of `kernels.directions`.
+        inverse_ranges: (N,) float32 [1/m], 0 for a point so near or so far that it has no direction.
+    """
+
+    point_ids: Int64Array
+    pixels: Float32Array
+    depths: Float32Array
+    rightward: Float32Array
+    downward: Float32Array
+    inverse_ranges: Float32Array
+
+    def part(self, start: int, stop: int) -> "PointsInPicture":
+        """Give some rows of all."""
+        return PointsInPicture._make(rows[start:stop] for rows in self)

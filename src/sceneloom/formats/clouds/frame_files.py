@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, UInt8Array
+from sceneloom.arrays import AnyArray, BoolArray, UInt8Array
 from sceneloom.errors import OptionError
 from sceneloom.formats.clouds.columns import FrameColumns, LossTaker, fitted, las_names, single_columns
 from sceneloom.formats.loss import Fate, Loss
@@ -128,10 +128,7 @@ def write_las(path: Path, columns: FrameColumns, place: str, tell: LossTaker) ->
     """Write a LAS or LAZ file, by the ending of its name; places are rounded to steps."""
     import laspy
 
-    finite = np.isfinite(columns.positions).all(axis=1)
-    if not finite.all():
-        what = "points that are not finite are left out"
-        tell(Loss(field=f"{place}.positions", what=what, count=int((~finite).sum())))
+    finite = _finite(columns, place, tell)
     positions = columns.positions[finite].astype(np.float64)
     offsets = np.floor(positions.mean(axis=0)) if len(positions) else np.zeros(3)
     reach = np.abs(positions - offsets).max(initial=0.0)
@@ -157,6 +154,15 @@ def write_las(path: Path, columns: FrameColumns, place: str, tell: LossTaker) ->
     error = float(np.abs(steps * step + offsets - positions).max(initial=0.0))
     told = f"rounded to steps of {step:g} m"
     tell(Loss(field=f"{place}.positions", what=told, fate=Fate.APPROXIMATED, largest_error=error))
+
+
+def _finite(columns: FrameColumns, place: str, tell: LossTaker) -> BoolArray:
+    """Which points are finite, (N,) bool: the others are left out, which is told."""
+    finite: BoolArray = np.asarray(np.isfinite(columns.positions).all(axis=1))
+    if not finite.all():
+        what = "points that are not finite are left out"
+        tell(Loss(field=f"{place}.positions", what=what, count=int((~finite).sum())))
+    return finite
 
 
 def _las_values(columns: FrameColumns, place: str, tell: LossTaker) -> dict[str, AnyArray]:
@@ -214,7 +220,7 @@ def _write_bin(
             tell(Loss(field=f"{place}.{_MODEL_NAMES.get(name, f'extras.{name}')}", what=told))
     if columns.colors is not None:
         tell(Loss(field=f"{place}.colors", what="left out: such files have none"))
-    path.write_bytes(_records(found, count).tobytes())
+    path.write_bytes(_records(found, count)[_finite(columns, place, tell)].tobytes())
 
 
 _MODEL_NAMES = {"offset_ns": "timestamps_ns", "ring": "rings", "camera_index": "camera_index"}

@@ -241,3 +241,28 @@ def test_options_that_cannot_be_followed_are_refused(drive, tmp_path, name, opti
         write_scene(drive, tmp_path / "out", format=name, **options)
     assert problem in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", [*FORMATS, "kitti-bin", "nuscenes-bin"])
+def test_points_without_a_place_are_left_out_of_files_of_bare_numbers(drive, name, tmp_path):
+    lidar = drive.lidars[0]
+    frames = list(lidar.frames)
+    places = frames[0].points.positions.copy()
+    places[::4] = np.nan
+    frames[0] = replace(frames[0], points=replace(frames[0].points, positions=places))
+    holes = replace(lidar, frames=LazyFrames.of(frames, lidar.frames.timestamps_ns))
+    road = LabeledPoints(lidar.id, np.arange(8, dtype=np.uint32), 0)
+    scene = replace(
+        drive,
+        sensors=(holes, *drive.cameras),
+        annotations=(LabeledPointsAnnotation("r", (road,), label="road"),),
+    )
+    losses = write_scene(scene, tmp_path / "out", format=name)
+    assert any("not finite" in loss.what and loss.count == len(places[::4]) for loss in losses)
+    with open_scene(tmp_path / "out") as back:
+        np.testing.assert_array_equal(
+            back.lidars[0].frames[0].points.positions, places[~np.isnan(places[:, 0])]
+        )
+        if name == "kitti-odometry":
+            (told,) = (labeled for found in back.annotations for labeled in found.labeled_points)
+            np.testing.assert_array_equal(np.asarray(told.point_ids), np.arange(6))

@@ -9,7 +9,7 @@ from sceneloom.formats.kitti.odometry.place import CAMERAS, OdometrySequence, re
 from sceneloom.formats.kitti.odometry.written_labels import PointLabels
 from sceneloom.formats.kitti.written.calibration_text import write_calibration
 from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
-from sceneloom.formats.kitti.written.files import write_point_labels
+from sceneloom.formats.kitti.written.files import have_places, write_point_labels
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.places import egos_at, mounted_of
 from sceneloom.formats.kitti.written.target import check_replaceable, kept_calibration, kept_of
@@ -70,7 +70,7 @@ def write_odometry(
             losses.extend(point_time_loss(frame))
             if labels:
                 values = labels.values(int(timeline.sweeps[k]), len(frame.points))
-                write_point_labels(values, folder / "labels" / f"{k:06d}.label")
+                write_point_labels(values[have_places(frame.points)], folder / "labels" / f"{k:06d}.label")
 
         if labels:
             (folder / "labels").mkdir()

@@ -44,6 +44,7 @@ class TurnWriter:
     def write(self, frame: LidarFrame, number: int) -> None:
         """Write a sweep; frames without one have blank lines."""
         self._turns += [None] * (number - len(self._turns))
+        frame = self._files.placed(frame)
         positions = self._files.write(frame, self.folder / "data" / f"{number:010d}.bin")
         self._turns.append(self._turn(frame, positions))
         self._starts.append(frame.timestamp_ns)

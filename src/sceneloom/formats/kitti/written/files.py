@@ -1,18 +1,19 @@
 """Pictures and sweeps as KITTI's files: PNG, and four float32 a point."""
 
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, UInt32Array
+from sceneloom.arrays import BoolArray, Float32Array, UInt32Array
+from sceneloom.editing.chosen_points import chosen_points
 from sceneloom.editing.sensor_frames import points_change
 from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.rig.pictures import PictureFile
-from sceneloom.scene import CameraSensor, LidarFrame, LidarSensor, Picture, PointsFrame
+from sceneloom.scene import CameraSensor, LidarFrame, LidarPoints, LidarSensor, Picture, PointsFrame
 from sceneloom.scene.ego import EgoMotion
 
 _COMPRESSION = 1
@@ -73,6 +74,14 @@ class SweepFiles:
     choice: Choice
     losses: list[Loss] = field(default_factory=list)
 
+    def placed(self, frame: LidarFrame) -> LidarFrame:
+        """The sweep without the points that have no place, which files of bare numbers cannot say."""
+        there = have_places(frame.points)
+        if there.all():
+            return frame
+        self._lose("positions", "points whose place is not finite are left out", int((~there).sum()))
+        return replace(frame, points=chosen_points(frame.points, np.flatnonzero(there)))
+
     def write(self, frame: LidarFrame, path: Path) -> Float32Array:
         """Write a sweep in the lidar's own frame; gives its positions there, (N, 3) float32 [m].
 
@@ -128,6 +137,12 @@ class SweepFiles:
         self.losses.append(
             Loss(field=f"sensors.lidar.frames.points.{name}", what=what, count=count, fate=fate)
         )
+
+
+def have_places(points: LidarPoints) -> BoolArray:
+    """Which points are written, (N,) bool: those whose place is finite."""
+    there: BoolArray = np.asarray(np.isfinite(points.positions).all(axis=1))
+    return there
 
 
 def write_point_labels(values: UInt32Array, path: Path) -> None:

@@ -50,7 +50,7 @@ def write_frames(
         sweep = int(timeline.sweeps[k])
         if choice.lidar is not None and sweep != NONE:
             frame = choice.lidar.frames[sweep]
-            writer.write(frame, sweeps / f"{name(k)}.bin")
+            writer.write(writer.placed(frame), sweeps / f"{name(k)}.bin")
             if told is not None:
                 told(k, frame)
         for number, camera in choice.cameras.items():

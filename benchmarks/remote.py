@@ -1,8 +1,9 @@
 """What reading drives behind URLs costs: bytes, requests and seconds, counted by a store on this machine.
 
-`python -m benchmarks.remote [--only scene|folder|mcap] [--frames 600]`: one frame of a scene file of a gigabyte; what
-`sceneloom info` and five seconds of fusion take of a folder with a drive of a minute, beside fetching it whole by
-s3fs; one sweep of an MCAP file of a gigabyte, beside the `mcap` package's reader on a file of fsspec.
+`python -m benchmarks.remote [--only scene|folder|mcap|video] [--frames 600]`: one frame of a scene file of a gigabyte;
+what `sceneloom info` and five seconds of fusion take of a folder with a drive of a minute, beside fetching it whole by
+s3fs; one sweep of an MCAP file of a gigabyte, beside the `mcap` package's reader on a file of fsspec; one picture of
+a recording's video, beside PyAV on one.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import av
 import fsspec
 import numpy as np
 from mcap.reader import make_reader
@@ -159,13 +161,65 @@ def read_log(bucket: Bucket, address: str, frames: int) -> None:
     scenes[0].close()
 
 
+def write_film(folder: Path, pictures: int) -> None:
+    """A recording with a video of noise that moves, in groups of 20 pictures."""
+    folder.mkdir()
+    lens = {"model": "pinhole", "focalLengthX": 900, "focalLengthY": 900}
+    camera = {"cameraInd": 0, "cameraParameters": {**lens, "principalPointX": 640, "principalPointY": 360}}
+    lines = [json.dumps({"time": k / 10, "number": k, "frames": [camera]}) for k in range(pictures)]
+    (folder / "data.jsonl").write_text("\n".join(lines) + "\n")
+    noise = np.random.default_rng(0).integers(0, 256, (720, 1280, 3), np.uint8)
+    with av.open(folder / "data.mp4", "w") as movie:
+        stream = movie.add_stream("libx264", rate=10, options={"preset": "ultrafast", "g": "20", "crf": "18"})
+        stream.width, stream.height = 1280, 720
+        for k in range(pictures):
+            movie.mux(stream.encode(av.VideoFrame.from_ndarray(np.roll(noise, 3 * k, 1), format="rgb24")))
+        movie.mux(stream.encode())
+
+
+def picture_by_peer(address: str, seconds: float) -> None:
+    """One picture by PyAV, on a file of fsspec."""
+    with fsspec.open(address, "rb") as file, av.open(file) as movie:
+        (stream,) = movie.streams.video
+        movie.seek(int(seconds / stream.time_base), stream=stream)
+        next(frame for frame in movie.decode(stream) if frame.time >= seconds - 0.01).to_ndarray(
+            format="rgb24"
+        )
+
+
+def measure_video(folder: Path, frames: int, latency: float) -> None:
+    write_film(folder / "film", frames)
+    size = (folder / "film" / "data.mp4").stat().st_size
+    print(f"a recording with an mp4 video of {size / 1e6:.0f} MB, {frames} pictures:")
+    with Bucket(folder, latency) as bucket:
+        os.environ |= {
+            "AWS_ACCESS_KEY_ID": "whoever",
+            "AWS_SECRET_ACCESS_KEY": "whatever",
+            "AWS_DEFAULT_REGION": "us-east-1",
+            "AWS_ENDPOINT_URL": bucket.address,
+        }
+        scenes = []
+        print("  opening    ", counted(bucket, lambda: scenes.append(sceneloom.open("s3://b/film"))))
+        middle = frames // 2 + 10  # of a group
+        (camera,) = scenes[0].cameras
+        print("  one picture", counted(bucket, lambda: camera.pictures[middle].rgb))
+        address = f"{bucket.address}/b/film/data.mp4"
+        print(
+            "  both       ",
+            counted(bucket, lambda: picture_by_peer(address, middle / 10)),
+            "by PyAV on fsspec",
+        )
+        print("  all        ", counted(bucket, lambda: [picture.rgb.shape for picture in camera.pictures]))
+        scenes[0].close()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--latency", type=float, default=0.02, help="of each answer [s]")
-    parser.add_argument("--only", choices=("scene", "folder", "mcap"))
+    parser.add_argument("--only", choices=("scene", "folder", "mcap", "video"))
     given = parser.parse_args()
-    parts = {"scene": measure_scene, "folder": measure_folder, "mcap": measure_log}
+    parts = {"scene": measure_scene, "folder": measure_folder, "mcap": measure_log, "video": measure_video}
     for name, measure in parts.items():
         if given.only in {None, name}:
             with TemporaryDirectory() as folder:

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections import Counter, OrderedDict
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, suppress
@@ -15,7 +16,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.remote.faults import CutShortError, faults
 from sceneloom.formats.remote.patience import PATIENCE, patiently
 from sceneloom.formats.remote.ranged import SIDE_BY_SIDE
-from sceneloom.formats.remote.stores import Store, open_store
+from sceneloom.formats.remote.stores import Handle, Store, open_store
 from sceneloom.redaction import redacted
 
 LEFT_FREE = 1 << 30
@@ -32,6 +33,15 @@ _AHEAD_BYTES = 256 << 20
 
 HEAD = 64 << 10
 """So much is fetched of a file of which only the first bytes are looked at [bytes]."""
+
+PIECE = 256 << 10
+"""Length of the pieces that a file comes in where it is not fetched whole [bytes]."""
+
+_PIECES = 128
+"""So many pieces are remembered."""
+
+_MUCH = 0.25
+"""Of a file of which this share was read in pieces all is fetched: who goes on would wait for each of the others."""
 
 _HEADS = 256
 """So many of them are remembered: all formats look at the same files."""
@@ -108,6 +118,9 @@ class Mirror:
         self._coming: dict[str, Future[None]] = {}
         self._last: dict[str, int] = {}
         self._heads: dict[str, bytes] = {}
+        self._pieces: OrderedDict[tuple[str, int], bytes] = OrderedDict()
+        self._read: Counter[str] = Counter()
+        self._handles: dict[str, list[Handle]] = {}
         self._since_counted = listing.largest
 
     def file(self, name: str) -> ListedFile | None:
@@ -152,6 +165,47 @@ class Mirror:
         with closing(self._there(file).handle(file.size)) as handle:
             return handle.read(0, min(HEAD, file.size), seconds=PATIENCE.answer)
 
+    def read_much(self, file: ListedFile) -> bool:
+        """Whether so many pieces of a file were fetched that all of it had better be."""
+        return self._read[file.name] > _MUCH * file.size
+
+    def piece(self, file: ListedFile, number: int) -> bytes:
+        """Fetch a piece of a file, `PIECE` bytes but for the last one; those of a moment ago are remembered.
+
+        Raises:
+            DataError: it cannot be read, or the file was changed after the folder was opened.
+        """
+        key = file.name, number
+        with self._lock:
+            known = self._pieces.get(key)
+        if known is not None:
+            return known
+        with faults(self.listing.url, redacted(file.name)):
+            content = patiently(lambda: self._bytes(file, number * PIECE))
+            self._check(file, self._there(file))
+        with self._lock:
+            self._read[file.name] += len(content)
+            self._pieces[key] = content
+            while len(self._pieces) > _PIECES:
+                self._pieces.popitem(last=False)
+        return content
+
+    def _bytes(self, file: ListedFile, start: int) -> bytes:
+        """Ask for a piece once, by a connection that stays for the next one."""
+        with self._lock:
+            free = self._handles.setdefault(file.name, [])
+            handle = free.pop() if free else None
+        if handle is None:
+            handle = self._there(file).handle(file.size)
+        try:
+            content = handle.read(start, min(start + PIECE, file.size), seconds=PATIENCE.answer)
+        except BaseException:
+            handle.close()
+            raise
+        with self._lock:
+            free.append(handle)
+        return content
+
     def gather(self, files: Iterable[ListedFile]) -> None:
         """Have files on disk, side by side, right after they were listed.
 
@@ -170,6 +224,9 @@ class Mirror:
         """Fetch nothing more."""
         with self._lock:
             crew, self._crew = self._crew, None
+            handles, self._handles = self._handles, {}
+        for handle in (handle for free in handles.values() for handle in free):
+            handle.close()
         if crew is not None:
             crew.shutdown(cancel_futures=True)
 

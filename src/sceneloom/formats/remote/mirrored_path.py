@@ -4,17 +4,21 @@ import io
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self, cast
 
 import msgspec
 
+from sceneloom.formats.byte_stream import ByteStream
 from sceneloom.formats.remote.late_file import LateFile
-from sceneloom.formats.remote.mirror import HEAD, ListedFile, Listing, Mirror
+from sceneloom.formats.remote.mirror import HEAD, PIECE, ListedFile, Listing, Mirror
 
 WORKPLACE = "sceneloom-"
 """What the names of the folders begin with that trees are planted in."""
 
 _LISTING = "listing.json"
+
+_WORTHWHILE = 4 << 20
+"""Smaller files are fetched whole by those who could do with pieces [bytes]."""
 
 _open: dict[tuple[int, str], Mirror] = {}
 """What processes fetch from: by their number, since a forked one must begin anew, and the tops of trees."""
@@ -57,6 +61,13 @@ class MirroredPath(_Path):
         late = LateFile(mirror, file, str(self))
         return late if buffering == 0 else io.BufferedReader(late)
 
+    def in_pieces(self) -> "Pieces | None":
+        """Its bytes for those who read here and there; None where it had better be fetched, or is on disk."""
+        mirror, file = _find(str(self))
+        if mirror is None or file is None or file.size < _WORTHWHILE or mirror.is_near(file):
+            return None
+        return Pieces(self)
+
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
         """Look at it; a file that was not fetched yet is as long as it is in the store."""
         found = self._plain().stat(follow_symlinks=follow_symlinks)
@@ -87,6 +98,40 @@ class MirroredPath(_Path):
 
     def _plain(self) -> Path:
         return Path(str(self))
+
+
+class Pieces:
+    """The bytes of a file of a mirror, fetched as they are looked at: whole once much of it was."""
+
+    def __init__(self, path: MirroredPath) -> None:
+        """Nothing is fetched yet."""
+        self.path = path
+
+    def __len__(self) -> int:
+        return self._found()[1].size
+
+    def __getitem__(self, part: slice) -> bytes:
+        mirror, file = self._found()
+        start, stop, _ = part.indices(file.size)
+        if mirror.is_near(file) or mirror.read_much(file):
+            with open(self.path, "rb") as whole:  # noqa: PTH123 - which has it fetched
+                whole.seek(start)
+                return whole.read(max(stop - start, 0))
+        if stop <= HEAD:
+            return mirror.head(file)[start:stop]
+        first = start // PIECE
+        pieces = [mirror.piece(file, number) for number in range(first, -(-stop // PIECE))]
+        return b"".join(pieces)[start - first * PIECE : stop - first * PIECE] if start < stop else b""
+
+    def __call__(self) -> BinaryIO:
+        """Open them as a file."""
+        return cast("BinaryIO", io.BufferedReader(ByteStream(self), PIECE))
+
+    def _found(self) -> tuple[Mirror, ListedFile]:
+        mirror, file = _find(str(self.path))
+        if mirror is None or file is None:
+            raise FileNotFoundError(f"{self.path}: the drive is closed")
+        return mirror, file
 
 
 def plant(listing: Listing) -> MirroredPath:

@@ -1,5 +1,6 @@
 """Frame-exact reading of a video: any picture by its number; forward without seeking or decoding twice."""
 
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -23,6 +24,10 @@ from sceneloom.formats.video.source import (
     open_bytes,
     source_name,
 )
+from sceneloom.formats.video.table_index import read_table_index
+
+_TABLES = b"ftyp"
+"""What mp4 and mov videos begin with after four bytes: their tables say where each picture is. Matroska has none."""
 
 _STEPS = ("gray16le", "gray16be")
 """FFmpeg's names of pixels that are one 16-bit number each."""
@@ -308,4 +313,10 @@ def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = 
     Raises:
         DataError: it is no video, or holds no video stream.
     """
+    in_pieces = getattr(source, "in_pieces", None)  # of a file that is not on disk yet
+    content = in_pieces() if in_pieces is not None and not cut_off else None
+    if content is not None and bytes(content[4:8]) == _TABLES:
+        shown = source_name(source, name)
+        with suppress(DataError):  # what is wrong with it, all of it tells
+            return VideoReader(content, name=shown, index=read_table_index(content, shown))
     return VideoReader(source, name=name, cut_off=cut_off)

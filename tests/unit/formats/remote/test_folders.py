@@ -8,18 +8,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.remote import fetch, mirror, stores
+from sceneloom.formats.remote import fetch, mirror, mirrored_path, stores
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 COUNT = 40
 POINTS = 8_000
+PICTURES = 200
 FILE = POINTS * 16
 """What one of the clouds takes [bytes]; more than the beginning of a file that is looked at."""
 
@@ -135,6 +137,73 @@ def test_other_processes_fetch_what_they_read(clouds, tmp_path):
             assert json.loads(one.stdout) == expected
         # and what they closed is still there for this one
         np.testing.assert_array_equal(scene.lidars[0].frames[30].points.positions, cloud(30))
+
+
+@pytest.fixture
+def filmed(tmp_path, monkeypatch):
+    """A recording with an mp4 of noise, in groups of ten pictures; a store of this machine serves it."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(mirrored_path, "_WORTHWHILE", 100_000)
+    for module in (mirror, mirrored_path):
+        monkeypatch.setattr(module, "HEAD", 8192)
+        monkeypatch.setattr(module, "PIECE", 16384)
+    lens = {
+        "model": "pinhole",
+        "focalLengthX": 90,
+        "focalLengthY": 90,
+        "principalPointX": 64,
+        "principalPointY": 64,
+    }
+    lines = [
+        {"time": 0.1 * k, "number": k, "frames": [{"cameraInd": 0, "cameraParameters": lens}]}
+        for k in range(PICTURES)
+    ]
+    folder = tmp_path / "filmed"
+    folder.mkdir()
+    (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    rng = np.random.default_rng(3)
+    with av.open(folder / "data.mp4", "w") as movie:
+        stream = movie.add_stream("libx264", rate=10, options={"preset": "ultrafast", "g": "10", "bf": "2"})
+        stream.width = stream.height = 128
+        for _ in lines:
+            frame = av.VideoFrame.from_ndarray(rng.integers(0, 256, (128, 128, 3), np.uint8), format="rgb24")
+            movie.mux(stream.encode(frame))
+        movie.mux(stream.encode())
+    return folder
+
+
+def test_pictures_of_an_mp4_come_in_pieces_until_much_of_it_was_read(filmed, fetched, monkeypatch):
+    sent, read = [], stores.Handle.read
+
+    def counted(self, start, stop, **how):
+        sent.append(stop - start)
+        return read(self, start, stop, **how)
+
+    monkeypatch.setattr(stores.Handle, "read", counted)
+    size = (filmed / "data.mp4").stat().st_size
+    with sceneloom.open(filmed) as local, sceneloom.open(f"local://{filmed}") as scene:
+        expected, pictures = local.cameras[0].pictures, scene.cameras[0].pictures
+        assert len(pictures) == PICTURES
+        elsewhere = pickle.loads(pickle.dumps(pictures))
+        for k in (101, 102):
+            np.testing.assert_array_equal(elsewhere[k].rgb, expected[k].rgb)
+        np.testing.assert_array_equal(pictures[102].rgb, expected[102].rgb)
+        assert fetched == ["data.jsonl"]
+        assert sum(sent) < size / 4
+        for k in range(PICTURES):
+            np.testing.assert_array_equal(pictures[k].rgb, expected[k].rgb)
+        assert fetched == ["data.jsonl", "data.mp4"]
+        with scene.cameras[0].video.open() as video:
+            assert video.read() == (filmed / "data.mp4").read_bytes()
+
+
+def test_an_mp4_that_changed_since_the_folder_was_opened_is_an_error(filmed):
+    with sceneloom.open(f"local://{filmed}") as scene:
+        content = bytearray((filmed / "data.mp4").read_bytes())
+        content[len(content) // 2] ^= 1
+        (filmed / "data.mp4").write_bytes(content)
+        with pytest.raises(DataError, match="was changed after it was opened"):
+            scene.cameras[0].pictures[101].rgb  # noqa: B018
 
 
 def test_what_gets_around_the_fetching_finds_nothing_rather_than_zeros(clouds):

@@ -24,9 +24,9 @@ class Counted:
         return piece
 
 
-def encoded(path, codec, options, *, flags="", pictures=40):
+def encoded(path, codec, options, *, flags="", pictures=40, form="mp4"):
     rng = np.random.default_rng(5)
-    movie = av.open(path, "w", format="mp4", options={"movflags": flags} if flags else {})
+    movie = av.open(path, "w", format=form, options={"movflags": flags} if flags else {})
     stream = movie.add_stream(codec, rate=10, options=options)
     stream.width = stream.height = 128
     for _ in range(pictures):
@@ -56,6 +56,14 @@ def test_tables_tell_what_a_walk_through_all_packets_tells(tmp_path, codec, opti
     for name in ("pts", "positions", "entries"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     assert (found.timed, found.hidden) == (expected.timed, expected.hidden)
+
+
+def test_a_quicktime_file_has_such_tables_too(tmp_path):
+    content = encoded(tmp_path / "video.mov", "libx264", {"bf": "3", "g": "12"}, form="mov")
+    assert content[4:12] == b"ftypqt  "
+    found, expected = read_table_index(content, "video"), read_index(content, "video")
+    for name in ("pts", "positions", "entries"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_pictures_are_not_read(tmp_path):

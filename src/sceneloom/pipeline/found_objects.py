@@ -145,7 +145,11 @@ def _track_objects(
 
 
 def open_sequences(
-    path: str | Path, chosen: DetectionInput, *, lenient: bool = False
+    path: str | Path,
+    chosen: DetectionInput,
+    *,
+    lenient: bool = False,
+    reading: Mapping[str, Any] | None = None,
 ) -> KittiTracking | None:
     """Open a folder of KITTI's sequences, as `track_objects` does; None for any other path.
 
@@ -153,7 +157,10 @@ def open_sequences(
         OptionError: an option does not concern such a folder.
         DataError: it cannot be read.
     """
-    return _kitti(path, chosen, lenient=lenient) if _is_kitti(path, chosen) else None
+    if not _is_kitti(path, chosen):
+        return None
+    _refuse_part(path, reading)
+    return _kitti(path, chosen, lenient=lenient)
 
 
 @contextmanager

@@ -88,7 +88,7 @@ def _track(
     del how["progress"]
     if how["settings"].offline:
         raise OptionError("--offline smooths over a drive as a whole; leave it out, or --parts")
-    folder = open_sequences(path, chosen, lenient=lenient)
+    folder = open_sequences(path, chosen, lenient=lenient, reading=reading)
     if folder is not None:
         return _track_sequences(piece, target, folder, output, sequences=chosen.sequences, **how)
     with open_listed(path, chosen, lenient=lenient, reading=reading) as (scene, files):

@@ -34,7 +34,6 @@ from benchmarks.street import CAMERA_WORLD, LIDAR_WORLD, make_street
 from benchmarks.visibility_in_numpy import find_visible_in_numpy
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector, projection_kernel
-from sceneloom.cameras.points_in_picture import PointsInPicture
 from sceneloom.colouring import LidarWay, ViewRequest, VisibilitySettings, algorithms, fuse_by_projection
 from sceneloom.colouring import views as view_module
 from sceneloom.colouring import visibility as visibility_module
@@ -323,6 +322,7 @@ def show_rig(count, repetitions):
 def show_lenses(count, repetitions):
     """Projection into the picture by each model, beside the pinhole's."""
     from benchmarks.cameras import LENSES
+    from sceneloom.cameras import PointsInPicture  # as in `spent_by_two`
 
     points, matrix = make_street(count), place_camera().inverse().matrix
     ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)

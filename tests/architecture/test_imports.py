@@ -43,6 +43,7 @@ WRAPPERS = {
     "PIL": {"formats", "pictures", "simulate"},
     "small_gicp": {"motion"},
     "laspy": {"formats"},
+    "lazrs": {"formats"},
     "pyarrow": {"formats", "catalog"},
     "duckdb": {"catalog"},
     "fsspec": {"formats"},

@@ -118,3 +118,30 @@ def test_folders_and_missing_files_are_refused(tmp_path, suffix):
     for path in (tmp_path / f"a.{suffix}", tmp_path / f"none.{suffix}"):
         with pytest.raises(DataError, match="cannot be read"):
             read_cloud(path)
+
+
+def laz(path: Path) -> bytes:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales = np.full(3, 0.001)
+    points = laspy.LasData(header)
+    points.x = points.y = points.z = np.arange(300) / 7.0
+    points.write(str(path))
+    return path.read_bytes()
+
+
+def test_no_byte_of_a_table_of_chunks_ends_the_process(tmp_path):
+    whole = laz(tmp_path / "whole.laz")
+    assert read_cloud(tmp_path / "whole.laz").count == 300
+    start = struct.unpack_from("<I", whole, 96)[0]
+    table = struct.unpack_from("<q", whole, start)[0]
+    places = [start, start + 7, *range(table, len(whole))]
+    for place, bit in ((place, bit) for place in places for bit in range(8)):
+        content = bytearray(whole)
+        content[place] ^= 1 << bit
+        read(tmp_path / "changed.laz", bytes(content))
+    many = bytearray(whole)
+    struct.pack_into("<I", many, table + 4, 1_851_981_824)
+    (tmp_path / "many.laz").write_bytes(bytes(many))
+    with pytest.raises(DataError, match=rf"byte {table + 4}: 1851981824 chunks; expected"):
+        read_cloud(tmp_path / "many.laz")

@@ -3,9 +3,10 @@
 Source: "LAS Specification 1.4 - R15", American Society for Photogrammetry and Remote Sensing, 2019.
 """
 
+import struct
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -121,6 +122,8 @@ def read_las(path: Path) -> Cloud:
         try:
             with laspy.open(stream, closefd=False) as file:
                 check_count(path, "header", int(file.header.point_count))
+                if file.header.are_points_compressed:
+                    _check_chunks(path, stream, file.header)
                 points = file.read()
                 columns, head = _columns(points), _head(file.header)
         except (DataError, OSError, MemoryError):
@@ -130,6 +133,39 @@ def read_las(path: Path) -> Cloud:
             told = str(error) or type(error).__name__
             raise DataError(path, "", f"cannot be read: {told}; expected a LAS file") from error
     return Cloud(path, len(columns["x"]), columns, MappingProxyType(head))
+
+
+def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
+    """Refuse a table of chunks that says more than a file can hold: what unpacks LAZ ends the process over it.
+
+    Source: "LASzip: lossless compression of LiDAR data", Isenburg 2013: point data begin with the place of the table,
+    -1 where that stands in the last bytes of the file; the table with its version and the number of chunks, each of
+    which begins with a point as it is.
+    """
+    import lazrs
+
+    size, before = path.stat().st_size, stream.tell()
+    place = _number(stream, int(header.offset_to_point_data), "<q")
+    if place == -1:
+        place = _number(stream, size - 8, "<q")
+    count = _number(stream, place + 4, "<I")
+    most = size // int(header.point_format.size) + 1
+    if count > most:
+        raise DataError(
+            path, f"byte {place + 4}", f"{count} chunks; expected {most} or fewer in {size} bytes"
+        )
+    stream.seek(int(header.offset_to_point_data))
+    chunks = lazrs.read_chunk_table(stream, lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data))
+    told = sum(length for _, length in chunks)
+    if told > size:
+        raise DataError(path, f"byte {place}", f"chunks of {told} bytes in all; the file has {size}")
+    stream.seek(before)
+
+
+def _number(stream: BinaryIO, place: int, form: str) -> int:
+    stream.seek(place)
+    found: tuple[int] = struct.unpack(form, stream.read(struct.calcsize(form)))
+    return found[0]
 
 
 def _head(header: Any) -> dict[str, Any]:

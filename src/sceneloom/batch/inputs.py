@@ -13,7 +13,8 @@ from sceneloom.formats.urls import is_url
 PART = ("start", "stop")
 """What a line of a list may say of its drive beside the path: the seconds between which it counts."""
 
-READING = "reading."
+_READING = "reading"
+READING = f"{_READING}."
 """Before the name of an option that a line says its drive is to be opened with."""
 
 _LONGEST = 1e10
@@ -89,6 +90,9 @@ def _line(line: str, file: Path, number: int) -> Input:
     path = told.pop("path", None)
     if not isinstance(path, str) or not path:
         raise DataError(file, place, f"path {path!r}; expected the path of a drive")
+    unknown = [name for name in told if name not in (*PART, _READING)]
+    if unknown:
+        raise DataError(file, place, f"{unknown[0]!r}; expected path, {', '.join(PART)} and {_READING} only")
     part = {name: told[name] for name in PART if told.get(name) is not None}
     for name, value in part.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < _LONGEST:
@@ -96,7 +100,7 @@ def _line(line: str, file: Path, number: int) -> Input:
             raise DataError(
                 file, place, f"{name} {said}; expected seconds from the beginning of the drive on"
             )
-    return Input(place=_beside(file, path), options={**part, **_reading(told.get("reading"), file, place)})
+    return Input(place=_beside(file, path), options={**part, **_reading(told.get(_READING), file, place)})
 
 
 def _reading(told: Any, file: Path, place: str) -> dict[str, str | bool]:

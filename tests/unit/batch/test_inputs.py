@@ -41,6 +41,7 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
             '{"path": "a", "reading": {"sequence": 3}}',
             "reading {'sequence': 3}; expected options by their names",
         ),
+        ('{"path": "a", "stat": 3}', "line 1: 'stat'; expected path, start, stop and reading only"),
         ('{"path": ', "expected a path or an object"),
     ],
 )

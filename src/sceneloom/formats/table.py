@@ -149,9 +149,18 @@ def find_format(path: Path) -> Format:
 
 def _guesses(path: Path) -> list[str]:
     """What a person may have meant: what nearly is of a format, and what lies right inside of a folder."""
+    if _is_empty(path):
+        return ["it is empty"]
     near = {form.name: _near_miss(form, path) for form in map(format_named, FORMATS) if reads(form)}
     told = [f"{name}? {guess}" for name, guess in near.items() if guess]
     return told or _inside(path)
+
+
+def _is_empty(path: Path) -> bool:
+    try:
+        return not any(path.iterdir()) if path.is_dir() else path.stat().st_size == 0
+    except OSError:
+        return False
 
 
 def _inside(path: Path) -> list[str]:

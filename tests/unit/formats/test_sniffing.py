@@ -47,6 +47,14 @@ def test_a_path_that_nothing_knows_lists_all_formats_that_are_read(tmp_path):
     assert all(f"{name}, {format_named(name).looks_like}" in str(caught.value) for name in named)
 
 
+def test_what_is_empty_is_told_to_be(tmp_path):
+    (tmp_path / "nothing.sfs").write_bytes(b"")
+    (tmp_path / "folder").mkdir()
+    for name in ("nothing.sfs", "folder"):
+        with pytest.raises(UnknownFormatError, match=r"no reader knows this; it is empty; expected one of"):
+            find_format(tmp_path / name)
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_no_format_claims_an_empty_folder_or_a_file_of_noise(name, tmp_path):
     (tmp_path / "noise").write_bytes(bytes(range(256)) * 9)

@@ -3,9 +3,37 @@
 import json
 import shutil
 
+import pytest
+
 import sceneloom
+from sceneloom.batch.working import run_task
 from sceneloom.cli.batch.one_drive import BATCHED, verb_named
 from sceneloom.scene.span import time_span
+
+
+@pytest.fixture
+def inline(monkeypatch):
+    """Workers in this process, which need not be started."""
+
+    class Inline:
+        def __init__(self, *_):
+            self.ended = []
+
+        @property
+        def free(self):
+            return 1 - len(self.ended)
+
+        def submit(self, task):
+            self.ended.append((task, run_task(task)))
+
+        def finished(self, _):
+            ended, self.ended = self.ended, []
+            return ended
+
+        def stop(self):
+            self.ended.clear()
+
+    monkeypatch.setattr("sceneloom.batch.running.ProcessPool", Inline)
 
 
 def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, recording, tmp_path):
@@ -26,6 +54,7 @@ def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, rec
     assert json.loads(again.out)["skipped"] == 1
 
 
+@pytest.mark.usefixtures("inline")
 def test_parts_of_drives_are_those_of_a_list_or_of_the_options(call, recording, tmp_path):
     parts = tmp_path / "parts.jsonl"
     with sceneloom.open(recording) as scene:
@@ -45,6 +74,7 @@ def test_parts_of_drives_are_those_of_a_list_or_of_the_options(call, recording, 
     assert (checked["passed"], checked["profile"]) == (True, "sfs")
 
 
+@pytest.mark.usefixtures("inline")
 def test_what_is_written_beside_the_output_is_of_each_drive_its_own(call, recording, tmp_path):
     other = tmp_path / "other"
     shutil.copytree(recording, other)

@@ -11,12 +11,13 @@ import pytest
 
 from sceneloom.batch.pieces import cut_times
 from sceneloom.errors import DataError, OptionError
+from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.motion.odometry import OdometryRun, lidar_odometry
 from sceneloom.pipeline import FusionOutputs, fuse
 from sceneloom.pipeline.fusing.parts import fuse_part, join_fused, reference_times
-from sceneloom.pipeline.parts.odometry import follow_part, goes_by_sweeps, join_ways
+from sceneloom.pipeline.parts.odometry import follow_part, goes_by_sweeps, join_ways, read_way
 from sceneloom.pipeline.parts.records import read_records, writing_records
-from sceneloom.scene import GnssSensor, LazyFrames, LidarSensor, Scene
+from sceneloom.scene import GnssSensor, LazyFrames, LidarSensor, PosePath, Scene
 from sceneloom.simulate import LidarSpec, simulate_street
 
 SECONDS = 0.2
@@ -113,7 +114,8 @@ def ways(scene: Scene, folder: Path, spans: Sequence[tuple[int, int]]) -> Odomet
     for k, span_ns in enumerate(spans):
         files.append(folder / f"way{k}")
         follow_part(scene, files[-1], span_ns=span_ns)
-    return join_ways(files, scene.source)
+    join_ways(files, folder / "way", scene.source)
+    return read_way(folder / "way")
 
 
 @pytest.mark.slow
@@ -129,6 +131,16 @@ def test_the_way_found_in_parts_is_that_of_a_single_run(tmp_path: Path) -> None:
     # each of three joints errs by a few millimetres and tenths of a milliradian
     assert apart.max() < 0.02 + 1e-3 * length
     assert apart[joined.timestamps_ns < spans[0][1] - 10**8].max() == 0.0
+    truth = drive.truth.world_from_ego(single.timestamps_ns)
+    ends = [end_from_first(way) for way in (truth, single.poses, joined.poses)]
+    errors = [float(np.linalg.norm(end - ends[0])) for end in ends[1:]]
+    assert errors[1] < errors[0] + 2e-4 * length
+
+
+def end_from_first(path: PosePath) -> np.ndarray:
+    """The last position as seen from the first pose."""
+    turn = matrix_from_quaternion(path.quaternions_xyzw)[0]
+    return np.asarray((path.positions[-1] - path.positions[0]) @ turn)
 
 
 def test_the_way_of_one_part_is_that_of_the_whole(drive: Scene, tmp_path: Path) -> None:

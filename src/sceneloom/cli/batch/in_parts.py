@@ -24,6 +24,9 @@ WHOLE: Mapping[str, str] = MappingProxyType(
 )
 """Verbs that do a drive in one piece, and why."""
 
+_FOLLOWING = frozenset({"odometry", "way"})
+"""What is done first where the way is found from the sweeps."""
+
 
 def check_parts(verb: str) -> None:
     """Refuse to split drives for a verb that does them in one piece.
@@ -58,9 +61,9 @@ def _fuse(piece: Mapping[str, Any], target: Path, scene: "Scene", **how: Any) ->
         check_outputs_of_parts(outputs)
         part = cut_scene(scene, start=how["start"], stop=how["stop"])
         return _stages("fuse", part, reference_times(part), piece, how["trajectory"])
-    if piece["work"] == "odometry":
+    if piece["work"] in _FOLLOWING:
         return _follow(piece, target, cut_scene(scene, start=how["start"], stop=how["stop"]), how["lenient"])
-    way = _way(piece, scene)
+    way = _way(piece)
     if piece["work"] == "join":
         return join_fused(scene, stage_files(piece), outputs=outputs, odometry=way, **how)
     return fuse_part(
@@ -94,9 +97,9 @@ def _track(
     with open_listed(path, chosen, lenient=lenient, reading=reading) as (scene, files):
         if piece["work"] == "plan":
             return _stages("track", scene, reference_times(scene), piece, files.trajectory)
-        if piece["work"] == "odometry":
+        if piece["work"] in _FOLLOWING:
             return _follow(piece, target, scene, lenient)
-        drive = scene_drive(scene, files, lenient=lenient, odometry=_way(piece, scene))
+        drive = scene_drive(scene, files, lenient=lenient, odometry=_way(piece))
         if piece["work"] == "join":
             return track_joined(drive, scene, stage_files(piece), output, **how)
         return _track_part(piece, target, drive, how)
@@ -148,19 +151,23 @@ def _stages(
     spans = cut_times(times_ns, seconds=piece["seconds"], count=piece["count"])
     if len(spans) == 1 or annotations_need_way(scene, trajectory):
         return []
-    works = [*(["odometry"] if goes_by_sweeps(scene, trajectory) else []), work]
-    return [[{"work": each, "span_ns": list(span)} for span in spans] for each in works]
+    own = [[{"work": each, "span_ns": list(span)} for span in spans] for each in ("odometry", work)]
+    return [own[0], [{"work": "way"}], own[1]] if goes_by_sweeps(scene, trajectory) else own[1:]
 
 
 def _follow(piece: Mapping[str, Any], target: Path, scene: "Scene", lenient: bool) -> int:
-    from sceneloom.pipeline.parts.odometry import follow_part
+    """Find the ego's way through a part of a drive, or make one way of those of all parts."""
+    from sceneloom.batch.pieces import stage_files
+    from sceneloom.pipeline.parts.odometry import follow_part, join_ways
 
+    if piece["work"] == "way":
+        return join_ways(stage_files(piece, 0), target, scene.source)
     return follow_part(scene, target, span_ns=tuple(piece["span_ns"]), lenient=lenient)
 
 
-def _way(piece: Mapping[str, Any], scene: "Scene") -> "OdometryRun | None":
-    """The way of all parts, where an earlier stage has found it."""
+def _way(piece: Mapping[str, Any]) -> "OdometryRun | None":
+    """The way of all parts, where earlier stages have found it."""
     from sceneloom.batch.pieces import stage_files
-    from sceneloom.pipeline.parts.odometry import join_ways
+    from sceneloom.pipeline.parts.odometry import read_way
 
-    return join_ways(stage_files(piece, 0), scene.source) if len(piece["stages"]) > 1 else None
+    return read_way(stage_files(piece, 1)[0]) if len(piece["stages"]) > 1 else None

@@ -18,10 +18,11 @@ from sceneloom.motion.odometry import (
 )
 from sceneloom.motion.odometry.motion_state import MotionState
 from sceneloom.pipeline.parts.records import read_records, writing_records
-from sceneloom.scene import Coordinates, Notice, Scene
+from sceneloom.scene import Coordinates, Notice, Scene, Trajectory
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.sensor_sources import needs_ego
 
+_WAY = ("timestamps_ns", "positions", "quaternions_xyzw", "covariances")
 _STATE = ("rotation", "position", "turn_rate", "velocity", "covariance")
 
 
@@ -61,18 +62,36 @@ def follow_part(scene: Scene, target: Path, *, span_ns: tuple[int, int], lenient
     return piece.clouds
 
 
-def join_ways(files: Sequence[Path], source: str) -> OdometryRun:
-    """Make one way of those of all parts.
+def join_ways(files: Sequence[Path], target: Path, source: str) -> int:
+    """Make one way of those of all parts, and keep it for `read_way`; gives how many poses it has.
 
     Args:
         files: as `follow_part` wrote them, in the order of time.
+        target: the file to write.
         source: the drive, for messages.
 
     Raises:
         PoseError: they cannot be joined.
         DataError: a file is damaged.
     """
-    return joined_odometry([_read(file) for file in files], source=source)
+    run = joined_odometry([_read(file) for file in files], source=source)
+    columns = {name: getattr(run.trajectory, name) for name in _WAY}
+    arrays = {name: column for name, column in columns.items() if column is not None}
+    with writing_records(target) as records:
+        records.add({"name": run.trajectory.name, "notices": msgspec.to_builtins(run.notices)}, arrays)
+    return len(run.trajectory.timestamps_ns)
+
+
+def read_way(file: Path) -> OdometryRun:
+    """Read what `join_ways` wrote.
+
+    Raises:
+        DataError: the file is damaged.
+    """
+    values, arrays = next(read_records(file))
+    way: dict[str, Any] = {name: arrays.get(name) for name in _WAY}
+    notices = msgspec.convert(values["notices"], tuple[Notice, ...])
+    return OdometryRun(Trajectory(values["name"], **way), notices)
 
 
 def _read(file: Path) -> OdometryPiece:

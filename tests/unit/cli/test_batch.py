@@ -42,14 +42,16 @@ def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, rec
     assert outcome.code == 1
     assert "validate: 2 drives" in outcome.out
     assert "1 done, 1 failed" in outcome.out
-    assert f"failed: {missing}: {missing}: no such file or folder" in outcome.err
+    assert f"failed: {missing}: no such file or folder" in outcome.err
     report = json.loads((tmp_path / "out" / f"{recording.name}.json").read_text())
     assert (report["source"], "stages" in report) == (str(recording), False)
     told = call("batch", "status", tmp_path / "out", "--json")
     assert [row["state"] for row in json.loads(told.out)["drives"]] == ["done", "failed"]
     stages = json.loads(told.out)["stages"]
     assert set(stages) == {"opening", "checking", "everything else"}
-    assert "checking 0." in call("batch", "status", tmp_path / "out").out
+    shown = call("batch", "status", tmp_path / "out", "--html", tmp_path / "run.html").out
+    assert "checking 0." in shown
+    assert f"page: {tmp_path / 'run.html'}" in shown
     again = call("batch", "validate", recording, "-o", tmp_path / "out", "--quick", "--resume", "--json")
     assert json.loads(again.out)["skipped"] == 1
 

@@ -10,6 +10,7 @@ from sceneloom.cli.printing import print_json, print_table, several
 
 if TYPE_CHECKING:
     from sceneloom.batch import RunSummary
+    from sceneloom.batch.record import Row
 
 _SHOWN = 5
 
@@ -71,11 +72,13 @@ def status(
                 row.state,
                 row.input,
                 "" if row.seconds is None else f"{row.seconds:.1f} s",
-                _last_line(row.error),
+                _why(row),
             )
             for row in shown
         ]
     )
+    if html is not None:
+        click.echo(f"page: {html}")
 
 
 def print_summary(summary: "RunSummary", *, verbose: bool) -> None:
@@ -101,12 +104,13 @@ def print_summary(summary: "RunSummary", *, verbose: bool) -> None:
     with Record.opened(Path(summary.record)) as record:
         failed = record.rows(State.FAILED)
     for row in failed if verbose else failed[:_SHOWN]:
-        click.echo(f"failed: {row.input}: {_last_line(row.error)}", err=True)
+        click.echo(f"failed: {row.input}: {_why(row)}", err=True)
     if not verbose and len(failed) > _SHOWN:
         click.echo(f"… and {len(failed) - _SHOWN} more: `sceneloom batch status {summary.record}`", err=True)
     click.echo("next: mend what failed, then say the same with `--resume`", err=True)
 
 
-def _last_line(error: str | None) -> str:
-    lines = (error or "").strip().splitlines()
-    return lines[-1] if lines else ""
+def _why(row: "Row") -> str:
+    """The last line of an error, without the drive that it begins with."""
+    lines = (row.error or "").strip().splitlines()
+    return lines[-1].removeprefix(f"{row.input}: ") if lines else ""

@@ -40,7 +40,7 @@ class _Record:
 
     @property
     def op(self) -> int:
-        return self.fields.get("op", b"\0")[0]
+        return int.from_bytes(self.fields.get("op", b"")[:1])
 
     def number(self, name: str) -> int:
         return int.from_bytes(self.fields.get(name, b""), "little")
@@ -98,7 +98,11 @@ class Ros1Bag:
                     "the bag was not closed, its index is missing; say `--lenient` to read what is whole"
                 )
                 ledger.fault("bag-unfinished", DataError(file.path, f"byte {place}", problem))
-            self._take(record, ledger)
+            try:
+                self._take(record, ledger)
+            except (ValueError, struct.error) as error:
+                fault = DataError(file.path, f"byte {record.start}", f"the record is damaged: {error}")
+                ledger.fault("bag-damaged", fault)
             place = record.start + record.size
         self._look_into_last(ledger)
 
@@ -139,6 +143,8 @@ class Ros1Bag:
         self._found[number] = Connection(topic, kind, texts.get("message_definition", ""), "ros1msg", "ros1")
 
     def _add_index(self, record: _Record) -> None:
+        if not self._places:
+            raise ValueError("an index before any chunk")
         rows = np.frombuffer(self._file.read(record.start, record.size), np.dtype("<u4")).reshape(-1, 3)
         found = np.empty((len(rows), 3), np.int64)
         found[:, 0] = rows[:, 0].astype(np.int64) * 1_000_000_000 + rows[:, 1]
@@ -164,7 +170,10 @@ class Ros1Bag:
         offset = 0
         while offset + 8 <= len(content):
             fields, start, size = _record_in(content, offset)
-            op, connection = fields.get("op", b"\0")[0], int.from_bytes(fields.get("conn", b""), "little")
+            op, connection = (
+                int.from_bytes(fields.get("op", b"")[:1]),
+                int.from_bytes(fields.get("conn", b""), "little"),
+            )
             if op == _CONNECTION:
                 self._add_connection(connection, fields, content[start : start + size])
             elif op == _MESSAGE and with_messages and start + size <= len(content):
@@ -221,7 +230,7 @@ class Ros1Bag:
             fields, start, size = _record_in(content, offset)
         except (ValueError, struct.error) as error:
             raise DataError(self._file.path, f"chunk {chunk}, byte {offset}", str(error)) from error
-        if fields.get("op", b"\0")[0] != _MESSAGE:
+        if int.from_bytes(fields.get("op", b"")[:1]) != _MESSAGE:
             raise DataError(
                 self._file.path, f"chunk {chunk}, byte {offset}", "no message; the index is damaged"
             )

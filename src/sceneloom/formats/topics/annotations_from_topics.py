@@ -58,7 +58,11 @@ def _cuboids(survey: Survey, places: Places) -> list[tuple[Key, Annotation]]:
 
 def _boxes_2d(survey: Survey, cameras: Mapping[str, Any]) -> list[tuple[Key, Annotation]]:
     found: list[tuple[Key, Annotation]] = []
-    noted = {note["boxes_topic"]: note["id"] for note in survey.notes.sensors if "boxes_topic" in note}
+    noted = {
+        note["boxes_topic"]: note["id"]
+        for note in survey.notes.sensors
+        if {"boxes_topic", "id"} <= note.keys()
+    }
     for topic in survey.topics(Kind.BOXES_2D):
         records = survey.of(topic, Boxes2DRecord)
         camera = noted.get(topic.name)

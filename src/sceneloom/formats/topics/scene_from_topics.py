@@ -95,7 +95,11 @@ def scene_from_topics(
         _draft_all(found, drafts)
         places, trajectories = _place(found, drafts, ego=ego, world=world)
         sensors = noted_sensors(found, drafts.clouds, drafts.cameras, places)
-        cameras = {note["topic"]: note["id"] for note in found.notes.sensors if note.get("type") == "camera"}
+        cameras = {
+            note["topic"]: note["id"]
+            for note in found.notes.sensors
+            if note.get("type") == "camera" and {"topic", "id"} <= note.keys()
+        }
         sensors += _foreign_sensors(found, drafts, places, {sensor.id for sensor in sensors}, cameras)
         annotations = read_annotations(found, places, cameras)
         fields = noted_scene_fields(found.notes, metadata, form)

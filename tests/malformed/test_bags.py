@@ -1,0 +1,45 @@
+"""Bags of ROS 1 with damaged records: a fault with its place, and without it what is whole."""
+
+import numpy as np
+import pytest
+
+from sceneloom.errors import DataError
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
+
+pytest.importorskip("rosbags")
+
+STAMPS = [1_000_000_000, 1_100_000_000]
+POINTS = np.arange(30, dtype=np.float32).reshape(-1, 3)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    frames = [LidarFrame(stamp, LidarPoints(POINTS)) for stamp in STAMPS]
+    path = tmp_path / "log.bag"
+    write_scene(Scene((LidarSensor("top", LazyFrames.of(frames, STAMPS)),)), path)
+    return path
+
+
+def changed(bag, place, byte):
+    content = bytearray(bag.read_bytes())
+    content[place] = byte
+    bag.write_bytes(bytes(content))
+
+
+def test_a_damaged_connection_is_a_fault_and_what_is_whole_is_read_without_it(bag):
+    name = bag.read_bytes().rfind(b"message_definition=")
+    changed(bag, name - 2, 0x7F)
+    with pytest.raises(DataError, match=r"log.bag: byte \d+: the record is damaged: a field of"):
+        open_scene(bag)
+    with open_scene(bag, lenient=True) as scene:
+        assert [len(frame.points) for frame in scene.lidars[0].frames] == [len(POINTS)] * 2
+
+
+def test_an_index_without_its_chunk_is_a_fault(bag):
+    chunk = bag.read_bytes().find(b"op=\x05")
+    changed(bag, chunk + 3, 0x75)
+    with pytest.raises(
+        DataError, match=r"log.bag: byte \d+: the record is damaged: an index before any chunk"
+    ):
+        open_scene(bag)

@@ -166,8 +166,10 @@ def way(*, further: str = "") -> Callable[[Command], Command]:
 
 
 part = _stacked(
-    click.option("--start", type=float, metavar="S", help="Begin S seconds after the first time stamp."),
-    click.option("--stop", type=float, metavar="S", help="End before S seconds after it."),
+    click.option(
+        "--start", type=not_negative, metavar="S", help="Begin S seconds after the first time stamp."
+    ),
+    click.option("--stop", type=not_negative, metavar="S", help="End before S seconds after it."),
 )
 """On every verb that can take a part of a drive."""
 

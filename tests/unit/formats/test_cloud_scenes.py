@@ -322,10 +322,16 @@ def test_two_kinds_of_clouds_in_one_folder_are_named(tmp_path, scene):
         open_scene(tmp_path / "o")
 
 
-@pytest.mark.parametrize("content", [b"", b"\x00" * 17, np.arange(64, dtype="<i4").tobytes()])
-def test_other_bin_files_are_no_clouds(tmp_path, content):
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"", "it is empty"),
+        *((c, "does not begin so") for c in (bytes(17), np.arange(64, dtype="<i4").tobytes())),
+    ],
+)
+def test_other_bin_files_are_no_clouds(tmp_path, content, told):
     (tmp_path / "a.bin").write_bytes(content)
-    with pytest.raises(UnknownFormatError, match="does not begin so"):
+    with pytest.raises(UnknownFormatError, match=told):
         open_scene(tmp_path / "a.bin")
 
 

@@ -6,6 +6,7 @@ Where processes cannot be forked, or the program has such a process of its own a
 import multiprocessing
 import multiprocessing.forkserver
 import os
+import signal
 import sys
 import threading
 from collections.abc import Sequence
@@ -47,7 +48,11 @@ class Nursery:
         """End it, once all workers have ended."""
         if self._held:
             self._held, self.method = False, _AFRESH
-            # nothing public ends it, and the next run may have another environment
+            # nothing public ends it, and the next run may have another environment; it has nothing to leave in order,
+            # which would take half a second
+            process_id = _process_id()
+            if process_id is not None:
+                os.kill(process_id, signal.SIGKILL)
             getattr(_server(), "_stop")()  # noqa: B009 - unknown to type checkers
             _FREE.release()
 
@@ -56,7 +61,11 @@ def _server() -> multiprocessing.forkserver.ForkServer:
     return multiprocessing.forkserver._forkserver  # noqa: SLF001 - see above
 
 
+def _process_id() -> int | None:
+    return getattr(_server(), "_forkserver_pid", None)
+
+
 def _can_fork() -> bool:
-    if sys.platform != "linux" or getattr(_server(), "_forkserver_pid", None) is not None:
+    if sys.platform != "linux" or _process_id() is not None:
         return False
     return len(os.fsencode(get_temp_dir())) < _LONGEST

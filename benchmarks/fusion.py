@@ -350,6 +350,8 @@ def main():
     parser.add_argument("--before", help="another checkout of the library to be measured in turns")
     parser.add_argument("--answer", action="store_true", help=argparse.SUPPRESS)
     said = parser.parse_args()
+    if said.before and not Path(said.before, "src", "sceneloom").is_dir():
+        parser.error(f"--before {said.before}: expected a checkout, with src/sceneloom in it")
     if said.answer:
         answer(said.points)
         return

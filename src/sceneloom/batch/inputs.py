@@ -8,10 +8,8 @@ from typing import Any
 
 from sceneloom.batch.jobs import Input
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.table import PART
 from sceneloom.formats.urls import is_url
-
-PART = ("start", "stop")
-"""What a line of a list may say of its drive beside the path: the seconds between which it counts."""
 
 _READING = "reading"
 READING = f"{_READING}."

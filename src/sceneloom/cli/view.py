@@ -94,7 +94,8 @@ def _listed(lists: tuple[Path, ...]) -> "list[DrivePart]":
     """The drives of lists, and the parts of them that these name."""
     if not lists:
         return []
-    from sceneloom.batch.inputs import PART, READING, find_inputs
+    from sceneloom.batch.inputs import READING, find_inputs
+    from sceneloom.formats.table import PART
     from sceneloom.view import DrivePart
 
     return [

@@ -212,6 +212,10 @@ def _format_of_url(url: str) -> Format:
     raise UnknownFormatError(url, "", f"expected a URL that ends in {known}; fetch other files first")
 
 
+PART = ("start", "stop")
+"""Options of `open_scene` that name a part of a drive."""
+
+
 def open_scene(
     path: str | Path,
     *,

@@ -13,6 +13,7 @@ from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene
 from sceneloom.formats.kitti import KittiTracking, open_tracking_folder
 from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
+from sceneloom.formats.table import PART
 from sceneloom.pipeline.detections.detected_scene import DetectionFiles, scene_drive
 from sceneloom.pipeline.detections.files import fuse_drive_detections, fuse_folder_detections, fused_files
 from sceneloom.pipeline.detections.report import DetectionFusionReport
@@ -193,17 +194,14 @@ def _with_lists(
 ) -> Iterator[tuple[Scene, DetectionFiles]]:
     """Open a drive, or the part of it that counts; lists of boxes are of the whole."""
     options = {**(reading or {}), **({"lenient": True} if lenient else {})}
-    part = {name: options.pop(name) for name in _PART if name in options}
+    part = {name: options.pop(name) for name in PART if name in options}
     with open_scene(path, **options) as scene:
         files = with_known_ids(scene, wanted.files)
         yield (crop_scene(scene, **part), replace(files, whole=scene)) if part else (scene, files)
 
 
-_PART = ("start", "stop")
-
-
 def _refuse_part(path: str | Path, reading: Mapping[str, Any] | None) -> None:
-    if not (reading or {}).keys().isdisjoint(_PART):
+    if not (reading or {}).keys().isdisjoint(PART):
         raise OptionError(
             f"{path}: its files number frames from the beginning, so that it is done whole; start and stop take a part "
             "of drives with lists of boxes beside them, --boxes3d and --boxes2d"

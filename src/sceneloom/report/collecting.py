@@ -13,6 +13,7 @@ from sceneloom.checks.opening import open_subject
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats import size_on_disk
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.table import PART
 from sceneloom.formats.urls import path_or_url
 from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
 from sceneloom.report.album import Album
@@ -247,7 +248,7 @@ class _Collector:
         return found
 
     def _metrics(self) -> Metrics:
-        is_part = not self.reading.keys().isdisjoint(("start", "stop"))
+        is_part = not self.reading.keys().isdisjoint(PART)
         if is_part and self.settings.truth is not None:
             self.sampling.append(
                 "objects are held against a truth in whole drives only; this is a part of one"

@@ -15,6 +15,7 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.remote import uploading
 from sceneloom.formats.table import (
+    PART,
     Format,
     format_for_output,
     format_named,
@@ -185,7 +186,7 @@ def _write_drive(
 
 
 def _refuse_part(place: str | Path, reading: Mapping[str, Any]) -> None:
-    if not reading.keys().isdisjoint(("start", "stop")):
+    if not reading.keys().isdisjoint(PART):
         raise OptionError(
             f"{redacted(place)}: a trajectory is read and written whole; expected a drive, or no start and stop"
         )

@@ -1,8 +1,10 @@
 """Workers of dask: on this machine, or wherever a scheduler that is running has them.
 
+Each has a further task at hand, so that it need not wait until the run hears that the last one has ended; what a worker
+that is busy, or gone, has at hand dask gives to another one.
 dask gives a task whose worker is gone to another one by itself. The run's record would not know, so a try is claimed by
-making its folder, which works only once: whoever comes second tells that the worker was lost. What a worker gives back
-is JSON; data that would have to be unpickled here is refused.
+making its folder, which works only once: whoever comes second tells that the worker was lost, or, where that had come
+to its end, what it left word of. What a worker gives back is JSON; data that would have to be unpickled is refused.
 """
 
 import logging
@@ -22,6 +24,7 @@ import msgspec
 
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.nursery import Nursery
+from sceneloom.batch.outputs import OUTCOME
 from sceneloom.batch.pool import LOST
 from sceneloom.batch.working import NUMBA, THREADS, run_task
 from sceneloom.errors import MissingExtraError, OptionError
@@ -77,7 +80,7 @@ class _Ended:
 
 
 class DaskCluster:
-    """Runs tasks on workers of dask, one at a time on each."""
+    """Runs tasks on workers of dask, one at a time on each, which has the next one at hand."""
 
     def __init__(
         self, client: "Client", cluster: LocalCluster | None = None, ending: ExitStack | None = None
@@ -86,7 +89,7 @@ class DaskCluster:
         self._client, self._cluster, self._ending = client, cluster, ending or ExitStack()
         self._ended = _Ended(SimpleQueue())
         self._tasks: dict[Any, tuple[Task, Future[bytes]]] = {}
-        self._workers, self._counted = 0, -_COUNTING_SECONDS
+        self._room, self._counted = 0, -_COUNTING_SECONDS
 
     @classmethod
     def local(cls, workers: int, modules: Sequence[str] = ()) -> Self:
@@ -149,8 +152,9 @@ class DaskCluster:
         if self._client.status in {"closing", "closed"}:
             raise OptionError("dask's scheduler is gone; `--resume` goes on where the run was")
         if time.monotonic() - self._counted >= _COUNTING_SECONDS:
-            self._workers, self._counted = len(self._client.nthreads()), time.monotonic()
-        return max(self._workers - len(self._tasks), 0)
+            threads = self._client.nthreads().values()
+            self._room, self._counted = sum(map(_held_by, threads)), time.monotonic()
+        return max(self._room - len(self._tasks), 0)
 
     def submit(self, task: Task) -> None:
         """Begin a task."""
@@ -226,11 +230,22 @@ def _run_once(task: Task) -> Outcome:
     try:
         folder.mkdir()
     except FileExistsError:
-        return _lost(task, "ended from outside, out of memory, or crashed")
+        return _left(task)
     except FileNotFoundError:
         told = f"{folder.parent}: is not there for the worker; expected a file system that all workers share"
         return Outcome(number=task.number, error=told, kind="FileNotFoundError")
-    return run_task(task)
+    outcome = run_task(task)
+    with suppress(OSError):  # else the try is lost if the worker goes now, as it would be a moment earlier
+        (folder / OUTCOME).write_bytes(msgspec.json.encode(outcome))
+    return outcome
+
+
+def _left(task: Task) -> Outcome:
+    """What a worker came to that is gone since; half of what it left word of cannot be read."""
+    try:
+        return msgspec.json.decode((task.draft.parent / OUTCOME).read_bytes(), type=Outcome)
+    except (OSError, msgspec.MsgspecError):
+        return _lost(task, "ended from outside, out of memory, or crashed")
 
 
 def _client(address: str, seconds: float = _CONNECTING_SECONDS) -> Client:
@@ -238,6 +253,14 @@ def _client(address: str, seconds: float = _CONNECTING_SECONDS) -> Client:
         address, timeout=seconds, set_as_default=False, serializers=_DATA, deserializers=_DATA,
         name="sceneloom-batch",
     )  # fmt: skip
+
+
+def _held_by(threads: int) -> int:
+    """How many tasks a worker takes: one to do, and one to begin at once when that has ended.
+
+    One with more threads would begin the second beside the first, wait, and keep it from workers that are free.
+    """
+    return 2 if threads == 1 else 1
 
 
 def _anywhere(task: Task) -> Task:

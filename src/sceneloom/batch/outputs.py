@@ -26,6 +26,9 @@ CLAIM = ".sceneloom-run"
 FURTHER = ".further"
 """Name of the folder beside a draft in which a verb writes its further outputs, which go to places of their own."""
 
+OUTCOME = ".outcome"
+"""Name of the file beside a draft that says what came of the try."""
+
 
 class Outputs(Protocol):
     """Where outputs are put."""
@@ -197,7 +200,7 @@ def send(draft: Path, target: str) -> None:
 
 
 def _own_last(draft: Path) -> list[Path]:
-    made = [path for path in draft.parent.iterdir() if path.name != FURTHER]
+    made = [path for path in draft.parent.iterdir() if path.name not in {FURTHER, OUTCOME}]
     return sorted(made, key=lambda path: path == draft)
 
 

@@ -12,6 +12,7 @@ from distributed import LocalCluster
 from sceneloom.batch import Task, run
 from sceneloom.batch.cluster import DaskCluster, run_packed
 from sceneloom.batch.jobs import Parts
+from sceneloom.batch.outputs import OUTCOME
 from sceneloom.batch.record import Record
 from sceneloom.errors import OptionError
 from sceneloom.version import __version__
@@ -56,9 +57,16 @@ def test_a_try_that_another_worker_has_begun_is_lost_and_not_done_again(task):
     assert done(task)["error"] == ""
     assert task.draft.read_text() == "a.sfs"
     task.draft.write_text("as the first left it")
+    (task.draft.parent / OUTCOME).write_text('{"number": 1, "err')
     again = done(task)
     assert (again["kind"], again["passing"]) == ("Lost", True)
     assert task.draft.read_text() == "as the first left it"
+
+
+def test_what_a_worker_came_to_that_went_before_anybody_heard_is_told_by_the_next_one(task):
+    first = done(task)
+    assert done(task) == first
+    assert first["error"] == ""
 
 
 def test_workers_without_the_folder_of_the_run_or_of_another_version_do_nothing(task):
@@ -80,6 +88,9 @@ class Submitting:
 
     def __init__(self):
         self.sent = []
+
+    def nthreads(self):
+        return {"tcp://one": 1, "tcp://two": 1, "tcp://wide": 4}
 
     def submit(self, function, version, packed, *, key, **how):
         self.sent.append(pickle.loads(packed))
@@ -112,3 +123,10 @@ def test_workers_elsewhere_find_files_that_are_named_from_the_folder_of_the_run(
         "name": "a",
         "more": None,
     }
+
+
+def test_workers_have_the_next_task_at_hand_unless_they_would_begin_it_beside_the_first(task):
+    cluster = DaskCluster(Submitting())
+    assert cluster.free == 5
+    cluster.submit(task)
+    assert cluster.free == 4

@@ -36,20 +36,22 @@ def demo(
     keep: Path, seed: int, frames: int, video: str, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
 ) -> None:
     """Make a small drive through a made-up street, fuse it, and show what came out."""
-    from sceneloom.formats import open_scene, write_scene
     from sceneloom.formats.output import check_output
-    from sceneloom.pipeline import FusionOutputs, fuse
-    from sceneloom.simulate import demo_drive
 
     begun = time.perf_counter()
     recording = keep / "drive"
     fused, depth, pictures = keep / "drive.sfs", keep / "depth", keep / "pictures"
-    outputs = FusionOutputs(scene=fused, depth=depth, pictures=pictures, overwrite=overwrite)
     keep.mkdir(parents=True, exist_ok=True)
     for place in (recording, fused, depth, pictures):
         check_output(place, overwrite=overwrite)
     if not quiet:
         click.echo(f"making a drive of {frames / 10:g} s through a made-up street …", err=True)
+
+    from sceneloom.formats import open_scene, write_scene  # takes a minute where kernels are not compiled yet
+    from sceneloom.pipeline import FusionOutputs, fuse
+    from sceneloom.simulate import demo_drive
+
+    outputs = FusionOutputs(scene=fused, depth=depth, pictures=pictures, overwrite=overwrite)
     drive = demo_drive(seed=seed, frames=frames).scene
     written = write_scene(drive, recording, overwrite=overwrite, pictures=video)
     with open_scene(recording) as scene, progress_bar("fusing", quiet=quiet) as progress:

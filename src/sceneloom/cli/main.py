@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 import click
 
+from sceneloom.cli.first_run import telling_of_compiling
 from sceneloom.cli.verb_group import VerbGroup
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.version import __version__
@@ -63,7 +64,7 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, TextIOWrapper):
             # names of files may be no Unicode, and a terminal may know fewer characters than we write
             stream.reconfigure(errors="backslashreplace")
-    with _ending_cleanly():
+    with _ending_cleanly(), telling_of_compiling():
         sys.exit(_run(arguments))
 
 

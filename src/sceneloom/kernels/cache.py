@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-_DECORATED = re.compile(r"cache=True")
+_DECORATED = re.compile(r"cache=True|\*\*_?(KERNEL|COMPILED)\b")
 _PACKAGE = Path(__file__).parents[1]
 _ROOMS = ("kernels", "cameras")
 
@@ -40,15 +40,29 @@ def find_kernel_cache() -> KernelCache:
     written, else a folder of the user's; NUMBA_CACHE_DIR comes first.
     """
     sources = [path for room in _ROOMS for path in sorted((_PACKAGE / room).glob("*.py"))]
-    kernels = [
-        path for path in sources if _DECORATED.search(path.read_text("utf-8")) and path != Path(__file__)
-    ]
+    kernels = [path for path in sources if _holds_kernels(path)]
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(__file__).parent / "__pycache__"
     folder = Path(elsewhere) if elsewhere else beside
     writable = os.access(folder if folder.exists() else folder.parent, os.W_OK)
     compiled = sum(_is_compiled(source, Path(elsewhere) if elsewhere else None) for source in kernels)
     return KernelCache(folder, writable, len(kernels), compiled)
+
+
+def will_compile(module: str) -> bool:
+    """Whether a module, by its whole name, has kernels of which none is kept: importing it takes seconds then."""
+    package, _, room = module.rpartition(".")[0].rpartition(".")
+    source = _PACKAGE / room / f"{module.rpartition('.')[2]}.py"
+    if package != _PACKAGE.name or room not in _ROOMS or not _holds_kernels(source):
+        return False
+    elsewhere = os.environ.get("NUMBA_CACHE_DIR")
+    return not _is_compiled(source, Path(elsewhere) if elsewhere else None)
+
+
+def _holds_kernels(source: Path) -> bool:
+    return (
+        source.is_file() and source != Path(__file__) and bool(_DECORATED.search(source.read_text("utf-8")))
+    )
 
 
 def _is_compiled(source: Path, elsewhere: Path | None) -> bool:

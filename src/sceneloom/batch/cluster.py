@@ -267,8 +267,10 @@ def _anywhere(task: Task) -> Task:
     """Name files so that they are found from other folders and machines, too."""
     place = task.place if is_url(task.place) else str(_whole(Path(task.place)))
     draft = task.draft if task.target else task.draft.absolute()
-    options = {name: _whole(value) for name, value in task.options.items()}
-    return replace(task, place=place, draft=draft, options=options)
+    options, files = (
+        {name: _whole(value) for name, value in told.items()} for told in (task.options, task.files)
+    )
+    return replace(task, place=place, draft=draft, options=options, files=files)
 
 
 def _whole(value: Any) -> Any:

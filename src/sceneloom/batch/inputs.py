@@ -2,11 +2,12 @@
 
 import glob
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sceneloom.batch.jobs import Input
+from sceneloom.batch.jobs import NOTHING, Input
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.table import PART
 from sceneloom.formats.urls import is_url
@@ -21,26 +22,45 @@ _SHORT = 40
 _WILD = frozenset("*?[")
 
 
-def find_inputs(places: Iterable[str], lists: Iterable[Path] = ()) -> tuple[Input, ...]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileOption:
+    """An option of a verb that names files.
+
+    Attributes:
+        several: whether it takes more than one.
+        names: what it takes, too, and is no file.
+    """
+
+    several: bool = False
+    names: frozenset[str] = frozenset()
+
+
+def find_inputs(
+    places: Iterable[str], lists: Iterable[Path] = (), *, files: Mapping[str, FileOption] = NOTHING
+) -> tuple[Input, ...]:
     """Find drives.
 
     Args:
         places: paths, patterns such as `drives/**/*.sfs`, or URLs.
         lists: files with a path, or an object {"path": …, "start": …, "stop": …, "reading": {"sequence": …}}, in each
             line; options of reading are named `reading.sequence` and so on.
+        files: options that a line may say as well, {"boxes3d": "boxes/a.jsonl"}: a path, or a list of them.
 
     Returns:
         each once, in the order in which they were named; those of one pattern by their names.
 
     Raises:
-        OptionError: there is none at all, or none that fits a pattern.
-        DataError: a list is faulty.
+        OptionError: there is none at all, none that fits a pattern, or one twice with different files.
+        DataError: a list is faulty, or a file that it names is not there.
     """
     found = [Input(place=place) for text in places for place in _places(text)]
-    found += [drive for file in lists for drive in _listed(file)]
+    found += [drive for file in lists for drive in _listed(file, files)]
     if not found:
         raise OptionError("no drives; name some, a pattern in quotes, or a list of them")
-    once = {(drive.place, *sorted(drive.options.items())): drive for drive in found}
+    once: dict[tuple[Any, ...], Input] = {}
+    for drive in found:
+        if once.setdefault((drive.place, *sorted(drive.options.items())), drive).files != drive.files:
+            raise OptionError(f"{drive.name}: named twice, with different files beside it; do them apart")
     return tuple(once.values())
 
 
@@ -67,17 +87,17 @@ def _urls(text: str) -> list[str]:
     return found
 
 
-def _listed(file: Path) -> Iterator[Input]:
+def _listed(file: Path, files: Mapping[str, FileOption]) -> Iterator[Input]:
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:
         raise DataError(file, "", "is no text in UTF-8; expected a path or an object in each line") from error
     for number, line in enumerate(map(str.strip, lines), start=1):
         if line and not line.startswith("#"):
-            yield _line(line, file, number)
+            yield _line(line, file, number, files)
 
 
-def _line(line: str, file: Path, number: int) -> Input:
+def _line(line: str, file: Path, number: int, files: Mapping[str, FileOption]) -> Input:
     if not line.startswith("{"):
         return Input(place=_beside(file, line))
     place = f"line {number}"
@@ -88,9 +108,11 @@ def _line(line: str, file: Path, number: int) -> Input:
     path = told.pop("path", None)
     if not isinstance(path, str) or not path:
         raise DataError(file, place, f"path {path!r}; expected the path of a drive")
-    unknown = [name for name in told if name not in (*PART, _READING)]
+    known = (*PART, *files, _READING)
+    unknown = [name for name in told if name not in known]
     if unknown:
-        raise DataError(file, place, f"{unknown[0]!r}; expected path, {', '.join(PART)} and {_READING} only")
+        expected = f"path, {', '.join(known[:-1])} and {known[-1]}"
+        raise DataError(file, place, f"{unknown[0]!r}; expected {expected} only")
     part = {name: told[name] for name in PART if told.get(name) is not None}
     for name, value in part.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < _LONGEST:
@@ -98,7 +120,31 @@ def _line(line: str, file: Path, number: int) -> Input:
             raise DataError(
                 file, place, f"{name} {said}; expected seconds from the beginning of the drive on"
             )
-    return Input(place=_beside(file, path), options={**part, **_reading(told.get(_READING), file, place)})
+    return Input(
+        place=_beside(file, path),
+        options={**part, **_reading(told.get(_READING), file, place)},
+        files={
+            name: _own_files(told[name], option, file, f"{place}: {name}")
+            for name, option in files.items()
+            if told.get(name) is not None
+        },
+    )
+
+
+def _own_files(told: Any, option: FileOption, file: Path, place: str) -> Any:
+    """The files of one option, as far as a line says them: beside the list, as drives are."""
+    texts = told if isinstance(told, list) and option.several else [told]
+    if not texts or not all(isinstance(text, str) and text for text in texts):
+        several = ", or a list of such" if option.several else ""
+        raise DataError(file, place, f"{repr(told)[:_SHORT]}; expected the path of a file{several}")
+    found = [text if text in option.names else file.parent / text for text in texts]
+    for text, own in zip(texts, found, strict=True):
+        if is_url(text):
+            raise DataError(file, place, f"{text!r} is a URL; expected the path of a file")
+        if isinstance(own, Path) and not own.exists():
+            names = f"; expected a file, or one of {', '.join(sorted(option.names))}" if option.names else ""
+            raise DataError(file, place, f"{own}: no such file or folder{names}")
+    return tuple(found) if option.several else found[0]
 
 
 def _reading(told: Any, file: Path, place: str) -> dict[str, str | bool]:

@@ -32,10 +32,12 @@ class Input:
     Attributes:
         place: its path, or its URL.
         options: what counts for it alone, as the seconds at which a part of it starts and stops.
+        files: what the verb reads beside it, by option, in place of what all drives have; as of `Job`.
     """
 
     place: str
     options: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+    files: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
 
     @property
     def name(self) -> str:
@@ -97,6 +99,8 @@ class Job:
             the record keeps, or raises.
         inputs: the drives.
         options: of the verb, alike for all; they pickle.
+        files: those that name files which the verb reads beside a drive, as far as all drives have the same: a path
+            each, or several as a tuple; they go before `options`. A drive is done anew when one of its files changed.
         suffix: what names of outputs end in; "" for folders.
         retries: how often a drive is tried again where the cause can pass.
         modules: what workers of this machine import before they begin, once for all of them.
@@ -108,6 +112,7 @@ class Job:
     call: str
     inputs: tuple[Input, ...]
     options: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+    files: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
     suffix: str = ""
     retries: int = 2
     modules: tuple[str, ...] = ()
@@ -128,6 +133,7 @@ class Task:
         target: the folder of a store that the worker sends the output to once it is whole; "" for none.
         writes: whether there is an output at all; else what is told is all.
         further: where further outputs belong, by the option that names each.
+        files: what is read beside the drive, by option, as of `Job`.
     """
 
     number: int
@@ -139,6 +145,7 @@ class Task:
     target: str = ""
     writes: bool = True
     further: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):

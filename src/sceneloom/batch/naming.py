@@ -7,8 +7,9 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from sceneloom.batch.inputs import READING
-from sceneloom.batch.jobs import Input
+from sceneloom.batch.jobs import NOTHING, Input
 from sceneloom.formats.file_names import file_stems
+from sceneloom.formats.table import PART
 from sceneloom.formats.urls import is_url
 
 
@@ -32,6 +33,16 @@ def output_names(inputs: Sequence[Input], suffix: str) -> tuple[str, ...]:
             # what is left alike is numbered, and made fit for file systems
             return tuple(stem + suffix for stem in file_stems(names))
         depths = deeper
+
+
+def drive_names(inputs: Sequence[Input]) -> tuple[str, ...]:
+    """Name drives as their outputs are, without a suffix, and alike for all parts of one in time."""
+    reading = [{name: value for name, value in one.options.items() if name not in PART} for one in inputs]
+    whole = [Input(place=one.place, options=own or NOTHING) for one, own in zip(inputs, reading, strict=True)]
+    keys = [(one.place, *sorted(one.options.items())) for one in whole]
+    once = dict(zip(keys, whole, strict=True))
+    names = dict(zip(once, output_names(tuple(once.values()), ""), strict=True))
+    return tuple(names[key] for key in keys)
 
 
 def _parts(drive: Input) -> tuple[str, ...]:

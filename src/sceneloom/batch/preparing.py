@@ -6,13 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
 from typing import Any
 
+from sceneloom.batch.files import files_fingerprint
 from sceneloom.batch.further import Places, check_places
 from sceneloom.batch.jobs import Input, Job, State
 from sceneloom.batch.naming import output_names
 from sceneloom.batch.outputs import FolderOutputs, Outputs, claimed
 from sceneloom.batch.record import Record, Row
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.formats.fingerprints import fingerprint
 from sceneloom.redaction import redacted
 from sceneloom.version import __version__
 
@@ -87,7 +87,8 @@ def prepare(job: Job, record: Record, outputs: Outputs) -> None:
     record.add(new)
     record.tell("verb", job.verb)
     record.tell("sceneloom", __version__)
-    record.tell("options", {name: redacted(repr(value)) for name, value in job.options.items()})
+    told = {**job.options, **job.files}
+    record.tell("options", {name: redacted(repr(value)) for name, value in told.items()})
     meant = {row.number: asked[key] for key, row in known.items() if key in asked}
     done = done_rows(
         job, outputs, record, {row.number: row for row in known.values() if row.number in meant}, meant
@@ -123,6 +124,11 @@ def further_places(job: Job, output: str) -> dict[str, str]:
     return {one.option: one.of(output.removesuffix(job.suffix)) for one in job.further}
 
 
+def files_of(job: Job, drive: Input) -> dict[str, Any]:
+    """What the verb reads beside a drive, by option."""
+    return {**job.files, **drive.files}
+
+
 def done_rows(
     job: Job, outputs: Outputs, record: Record, rows: Mapping[int, Row], meant: Mapping[int, Input]
 ) -> set[int]:
@@ -140,19 +146,21 @@ def done_rows(
         for number, row in rows.items()
         if row.state is State.DONE
         and row.fingerprint
-        and row.configuration == configuration(job, row.part)
+        and row.configuration == configuration(job, meant[number], row.part)
         and outputs.has(row.output)
         and has_further(number)
     ]
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as crew:  # servers take their time to answer
-        now = crew.map(fingerprint, [meant[number].place for number in perhaps])
+        asked = [meant[number] for number in perhaps]
+        now = crew.map(lambda drive: files_fingerprint(drive.place, files_of(job, drive)), asked)
         return {
             number for number, found in zip(perhaps, now, strict=True) if found == rows[number].fingerprint
         }
 
 
-def configuration(job: Job, part: Mapping[str, Any]) -> str:
+def configuration(job: Job, drive: Input, part: Mapping[str, Any]) -> str:
     """Tell what is done with a drive from anything else: the verb, its options, our version."""
-    options = sorted((name, redacted(repr(value))) for name, value in {**job.options, **part}.items())
+    said = {**job.options, **files_of(job, drive), **part}
+    options = sorted((name, redacted(repr(value))) for name, value in said.items())
     told = repr((__version__, job.verb, job.call, options))
     return blake2b(told.encode("utf-8", "surrogateescape"), digest_size=16).hexdigest()

@@ -29,6 +29,7 @@ from sceneloom.batch.preparing import (
     configuration,
     done_rows,
     drive_key,
+    files_of,
     further_places,
     open_outputs,
     prepare,
@@ -242,6 +243,7 @@ class _Run:
                 target=self.outputs.target,
                 writes=step != PLAN,
                 further=further_places(self.job, row.output),
+                files=files_of(self.job, self.meant[number]),
             )
         )
 
@@ -272,7 +274,7 @@ class _Run:
                 State.DONE,
                 finished_ns=now,
                 fingerprint=outcome.fingerprint,
-                configuration=configuration(self.job, self.rows[task.number].part),
+                configuration=configuration(self.job, self.meant[task.number], self.rows[task.number].part),
             )
             self._ended(task.number)
         elif outcome.passing and task.attempt <= self.job.retries and not self._given_up(task.number):

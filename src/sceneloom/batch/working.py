@@ -10,11 +10,11 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
 
+from sceneloom.batch.files import files_fingerprint
 from sceneloom.batch.further import bring, drafts_of
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.outputs import send
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.fingerprints import fingerprint
 from sceneloom.redaction import redacted
 from sceneloom.stages import stage, timed
 
@@ -58,14 +58,15 @@ def run_task(task: Task) -> Outcome:
 
 def _done(task: Task) -> dict[str, Any]:
     """Do the verb, and send what it wrote to where it belongs if that is a store; gives what is told of it."""
-    seen = fingerprint(task.place)
+    seen = files_fingerprint(task.place, task.files)
     draft = draft_of(task)
     draft.parent.mkdir(parents=True, exist_ok=True)
     further = drafts_of(draft, task.further)
     for place in further.values():
         place.parent.mkdir(parents=True, exist_ok=True)
     module, _, name = task.call.partition(":")
-    report = getattr(import_module(module), name)(task.place, draft, {**task.options, **further})
+    values = {**task.options, **task.files, **further}
+    report = getattr(import_module(module), name)(task.place, draft, values)
     if task.writes and not draft.exists():
         return {"error": f"{redacted(task.place)}: ended without its output {draft.name}", "kind": "Missing"}
     if task.target and task.writes:

@@ -52,6 +52,11 @@ def forget(place, output, options):
     return None
 
 
+def read(place, output, options):
+    """What is in the files beside the drive."""
+    Path(output).write_text("".join(path.read_text() for path in (*options["boxes"], options["rig"])))
+
+
 def folder(place, output, options):
     Path(output).mkdir()
     (Path(output) / "a.txt").write_text(Path(place).read_text())

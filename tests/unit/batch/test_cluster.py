@@ -114,9 +114,9 @@ def test_workers_elsewhere_find_files_that_are_named_from_the_folder_of_the_run(
         "more": None,
     }
     client = Submitting()
-    DaskCluster(client).submit(replace(task, place="in/a.sfs", options=files))
+    DaskCluster(client).submit(replace(task, place="in/a.sfs", options=files, files={"own": (Path("b"),)}))
     (sent,) = client.sent
-    assert sent.place == str(tmp_path / "in" / "a.sfs")
+    assert (sent.place, sent.files) == (str(tmp_path / "in" / "a.sfs"), {"own": (tmp_path / "b",)})
     assert sent.options == {
         "boxes": (tmp_path / "a.jsonl", Path("/b.jsonl")),
         "rig": tmp_path / "in" / "rig.toml",

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import sceneloom
+from sceneloom.batch.working import run_task
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli import main
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
@@ -45,3 +46,28 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
     sceneloom.write(drive.scene, folder, pictures="png")
     return folder
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers in this process, which need not be started."""
+
+    class Inline:
+        def __init__(self, *_):
+            self.ended = []
+
+        @property
+        def free(self):
+            return 1 - len(self.ended)
+
+        def submit(self, task):
+            self.ended.append((task, run_task(task)))
+
+        def finished(self, _):
+            ended, self.ended = self.ended, []
+            return ended
+
+        def stop(self):
+            self.ended.clear()
+
+    monkeypatch.setattr("sceneloom.batch.running.ProcessPool", Inline)

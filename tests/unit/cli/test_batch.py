@@ -3,37 +3,12 @@
 import json
 import shutil
 
+import click
 import pytest
 
 import sceneloom
-from sceneloom.batch.working import run_task
 from sceneloom.cli.batch.one_drive import BATCHED, verb_named
 from sceneloom.scene.span import time_span
-
-
-@pytest.fixture
-def inline(monkeypatch):
-    """Workers in this process, which need not be started."""
-
-    class Inline:
-        def __init__(self, *_):
-            self.ended = []
-
-        @property
-        def free(self):
-            return 1 - len(self.ended)
-
-        def submit(self, task):
-            self.ended.append((task, run_task(task)))
-
-        def finished(self, _):
-            ended, self.ended = self.ended, []
-            return ended
-
-        def stop(self):
-            self.ended.clear()
-
-    monkeypatch.setattr("sceneloom.batch.running.ProcessPool", Inline)
 
 
 def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, recording, tmp_path):
@@ -92,6 +67,37 @@ def test_what_is_written_beside_the_output_is_of_each_drive_its_own(call, record
     assert sorted(path.name for path in (tmp_path / "depth").iterdir()) == [recording.name, "other"]
     for name in (recording.name, "other"):
         assert files(tmp_path / "depth" / name) == files(tmp_path / "alone")
+
+
+@pytest.mark.usefixtures("inline")
+def test_each_drive_has_its_own_files(call, tmp_path):
+    poses = "1 0 0 {0} 0 1 0 0 0 0 1 0\n1 0 0 {0} 0 1 0 1 0 0 1 0\n"
+    for k, name in enumerate(("a", "b")):
+        (tmp_path / f"{name}.kitti").write_text(poses.format(k))
+        (tmp_path / f"{name}.times").write_text(f"{k}.5\n{k}.75\n")
+    words = ("-o", tmp_path / "out", "--suffix", ".tum", "--to", "tum", "--json")
+    times = ("--from-times", "{folder}/{name}.times")
+    done = call("batch", "convert", tmp_path / "*.kitti", *times, *words)
+    assert done.code == 0, done.err
+
+    def beginning(name):
+        lines = (tmp_path / "out" / f"{name}.tum").read_text().splitlines()
+        return next([float(word) for word in line.split()[:2]] for line in lines if line[0] != "#")
+
+    assert [beginning("a"), beginning("b")] == [[0.5, 0.0], [1.5, 1.0]]
+    (tmp_path / "list").write_text('{"path": "a.kitti", "from_times": "b.times"}\n{"path": "b.kitti"}\n')
+    listed = call("batch", "convert", "--list", tmp_path / "list", *times, *words, "--resume")
+    assert [json.loads(listed.out)[name] for name in ("done", "skipped")] == [2, 1]
+    assert beginning("a") == [1.5, 0.0]
+    (tmp_path / "b.times").unlink()
+    refused = call("batch", "convert", tmp_path / "*.kitti", *times, *words, "--resume")
+    assert (refused.code, f"--from-times of {tmp_path}/b.kitti" in refused.err) == (1, True)
+
+
+def test_every_file_that_a_verb_reads_beside_a_drive_is_known_to_batches():
+    for name, batched in BATCHED.items():
+        read = {option.name for option in verb_named(name).params if isinstance(option.type, click.Path)}
+        assert read | ({"detectors"} & {o.name for o in verb_named(name).params}) == {*batched.beside}, name
 
 
 def test_every_output_of_a_verb_is_known_to_batches():

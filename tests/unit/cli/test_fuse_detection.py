@@ -7,6 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.detections.detector_files import FOLDER
 from sceneloom.formats.kitti import read_labels
 from sceneloom.fusion.messages.json_form import format_json, parse_json
 from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
@@ -51,6 +52,25 @@ def test_objects_of_a_drive_are_records_of_table_10(call, drive, tmp_path):
     assert report["both"] == sum(
         None not in pair for r in records for pair in zip(r.box_3d_ids, r.box_2d_ids, strict=True)
     )
+
+
+@pytest.mark.usefixtures("inline")
+def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, drive, tmp_path):
+    folder, _, _ = drive
+    (tmp_path / "mine.toml").write_text((FOLDER / "simulated.toml").read_text())
+    line = {
+        "path": str(folder / "recording"),
+        "boxes3d": str(folder / "boxes3d.jsonl"),
+        "detectors": "mine.toml",
+    }
+    (tmp_path / "list").write_text(json.dumps(line))
+    seen = ("--boxes2d", folder / "boxes2d.jsonl")
+    how = ("--type", "detection", *seen, "--suffix", ".jsonl", "--workers", 1)
+    done = call("batch", "fuse", "--list", tmp_path / "list", *how, "-o", tmp_path / "out")
+    assert done.code == 0, done.err
+    files = ("--boxes3d", folder / "boxes3d.jsonl", *seen)
+    call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "alone.jsonl")
+    assert (tmp_path / "out" / "recording.jsonl").read_bytes() == (tmp_path / "alone.jsonl").read_bytes()
 
 
 @pytest.mark.parametrize("numbered", [False, True], ids=["by times", "by numbers of frames"])

@@ -11,7 +11,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.batch.in_parts import check_parts
-from sceneloom.cli.batch.one_drive import BATCHED, CALL, verb_named
+from sceneloom.cli.batch.one_drive import BATCHED, CALL, beside, verb_named
 from sceneloom.cli.batch.status import print_summary, status
 from sceneloom.cli.printing import print_json
 
@@ -98,8 +98,9 @@ def _over_many(name: str) -> click.Command:
 _HELP = (
     "outputs are named by their drives and lie in OUT, a folder or a place in a store, such as s3://bucket/run1/. What "
     "else is written has the drives' names, too: for a folder DIR that an option names DIR/DRIVE, for a file NAME "
-    "DRIVE.NAME beside it. The record of the run is OUT/.sceneloom-run, or --record. Exit code 1 if a "
-    "drive failed."
+    "DRIVE.NAME beside it. In names of files that are read, such as --truth 'truths/{name}.tum', {name} is what the "
+    "drive is called, {drive} its path, {folder} where it lies. The record of the run is OUT/.sceneloom-run, or "
+    "--record. Exit code 1 if a drive failed."
 )
 
 
@@ -209,13 +210,16 @@ _OPTIONS = (
 
 def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     from sceneloom.batch import Job, run
+    from sceneloom.batch.files import give_files
     from sceneloom.batch.inputs import find_inputs
     from sceneloom.formats.processors import processors
 
     if own["parts"] is not None:
         check_parts(name)
     workers = own["workers"] or processors()
-    inputs = find_inputs(own["inputs"], own["lists"])
+    taken = beside(name)
+    said = {option: values[option] for option in taken if values[option] not in (None, ())}
+    inputs, files = give_files(find_inputs(own["inputs"], own["lists"], files=taken), said, taken)
     further = _further(name, values)
     executor = _cluster(name, own, workers)
     job = Job(
@@ -223,6 +227,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         call=CALL,
         inputs=inputs,
         options={"verb": name, **values},
+        files=files,
         suffix=BATCHED[name].suffix if own["suffix"] is None else own["suffix"],
         retries=own["retries"],
         modules=BATCHED[name].modules,

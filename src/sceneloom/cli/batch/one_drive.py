@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from sceneloom.batch.inputs import READING
+from sceneloom.batch.inputs import READING, FileOption
 from sceneloom.batch.pieces import PIECE
 from sceneloom.cli import options
 from sceneloom.cli.batch.in_parts import instead_of
@@ -32,6 +32,7 @@ class Batched:
         suffix: what names of outputs end in, unless the user says otherwise.
         modules: what it imports when it is called and takes long to import.
         folders, files: names of those that are further outputs.
+        beside: names of those that name files which it reads beside the drive.
     """
 
     drive: str
@@ -40,6 +41,7 @@ class Batched:
     modules: tuple[str, ...]
     folders: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
 
 BATCHED: Mapping[str, Batched] = MappingProxyType(
@@ -47,10 +49,12 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
         "fuse": Batched(
             *("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing.job")),
             folders=("depth", "pictures"),
+            beside=("boxes3d", "boxes2d", "detectors"),
         ),
         "convert": Batched(
             *("source", "target", ".sfs", ("sceneloom.cli.convert", "sceneloom.pipeline.converting.job")),
             files=("loss",),
+            beside=("from_times",),
         ),
         "validate": Batched(
             *("path", "", ".json", ("sceneloom.cli.validate", "sceneloom.checks.validation")), files=("fix",)
@@ -58,13 +62,34 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
         "track": Batched(
             *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.found_objects")),
             folders=("pictures",),
+            beside=("boxes3d", "boxes2d", "detectors"),
         ),
         "report": Batched(
             *("path", "output", ".html", ("sceneloom.cli.report", "sceneloom.report.writing")),
             files=("numbers",),
+            beside=("truth", "losses"),
         ),
     }
 )
+
+
+_NAMED = "detectors"
+"""Of those that name files, the one that takes a name, too: verbs take it as text."""
+
+
+def beside(name: str) -> dict[str, FileOption]:
+    """The options of a verb that name files which it reads beside a drive."""
+    from sceneloom.detections.detector_files import detector_names
+
+    wanted = BATCHED[name].beside
+    return {
+        option.name: FileOption(
+            several=getattr(option, "multiple", False),
+            names=frozenset(detector_names() if option.name == _NAMED else ()),
+        )
+        for option in verb_named(name).params
+        if option.name in wanted
+    }
 
 
 def verb_named(name: str) -> click.Command:
@@ -98,6 +123,8 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
     given[batched.drive] = options.place(place)
     if batched.output:
         given[batched.output] = output
+    if isinstance(given.get(_NAMED), Path):
+        given[_NAMED] = str(given[_NAMED])
     _read_as_listed(given, command)
     if piece is not None:
         given["instead"] = instead_of(name, piece, output)

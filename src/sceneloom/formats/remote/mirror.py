@@ -122,6 +122,7 @@ class Mirror:
         self._read: Counter[str] = Counter()
         self._handles: dict[str, list[Handle]] = {}
         self._since_counted = listing.largest
+        self._closed = False
 
     def file(self, name: str) -> ListedFile | None:
         """The file of that name; None where there is none."""
@@ -203,7 +204,11 @@ class Mirror:
             handle.close()
             raise
         with self._lock:
-            free.append(handle)
+            stays = not self._closed
+            if stays:
+                free.append(handle)
+        if not stays:
+            handle.close()
         return content
 
     def gather(self, files: Iterable[ListedFile]) -> None:
@@ -223,6 +228,7 @@ class Mirror:
     def close(self) -> None:
         """Fetch nothing more."""
         with self._lock:
+            self._closed = True
             crew, self._crew = self._crew, None
             handles, self._handles = self._handles, {}
         for handle in (handle for free in handles.values() for handle in free):

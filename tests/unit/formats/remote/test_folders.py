@@ -271,3 +271,19 @@ def test_folders_of_all_formats_hold_what_they_hold_on_disk(drive, tmp_path, for
         assert remote.format == local.format == form
         assert content(remote) == content(local)
         assert len(local.lidars[0].frames) == 4
+
+
+def test_a_connection_that_is_busy_while_a_drive_is_closed_ends_with_its_answer(clouds, monkeypatch):
+    closed, read, close = [], stores.Handle.read, stores.Handle.close
+    place = fetch(f"local://{clouds}")
+    fetching = mirrored_path.mirror_of(place.path)
+
+    def slow(self, start, stop, **how):
+        found = read(self, start, stop, **how)
+        fetching.close()
+        return found
+
+    monkeypatch.setattr(stores.Handle, "read", slow)
+    monkeypatch.setattr(stores.Handle, "close", lambda self: (closed.append(self), close(self))[1])
+    assert len(fetching.piece(fetching.listing.files[0], 0)) == min(FILE, mirror.PIECE)
+    assert len(closed) == 1

@@ -75,6 +75,18 @@ def _expected(shape: Sequence[int | None], dtype: DTypeLike) -> str:
     return f"expected ({lengths}) {np.dtype(dtype).name}"
 
 
+def finite_rows(values: FloatArray) -> BoolArray:
+    """Tell which rows are finite throughout.
+
+    Args:
+        values: (N, M) float.
+
+    Returns:
+        (N,) bool.
+    """
+    return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
+
+
 def read_only(array: ArrayLike, dtype: DTypeLike | None = None) -> AnyArray:
     """Return the array as a contiguous view that refuses writing."""
     view = np.ascontiguousarray(array, dtype=dtype).view()

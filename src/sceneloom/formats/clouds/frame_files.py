@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, UInt8Array
+from sceneloom.arrays import AnyArray, BoolArray, UInt8Array, finite_rows
 from sceneloom.errors import OptionError
 from sceneloom.formats.clouds.columns import FrameColumns, LossTaker, fitted, las_names, single_columns
 from sceneloom.formats.loss import Fate, Loss
@@ -158,7 +158,7 @@ def write_las(path: Path, columns: FrameColumns, place: str, tell: LossTaker) ->
 
 def _finite(columns: FrameColumns, place: str, tell: LossTaker) -> BoolArray:
     """Which points are finite, (N,) bool: the others are left out, which is told."""
-    finite: BoolArray = np.asarray(np.isfinite(columns.positions).all(axis=1))
+    finite = finite_rows(columns.positions)
     if not finite.all():
         what = "points that are not finite are left out"
         tell(Loss(field=f"{place}.positions", what=what, count=int((~finite).sum())))

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, finite_rows
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.recording.kept_texts import SharedLines, completed, rows_of
 from sceneloom.formats.recording.line_shapes import ROOT_KEYS
@@ -127,7 +127,7 @@ class NumberLines:
                 what = f"left out: {width} values a sample; the format's {name} has {AXES[name]}"
                 self._lose(place, what, len(samples))
                 continue
-            usable = _finite_rows(samples.values)
+            usable = finite_rows(samples.values)
             self._lose(place, "left out: a value is not finite", int((~usable).sum()))
             fields = self._sample_fields(name, width)
             streams.append(self._stream(f"imu.{name}", samples, samples.values, usable, fields))
@@ -147,7 +147,7 @@ class NumberLines:
             sensor: what to write.
             origin: root key and name of its lines.
         """
-        usable = _finite_rows(sensor.positions_lla)
+        usable = finite_rows(sensor.positions_lla)
         what = "left out: latitude, longitude or altitude is missing, and a fix needs all three"
         self._lose(f"sensors[{sensor.id}]", what, int((~usable).sum()))
         order = writing_order(sensor.timestamps_ns, sensor.file_seconds)
@@ -265,10 +265,6 @@ def receiver_origin(
 
 def _and_further(line: WrittenLine, before: str | None) -> WrittenLine:
     return line if before is None else line._replace(text=completed(line.text, before))
-
-
-def _finite_rows(values: Float64Array) -> BoolArray:
-    return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
 
 
 def _given(name: str, value: float) -> dict[str, float]:

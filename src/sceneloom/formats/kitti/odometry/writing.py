@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
+from sceneloom.arrays import finite_rows
 from sceneloom.errors import OptionError
 from sceneloom.formats.kitti.odometry.place import CAMERAS, OdometrySequence, recognises
 from sceneloom.formats.kitti.odometry.written_labels import PointLabels
 from sceneloom.formats.kitti.written.calibration_text import write_calibration
 from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
-from sceneloom.formats.kitti.written.files import have_places, write_point_labels
+from sceneloom.formats.kitti.written.files import write_point_labels
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.places import egos_at, mounted_of
 from sceneloom.formats.kitti.written.target import check_replaceable, kept_calibration, kept_of
@@ -70,7 +71,8 @@ def write_odometry(
             losses.extend(point_time_loss(frame))
             if labels:
                 values = labels.values(int(timeline.sweeps[k]), len(frame.points))
-                write_point_labels(values[have_places(frame.points)], folder / "labels" / f"{k:06d}.label")
+                written = finite_rows(frame.points.positions)
+                write_point_labels(values[written], folder / "labels" / f"{k:06d}.label")
 
         if labels:
             (folder / "labels").mkdir()

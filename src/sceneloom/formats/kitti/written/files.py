@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float32Array, UInt32Array
+from sceneloom.arrays import Float32Array, UInt32Array, finite_rows
 from sceneloom.editing.chosen_points import chosen_points
 from sceneloom.editing.sensor_frames import points_change
 from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.rig.pictures import PictureFile
-from sceneloom.scene import CameraSensor, LidarFrame, LidarPoints, LidarSensor, Picture, PointsFrame
+from sceneloom.scene import CameraSensor, LidarFrame, LidarSensor, Picture, PointsFrame
 from sceneloom.scene.ego import EgoMotion
 
 _COMPRESSION = 1
@@ -76,7 +76,7 @@ class SweepFiles:
 
     def placed(self, frame: LidarFrame) -> LidarFrame:
         """The sweep without the points that have no place, which files of bare numbers cannot say."""
-        there = have_places(frame.points)
+        there = finite_rows(frame.points.positions)
         if there.all():
             return frame
         self._lose("positions", "points whose place is not finite are left out", int((~there).sum()))
@@ -137,12 +137,6 @@ class SweepFiles:
         self.losses.append(
             Loss(field=f"sensors.lidar.frames.points.{name}", what=what, count=count, fate=fate)
         )
-
-
-def have_places(points: LidarPoints) -> BoolArray:
-    """Which points are written, (N,) bool: those whose place is finite."""
-    there: BoolArray = np.asarray(np.isfinite(points.positions).all(axis=1))
-    return there
 
 
 def write_point_labels(values: UInt32Array, path: Path) -> None:

@@ -161,7 +161,7 @@ _OPTIONS = (
         metavar="DIR",
         help="Folder of the run's record where OUT is a URL. [default: one in ~/.local/state/sceneloom]",
     ),
-    options.lists('a path, or {"path": …, "start": …, "stop": …}'),
+    options.lists('a path, or {"path": …, "start": …, "stop": …, OPTION: FILE}'),
     click.option(
         "--workers",
         type=click.IntRange(1, 1024),

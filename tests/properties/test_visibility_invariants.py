@@ -12,6 +12,7 @@ from sceneloom.colouring import ViewRequest, VisibilitySettings, find_visible, f
 from sceneloom.colouring.scan_lines import look_around, measure_spacings, measure_surface_distance
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
+from sceneloom.kernels.direction_grid import measure_extent
 from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
 from sceneloom.kernels.point_colours import paint_points
@@ -81,12 +82,15 @@ def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, know
     cell = math.radians(0.16)
     eyes = np.array([[0.1, -0.5, 0.3], [0.2, -0.4, math.inf]])[: 2 if known_way else 0]
     ids, fractions = np.arange(rows.shape[1]), np.ones(rows.shape[1], np.float32)
+    extent = measure_extent(rows[:2], rows[2])
     mark_unhidden(
-        rows[:2], rows[2], rows[2], cell, math.radians(window_deg), near, 0.0, near, 2.0, 0.15, 0.01,
+        rows[:2], rows[2], rows[2], extent, cell, math.radians(window_deg), near, 0.0, near, 2.0, 0.15, 0.01,
         eyes, ids, fractions, 0.85, visible,
     )  # fmt: skip
     check()
     takes_part = (rows[2] > 0) & np.isfinite(rows[2]) & (np.abs(rows[:2]) <= 2.1).all(axis=0)
+    ends = [(some.min(), some.max()) if len(some) else (math.inf, -math.inf) for some in rows[:2, takes_part]]
+    assert extent.tolist() == [end for pair in ends for end in pair]
     assert not visible[~takes_part].any()
     assert visible[takes_part].any() == takes_part.any()
 

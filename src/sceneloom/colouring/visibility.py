@@ -63,6 +63,7 @@ from sceneloom.colouring.scan_lines import (
 from sceneloom.colouring.uneven_lines import Part, are_uneven, split_by_spacing
 from sceneloom.errors import OptionError
 from sceneloom.kernels.crew import ALONE, Crew
+from sceneloom.kernels.direction_grid import measure_extent
 from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
 
@@ -158,13 +159,15 @@ def find_visible(
         _NO_WAY if way is None else (_in_camera(way.ends_world, camera_from_world), way.fractions)
     )
     from_lidar = _FromLidar(points_world, point_ids, camera_from_world, eyes, fractions)
-    passes, surface_distance = _measure(directions, inverse_ranges, settings, from_lidar)
+    extent = measure_extent(directions, inverse_ranges, crew=crew)
+    passes, surface_distance = _measure(directions, inverse_ranges, extent, settings, from_lidar)
     for number, (reach, hiding) in enumerate(passes):
         seen = np.empty(len(point_ids), np.bool_)
         mark_unhidden(
             directions,
             inverse_ranges,
             hiding,
+            extent,
             max(max(reach.window, reach.across, reach.along) / CELLS_PER_REACH, radians(_CELL_DEG)),
             reach.window,
             *reach.ellipse,
@@ -224,6 +227,7 @@ def _in_camera(points_world: Float64Array, camera_from_world: Float64Array) -> F
 def _measure(
     directions: Float32Array,
     inverse_ranges: Float32Array,
+    extent: Float32Array,
     settings: VisibilitySettings,
     from_lidar: _FromLidar,
 ) -> tuple[list[tuple[Reach, Float32Array]], float]:
@@ -238,7 +242,7 @@ def _measure(
         distance = USUAL_SURFACE_DISTANCE
     if window is not None and near is not None and distance is not None:
         return [(Reach(radians(window), radians(near), radians(near)), inverse_ranges)], distance
-    neighbours = look_around(directions, inverse_ranges)
+    neighbours = look_around(directions, inverse_ranges, extent=extent)
     if distance is None:
         margins = _STRAIGHTNESS * settings.margin, _STRAIGHTNESS * settings.margin_share
         distance = measure_surface_distance(neighbours, directions, inverse_ranges, *margins)

@@ -9,7 +9,8 @@ from numba import boolean, float32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array
 from sceneloom.kernels.crew import ALONE, Crew
-from sceneloom.kernels.pixel_numbers import BLOCK, PART, list_numbered, number_pixels
+from sceneloom.kernels.fetching import fetch
+from sceneloom.kernels.pixel_numbers import BLOCK, PART, number_pixels
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
@@ -28,13 +29,14 @@ def _cross_out(numbers: AnyArray, first: Any, size: Any, depths: Float32Array, v
 
 
 @numba.njit(**PART)
-def _lower(listed: AnyArray, numbers: AnyArray, depths: Float32Array, image: Float32Array) -> None:
-    """Lower the pixels of the listed points."""
-    for n in range(listed.shape[0]):
-        i = np.uint64(listed[n])
-        depth, p = depths[i], np.uint64(numbers[i])
-        there = image[p]
-        image[p] = depth if (there == _NOTHING) | (depth < there) else there
+def _lower(numbers: AnyArray, depths: Float32Array, coming: AnyArray, image: Float32Array) -> None:
+    """Lower the pixels of a block of points, and ask for those of the block that is coming."""
+    for i in range(depths.shape[0]):
+        fetch(image, np.int64(coming[i]))
+        if numbers[i] >= 0:
+            depth, p = depths[i], np.uint64(numbers[i])
+            there = image[p]
+            image[p] = depth if (there == _NOTHING) | (depth < there) else there
 
 
 @numba.njit(**PART)
@@ -56,15 +58,16 @@ def _draw_rows(
     """Draw what falls into some rows of the image."""
     height, width = depth_image.shape
     flat_pixels, image = pixels.reshape(pixels.size), depth_image.reshape(depth_image.size)
-    numbers, listed = np.empty(BLOCK, np.int32), np.empty(BLOCK + 1, np.uint32)
     first, rows = np.int32(top * width), image[top * width : bottom * width]
-    for start in range(0, depths.shape[0], BLOCK):
+    numbers, coming = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
+    for start in range(0, depths.shape[0] + BLOCK, BLOCK):
         stop = min(start + BLOCK, depths.shape[0])
-        block = numbers[: stop - start]
-        number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
-        _cross_out(block, first, np.int32(rows.shape[0]), depths[start:stop], visible[start:stop])
-        count = list_numbered(block, rows, 1, listed)
-        _lower(listed[:count], block, depths[start:stop], rows)
+        if start < stop:
+            block = coming[: stop - start]
+            number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
+            _cross_out(block, first, np.int32(rows.shape[0]), depths[start:stop], visible[start:stop])
+        _lower(numbers, depths[max(start - BLOCK, 0) : min(start, depths.shape[0])], coming, rows)
+        numbers, coming = coming, numbers
 
 
 def draw_depths(

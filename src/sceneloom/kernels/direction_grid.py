@@ -5,8 +5,10 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba import float32, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array
+from sceneloom.kernels.crew import ALONE, Crew
 
 INNER: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Options of the functions that are compiled, and cached, as parts of others."""
@@ -17,7 +19,8 @@ BLOCK = 512
 _EDGE = np.float32(2.1)
 """No direction lies farther than this from the axis in the equal-area map."""
 _NOTHING, _ENDLESS = np.float32(0.0), np.float32(math.inf)
-_NONE, _FAR = np.int32(-1), np.int32(2**30)
+_LEAST, _GREATEST, _SIGN = np.int32(-(2**31)), np.int32(2**31 - 1), np.int32(31)
+_IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _PARTS, _LAST_PART = np.float32(65536.0), np.int32(0xFFFF)
 _PART = np.float32(1.0 / 65536.0)
 """How finely the place in a cell is kept: float32 knows it no better, but at the far edge of the map."""
@@ -51,32 +54,63 @@ def _number(column: Any, row: Any, grid: tuple[Any, Any, Any, int, int]) -> Any:
 
 
 @numba.njit(**INNER)
-def span(
-    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, per_cell: Any
-) -> tuple[Any, Any, Any, Any]:
-    """Give the first and the last column and row in which a point lies, counted from the edge of the map.
+def _order(bits: Any) -> Any:
+    """Turn the bits of a float into an integer that is ordered as the floats are, and back."""
+    return np.int32(bits ^ np.int32(np.int32(bits >> _SIGN) & _GREATEST))
 
-    Where no point takes part, the first is 2^30 and the last -1.
-    """
-    left, right, top, bottom = _FAR, _NONE, _FAR, _NONE
+
+@numba.njit(
+    void(_IN_F32_1D, _IN_F32_1D, _IN_F32_1D, float32[::1]), cache=True, nogil=True, error_model="numpy"
+)
+def _measure_extent(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, extent: Float32Array
+) -> None:
+    """Write the extent of some points; by integers, since vectors find no least of floats that may be NaN."""
+    a_bits, b_bits, found = rightward.view(np.int32), downward.view(np.int32), extent.view(np.int32)
+    left, right, top, bottom = _GREATEST, _LEAST, _GREATEST, _LEAST
     for i in range(inverse_ranges.shape[0]):
-        a, b = rightward[i], downward[i]
-        placed = _is_placed(a, b, inverse_ranges[i])
-        column, row = _step(a, placed, per_cell), _step(b, placed, per_cell)
-        left, right = min(left, column if placed else _FAR), max(right, column if placed else _NONE)
-        top, bottom = min(top, row if placed else _FAR), max(bottom, row if placed else _NONE)
-    return left, right, top, bottom
+        placed = _is_placed(rightward[i], downward[i], inverse_ranges[i])
+        a, b = _order(a_bits[i]), _order(b_bits[i])
+        left, right = min(left, a if placed else _GREATEST), max(right, a if placed else _LEAST)
+        top, bottom = min(top, b if placed else _GREATEST), max(bottom, b if placed else _LEAST)
+    if left <= right:
+        found[0], found[1], found[2], found[3] = _order(left), _order(right), _order(top), _order(bottom)
+    else:
+        extent[0] = extent[2] = _ENDLESS
+        extent[1] = extent[3] = -_ENDLESS
+
+
+def measure_extent(
+    directions: Float32Array, inverse_ranges: Float32Array, *, crew: Crew = ALONE
+) -> Float32Array:
+    """Give how far points reach in the equal-area map.
+
+    Args:
+        directions: (2, M) in the equal-area map [rad].
+        inverse_ranges: (M,) [1/m]; only points between zero and infinity take part.
+        crew: the threads that share the points.
+
+    Returns:
+        (4,) float32 [rad]: the least and the greatest rightward, the least and the greatest downward; infinity and
+        minus infinity where no point takes part.
+    """
+    found = np.empty((crew.size, 4), np.float32)
+
+    def measure(part: int, a: int, b: int) -> None:
+        _measure_extent(directions[0, a:b], directions[1, a:b], inverse_ranges[a:b], found[part])
+
+    crew.share(len(inverse_ranges), measure)
+    extent: Float32Array = found.min(axis=0)
+    extent[1::2] = found[:, 1::2].max(axis=0)
+    return extent
 
 
 @numba.njit(**INNER)
-def fit_grid(
-    directions: Float32Array, inverse_ranges: Float32Array, cell: float, border: int
-) -> tuple[Any, Any, Any, int, int]:
-    """Fit the smallest grid around all points that has `border` empty cells on each side.
+def fit_grid(extent: Float32Array, cell: float, border: int) -> tuple[Any, Any, Any, int, int]:
+    """Fit the smallest grid around some points that has `border` empty cells on each side.
 
     Args:
-        directions: (2, M) in the equal-area map.
-        inverse_ranges: (M,) [1/m]; only points between zero and infinity take part.
+        extent: what `measure_extent` gives for them.
         cell: size of a cell [rad].
         border: cells, at least 1.
 
@@ -85,9 +119,10 @@ def fit_grid(
         first_column, first_row: of the grid, counted from the edge of the map.
         columns, rows: of the grid, border included.
     """
-    per_cell = np.float32(1.0 / cell)
-    left, right, top, bottom = span(directions[0], directions[1], inverse_ranges, per_cell)
-    columns, rows = max(int(right - left), 0) + 1 + 2 * border, max(int(bottom - top), 0) + 1 + 2 * border
+    per_cell, some = np.float32(1.0 / cell), extent[0] <= extent[1]
+    left, right = _step(extent[0], some, per_cell), _step(extent[1], some, per_cell)
+    top, bottom = _step(extent[2], some, per_cell), _step(extent[3], some, per_cell)
+    columns, rows = int(right - left) + 1 + 2 * border, int(bottom - top) + 1 + 2 * border
     return per_cell, np.int32(left - border), np.int32(top - border), columns, rows
 
 
@@ -137,7 +172,7 @@ def keep_nearest(
     """Write each point's cell, and raise the key of each cell to that of its nearest point.
 
     Args:
-        rightward, downward, inverse_ranges: (M,) float32, as of `fit_grid`.
+        rightward, downward, inverse_ranges: (M,) float32, as of `measure_extent`.
         counting: (M,) float32 [1/m], by what they count as near; 0 for a point that is nearer than none.
         grid: what `fit_grid` gives.
         numbers: (M,) int32, written; 0, where no point is, for a point that takes no part.

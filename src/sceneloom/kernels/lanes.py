@@ -143,16 +143,18 @@ def find_quadrants(_typing: Any, nearest: Any, right: Any, down: Any, first: Any
         squared = _square(builder, x_to, y_to)
         hides = _hides(builder, inverse, squared, above, slope)
         hides = _all(builder, hides, builder.fcmp_ordered("<=", squared, window))
+        # Both borders of each axis, then whole numbers: of vectors four comparisons are left.
+        right_of, left_of, below, above_it = (
+            _as_bits(builder, builder.fcmp_ordered(test, to, _ZERO))
+            for test, to in ((">", x_to), ("<", x_to), (">", y_to), ("<", y_to))
+        )
+        there = _as_bits(builder, hides)
         bits = ir.Constant(ir.IntType(64), 0)
-        for number, (x_test, y_test) in enumerate(((">", ">="), ("<=", ">"), ("<", "<="), (">=", "<"))):
-            there = _all(
-                builder,
-                hides,
-                builder.fcmp_ordered(x_test, x_to, _ZERO),
-                builder.fcmp_ordered(y_test, y_to, _ZERO),
-            )
-            shift = ir.Constant(ir.IntType(64), number * LANES)
-            bits = builder.or_(bits, builder.shl(_as_bits(builder, there), shift))
+        for number, (holds, lacks) in enumerate(
+            ((right_of, above_it), (below, right_of), (left_of, below), (above_it, left_of))
+        ):
+            found = builder.and_(builder.and_(there, holds), builder.not_(lacks))
+            bits = builder.or_(bits, builder.shl(found, ir.Constant(ir.IntType(64), number * LANES)))
         return bits
 
     return types.uint64(nearest, right, down, first, numbers), generate

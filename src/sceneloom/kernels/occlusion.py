@@ -9,7 +9,7 @@ from numba import float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.kernels.crew import ALONE, Crew
-from sceneloom.kernels.direction_grid import keep_nearest, read_keys, span
+from sceneloom.kernels.direction_grid import fit_grid, keep_nearest, read_keys
 from sceneloom.kernels.lanes import LANES
 from sceneloom.kernels.occlusion_bounds import bound_hiding
 from sceneloom.kernels.occlusion_search import search_hiding
@@ -18,16 +18,10 @@ _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _KERNEL: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
-@numba.njit(void(_IN_F32_1D, _IN_F32_1D, _IN_F32_1D, float64, int64[::1]), **_KERNEL)
-def _find_span(
-    rightward: Float32Array,
-    downward: Float32Array,
-    inverse_ranges: Float32Array,
-    cell: float,
-    found: AnyArray,
-) -> None:
-    """Write the first and last column, the first and last row that points lie in."""
-    found[0], found[1], found[2], found[3] = span(rightward, downward, inverse_ranges, np.float32(1.0 / cell))
+@numba.njit(void(_IN_F32_1D, float64, int64, int64[::1]), **_KERNEL)
+def _fit_grid(extent: Float32Array, cell: float, border: int, grid: AnyArray) -> None:
+    """Write a grid's first column and row, counted from the edge of the map, its columns and rows."""
+    _, grid[0], grid[1], grid[2], grid[3] = fit_grid(extent, cell, border)
 
 
 @numba.njit(
@@ -80,6 +74,7 @@ def mark_unhidden(
     directions: Float32Array,
     inverse_ranges: Float32Array,
     hiding: Float32Array,
+    extent: Float32Array,
     cell: float,
     window: float,
     near_xx: float,
@@ -104,6 +99,7 @@ def mark_unhidden(
         directions: (2, M) in the equal-area map [rad].
         inverse_ranges: (M,) [1/m]; a point with 0 takes no part and is not visible.
         hiding: (M,) [1/m], the same for points that may hide others, 0 for those that shall not.
+        extent: (4,) of the points, as of `direction_grid.measure_extent`.
         cell: size of a cell [rad], at least 0.001, which bounds the memory.
         window: within it two things on opposite sides of a point hide it [rad].
         near_xx, near_xy, near_yy: p, q, r of the ellipse p x² + q x y + r y² <= 1 in which a single thing hides
@@ -125,14 +121,13 @@ def mark_unhidden(
     reach_x, reach_y, radius = math.sqrt(yy / area), math.sqrt(xx / area), window / cell
     size_x, size_y = math.ceil(reach_x), math.ceil(reach_y)
     border = max(math.ceil(radius), size_x, size_y)
-    points = (directions[0], directions[1], inverse_ranges)
-    first_column, first_row, columns, rows = _fit(points, cell, border, crew)
+    points = directions[0], directions[1], inverse_ranges
+    first_column, first_row, columns, rows = _fit(extent, cell, border)
     cells, numbers = columns * rows, np.empty(len(inverse_ranges), np.int32)
     keys = np.zeros((crew.size, cells), np.int64)
 
     def keep(part: int, a: int, b: int) -> None:
-        some = _some(points, a, b)
-        corner = (cell, first_column, first_row)
+        some, corner = _some(points, a, b), (cell, first_column, first_row)
         _keep_nearest(*some, hiding[a:b], *corner, columns, rows, numbers[a:b], keys[part])
 
     crew.share(len(numbers), keep)
@@ -168,12 +163,8 @@ def _some(rows: _Rows, start: int, stop: int) -> _Rows:
     return rows[0][start:stop], rows[1][start:stop], rows[2][start:stop]
 
 
-def _fit(points: _Rows, cell: float, border: int, crew: Crew) -> tuple[int, int, int, int]:
-    """Fit the grid: its first column and row, counted from the edge of the map, its columns and rows."""
-    found = np.empty((crew.size, 4), np.int64)
-    found[:] = 2**30, -1, 2**30, -1
-    crew.share(len(points[2]), lambda part, a, b: _find_span(*_some(points, a, b), cell, found[part]))
-    left, top = (int(found[:, i].min()) for i in (0, 2))
-    right, bottom = (int(found[:, i].max()) for i in (1, 3))
-    columns, rows = (max(last - first, 0) + 1 + 2 * border for first, last in ((left, right), (top, bottom)))
-    return left - border, top - border, columns, rows
+def _fit(extent: Float32Array, cell: float, border: int) -> list[int]:
+    grid = np.empty(4, np.int64)
+    _fit_grid(extent, cell, border, grid)
+    first_and_sizes: list[int] = grid.tolist()
+    return first_and_sizes

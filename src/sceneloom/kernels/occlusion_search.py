@@ -8,8 +8,11 @@ import numpy as np
 from numba import boolean, float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
-from sceneloom.kernels.direction_grid import BLOCK, INNER, fraction
+from sceneloom.kernels.direction_grid import INNER, fraction
 from sceneloom.kernels.lanes import LANES, find_beside, find_nearing, find_quadrants
+
+_BLOCK = 2048
+"""Points that are picked from at once: few of them stay, and what is begun anew for each block is shared by many."""
 
 INLINED = {**INNER, "inline": "always"}
 """Options of what is called point by point: a call would count references to every array it is given."""
@@ -20,6 +23,7 @@ _IN_I32_1D = types.Array(int32, 1, "C", readonly=True)
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 
 _NOTHING, _ONE, _QUARTER, _BEHIND = np.float32(0.0), np.float32(1.0), np.float32(0.25), np.float32(1e-3)
+_ENDLESS = np.float32(math.inf)
 _QUADRANT, _NO_CELL = np.uint64(2**LANES - 1), np.uint64(0)
 _SECOND, _THIRD, _FOURTH = np.uint64(LANES), np.uint64(2 * LANES), np.uint64(3 * LANES)
 
@@ -78,15 +82,18 @@ def _threshold(inverse: Any, limits: tuple[Any, Any, Any, Any]) -> Any:
 @numba.njit(**INNER)
 def _pick(
     inverse_ranges: Float32Array, numbers: AnyArray, from_any: Float32Array, limits: tuple[Any, Any, Any, Any],
-    visible: BoolArray, picked: AnyArray,
+    visible: BoolArray, picked: AnyArray, thresholds: Float32Array,
 ) -> int:  # fmt: skip
     """List the points of a block that something may hide; let all others be seen that are in a cell."""
+    for i in range(numbers.shape[0]):
+        visible[i] = numbers[i] > 0
+        # Nothing exceeds what is endless.
+        thresholds[i] = _threshold(inverse_ranges[i], limits) if numbers[i] > 0 else _ENDLESS
     count = 0
     for i in range(numbers.shape[0]):
-        c = np.uint32(numbers[i])
-        visible[i] = c > 0
-        picked[count] = i
-        count += (from_any[c] > _threshold(inverse_ranges[i], limits)) & (c > 0)
+        if from_any[np.uint32(numbers[i])] > thresholds[i]:
+            picked[count] = i
+            count += 1
     return count
 
 
@@ -272,12 +279,12 @@ def search_hiding(
     rule, near = (limits[0], limits[1], limits[2], limits[3]), (limits[4], limits[5], limits[6])
     beside, around = _list_strips(size_x, size_y, columns), _list_strips(border, border, columns)
     picked, lists, room = (
-        np.empty(BLOCK + 1, np.int32), np.empty((3, BLOCK + 1), np.int32), np.empty((8, BLOCK), np.float32)
+        np.empty(_BLOCK, np.int32), np.empty((3, _BLOCK + 1), np.int32), np.empty((8, _BLOCK), np.float32)
     )  # fmt: skip
-    for start in range(0, count, BLOCK):
-        stop = min(start + BLOCK, count)
+    for start in range(0, count, _BLOCK):
+        stop = min(start + _BLOCK, count)
         seen, inverse, block = visible[start:stop], inverse_ranges[start:stop], numbers[start:stop]
-        found = _pick(inverse, block, from_any, rule, seen, picked)
+        found = _pick(inverse, block, from_any, rule, seen, picked, room[2])
         _decide(
             picked[:found], rightward[start:stop], downward[start:stop], inverse, block, pitch,
             nearest, right, down, from_opposite, beside, around, near, rule,

@@ -1,4 +1,4 @@
-"""The pixel in which a point falls, as one number, and the points that are to go there."""
+"""The pixel in which a point falls, as one number."""
 
 from typing import Any
 
@@ -6,13 +6,12 @@ import numba
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array
-from sceneloom.kernels.fetching import fetch
 
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Options of functions that are compiled, and cached, as parts of others."""
 
-BLOCK = 512
-"""Points that are numbered at once, by vector instructions."""
+BLOCK = 256
+"""Points that are numbered at once, by vector instructions; pixels of the next block are on their way meanwhile."""
 
 _LOW, _NOTHING, _HALF = np.float32(-0.5), np.float32(0.0), np.float32(0.5)
 
@@ -47,23 +46,3 @@ def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: A
         row = np.int32(min(_round(v if inside else _NOTHING), last_row))
         number = np.int32(np.int32(row * columns) + column)
         numbers[i] = number if inside else np.int32(-1)
-
-
-@numba.njit(**PART)
-def list_numbered(numbers: AnyArray, flat_image: AnyArray, per_pixel: int, listed: AnyArray) -> Any:
-    """List the points of a block that have a pixel, ask for these pixels, and give the count.
-
-    Which ones these are is not guessed, and many pixels are on their way from memory at once.
-
-    Args:
-        numbers: (M,) int32, of pixels, -1 for none.
-        flat_image: (pixels * per_pixel,), where they will be looked for.
-        per_pixel: numbers in a pixel.
-        listed: (M + 1,) uint32, written: places in `numbers`, as many as are given.
-    """
-    count = np.uint64(0)
-    for i in range(numbers.shape[0]):
-        listed[count] = i
-        fetch(flat_image, np.int64(per_pixel) * np.int64(numbers[i]))
-        count += np.uint64(numbers[i] >= 0)
-    return count

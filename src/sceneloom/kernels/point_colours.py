@@ -5,7 +5,8 @@ import numpy as np
 from numba import boolean, float32, float64, int64, types, uint8, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
-from sceneloom.kernels.pixel_numbers import BLOCK, PART, list_numbered, number_pixels
+from sceneloom.kernels.fetching import fetch
+from sceneloom.kernels.pixel_numbers import BLOCK, PART, number_pixels
 
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
@@ -42,17 +43,18 @@ def _choose(
 
 @numba.njit(**PART)
 def _paint(
-    listed: AnyArray, point_ids: Int64Array, numbers: AnyArray, flat_rgb: UInt8Array, camera: int,
+    numbers: AnyArray, point_ids: Int64Array, coming: AnyArray, flat_rgb: UInt8Array, camera: int,
     flat_colors: UInt8Array, camera_index: UInt8Array,
 ) -> None:  # fmt: skip
-    """Copy the colours of the listed points' pixels."""
-    for n in range(listed.shape[0]):
-        i = np.uint64(listed[n])
-        k = np.uint64(point_ids[i])
-        source, target = np.uint64(3) * np.uint64(numbers[i]), np.uint64(3) * k
-        for channel in range(3):
-            flat_colors[target + np.uint64(channel)] = flat_rgb[source + np.uint64(channel)]
-        camera_index[k] = camera
+    """Copy the colours of the pixels of a block of points, and ask for those of the block that is coming."""
+    for i in range(point_ids.shape[0]):
+        fetch(flat_rgb, np.int64(3) * np.int64(coming[i]))
+        if numbers[i] >= 0:
+            k = np.uint64(point_ids[i])
+            source, target = np.uint64(3) * np.uint64(numbers[i]), np.uint64(3) * k
+            for channel in range(3):
+                flat_colors[target + np.uint64(channel)] = flat_rgb[source + np.uint64(channel)]
+            camera_index[k] = camera
 
 
 @numba.njit(
@@ -90,13 +92,20 @@ def paint_points(
         rgb.reshape(rgb.size),
         colors.reshape(colors.size),
     )
-    numbers, listed = np.empty(BLOCK, np.int32), np.empty(BLOCK + 1, np.uint32)
-    for start in range(0, point_ids.shape[0], BLOCK):
-        stop = min(start + BLOCK, point_ids.shape[0])
-        block, ids, seen = numbers[: stop - start], point_ids[start:stop], visible[start:stop]
-        number_pixels(flat_pixels[2 * start : 2 * stop], width, height, block)
-        _cross_out(ids, seen, camera_index.shape[0], block)
-        if eccentricities.shape[0] > 0:
-            _choose(ids, flat_pixels[2 * start : 2 * stop], width, height, eccentricities, block)
-        count = list_numbered(block, flat_rgb, 3, listed)
-        _paint(listed[:count], ids, block, flat_rgb, camera, flat_colors, camera_index)
+    count = point_ids.shape[0]
+    numbers, coming = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
+    for start in range(0, count + BLOCK, BLOCK):
+        stop = min(start + BLOCK, count)
+        if start < stop:
+            block, ids, between = (
+                coming[: stop - start],
+                point_ids[start:stop],
+                flat_pixels[2 * start : 2 * stop],
+            )
+            number_pixels(between, width, height, block)
+            _cross_out(ids, visible[start:stop], camera_index.shape[0], block)
+            if eccentricities.shape[0] > 0:
+                _choose(ids, between, width, height, eccentricities, block)
+        ids = point_ids[max(start - BLOCK, 0) : min(start, count)]
+        _paint(numbers, ids, coming, flat_rgb, camera, flat_colors, camera_index)
+        numbers, coming = coming, numbers

@@ -47,7 +47,7 @@ def _occupy(
 
 @numba.njit(
     void(
-        _IN_F32_2D, _IN_F32_1D, float64, _IN_I64_1D, _IN_I64_1D, _IN_I64_1D, _IN_F64_1D, float64[:, ::1],
+        _IN_F32_2D, _IN_F32_1D, _IN_F32_1D, float64, _IN_I64_1D, _IN_I64_1D, _IN_I64_1D, _IN_F64_1D, float64[:, ::1],
         int64[:, ::1],
     ),
     cache=True,
@@ -57,6 +57,7 @@ def _occupy(
 def find_neighbours(
     directions: Float32Array,
     inverse_ranges: Float32Array,
+    extent: Float32Array,
     cell: float,
     right: Int64Array,
     down: Int64Array,
@@ -72,6 +73,7 @@ def find_neighbours(
     Args:
         directions: (2, M) in the equal-area map [rad].
         inverse_ranges: (M,) [1/m]; 0 for a point that takes no part.
+        extent: (4,) of the points, as of `direction_grid.measure_extent`.
         cell: resolution [rad]; what lies in one cell is not told apart.
         right, down: (K,) columns and rows to the cells that are looked at, the nearest first.
         sectors: (K,) number of the sector in which such a cell lies.
@@ -82,7 +84,7 @@ def find_neighbours(
     reach = 1
     for k in range(right.shape[0]):
         reach = max(reach, abs(right[k]), abs(down[k]))
-    grid, sampled = fit_grid(directions, inverse_ranges, cell, reach), np.empty(found.shape[0], np.int32)
+    grid, sampled = fit_grid(extent, cell, reach), np.empty(found.shape[0], np.int32)
     holders = _occupy(directions, inverse_ranges, grid, sampled)
     found[:], neighbours[:] = math.nan, -1
     for s in range(sampled.shape[0]):

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from sceneloom.kernels.direction_grid import measure_extent
 from sceneloom.kernels.occlusion import mark_unhidden
 
 CELL, WINDOW = math.radians(0.16), math.radians(0.5)
@@ -25,10 +26,12 @@ def marked(
     """The kernel's answer; point i has row i of the fractions, which rise from 0 to 1."""
     count = len(inverse_ranges)
     visible = np.zeros(len(inverse_ranges), bool)
+    places, nearness = (np.ascontiguousarray(rows, np.float32) for rows in (directions, inverse_ranges))
     mark_unhidden(
-        np.ascontiguousarray(directions, np.float32),
-        np.ascontiguousarray(inverse_ranges, np.float32),
-        np.ascontiguousarray(inverse_ranges if hiding is None else hiding, np.float32),
+        places,
+        nearness,
+        nearness if hiding is None else np.ascontiguousarray(hiding, np.float32),
+        measure_extent(places, nearness),
         cell,
         window,
         *(ellipse() if near is None else near),

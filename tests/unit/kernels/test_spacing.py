@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from sceneloom.kernels.direction_grid import measure_extent
 from sceneloom.kernels.spacing import find_neighbours
 
 CELL = 0.002
@@ -16,6 +17,7 @@ def found(directions, inverse_ranges, samples):
     find_neighbours(
         directions,
         inverse_ranges,
+        measure_extent(directions, inverse_ranges),
         CELL,
         RIGHT,
         DOWN,

@@ -133,7 +133,7 @@ def _views(
     """The cloud in each picture."""
     # Threads share the pictures where these are enough, which has them wait for one another once only.
     many = len(requests) >= visibility.threads
-    settings = replace(visibility, threads=1) if many else visibility
+    settings = replace(visibility, threads=1) if many and visibility.threads > 1 else visibility
 
     def view(request: ViewRequest) -> FusedView:
         return view_points(

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.kernels.direction_grid import measure_extent
-from sceneloom.kernels.spacing import find_neighbours, find_slopes
+from sceneloom.kernels.spacing import find_neighbours, find_slopes, measure_along_axes
 
 _CELL = radians(0.1)
 _REACH_CELLS = 25
@@ -128,10 +128,9 @@ def measure_spacings(neighbours: Neighbours) -> Float64Array:
         (4,) float64 [rad], mean of the middle half of the distances along the axes at 0, 45, 90 and 135 degrees from
         rightward to downward, 0.1 to 2.5 degrees; NaN where fewer than half of the neighbours are so near.
     """
-    found = neighbours.distances
-    axes = np.concatenate([found[:, : _SECTORS // 2], found[:, _SECTORS // 2 :]])
-    ordered, known = np.sort(axes.T), np.count_nonzero(~np.isnan(axes), axis=0)
-    return np.array([_mean_of_middle(steps[:count]) for steps, count in zip(ordered, known, strict=True)])
+    spacings = np.empty(_SECTORS // 2)
+    measure_along_axes(neighbours.distances, _CELL, _REACH_CELLS, _SAMPLES, spacings)
+    return spacings
 
 
 def measure_surface_distance(
@@ -167,11 +166,12 @@ def measure_surface_distance(
         margin_share,
         slopes,
     )
-    slopes = np.sort(slopes[~np.isnan(slopes)])
-    if len(slopes) < _FEWEST_SURFACES:
+    slopes.sort()
+    known = int(slopes.searchsorted(np.inf))
+    if known < _FEWEST_SURFACES:
         return USUAL_SURFACE_DISTANCE
-    steepest = max(float(slopes[int(_STEEPER_THAN * len(slopes))]), 1e-3)
-    return float(np.clip(_OF_SURFACE_DISTANCE / steepest, *_SURFACE_DISTANCES))
+    steepest = max(float(slopes[int(_STEEPER_THAN * known)]), 1e-3)
+    return _bounded(_OF_SURFACE_DISTANCE / steepest, *_SURFACE_DISTANCES)
 
 
 def find_lines(spacings: Float64Array) -> ScanLines | None:
@@ -206,11 +206,3 @@ def _disc() -> tuple[Int64Array, Int64Array, Int64Array, Float64Array]:
     order = order[(distances[order] > 0) & (distances[order] <= _REACH_CELLS)]
     sectors = np.floor(np.arctan2(down, right) * _SECTORS / (2 * pi) + 0.5).astype(np.int64) % _SECTORS
     return right[order], down[order], sectors[order], distances[order] * _CELL
-
-
-def _mean_of_middle(ordered: Float64Array) -> float:
-    """Average the middle half: robust as the median, but not bound to whole cells. NaN for too few."""
-    if len(ordered) < _SAMPLES:
-        return np.nan
-    middle = ordered[len(ordered) // 4 : len(ordered) - len(ordered) // 4]
-    return float(middle.sum() / len(middle))

@@ -14,6 +14,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.colouring.scan_lines import SPARSEST, Neighbours, ScanLines, look_around
+from sceneloom.kernels.spacing import measure_across
 
 _UNEVEN = 2.5
 """How many times as far apart sparse neighbours are as dense ones. Where all lines lie alike, what stands before what
@@ -46,7 +47,8 @@ class Part:
 def are_uneven(neighbours: Neighbours) -> bool:
     """Say whether the lines around some points lie so differently that one reach does not fit all."""
     spacings = _around(neighbours)
-    known = np.sort(spacings[np.isfinite(spacings)]).tolist()
+    spacings.sort()
+    known = spacings[: int(spacings.searchsorted(np.inf))]
     if len(known) < _FEWEST:
         return False
     return _percentile(known, _SPARSE) > _UNEVEN * _percentile(known, _DENSE)
@@ -79,12 +81,13 @@ def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lin
     return parts
 
 
-def _percentile(ordered: list[float], share: float) -> float:
+def _percentile(ordered: Float64Array, share: float) -> float:
     """Give the value below which so many per cent lie, linearly between two."""
     place = share / 100 * (len(ordered) - 1)
     below = int(place)
     above = min(below + 1, len(ordered) - 1)
-    return ordered[below] + (place - below) * (ordered[above] - ordered[below])
+    least, most = float(ordered[below]), float(ordered[above])
+    return least + (place - below) * (most - least)
 
 
 def _median(values: Float64Array, counts: Int64Array) -> float:
@@ -126,11 +129,9 @@ def _around(neighbours: Neighbours) -> Float64Array:
 
     Of eight sectors two look along the line, the others to the next lines: the upper quartile is across.
     """
-    ordered = np.sort(neighbours.distances, axis=1)
-    known = np.isfinite(ordered).sum(axis=1)
-    last = np.clip(np.minimum(3 * known // 4, known - 1), 0, None)
-    spacings = ordered[np.arange(len(ordered)), last] if len(ordered) else np.zeros(0)
-    return np.where(known >= _LEAST_KNOWN, spacings, np.nan)
+    spacings = np.empty(len(neighbours.points))
+    measure_across(neighbours.distances, _LEAST_KNOWN, spacings)
+    return spacings
 
 
 def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:

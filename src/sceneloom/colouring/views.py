@@ -130,7 +130,7 @@ def _see(
     crew: Crew,
 ) -> _Seen:
     if shutter is None:
-        camera_from_world = world_from_camera.inverse().matrix
+        camera_from_world = world_from_camera.inverse_matrix
         point_ids, pixels, depths, looks = _project(points_world, camera, camera_from_world, crew)
         return _Seen(point_ids, pixels, depths, points_world, point_ids, camera_from_world, looks)
     rolled = project_by_lines(points_world, camera, world_from_camera, shutter)

@@ -83,6 +83,13 @@ class RigidTransform:
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
         return matrix
 
+    @property
+    def inverse_matrix(self) -> Float64Array:
+        """The (4, 4) homogeneous matrix of the inverse, which need not be checked anew."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation.T, -self.rotation.T @ self.translation
+        return matrix
+
     def __matmul__(self, other: "RigidTransform") -> "RigidTransform":
         """`a_from_b @ b_from_c` is `a_from_c`."""
         return RigidTransform(

@@ -13,6 +13,8 @@ _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 _IN_BOOL_1D = types.Array(boolean, 1, "C", readonly=True)
 _IN_U8_3D = types.Array(uint8, 3, "C", readonly=True)
 
+_GREEN, _BLUE = np.uint64(1), np.uint64(2)
+
 
 @numba.njit(**PART)
 def _cross_out(point_ids: Int64Array, visible: BoolArray, count: int, numbers: AnyArray) -> None:
@@ -52,8 +54,9 @@ def _paint(
         if numbers[i] >= 0:
             k = np.uint64(point_ids[i])
             source, target = np.uint64(3) * np.uint64(numbers[i]), np.uint64(3) * k
-            for channel in range(3):
-                flat_colors[target + np.uint64(channel)] = flat_rgb[source + np.uint64(channel)]
+            # Read as one before written, since for the compiler a colour might lie where the next is read.
+            red, green, blue = flat_rgb[source], flat_rgb[source + _GREEN], flat_rgb[source + _BLUE]
+            flat_colors[target], flat_colors[target + _GREEN], flat_colors[target + _BLUE] = red, green, blue
             camera_index[k] = camera
 
 

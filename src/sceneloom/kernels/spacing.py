@@ -13,6 +13,7 @@ from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, number_cell
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 _IN_F64_1D = types.Array(float64, 1, "C", readonly=True)
+_IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 _IN_I64_2D = types.Array(int64, 2, "C", readonly=True)
 
@@ -158,3 +159,73 @@ def find_slopes(
                     directions, inverse_ranges, points[s], one, other, nothing, margin, margin_share
                 )
                 slopes[s] = slopes[s] if slope <= slopes[s] or math.isnan(slope) else slope
+
+
+@numba.njit(**INNER)
+def _count_steps(distances: Float64Array, axis: int, cell: float, counts: AnyArray) -> int:
+    """Count how often neighbours on an axis are so far away, by the square of the distance in cells; give their sum."""
+    half, last, known = distances.shape[1] // 2, counts.shape[0] - 1, 0
+    counts[:] = 0
+    for s in range(distances.shape[0]):
+        for sector in (axis, axis + half):
+            steps = distances[s, sector] / cell
+            if not math.isnan(steps):
+                counts[np.uint32(min(steps * steps + 0.5, last))] += 1
+                known += 1
+    return known
+
+
+@numba.njit(**INNER)
+def _mean_of_middle(counts: AnyArray, known: int) -> float:
+    """Average the middle half of roots of which each is there so many times."""
+    first, last, before, total = known // 4, known - known // 4, 0, 0.0
+    for square in range(counts.shape[0]):
+        behind = before + counts[square]
+        total += max(min(behind, last) - max(before, first), 0) * math.sqrt(square)
+        before = behind
+    return total / (last - first)
+
+
+@numba.njit(
+    void(_IN_F64_2D, float64, int64, int64, float64[::1]), cache=True, nogil=True, error_model="numpy"
+)
+def measure_along_axes(
+    distances: Float64Array, cell: float, reach: int, fewest: int, spacings: Float64Array
+) -> None:
+    """Write how far apart neighbours are along each axis: robust as the median, but not bound to whole cells.
+
+    Args:
+        distances: (S, sectors) [rad], between middles of cells; NaN for none. Opposite sectors make an axis.
+        cell: size of a cell [rad].
+        reach: how many cells away neighbours are at most.
+        fewest: known distances along an axis.
+        spacings: (sectors / 2,) [rad], written: mean of the middle half of the distances; NaN for too few.
+    """
+    counts = np.empty(reach * reach + 1, np.int64)
+    for axis in range(spacings.shape[0]):
+        known = _count_steps(distances, axis, cell, counts)
+        spacings[axis] = cell * _mean_of_middle(counts, known) if known >= fewest else math.nan
+
+
+@numba.njit(void(_IN_F64_2D, int64, float64[::1]), cache=True, nogil=True, error_model="numpy")
+def measure_across(distances: Float64Array, fewest: int, spacings: Float64Array) -> None:
+    """Write the upper quartile of each point's distances to its neighbours.
+
+    Args:
+        distances: (S, sectors), in any unit; NaN for none.
+        fewest: known distances of a point, at least 1.
+        spacings: (S,), written; NaN for too few.
+    """
+    ordered = np.empty(distances.shape[1])
+    for s in range(distances.shape[0]):
+        known = 0
+        for sector in range(distances.shape[1]):
+            distance = distances[s, sector]
+            if not math.isnan(distance):
+                place = known
+                while place > 0 and ordered[place - 1] > distance:
+                    ordered[place] = ordered[place - 1]
+                    place -= 1
+                ordered[place] = distance
+                known += 1
+        spacings[s] = ordered[min(3 * known // 4, known - 1)] if known >= fewest else math.nan

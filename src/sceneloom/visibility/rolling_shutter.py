@@ -150,7 +150,7 @@ def project_by_lines(
         CalibrationError: the camera's model is unknown or has other coefficients.
     """
     ids, in_middle = np.empty(len(points_world), np.int64), np.empty((len(points_world), 3))
-    camera_from_world = world_from_camera.inverse().matrix
+    camera_from_world = world_from_camera.inverse_matrix
     count = keep_in_reach(
         points_world, camera_from_world, domain_angle(camera), shutter.turn, shutter.way, ids, in_middle
     )

@@ -32,6 +32,7 @@ def test_frames_chain_as_their_names_say():
 
 def test_the_inverse_undoes():
     assert np.allclose((WORLD_FROM_EGO.inverse() @ WORLD_FROM_EGO).matrix, np.eye(4), atol=1e-14)
+    np.testing.assert_array_equal(WORLD_FROM_EGO.inverse_matrix, WORLD_FROM_EGO.inverse().matrix)
 
 
 def test_the_identity_changes_nothing():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.kernels.direction_grid import measure_extent
-from sceneloom.kernels.spacing import find_neighbours
+from sceneloom.kernels.spacing import find_neighbours, measure_across, measure_along_axes
 
 CELL = 0.002
 STEPS = [(dx, dy) for dx in range(-6, 7) for dy in range(-6, 7) if 0 < dx * dx + dy * dy <= 36]
@@ -78,3 +78,23 @@ def test_no_points_have_no_neighbours():
     distances, neighbours = found(np.zeros((2, 0), np.float32), np.zeros(0, np.float32), 3)
     assert np.isnan(distances).all()
     assert (neighbours == -1).all()
+
+
+@pytest.mark.parametrize("samples", [0, 1, 7, 200])
+def test_spacings_are_the_middle_of_what_is_found_along_axes_and_the_upper_quartile_across(samples):
+    random = np.random.default_rng(samples)
+    distances = CELL * DISTANCES[random.integers(0, len(DISTANCES), (samples, 8))]
+    distances[random.random((samples, 8)) < 0.3] = math.nan
+    along, across = np.zeros(4), np.zeros(samples)
+    measure_along_axes(distances, CELL, 6, 8, along)
+    measure_across(distances, 5, across)
+    for axis in range(4):
+        steps = np.sort(distances[:, [axis, axis + 4]], axis=None)
+        steps = steps[np.isfinite(steps)]
+        middle = steps[len(steps) // 4 : len(steps) - len(steps) // 4]
+        expected = middle.mean() if len(steps) >= 8 else math.nan
+        # Roots and sums are rounded in another order.
+        assert along[axis] == pytest.approx(expected, rel=1e-12, nan_ok=True)
+    for found, spacing in zip(distances, across, strict=True):
+        known = np.sort(found[np.isfinite(found)])
+        np.testing.assert_equal(spacing, known[3 * len(known) // 4] if len(known) >= 5 else math.nan)

@@ -80,9 +80,15 @@ def environment(scheme, address):
     }[scheme]
 
 
-@pytest.fixture(scope="module", params=["s3", "gs", "az"])
+CLIENTS = {"s3": "s3fs", "gs": "gcsfs", "az": "adlfs"}
+
+
+@pytest.fixture(scope="module", params=CLIENTS)
 def server(request):
     """A scheme, and the address of a server of its own, which ends with the tests."""
+    pytest.importorskip(
+        CLIENTS[request.param], reason=f"{CLIENTS[request.param]} of the extra `cloud` is not there"
+    )
     with subprocess.Popen(
         command(request.param),
         stdin=subprocess.PIPE,

@@ -98,9 +98,9 @@ def progress_bar(title: str, *, quiet: bool) -> Iterator[Callable[[int, int], No
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def several(count: int, noun: str) -> str:
-    """A count with its noun: "1 sweep", "3 sweeps"."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+def several(count: int, noun: str, plural: str | None = None) -> str:
+    """A count with its noun: "1 sweep", "3 sweeps"; `plural` where that is more than an s."""
+    return f"{count} {noun}" if count == 1 else f"{count} {plural or f'{noun}s'}"
 
 
 def seconds(timestamp_ns: int) -> str:

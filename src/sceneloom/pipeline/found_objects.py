@@ -30,7 +30,7 @@ class DetectionInput:
     Attributes:
         files: lists of boxes beside a drive.
         detector_2d, detector_3d: which folders of lists, in one laid out like KITTI's tracking benchmark.
-        sequences: which of its sequences; empty for all.
+        sequences: which of its sequences, empty for all; with lists, the one drive of a data set that they are of.
     """
 
     files: DetectionFiles = field(default_factory=DetectionFiles)
@@ -134,6 +134,8 @@ def _track_objects(
     found = () if wanted.has_lists else fused_files(Path(path))
     if found:
         _refuse_part(path, reading)
+        if wanted.sequences:
+            raise OptionError(f"{path}: --sequence does not count here: all that was fused is followed")
     if found and Path(path).is_dir():
         return track_many(
             lambda k: TrackableDrive.of_fused(found[k]), len(found), output, source=str(path), **how
@@ -193,7 +195,13 @@ def _with_lists(
     path: str | Path, wanted: DetectionInput, *, lenient: bool, reading: Mapping[str, Any] | None
 ) -> Iterator[tuple[Scene, DetectionFiles]]:
     """Open a drive, or the part of it that counts; lists of boxes are of the whole."""
+    if len(wanted.sequences) > 1:
+        raise OptionError(
+            f"{path}: --sequence {' --sequence '.join(wanted.sequences)}: one drive is opened at a time; say one"
+        )
     options = {**(reading or {}), **({"lenient": True} if lenient else {})}
+    if wanted.sequences:
+        options["sequence"] = wanted.sequences[0]
     part = {name: options.pop(name) for name in PART if name in options}
     with open_scene(path, **options) as scene:
         files = with_known_ids(scene, wanted.files)
@@ -223,10 +231,15 @@ def _is_kitti(path: str | Path, wanted: DetectionInput) -> bool:
     if wanted.has_lists or not is_tracking_folder(Path(path)):
         return False
     files = wanted.files
-    if files.lidar is not None or files.cameras or files.trajectory or files.heading:
+    useless = {
+        "--lidar": files.lidar is not None,
+        "--camera": files.cameras,
+        "--trajectory": files.trajectory,
+        "--heading": files.heading,
+    }
+    for flag in [flag for flag, said in useless.items() if said]:
         raise OptionError(
-            f"{path} is a folder of KITTI's sequences, whose sensors and way are known: --lidar, --camera, "
-            "--trajectory and --heading do not count here"
+            f"{path}: {flag} does not count here: it is a folder of KITTI's sequences, whose sensors and way are known"
         )
     return True
 
@@ -238,8 +251,11 @@ def _kitti(path: str | Path, wanted: DetectionInput, *, lenient: bool) -> KittiT
 
 
 def _refuse_kitti(path: str | Path, wanted: DetectionInput) -> None:
-    if wanted.detector_2d or wanted.detector_3d or wanted.sequences:
-        raise OptionError(
-            f"{path} is no folder of KITTI's sequences, or has lists beside it: --det2d, --det3d and --sequence do not "
-            "count here"
-        )
+    for flag, said in (("--det2d", wanted.detector_2d), ("--det3d", wanted.detector_3d)):
+        if said:
+            why = (
+                "the boxes come from the lists of --boxes3d and --boxes2d"
+                if wanted.has_lists
+                else "it is no folder of KITTI's sequences"
+            )
+            raise OptionError(f"{path}: {flag} {said} does not count here: {why}")

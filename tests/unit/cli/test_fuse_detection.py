@@ -1,6 +1,7 @@
 """`sceneloom fuse --type detection`, and `track` of what it wrote, on simulated drives and made-up folders."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -252,7 +253,17 @@ def tracking_texts():
         (("--boxes3d", "{boxes2d}"), 1, "expected Boxes3d or Box3d"),
         (("--boxes3d", "{boxes3d}", "--lidar", "roof"), 2, "lidar 'roof'"),
         (("--boxes2d", "{boxes2d}", "--camera", "front"), 2, "camera 'front'"),
-        (("--boxes3d", "{boxes3d}", "--det2d", "x"), 2, "--det2d, --det3d and --sequence do not count here"),
+        (
+            ("--boxes3d", "{boxes3d}", "--det2d", "x"),
+            2,
+            "--det2d x does not count here: the boxes come from the lists of --boxes3d and --boxes2d",
+        ),
+        (("--det3d", "x"), 2, "--det3d x does not count here: it is no folder of KITTI's sequences"),
+        (
+            ("--boxes3d", "{boxes3d}", "--sequence", "1", "--sequence", "2"),
+            2,
+            "one drive is opened at a time",
+        ),
         (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
     ],
 )
@@ -271,10 +282,27 @@ def test_sensors_of_kittis_sequences_are_not_chosen(call, tmp_path, tracking_tex
         (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "kitti" / name).write_text(text)
     outcome = call("track", tmp_path / "kitti", "-o", tmp_path / "out", "--camera", "front")
-    assert (outcome.code, "--camera, --trajectory and --heading do not count here" in outcome.err) == (
+    assert (outcome.code, "--camera does not count here: it is a folder of KITTI's" in outcome.err) == (
         2,
         True,
     )
+
+
+def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, drive, tmp_path):
+    folder, _, _ = drive
+    with sceneloom.open(folder / "recording") as scene:
+        sceneloom.write(scene, tmp_path / "set", format="kitti-tracking")
+    for path in sorted((tmp_path / "set").rglob("0000*")):
+        if path.stem == "0000" and path.is_dir():
+            shutil.copytree(path, path.with_name("0001"))
+        elif path.stem == "0000":
+            shutil.copy(path, path.with_name(f"0001{path.suffix}"))
+    said = ("track", tmp_path / "set", "--boxes3d", folder / "boxes3d.jsonl", "-o", tmp_path / "out.jsonl")
+    outcome = call(*said)
+    assert (outcome.code, "choose one with `--sequence NAME`" in outcome.err) == (2, True), outcome.err
+    outcome = call(*said, "--sequence", "0001")
+    assert outcome.code == 0, outcome.err
+    assert (tmp_path / "out.jsonl").read_text()
 
 
 def test_options_of_detections_need_the_type(call, drive, tmp_path):

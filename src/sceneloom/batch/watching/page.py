@@ -71,7 +71,7 @@ def format_page(figures: RunFigures) -> str:
 def _summary(figures: RunFigures) -> str:
     counts = ", ".join(f"{count} {state}" for state, count in figures.states.items() if count)
     more = figures.tries - sum(figures.states.get(state, 0) for state in ("done", "failed", "running"))
-    facts = [f"{counts}; {more} further tries" if more > 0 else counts]
+    facts = [f"{counts}; {more} further {'try' if more == 1 else 'tries'}" if more > 0 else counts]
     if figures.begun_ns is not None and figures.seconds > 0:
         begun = datetime.fromtimestamp(figures.begun_ns // 10**9, UTC)
         rate = 60.0 * len(figures.drive_seconds) / figures.seconds

@@ -89,9 +89,7 @@ def print_summary(summary: "RunSummary", *, verbose: bool) -> None:
     parts = [f"{summary.done} done"]
     parts += [f"{summary.skipped} of them before and unchanged"] if summary.skipped else []
     parts += [f"{summary.failed} failed"] if summary.failed else []
-    parts += (
-        [f"{several(summary.retried, 'further try').replace('trys', 'tries')}"] if summary.retried else []
-    )
+    parts += [several(summary.retried, "further try", "further tries")] if summary.retried else []
     click.echo(
         f"{summary.verb}: {several(summary.total, 'drive')} in {summary.seconds:.1f} s: {', '.join(parts)}"
     )

@@ -74,7 +74,7 @@ def scene_drive(
         raise OptionError(f"{scene.source}: no boxes; name files of them with --boxes3d, --boxes2d or both")
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        lidar = _chosen(scene, "lidar", scene.lidars, files.lidar)
+        lidar = _chosen(scene, files.lidar)
         ego = None
         if needs_ego(scene):
             ego = find_ego_motion(
@@ -85,9 +85,7 @@ def scene_drive(
         sweeps = _reference_times(lidar)
         context = ListContext(
             lidar.id,
-            sweeps
-            if files.whole is None
-            else _reference_times(_chosen(files.whole, "lidar", files.whole.lidars, lidar.id)),
+            sweeps if files.whole is None else _reference_times(_chosen(files.whole, lidar.id)),
             source=source,
             sensor_from_camera=_sensor_from_camera(scene, lidar, ego, files),
         )
@@ -112,18 +110,18 @@ def scene_drive(
     return drive.between((int(sweeps[0]) - margin_ns, int(sweeps[-1]) + margin_ns))
 
 
-def _chosen(
-    scene: Scene, kind: str, sensors: Sequence[LidarSensor], chosen: Identifier | None
-) -> LidarSensor:
-    listed = ", ".join(repr(sensor.id) for sensor in sensors) or "none"
+def _chosen(scene: Scene, chosen: Identifier | None) -> LidarSensor:
+    listed = ", ".join(repr(lidar.id) for lidar in scene.lidars)
+    if not listed:
+        raise OptionError(f"{scene.source}: it has no lidar, by whose sweeps objects are found")
+    if chosen is None and len(scene.lidars) == 1:
+        return scene.lidars[0]
+    for lidar in scene.lidars:
+        if lidar.id == chosen:
+            return lidar
     if chosen is not None:
-        for sensor in sensors:
-            if sensor.id == chosen:
-                return sensor
-        raise OptionError(f"{scene.source}: {kind} {chosen!r}; it has {listed}")
-    if len(sensors) != 1:
-        raise OptionError(f"{scene.source}: it has {listed} as {kind}s; choose one with `--{kind} ID`")
-    return sensors[0]
+        raise OptionError(f"{scene.source}: lidar {chosen!r}; it has {listed}")
+    raise OptionError(f"{scene.source}: it has {listed} as lidars; choose one with `--lidar ID`")
 
 
 def _reference_times(lidar: LidarSensor) -> Int64Array:

@@ -80,7 +80,7 @@ def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
     assert (reader.open, reader.asked) == ([], [])
     assert not re.search(r"url\(|@import|<script", text)
     shown = " ".join(reader.texts)
-    for told in ("fuse over 10 drives", "7 done, 2 failed", "1 further tries", "54.0 drives a minute",
+    for told in ("fuse over 10 drives", "7 done, 2 failed", "1 further try", "54.0 drives a minute",
                  "DataError: in/4.sfs: line 4: <7>; expected 8", "host:1"):  # fmt: skip
         assert told in shown
     # 3 done and 1 failed are the most of a span: the height of the whole drawing together

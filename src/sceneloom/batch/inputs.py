@@ -2,7 +2,7 @@
 
 import glob
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,11 @@ class FileOption:
 
 
 def find_inputs(
-    places: Iterable[str], lists: Iterable[Path] = (), *, files: Mapping[str, FileOption] = NOTHING
+    places: Iterable[str],
+    lists: Iterable[Path] = (),
+    *,
+    files: Mapping[str, FileOption] = NOTHING,
+    others: Collection[str] = (),
 ) -> tuple[Input, ...]:
     """Find drives.
 
@@ -45,6 +49,7 @@ def find_inputs(
         lists: files with a path, or an object {"path": …, "start": …, "stop": …, "reading": {"sequence": …}}, in each
             line; options of reading are named `reading.sequence` and so on.
         files: options that a line may say as well, {"boxes3d": "boxes/a.jsonl"}: a path, or a list of them.
+        others: further options that lines may say for other verbs: they are left out, and named in `Input.unread`.
 
     Returns:
         each once, in the order in which they were named; those of one pattern by their names.
@@ -54,7 +59,7 @@ def find_inputs(
         DataError: a list is faulty, or a file that it names is not there.
     """
     found = [Input(place=place) for text in places for place in _places(text)]
-    found += [drive for file in lists for drive in _listed(file, files)]
+    found += [drive for file in lists for drive in _listed(file, files, frozenset(others).difference(files))]
     if not found:
         raise OptionError("no drives; name some, a pattern in quotes, or a list of them")
     once: dict[tuple[Any, ...], Input] = {}
@@ -87,17 +92,19 @@ def _urls(text: str) -> list[str]:
     return found
 
 
-def _listed(file: Path, files: Mapping[str, FileOption]) -> Iterator[Input]:
+def _listed(file: Path, files: Mapping[str, FileOption], others: frozenset[str]) -> Iterator[Input]:
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:
         raise DataError(file, "", "is no text in UTF-8; expected a path or an object in each line") from error
     for number, line in enumerate(map(str.strip, lines), start=1):
         if line and not line.startswith("#"):
-            yield _line(line, file, number, files)
+            yield _line(line, file, number, files, others)
 
 
-def _line(line: str, file: Path, number: int, files: Mapping[str, FileOption]) -> Input:
+def _line(
+    line: str, file: Path, number: int, files: Mapping[str, FileOption], others: frozenset[str]
+) -> Input:
     if not line.startswith("{"):
         return Input(place=_beside(file, line))
     place = f"line {number}"
@@ -109,7 +116,7 @@ def _line(line: str, file: Path, number: int, files: Mapping[str, FileOption]) -
     if not isinstance(path, str) or not path:
         raise DataError(file, place, f"path {path!r}; expected the path of a drive")
     known = (*PART, *files, _READING)
-    unknown = [name for name in told if name not in known]
+    unknown = [name for name in told if name not in known and name not in others]
     if unknown:
         expected = f"path, {', '.join(known[:-1])} and {known[-1]}"
         raise DataError(file, place, f"{unknown[0]!r}; expected {expected} only")
@@ -128,6 +135,7 @@ def _line(line: str, file: Path, number: int, files: Mapping[str, FileOption]) -
             for name, option in files.items()
             if told.get(name) is not None
         },
+        unread=frozenset(name for name in others if told.get(name) is not None),
     )
 
 

@@ -33,11 +33,13 @@ class Input:
         place: its path, or its URL.
         options: what counts for it alone, as the seconds at which a part of it starts and stops.
         files: what the verb reads beside it, by option, in place of what all drives have; as of `Job`.
+        unread: options whose files a list names for other verbs.
     """
 
     place: str
     options: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
     files: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+    unread: frozenset[str] = frozenset()
 
     @property
     def name(self) -> str:

@@ -74,7 +74,7 @@ def view(
     """
     from sceneloom.view import save_view, show_view
 
-    settings, sources = _settings(given), [*paths, *_listed(lists)]
+    settings, sources = _settings(given), [*paths, *_listed(lists, quiet=quiet)]
     if save is not None and web:
         raise click.UsageError(
             "--save and --web: the one keeps the view, the other shows it; say one of them"
@@ -90,11 +90,12 @@ def view(
         print_view(report, quiet=quiet, verbose=verbose)
 
 
-def _listed(lists: tuple[Path, ...]) -> "list[DrivePart]":
+def _listed(lists: tuple[Path, ...], *, quiet: bool) -> "list[DrivePart]":
     """The drives of lists, and the parts of them that these name."""
     if not lists:
         return []
-    from sceneloom.batch.inputs import READING, find_inputs
+    from sceneloom.batch.inputs import READING
+    from sceneloom.cli.batch.listed import find_listed
     from sceneloom.formats.table import PART
     from sceneloom.view import DrivePart
 
@@ -108,7 +109,7 @@ def _listed(lists: tuple[Path, ...]) -> "list[DrivePart]":
                 if name.startswith(READING)
             },
         )
-        for drive in find_inputs((), lists)
+        for drive in find_listed("view", (), lists, quiet=quiet)
     ]
 
 

@@ -91,6 +91,18 @@ def test_lines_of_a_list_name_files_beside_it(made):
         find_inputs(["lists/a.sfs"], [Path("lists/all.jsonl")], files=OPTIONS)
 
 
+def test_files_for_other_verbs_are_left_out_by_name(made):
+    made("lists/b.txt")
+    Path("lists/all.jsonl").write_text(
+        '{"path": "a.sfs", "boxes": "b.txt", "truth": "gone.tum"}\n{"path": "b.sfs", "truth": null}\n'
+    )
+    found = find_inputs([], [Path("lists/all.jsonl")], files=OPTIONS, others=("boxes", "truth"))
+    assert [(dict(drive.files), drive.unread) for drive in found] == [
+        ({"boxes": (Path("lists/b.txt"),)}, {"truth"}),
+        ({}, frozenset()),
+    ]
+
+
 @pytest.mark.parametrize(
     ("said", "told"),
     [

@@ -63,12 +63,14 @@ def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, dri
         "path": str(folder / "recording"),
         "boxes3d": str(folder / "boxes3d.jsonl"),
         "detectors": "mine.toml",
+        "truth": "truth.tum",
     }
     (tmp_path / "list").write_text(json.dumps(line))
     seen = ("--boxes2d", folder / "boxes2d.jsonl")
     how = ("--type", "detection", *seen, "--suffix", ".jsonl", "--workers", 1)
     done = call("batch", "fuse", "--list", tmp_path / "list", *how, "-o", tmp_path / "out")
     assert done.code == 0, done.err
+    assert "not read by fuse: what the lists say for --truth\n" in done.err
     files = ("--boxes3d", folder / "boxes3d.jsonl", *seen)
     call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "alone.jsonl")
     assert (tmp_path / "out" / "recording.jsonl").read_bytes() == (tmp_path / "alone.jsonl").read_bytes()

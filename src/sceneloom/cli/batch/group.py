@@ -211,7 +211,7 @@ _OPTIONS = (
 def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     from sceneloom.batch import Job, run
     from sceneloom.batch.files import give_files
-    from sceneloom.batch.inputs import find_inputs
+    from sceneloom.cli.batch.listed import find_listed
     from sceneloom.formats.processors import processors
 
     if own["parts"] is not None:
@@ -219,7 +219,8 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     workers = own["workers"] or processors()
     taken = beside(name)
     said = {option: values[option] for option in taken if values[option] not in (None, ())}
-    inputs, files = give_files(find_inputs(own["inputs"], own["lists"], files=taken), said, taken)
+    found = find_listed(name, own["inputs"], own["lists"], files=taken, quiet=own["quiet"])
+    inputs, files = give_files(found, said, taken)
     further = _further(name, values)
     executor = _cluster(name, own, workers)
     job = Job(

@@ -38,10 +38,10 @@ def build(
     Drives are paths, patterns in quotes, URLs, or the lines of a list. One that cannot be read is told, and the others
     go on; exit 1 then.
     """
-    from sceneloom.batch.inputs import find_inputs
     from sceneloom.catalog import build as build_catalogue
+    from sceneloom.cli.batch.listed import find_listed
 
-    places = [drive.place for drive in find_inputs(drives, lists)]
+    places = [drive.place for drive in find_listed("catalog", drives, lists, quiet=quiet)]
     with progress_bar("reading drives", quiet=quiet) as progress:
         report = build_catalogue(
             places,

@@ -36,10 +36,14 @@ def update(
     Without drives, all that stand in the catalogue are looked at, and read as they were before. One that cannot be
     read is told, and what stood of it stays; exit 1 then.
     """
-    from sceneloom.batch.inputs import find_inputs
     from sceneloom.catalog import update as update_catalogue
+    from sceneloom.cli.batch.listed import find_listed
 
-    places = [drive.place for drive in find_inputs(drives, lists)] if drives or lists else []
+    places = (
+        [drive.place for drive in find_listed("catalog", drives, lists, quiet=quiet)]
+        if drives or lists
+        else []
+    )
     with progress_bar("looking at drives", quiet=quiet) as progress:
         report = update_catalogue(
             catalogue,

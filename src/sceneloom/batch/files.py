@@ -58,14 +58,14 @@ def give_files(
     return tuple(given), alike
 
 
-def files_fingerprint(place: str, files: Mapping[str, Any]) -> str:
+def with_files(drive: str, files: Mapping[str, Any]) -> str:
     """Tell a drive and the files beside it from what they were at another time, as `fingerprint` does.
 
     Args:
-        place: the drive's path or URL.
+        drive: its fingerprint.
         files: by option, as of `Job`.
     """
-    seen = [fingerprint(place)]
+    seen = [drive]
     seen += [fingerprint(str(path)) for _, value in sorted(files.items()) for path in _each(value)]
     if len(seen) == 1 or not all(seen):
         return seen[0] if all(seen) else ""

@@ -3,12 +3,13 @@
 import glob
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sceneloom.batch.jobs import NOTHING, Input
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.drives import drives_of
 from sceneloom.formats.table import PART
 from sceneloom.formats.urls import is_url
 
@@ -67,6 +68,25 @@ def find_inputs(
         if once.setdefault((drive.place, *sorted(drive.options.items())), drive).files != drive.files:
             raise OptionError(f"{drive.name}: named twice, with different files beside it; do them apart")
     return tuple(once.values())
+
+
+def each_drive(given: Input, *, read_as: str | None = None) -> tuple[Input, ...]:
+    """Name the drives of a data set, where a folder has several and none was chosen; else what is given.
+
+    Args:
+        given: a drive or a data set.
+        read_as: name of its format, where its content shall not decide.
+    """
+    if is_url(given.place) or f"{READING}sequence" in given.options:
+        return (given,)
+    found = drives_of(Path(given.place), read_as=given.options.get(f"{READING}read_as", read_as))
+    drives = [
+        replace(given, place=str(one))
+        if isinstance(one, Path)
+        else replace(given, options={**given.options, f"{READING}sequence": one})
+        for one in found
+    ]
+    return tuple(drives) or (given,)
 
 
 def _places(text: str) -> list[str]:

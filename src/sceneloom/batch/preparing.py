@@ -6,13 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
 from typing import Any
 
-from sceneloom.batch.files import files_fingerprint
+from sceneloom.batch.files import with_files
 from sceneloom.batch.further import Places, check_places
 from sceneloom.batch.jobs import Input, Job, State
 from sceneloom.batch.naming import output_names
 from sceneloom.batch.outputs import FolderOutputs, Outputs, claimed
 from sceneloom.batch.record import Record, Row
 from sceneloom.errors import OptionError, OutputError
+from sceneloom.formats.fingerprints import fingerprint
 from sceneloom.redaction import redacted
 from sceneloom.version import __version__
 
@@ -152,7 +153,9 @@ def done_rows(
     ]
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as crew:  # servers take their time to answer
         asked = [meant[number] for number in perhaps]
-        now = crew.map(lambda drive: files_fingerprint(drive.place, files_of(job, drive)), asked)
+        once = list(dict.fromkeys(drive.place for drive in asked))  # drives of a data set lie in one place
+        seen = dict(zip(once, crew.map(fingerprint, once), strict=True))
+        now = crew.map(lambda drive: with_files(seen[drive.place], files_of(job, drive)), asked)
         return {
             number for number, found in zip(perhaps, now, strict=True) if found == rows[number].fingerprint
         }

@@ -10,11 +10,12 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
 
-from sceneloom.batch.files import files_fingerprint
+from sceneloom.batch.files import with_files
 from sceneloom.batch.further import bring, drafts_of
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.outputs import send
 from sceneloom.errors import SceneloomError
+from sceneloom.formats.fingerprints import late_fingerprint
 from sceneloom.redaction import redacted
 from sceneloom.stages import stage, timed
 
@@ -58,7 +59,7 @@ def run_task(task: Task) -> Outcome:
 
 def _done(task: Task) -> dict[str, Any]:
     """Do the verb, and send what it wrote to where it belongs if that is a store; gives what is told of it."""
-    seen = files_fingerprint(task.place, task.files)
+    seen = with_files(late_fingerprint(task.place), task.files)
     draft = draft_of(task)
     draft.parent.mkdir(parents=True, exist_ok=True)
     further = drafts_of(draft, task.further)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from sceneloom.catalog.asking import query
     from sceneloom.catalog.building import CatalogReport, build, update
     from sceneloom.catalog.database import Database, Result, opened
-    from sceneloom.catalog.drives import Checks
+    from sceneloom.catalog.drives import Checks, Drive
     from sceneloom.catalog.results import format_csv, iter_list, records
     from sceneloom.catalog.running import Failure
     from sceneloom.catalog.selection import SHOWN, Selection, sql_of
@@ -23,6 +23,7 @@ __all__ = [
     "Checks",
     "Column",
     "Database",
+    "Drive",
     "Failure",
     "Kind",
     "Result",
@@ -44,6 +45,7 @@ _ON_FIRST_USE = {
     "Checks": "drives",
     "Column": "tables",
     "Database": "database",
+    "Drive": "drives",
     "Failure": "running",
     "Kind": "tables",
     "Result": "database",

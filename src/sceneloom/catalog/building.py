@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.catalog.drives import Checks, Drive
+from sceneloom.catalog.drives import Checks, Drive, looked_at
 from sceneloom.catalog.layout import Layout
 from sceneloom.catalog.parts import Parts
 from sceneloom.catalog.running import Failure, Run
@@ -41,7 +41,7 @@ class CatalogReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def build(
-    drives: Iterable[str | Path],
+    drives: Iterable[str | Path | Drive],
     catalogue: str | Path,
     *,
     overwrite: bool = False,
@@ -55,7 +55,7 @@ def build(
     A run that is stopped leaves a catalogue of the drives so far; `update` with the same drives goes on.
 
     Args:
-        drives: files, folders or URLs.
+        drives: files, folders or URLs, with reading options of their own as `Drive`.
         catalogue: folder of the catalogue.
         overwrite: whether a catalogue there may be replaced.
         checks: how much is checked for the findings: "none", "quick" (no frames are read) or "full".
@@ -79,7 +79,7 @@ def build(
 
 def update(
     catalogue: str | Path,
-    drives: Iterable[str | Path] = (),
+    drives: Iterable[str | Path | Drive] = (),
     *,
     prune: bool = False,
     checks: Checks | str = Checks.QUICK,
@@ -128,15 +128,19 @@ def _checks(checks: Checks | str) -> Checks:
     return Checks(checks)
 
 
-def _drives(drives: Iterable[str | Path], reading: Mapping[str, Any]) -> list[Drive]:
-    paths = [path_or_url(place) for place in drives]
-    texts = [path if isinstance(path, str) else str(path.absolute()) for path in paths]
-    for text in texts:
+def _drives(drives: Iterable[str | Path | Drive], reading: Mapping[str, Any]) -> list[Drive]:
+    found: dict[str, Drive] = {}
+    for given in drives:
+        own = given if isinstance(given, Drive) else Drive(str(given), {})
+        path = path_or_url(own.path)
+        text = path if isinstance(path, str) else str(path.absolute())
         if is_url(text) and redacted(text) != text:
             raise OptionError(
                 f"{redacted(text)}: catalogues keep addresses, and this one holds a secret; say it in the environment"
             )
-    return [Drive(text, reading) for text in dict.fromkeys(texts)]
+        drive = Drive(text, {**reading, **own.reading})
+        found.setdefault(drive.name, drive)
+    return list(found.values())
 
 
 def _updated(
@@ -149,7 +153,8 @@ def _updated(
     progress: Progress | None,
 ) -> CatalogReport:
     known, whole = parts.entries, parts.whole()
-    stamps = {drive.name: drive.stamp(checks) for drive in drives}
+    files = looked_at(drives)
+    stamps = {drive.name: drive.stamp(checks, files[drive.path]) for drive in drives}
     due = [
         drive
         for drive in drives

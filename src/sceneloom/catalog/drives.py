@@ -1,6 +1,6 @@
 """Drives that are catalogued, and reading one of them, in whatever process that happens."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from hashlib import blake2b
@@ -45,14 +45,21 @@ class Drive:
         """What its scene is called in the catalogue."""
         return scene_name(self.path, self.reading)
 
-    def stamp(self, checks: Checks) -> str:
-        """What tells it and how it is catalogued from another time; "" where that is not known."""
-        try:
-            files = fingerprint(self.path)
-        except DataError:
-            files = ""  # reading it tells why
+    def stamp(self, checks: Checks, files: str) -> str:
+        """What tells it, its files by `looked_at`, and how it is catalogued from another time; "" for not known."""
         told = repr((files, VERSION, __version__, checks.value))
         return blake2b(told.encode(), digest_size=16).hexdigest() if files else ""
+
+
+def looked_at(drives: Iterable[Drive]) -> dict[str, str]:
+    """Look at the files of drives, those of a data set once: fingerprints by path, "" where nobody knows."""
+    found = {}
+    for path in dict.fromkeys(drive.path for drive in drives):
+        try:
+            found[path] = fingerprint(path)
+        except DataError:
+            found[path] = ""  # reading it tells why
+    return found
 
 
 def read_drive(place: str, output: Path, options: Mapping[str, Any]) -> int:

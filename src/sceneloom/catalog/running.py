@@ -13,7 +13,7 @@ from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.pool import LOST, Executor, ProcessPool
 from sceneloom.batch.warming import Warming
 from sceneloom.batch.working import run_task
-from sceneloom.catalog.drives import Checks, Drive
+from sceneloom.catalog.drives import Checks, Drive, looked_at
 from sceneloom.catalog.parts import PART_ROWS, Entry, Fresh, Parts
 from sceneloom.errors import OutputError
 from sceneloom.formats.processors import processors
@@ -95,7 +95,8 @@ class Run:
         workers = self._workers or min(processors(), -(-len(drives) // _DRIVES_OF_WORKER))
         executor: Executor = ProcessPool(workers) if min(workers, len(drives)) > 1 else _Here()
         lost: set[str] = set()
-        tasks = [self._task(number, drive) for number, drive in enumerate(drives)]
+        files = looked_at(drives)
+        tasks = [self._task(number, drive, files[drive.path]) for number, drive in enumerate(drives)]
         try:
             for done, (task, outcome) in enumerate(_finished(tasks, executor), start=1):
                 self._take(drives[task.number], task, outcome)
@@ -108,10 +109,10 @@ class Run:
             lost |= self._put()
         return lost
 
-    def _task(self, number: int, drive: Drive) -> Task:
+    def _task(self, number: int, drive: Drive, files: str) -> Task:
         options = {
             "scene": drive.name,
-            "stamp": drive.stamp(self._checks),
+            "stamp": drive.stamp(self._checks, files),
             "checks": self._checks.value,
             "reading": dict(drive.reading),
         }

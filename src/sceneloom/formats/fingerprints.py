@@ -1,13 +1,19 @@
 """Whether a drive is still what it was: names, sizes and times of its files, without reading them."""
 
 import os
+import time
 from collections.abc import Iterator
 from hashlib import blake2b
 from pathlib import Path
+from threading import Lock
 
 from sceneloom.errors import DataError, MissingExtraError
 from sceneloom.formats.urls import is_url
 from sceneloom.redaction import redacted
+
+_LONG_SECONDS, _LASTING = 0.2, 20
+_LATE: dict[str, tuple[str, float]] = {}
+_LOCK = Lock()
 
 
 def fingerprint(place: str) -> str:
@@ -31,6 +37,25 @@ def fingerprint(place: str) -> str:
     except OSError:
         return ""
     return told.hexdigest()
+
+
+def late_fingerprint(place: str) -> str:
+    """Do as `fingerprint`, but of a data set whose files take long to look at, give for a while what was found before.
+
+    One that is older than the reading of a drive lets the drive count as changed at worst. It is given twenty times as
+    long as it took, so that the drives of a data set, each read for itself, wait little for it.
+    """
+    with _LOCK:
+        found, until = _LATE.get(place, ("", 0.0))
+        begun = time.monotonic()
+        if begun < until:
+            return found
+        found = fingerprint(place)
+        spent = time.monotonic() - begun
+        _LATE.clear()
+        if spent > _LONG_SECONDS:
+            _LATE[place] = found, begun + _LASTING * spent
+        return found
 
 
 def _remote_files(url: str) -> list[tuple[str, int, str]]:

@@ -1,6 +1,6 @@
 """What a data set, a folder of a known layout, offers to the table of formats."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -24,6 +24,8 @@ class FolderFormat:
         recogniser: says whether an existing path is such a folder.
         missing: says what keeps a folder from being one, where that can be guessed.
         reader: opens a path with the options of `reading_options`, which it describes.
+        drives: gives the drives of such a folder: a folder of its own, or the name that the reader's `sequence` takes;
+            None where a folder is always one drive.
         writer: writes a scene to a path with those of `writing_options`; None where the format is only read.
         refusal: what is only read, and what can be written in its place; of formats without a writer.
     """
@@ -35,6 +37,7 @@ class FolderFormat:
     missing: Callable[[Path], str | None]
     reader: Callable[..., Scene]
     reading_options: tuple[str, ...]
+    drives: Callable[[Path], Sequence[Path | str]] | None = None
     writer: Callable[..., LossReport] | None = None
     writing_options: tuple[str, ...] = ()
     refusal: str = ""

@@ -53,7 +53,8 @@ class Format(Protocol):
     """What a format module offers as `FORMAT`.
 
     Further attributes are optional: `reads` and `writes`, false where it is only written or only read; `reads_urls`;
-    `near_miss(path)`, what a path that nearly is one lacks; `check_place(path)`, which refuses harmful outputs.
+    `near_miss(path)`, what a path that nearly is one lacks; `drives`, as of `FolderFormat`; `check_place(path)`, which
+    refuses harmful outputs.
     """
 
     name: str

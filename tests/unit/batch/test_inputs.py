@@ -8,7 +8,8 @@ from sceneloom.batch.inputs import find_inputs
 from sceneloom.batch.jobs import Input
 from sceneloom.batch.naming import output_names
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.fingerprints import fingerprint
+from sceneloom.formats import fingerprints
+from sceneloom.formats.fingerprints import fingerprint, late_fingerprint
 
 
 def test_patterns_and_lists_give_each_drive_once(tmp_path):
@@ -99,3 +100,19 @@ def test_fingerprints_change_with_any_file(tmp_path):
     assert len(set(seen)) == 4
     assert fingerprint(str(folder)) == seen[-1]
     assert fingerprint(str(tmp_path / "gone")) == ""
+
+
+def test_only_what_takes_long_to_look_at_is_not_looked_at_anew(tmp_path, monkeypatch):
+    (tmp_path / "a").write_text("1")
+    first = late_fingerprint(str(tmp_path))
+    assert first == fingerprint(str(tmp_path))
+    (tmp_path / "b").write_text("2")
+    second = late_fingerprint(str(tmp_path))
+    assert second == fingerprint(str(tmp_path)) != first
+    monkeypatch.setattr(fingerprints, "_LONG_SECONDS", 0.0)
+    monkeypatch.setattr(fingerprints, "_LASTING", 1e9)
+    assert late_fingerprint(str(tmp_path)) == second
+    (tmp_path / "b").unlink()
+    assert late_fingerprint(str(tmp_path)) == second
+    monkeypatch.setattr(fingerprints, "_LATE", {})
+    assert late_fingerprint(str(tmp_path)) == first

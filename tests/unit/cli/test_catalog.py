@@ -38,6 +38,7 @@ def test_a_list_says_how_its_drives_are_opened(call, recording, tmp_path):
         shutil.copytree(written, both, dirs_exist_ok=True)
     assert call("catalog", "build", both, "-o", fleet, "--read-with", "sequence=0001").code == 0
     assert call("catalog", "update", fleet, both, "--read-with", "sequence=0002").code == 0
+    assert "2 scenes: 2 unchanged" in call("catalog", "update", fleet, both).out
     told = call("catalog", "query", fleet, "--speed", 0, "inf", "--show", "drives", "--as", "list").out
     assert [json.loads(line)["reading"] for line in told.splitlines()] == [
         {"sequence": "0001"}, {"sequence": "0002"},
@@ -47,6 +48,10 @@ def test_a_list_says_how_its_drives_are_opened(call, recording, tmp_path):
     assert done.code == 0, done.err
     names = sorted(file.name for file in (tmp_path / "out").glob("*.sfs"))
     assert names == ["kitti_0001.sfs", "kitti_0002.sfs"]
+    again = call("batch", "convert", both, "-o", tmp_path / "out", "--workers", 1, "--resume")
+    assert (again.code, "2 of them before and unchanged" in again.out) == (0, True), again.err
+    assert f"{both}: 2 drives; --sequence chooses one\n" in again.err
+    assert "2 unchanged" in call("catalog", "update", fleet, "--list", tmp_path / "list.jsonl").out
     saved = call("view", "--list", tmp_path / "list.jsonl", "--save", tmp_path / "both.rrd", "--json")
     assert (saved.code, [drive["root"] for drive in json.loads(saved.out)["drives"]]) == (
         0, [r"/kitti\ 0001", r"/kitti\ 0002"],

@@ -1,9 +1,10 @@
 """The verbs of `sceneloom batch`: those of the command line that take one drive, with the drives in its place."""
 
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
     from sceneloom.batch import Outcome, RunSummary
-    from sceneloom.batch.jobs import Further, Parts
+    from sceneloom.batch.jobs import Further, Input, Parts
     from sceneloom.batch.pool import Executor
     from sceneloom.batch.running import Told
 
@@ -219,7 +220,10 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     workers = own["workers"] or processors()
     taken = beside(name)
     said = {option: values[option] for option in taken if values[option] not in (None, ())}
-    found = find_listed(name, own["inputs"], own["lists"], files=taken, quiet=own["quiet"])
+    found = find_listed(
+        name, own["inputs"], own["lists"], files=taken, reading=values, stays=partial(_is_one_task, values),
+        quiet=own["quiet"],
+    )  # fmt: skip
     inputs, files = give_files(found, said, taken)
     further = _further(name, values)
     executor = _cluster(name, own, workers)
@@ -250,6 +254,17 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     else:
         print_summary(summary, verbose=own["verbose"])
     return FAILED_CODE if summary.failed else 0
+
+
+def _is_one_task(values: Mapping[str, Any], drive: "Input") -> bool:
+    """Whether a verb does all sequences of a folder of KITTI's at once, since detections lie beside them."""
+    takes = values.get("fusion_type") == "detection" if "fusion_type" in values else "boxes3d" in values
+    lists = any(values.get(name) or drive.files.get(name) for name in ("boxes3d", "boxes2d"))
+    if not takes or lists:
+        return False
+    from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
+
+    return Path(drive.place).is_dir() and is_tracking_folder(Path(drive.place))
 
 
 def _parts(said: float | str | None, drives: int, workers: int) -> "Parts | None":

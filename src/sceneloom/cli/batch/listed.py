@@ -1,11 +1,12 @@
 """The drives that a command names, or lists of them, which many verbs may share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.batch.one_drive import BATCHED
 
 if TYPE_CHECKING:
@@ -19,11 +20,21 @@ def find_listed(
     lists: Sequence[Path],
     *,
     files: "Mapping[str, FileOption] | None" = None,
+    reading: Mapping[str, Any] | None = None,
+    stays: "Callable[[Input], bool]" = lambda _: False,
     quiet: bool = False,
 ) -> "tuple[Input, ...]":
-    """Find the drives of a command, and say which files of lists are for other verbs; as `find_inputs`."""
+    """Find the drives of a command, and say what of lists is for other verbs.
+
+    Args:
+        verb: what the command does.
+        places, lists, files: as of `find_inputs`.
+        reading: options of the command, where each drive of a data set shall count for itself unless they name one.
+        stays: which data sets do not count so, since the verb does all their drives at once.
+        quiet: say nothing.
+    """
     from sceneloom.batch.files import flag_of
-    from sceneloom.batch.inputs import find_inputs
+    from sceneloom.batch.inputs import each_drive, find_inputs
 
     others = {option for batched in BATCHED.values() for option in batched.beside}
     found = find_inputs(places, lists, files=files or {}, others=others)
@@ -31,4 +42,15 @@ def find_listed(
     if unread and not quiet:
         flags = ", ".join(map(flag_of, unread))
         click.echo(f"not read by {verb}: what the lists say for {flags}", err=True)
-    return found
+    if reading is None:
+        return found
+    told = options.said(**reading)
+    if told.get("sequence") or told.get("sequences"):
+        return found
+    drives: list[Input] = []
+    for one in found:
+        several = (one,) if stays(one) else each_drive(one, read_as=told.get("read_as"))
+        if len(several) > 1 and not quiet:
+            click.echo(f"{one.name}: {len(several)} drives; --sequence chooses one", err=True)
+        drives += several
+    return tuple(drives)

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.catalog.telling import checks, lists, print_report, workers
+from sceneloom.cli.catalog.telling import checks, lists, named_drives, print_report, workers
 from sceneloom.cli.printing import progress_bar
 
 
@@ -39,17 +39,15 @@ def build(
     go on; exit 1 then.
     """
     from sceneloom.catalog import build as build_catalogue
-    from sceneloom.cli.batch.listed import find_listed
 
-    places = [drive.place for drive in find_listed("catalog", drives, lists, quiet=quiet)]
+    named = named_drives(drives, lists, reading, quiet=quiet)
     with progress_bar("reading drives", quiet=quiet) as progress:
         report = build_catalogue(
-            places,
+            named,
             output,
             overwrite=overwrite,
             checks=checks,
             workers=workers,
             progress=progress,
-            **options.said(**reading),
         )
     return print_report(report, as_json=as_json, verbose=verbose)

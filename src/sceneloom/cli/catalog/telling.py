@@ -1,6 +1,8 @@
 """What the verbs that write catalogues share: options, and how the result is told."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -8,7 +10,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_lines, several
 
 if TYPE_CHECKING:
-    from sceneloom.catalog import CatalogReport, Failure
+    from sceneloom.catalog import CatalogReport, Drive, Failure
 
 checks = click.option(
     "--checks",
@@ -23,7 +25,31 @@ workers = click.option(
     metavar="N",
     help="Processes that read drives, each with one thread. [default: one for each processor, if drives are many]",
 )
-lists = options.lists('a path, or {"path": …}')
+lists = options.lists('a path, or {"path": …, "reading": {"sequence": …}}')
+
+
+def named_drives(
+    places: Sequence[str], lists: Sequence[Path], reading: Mapping[str, Any], *, quiet: bool
+) -> "list[Drive]":
+    """The drives that a command names, and how each is opened, which lists may say; whole ones only."""
+    from sceneloom.batch.inputs import READING
+    from sceneloom.catalog import Drive
+    from sceneloom.cli.batch.listed import find_listed
+
+    found = find_listed("catalog", places, lists, reading=reading, quiet=quiet)
+    said = options.said(**reading)
+    return [
+        Drive(
+            drive.place,
+            said
+            | {
+                name.removeprefix(READING): value
+                for name, value in drive.options.items()
+                if name.startswith(READING)
+            },
+        )
+        for drive in found
+    ]
 
 
 def print_report(report: "CatalogReport", *, as_json: bool, verbose: bool) -> int:

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.catalog.telling import checks, lists, print_report, workers
+from sceneloom.cli.catalog.telling import checks, lists, named_drives, print_report, workers
 from sceneloom.cli.printing import progress_bar
 
 
@@ -37,21 +37,15 @@ def update(
     read is told, and what stood of it stays; exit 1 then.
     """
     from sceneloom.catalog import update as update_catalogue
-    from sceneloom.cli.batch.listed import find_listed
 
-    places = (
-        [drive.place for drive in find_listed("catalog", drives, lists, quiet=quiet)]
-        if drives or lists
-        else []
-    )
+    named = named_drives(drives, lists, reading, quiet=quiet) if drives or lists else []
     with progress_bar("looking at drives", quiet=quiet) as progress:
         report = update_catalogue(
             catalogue,
-            places,
+            named,
             prune=prune,
             checks=checks,
             workers=workers,
             progress=progress,
-            **options.said(**reading),
         )
     return print_report(report, as_json=as_json, verbose=verbose)

@@ -12,6 +12,7 @@ FORMAT = FolderFormat(
     recogniser=place.recognises,
     missing=place.near_miss,
     reader=open_argoverse2,
+    drives=place.logs_in,
     reading_options=("lenient", "sequence", "one_lidar", "distorted"),
     refusal="Argoverse 2 is only read; write a scene file (drive.sfs) or a recording (a folder) in its place",
 )

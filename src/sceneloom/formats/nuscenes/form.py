@@ -6,6 +6,7 @@ from sceneloom.formats.folder_form import FolderFormat
 from sceneloom.formats.nuscenes.holdings import HOLDS
 from sceneloom.formats.nuscenes.place import near_miss, table_folders
 from sceneloom.formats.nuscenes.scene_from_tables import open_nuscenes
+from sceneloom.formats.nuscenes.selection import scene_names
 from sceneloom.formats.nuscenes.writing import write_nuscenes
 
 
@@ -21,6 +22,7 @@ FORMAT = FolderFormat(
     recogniser=_has_tables,
     missing=near_miss,
     reader=open_nuscenes,
+    drives=scene_names,
     reading_options=("lenient", "sequence", "keyframes"),
     writer=write_nuscenes,
     writing_options=("version", "keyframe_rate_hz", "pictures"),

@@ -7,7 +7,7 @@ from typing import Any
 
 from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.nuscenes.place import Place
+from sceneloom.formats.nuscenes.place import Place, find_place
 from sceneloom.formats.nuscenes.tables import (
     CalibratedSensorRow,
     EgoPoseRow,
@@ -88,6 +88,16 @@ def select(place: Place, sequence: str | None, ledger: Ledger, *, keyframes: boo
         _sensors(place, samples, ledger, keyframes=keyframes),
         len(scenes) - 1,
     )
+
+
+def scene_names(path: Path) -> tuple[str, ...]:
+    """Names of the scenes of a data set.
+
+    Raises:
+        DataError: a table is missing or wrong.
+        OptionError: there are several sets of tables.
+    """
+    return tuple(row.name for row in iter_rows(find_place(path).tables, "scene"))
 
 
 def _chosen(place: Place, scenes: list[SceneRow], sequence: str | None) -> SceneRow:

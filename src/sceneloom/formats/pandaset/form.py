@@ -12,6 +12,7 @@ FORMAT = FolderFormat(
     recogniser=place.recognises,
     missing=place.near_miss,
     reader=open_pandaset,
+    drives=place.drives_in,
     reading_options=("lenient", "sequence"),
     refusal="PandaSet is only read; write a scene file (drive.sfs) or a recording (a folder) in its place",
 )

@@ -40,6 +40,11 @@ def recognises(path: Path) -> bool:
     return path.is_dir() and (is_drive(path) or any(map(is_drive, islice(path.iterdir(), _MOST_LOOKED_AT))))
 
 
+def drives_in(path: Path) -> list[Path]:
+    """The drive that a folder is, or the drives in it."""
+    return [path] if is_drive(path) else [child for child in sorted(path.iterdir()) if is_drive(child)]
+
+
 def find_drive(path: Path, sequence: str | None) -> Path:
     """Find the drive that is meant.
 
@@ -51,7 +56,7 @@ def find_drive(path: Path, sequence: str | None) -> Path:
         raise DataError(
             path, "", "no such folder; expected one with lidar/00.pkl.gz, lidar/poses.json, camera/"
         )
-    drives = [path] if is_drive(path) else [child for child in sorted(path.iterdir()) if is_drive(child)]
+    drives = drives_in(path)
     names = [drive.name for drive in drives]
     more = [f"… ({len(names)} in all)"] if len(names) > _MOST_NAMES else []
     shown = ", ".join([*names[:_MOST_NAMES], *more])

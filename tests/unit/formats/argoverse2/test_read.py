@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.errors import DataError, MissingExtraError, OptionError
+from sceneloom.formats.drives import drives_of
 from sceneloom.scene.angles import CuboidAngles
 
 pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
@@ -189,6 +190,7 @@ def test_one_of_several_logs_has_to_be_chosen(tmp_path):
         write_log(tmp_path / name)
     with pytest.raises(OptionError, match="2 logs; choose one with `--sequence NAME`: one, two"):
         sceneloom.open(tmp_path)
+    assert drives_of(tmp_path) == [tmp_path / "one", tmp_path / "two"]
     with pytest.raises(OptionError, match="no log 'three'; it has one, two"):
         sceneloom.open(tmp_path, sequence="three")
     assert sceneloom.open(tmp_path, sequence="two").metadata["argoverse2"]["log"] == "two"

@@ -20,6 +20,7 @@ from tests.unit.formats.nuscenes.schema_folder import (
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.drives import drives_of
 from sceneloom.formats.nuscenes import tables as row_tables
 from sceneloom.scene.angles import CuboidAngles
 
@@ -134,6 +135,7 @@ def test_one_of_several_scenes_has_to_be_chosen(tmp_path):
         OptionError, match="2 scenes; choose one with `--sequence NAME`: scene-0001, scene-0002"
     ):
         sceneloom.open(root)
+    assert drives_of(root) == ("scene-0001", "scene-0002")
     with pytest.raises(OptionError, match="no scene 'scene-0003'; it has scene-0001, scene-0002"):
         sceneloom.open(root, sequence="scene-0003")
     scene = sceneloom.open(root, sequence="scene-0002")

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.drives import drives_of
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.angles import CuboidAngles
 
@@ -192,6 +193,8 @@ def test_one_of_several_drives_has_to_be_chosen(tmp_path):
         write_drive(tmp_path / name)
     with pytest.raises(OptionError, match="2 drives; choose one with `--sequence NAME`: 001, 002"):
         sceneloom.open(tmp_path)
+    assert drives_of(tmp_path) == [tmp_path / "001", tmp_path / "002"]
+    assert drives_of(tmp_path / "001") == drives_of(tmp_path, read_as="nuscenes") == ()
     assert sceneloom.open(tmp_path, sequence="002").metadata["pandaset"]["sequence"] == "002"
 
 

@@ -15,6 +15,7 @@ FORMAT = FolderFormat(
     recogniser=place.recognises,
     missing=place.near_miss,
     reader=open_odometry,
+    drives=lambda path: tuple(place.sequences_of(path).values()),
     reading_options=("sequence", "labels", "lenient"),
     writer=write_odometry,
     writing_options=("sequence",),

@@ -21,6 +21,7 @@ FORMAT = FolderFormat(
     recogniser=_is_raw,
     missing=place.near_miss,
     reader=open_raw,
+    drives=place.drives_below,
     reading_options=("sequence", "lenient"),
     writer=write_raw,
     writing_options=("kind", "sequence"),

@@ -13,6 +13,7 @@ FORMAT = FolderFormat(
     recogniser=place.recognises,
     missing=place.near_miss,
     reader=open_tracking,
+    drives=place.drives_of,
     reading_options=("sequence", "lenient"),
     writer=write_tracking,
     writing_options=("sequence",),

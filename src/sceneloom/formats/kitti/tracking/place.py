@@ -81,6 +81,11 @@ def find_sequence(path: Path, wanted: str | None, ledger: Ledger) -> tuple[Path,
     return found[0], choose_sequence(path, sequences_of(found[0]), wanted)
 
 
+def drives_of(path: Path) -> tuple[str, ...]:
+    """Names of the sequences that a path gives to choose from."""
+    return next((sequences_of(folder) for folder in places(path) if is_sequences(folder)), ())
+
+
 def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) -> str:
     """The only sequence, or the wanted one; leading zeros need not be said.
 

@@ -1,11 +1,14 @@
 """Sequences of KITTI's odometry benchmark as scenes, and SemanticKITTI's labels with them."""
 
+import shutil
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
+from sceneloom.formats.drives import drives_of
 from sceneloom.scene.pose_source import PoseSource
 
 TR = np.array([[0, -1, 0, 0.01], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1.0]])
@@ -126,3 +129,9 @@ def test_a_missing_calibration_is_told(root):
 def test_a_sequence_that_is_not_there_is_told(root):
     with pytest.raises(OptionError, match=r"sequence '05': .* has 04"):
         open_scene(root, sequence="05")
+
+
+def test_each_sequence_is_a_drive(root):
+    assert drives_of(root) == ()
+    shutil.copytree(root / "sequences/04", root / "sequences/05")
+    assert drives_of(root) == (root / "sequences/04", root / "sequences/05")

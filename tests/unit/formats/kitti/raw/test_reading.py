@@ -7,6 +7,7 @@ import pytest
 from sceneloom.cameras.models import project
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
+from sceneloom.formats.drives import drives_of
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.scene.at import cuboid_poses
 from sceneloom.scene.pose_source import PoseSource
@@ -150,6 +151,7 @@ def test_several_drives_are_listed_and_one_can_be_chosen(raw_folder):
     raw_folder(drive="2011_09_26_drive_0005_sync")
     with pytest.raises(OptionError, match=r"drive_0001_sync, 2011_09_26_drive_0005_sync; choose one"):
         open_scene(root)
+    assert [drive.name[-9:] for drive in drives_of(root)] == ["0001_sync", "0005_sync"]
     assert open_scene(root, sequence="0005").source.endswith("0005_sync")
     with pytest.raises(OptionError, match=r"'0009'.*it has 2011_09_26_drive_0001_sync"):
         open_scene(root, sequence="0009")

@@ -6,6 +6,7 @@ from PIL import Image
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
+from sceneloom.formats.drives import drives_of
 
 CALIBRATION = """P2: 48 0 17 2.88 0 48 13 0.5 0 0 1 0.003
 R_rect 1 0 0 0 1 0 0 0 1
@@ -58,6 +59,7 @@ def test_several_sequences_are_listed_and_one_can_be_chosen(folder):
         OptionError, match=r"has several sequences: 0002, 0005; choose one with `--sequence NAME`"
     ):
         open_scene(folder)
+    assert drives_of(folder) == ("0002", "0005")
     assert open_scene(folder, sequence="5").source.endswith("/0005")
     with pytest.raises(OptionError, match=r"sequence '7': .* has 0002, 0005"):
         open_scene(folder, sequence="7")

@@ -1,0 +1,31 @@
+"""The drives of a data set: folders that hold several of them, as many data sets are handed out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from sceneloom.errors import SceneloomError
+from sceneloom.formats.table import format_named, format_names
+
+
+def drives_of(path: Path, *, read_as: str | None = None) -> Sequence[Path | str]:
+    """Name the drives of a data set that has several.
+
+    Args:
+        path: a folder, or any other path.
+        read_as: name of its format, where its content shall not decide.
+
+    Returns:
+        of each its own folder, or the name that the option `sequence` of its format takes. Empty where the path is one
+        drive, or not known as a data set; opening it tells more.
+    """
+    if not path.is_dir():
+        return ()
+    forms = map(format_named, format_names() if read_as is None else (read_as,))
+    sets = [form for form in forms if getattr(form, "drives", None) is not None and form.recognises(path)]
+    if len(sets) != 1:
+        return ()
+    try:
+        found: Sequence[Path | str] = sets[0].drives(path)  # type: ignore[attr-defined]
+    except SceneloomError:
+        return ()
+    return found if len(found) > 1 else ()

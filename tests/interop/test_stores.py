@@ -258,7 +258,7 @@ def test_a_batch_into_a_store_is_whole_and_of_one_run(bucket, drive, tmp_path, m
     (tmp_path / "modules").mkdir()
     (tmp_path / "modules" / "verb_that_dies.py").write_text(VERB)
     monkeypatch.syspath_prepend(tmp_path / "modules")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "modules"), os.environ["PYTHONPATH"]]))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"), prepend=os.pathsep)
     (tmp_path / "marks").mkdir()
     target = bucket.url("run1/")
     places = [bucket.url(f"in/{name}.sfs") for name in "ab"]

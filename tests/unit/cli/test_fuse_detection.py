@@ -290,6 +290,17 @@ def test_sensors_of_kittis_sequences_are_not_chosen(call, tmp_path, tracking_tex
     )
 
 
+@pytest.mark.usefixtures("inline")
+def test_a_batch_follows_the_objects_of_kittis_sequences_into_one_folder(call, tmp_path, tracking_texts):
+    for name, text in tracking_texts.items():
+        for path in (tmp_path / "kitti" / name, tmp_path / "kitti" / name.replace("0001", "0002")):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+    done = call("batch", "track", tmp_path / "kitti", "-o", tmp_path / "out", "--workers", 1)
+    assert done.code == 0, done.err
+    assert [file.name for file in sorted((tmp_path / "out" / "kitti").iterdir())] == ["0001.txt", "0002.txt"]
+
+
 def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, drive, tmp_path):
     folder, _, _ = drive
     with sceneloom.open(folder / "recording") as scene:

@@ -218,10 +218,10 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     if own["parts"] is not None:
         check_parts(name)
     workers = own["workers"] or processors()
-    taken = beside(name)
+    taken, whole = beside(name), partial(_is_one_task, values)
     said = {option: values[option] for option in taken if values[option] not in (None, ())}
     found = find_listed(
-        name, own["inputs"], own["lists"], files=taken, reading=values, stays=partial(_is_one_task, values),
+        name, own["inputs"], own["lists"], files=taken, reading=values, stays=whole,
         quiet=own["quiet"],
     )  # fmt: skip
     inputs, files = give_files(found, said, taken)
@@ -233,7 +233,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         inputs=inputs,
         options={"verb": name, **values},
         files=files,
-        suffix=BATCHED[name].suffix if own["suffix"] is None else own["suffix"],
+        suffix=_suffix(name, own["suffix"], folders=all(map(whole, inputs))),
         retries=own["retries"],
         modules=BATCHED[name].modules,
         parts=_parts(own["parts"], len(inputs), executor.free if executor else workers),
@@ -254,6 +254,13 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     else:
         print_summary(summary, verbose=own["verbose"])
     return FAILED_CODE if summary.failed else 0
+
+
+def _suffix(name: str, said: str | None, *, folders: bool) -> str:
+    """What names of outputs end in; those of folders, with a file for each drive, in nothing."""
+    if said is None:
+        return "" if folders else BATCHED[name].suffix
+    return said
 
 
 def _is_one_task(values: Mapping[str, Any], drive: "Input") -> bool:

@@ -77,7 +77,7 @@ def calibrate(
     if conventions or asked is not None:
         own = [name for name in BOXES if name != "sequences"]
         detection_options.refuse(boxes, own, "--check looks at it")
-        reading["sequence"] = detection_options.one_sequence(boxes["sequences"])
+        reading["sequence"] = options.one_sequence(boxes["sequences"])
     if conventions:
         code = check_conventions(
             path, drive, camera_id=camera_id, lidar_id=lidar_id, as_json=as_json, quiet=quiet, reading=reading

@@ -74,7 +74,7 @@ def check_health(
     detection_options.refuse(
         dict(boxes), BOXES[2:4], f"{path} is no folder of KITTI's sequences, or has lists beside it"
     )
-    reading = {**reading, "sequence": detection_options.one_sequence(boxes["sequences"])}
+    reading = {**reading, "sequence": options.one_sequence(boxes["sequences"])}
     if pictures is not None:
         is_empty = pictures.is_dir() and not any(pictures.iterdir())
         check_output(pictures, overwrite=overwrite or is_empty)

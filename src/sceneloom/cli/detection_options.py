@@ -77,19 +77,6 @@ def added(command: Any, options_of_detections: Sequence[Any]) -> Any:
     return command
 
 
-def one_sequence(given: Sequence[str]) -> str | None:
-    """The sequence of a data set that is opened as one drive, where it was said.
-
-    Raises:
-        click.UsageError: several were.
-    """
-    if len(given) > 1:
-        raise click.UsageError(
-            f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; say one"
-        )
-    return given[0] if given else None
-
-
 def refuse(given: dict[str, Any], names: Sequence[str], why: str) -> None:
     """Refuse options that say nothing about such an input.
 

@@ -69,12 +69,10 @@ def diff(
 ) -> int:
     """Tell what differs between two drives, field by field; exit 0 where nothing does, 1 where something does."""
     from sceneloom.editing.differences import diff_scenes
-    from sceneloom.formats import open_scene
+    from sceneloom.formats.shared_options import open_scenes
 
-    said = options.said(**reading)
     with (
-        open_scene(first, **said) as a,
-        open_scene(second, **said) as b,
+        open_scenes((first, second), options.said(**reading)) as (a, b),
         progress_bar("comparing", quiet=quiet) as progress,
     ):
         found = diff_scenes(

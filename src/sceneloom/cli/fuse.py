@@ -80,7 +80,7 @@ def fuse(
         return
     own = [name for name in detection_options.NAMES if name != "sequences"]
     detection_options.refuse({"format": form, **given}, ("format", *own), "say --type detection with it")
-    given["sequence"] = detection_options.one_sequence(given["sequences"])
+    given["sequence"] = options.one_sequence(given["sequences"])
     kept = {name: value for name, value in given.items() if name not in detection_options.NAMES}
     _fuse_sensor_data(path, output, algorithm=algorithm, **kept)
 

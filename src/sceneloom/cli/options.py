@@ -1,6 +1,7 @@
 """The options that many verbs share."""
 
-from collections.abc import Callable, Iterable, Mapping
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import reduce, wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -87,6 +88,19 @@ def lists(words: str) -> Callable[[Any], Any]:
     )
 
 
+def one_sequence(given: Sequence[str]) -> str | None:
+    """The sequence of a data set that is opened as one drive, where it was said.
+
+    Raises:
+        click.UsageError: several were.
+    """
+    if len(given) > 1:
+        raise click.UsageError(
+            f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; say one"
+        )
+    return given[0] if given else None
+
+
 reading = _stacked(
     click.option(
         "--read-as",
@@ -139,12 +153,19 @@ reading = _stacked(
         help="What becomes of a recording's `imuToCameraShiftSeconds`: `apply` adds it to the times of the camera's "
         "pictures, `subtract` takes it off. [default: ignore]",
     ),
-    click.option("--sequence", metavar="NAME", help="Which drive of a data set that has several."),
+    click.option(
+        "--sequence",
+        multiple=True,
+        callback=lambda _context, _parameter, given: one_sequence(given),
+        metavar="NAME",
+        help="Which drive of a data set that has several.",
+    ),
     click.option("--keyframes", is_flag=True, help="Of nuScenes, only what was taken at the samples."),
 )
 """On every verb that reads a drive."""
 
-READING = frozenset(option.name for option in click.command()(reading(lambda: None)).params) - {READ_WITH}
+_READING_OPTIONS = click.command()(reading(lambda: None)).params
+READING = frozenset(option.name for option in _READING_OPTIONS) - {READ_WITH}
 """The names of these, but for what each format has of its own."""
 
 
@@ -257,8 +278,21 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
     drive = next((values[name] for name in _DRIVES if isinstance(values.get(name), Path)), None)
     if drive is None or not str(error.file).startswith(str(drive)):
         return None
-    lists = f"`sceneloom validate {drive}` lists all that is wrong"
+    lists = (
+        f"`{shlex.join(['sceneloom', 'validate', str(drive), *_as_read(values)])}` lists all that is wrong"
+    )
     return lists if values["lenient"] else f"{lists}; `--lenient` goes on without what is broken"
+
+
+def _as_read(values: Mapping[str, Any]) -> Iterator[str]:
+    """The words by which a person said how the drive is read."""
+    sequences = values.get("sequences", ())
+    told = {"sequence": sequences[0], **values} if len(sequences) == 1 else values
+    for option in _READING_OPTIONS:
+        said = told.get(str(option.name))
+        if said and option.name != "lenient":
+            for value in said if isinstance(said, tuple) else (said,):
+                yield from option.opts[:1] if value is True else (option.opts[0], str(value))
 
 
 printing = _stacked(

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,8 @@ import msgspec
 
 from sceneloom.editing.chosen_points import OnPoints
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import check_scene_output, open_scene, write_scene
+from sceneloom.formats.shared_options import open_scenes
+from sceneloom.formats.table import check_scene_output, write_scene
 from sceneloom.scene import (
     CameraSensor,
     DepthCameraSensor,
@@ -89,7 +89,7 @@ def edit_files(
         sources: files or folders of any format.
         output: a file or a folder, by its suffix in any format that can be written.
         change: makes the scene.
-        reading: reading options, for all sources.
+        reading: reading options, each for the sources whose format takes it.
         progress: told after each sweep and radar cycle that is written.
         overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
@@ -101,8 +101,7 @@ def edit_files(
     begun = time.perf_counter()
     check_scene_output(Path(output), overwrite=overwrite)
     tally = _Tally(progress)
-    with ExitStack() as stack:
-        scenes = [stack.enter_context(open_scene(source, **(reading or {}))) for source in sources]
+    with open_scenes(sources, reading or {}) as scenes:
         changed = change(scenes, tally.add_before)
         tally.total = sum(len(s.frames) for s in changed.sensors if isinstance(s, LidarSensor | RadarSensor))
         losses = write_scene(watched(changed, tally.add_after), output, overwrite=overwrite, **writing)

@@ -1,14 +1,16 @@
 """Views saved to files: `sceneloom view --save`."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene
 from sceneloom.formats.output import check_output, replacing
+from sceneloom.formats.shared_options import SharedOptions
 from sceneloom.scene import Scene
 from sceneloom.scene.span import time_span
 from sceneloom.scene.types import Progress
@@ -46,17 +48,23 @@ def opened_drives(
         )
     check_single(len(sources), settings)
     parts = [source if isinstance(source, DrivePart) else DrivePart(source) for source in sources]
+    shared = SharedOptions(settings.reading)
     with ExitStack() as stack:
         scenes = [
             part.source
             if isinstance(part.source, Scene)
-            else stack.enter_context(open_scene(part.source, **{**settings.reading, **part.reading}))
+            else stack.enter_context(shared.read(partial(_open, part.source, part.reading)))
             for part in parts
         ]
+        shared.check()
         yield tuple(
             prepare_drive(scene, name, part.settings(settings), progress=progress)
             for scene, name, part in zip(scenes, _roots(parts), parts, strict=True)
         )
+
+
+def _open(place: str | Path, own: Mapping[str, Any], **reading: Any) -> Scene:
+    return open_scene(place, **{**reading, **own})
 
 
 def _roots(parts: Sequence[DrivePart]) -> list[str]:

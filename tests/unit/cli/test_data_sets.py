@@ -53,6 +53,36 @@ def test_fusing_takes_one_scene_at_a_time(call, nuscenes, tmp_path):
     assert "fused 5 of 5 sweeps" in one.out
 
 
+def test_one_drive_is_said_once(call, nuscenes):
+    two = call("info", nuscenes, "--sequence", "scene-0001", "--sequence", "scene-0002")
+    assert (two.code, "one drive is opened at a time; say one" in two.err) == (2, True)
+
+
+def test_of_two_drives_those_take_a_sequence_that_have_several(call, nuscenes, tmp_path):
+    copy, way, chosen = tmp_path / "copy.sfs", tmp_path / "way.tum", ("--sequence", "scene-0002")
+    assert call("convert", nuscenes, copy, *chosen).code == 0
+    assert call("convert", copy, way).code == 0
+    told = call("diff", nuscenes, copy, *chosen)
+    assert told.out.splitlines()[-1] == "1 difference", (
+        told.out + told.err
+    )  # the file counts from its first time
+    merged = call("edit", "merge", copy, nuscenes, "--rename", "-o", tmp_path / "both.sfs", *chosen)
+    assert merged.code == 0, merged.err
+    assert call("eval", "trajectory", copy, nuscenes, *chosen).code == 0
+    assert call("eval", "trajectory", way, nuscenes, *chosen).code == 0
+    for none in (("diff", copy, copy), ("eval", "trajectory", way, copy)):
+        refused = call(*none, *chosen)
+        assert (refused.code, "--sequence does not count here" in refused.err) == (2, True)
+
+
+def test_what_to_do_next_is_said_of_the_same_drive(call, tmp_path):
+    broken = write_drive(tmp_path / "my set" / "002")
+    write_drive(tmp_path / "my set" / "003")
+    (broken / "lidar" / "poses.json").write_text("[")
+    told = call("info", tmp_path / "my set", "--sequence", "002")
+    assert f"`sceneloom validate '{tmp_path / 'my set'}' --sequence 002`" in told.err
+
+
 def test_options_of_one_format_go_by_read_with(call, tmp_path):
     pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     log = write_log(tmp_path / "log")

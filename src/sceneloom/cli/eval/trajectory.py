@@ -1,16 +1,14 @@
 """`sceneloom eval trajectory`: how far a trajectory is from a reference."""
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from sceneloom.cli import options
 from sceneloom.cli.eval.figures import print_report
 from sceneloom.cli.printing import print_json, print_notices, progress_bar
-
-if TYPE_CHECKING:
-    from sceneloom.formats.trajectories import TrajectoryFile
 
 
 @click.command()
@@ -87,13 +85,17 @@ def trajectory(
     """
     from sceneloom.evaluate import RPE_DELTAS, evaluate_trajectory
     from sceneloom.evaluate.plot import check_plot
+    from sceneloom.formats.shared_options import SharedOptions
+    from sceneloom.formats.trajectories import read_trajectory_file
 
     if plot is not None:
         check_plot(plot, overwrite=overwrite)
-    sides = {}
+    own = {side: _own(reading, side) for side in ("est", "ref")}
+    shared, sides = SharedOptions(options.said(**reading)), {}
     for path, side in ((estimate, "est"), (reference, "ref")):
         with progress_bar(f"reading {side.upper()}", quiet=quiet) as progress:
-            sides[side] = _read(path, side, {**reading, "progress": progress})
+            sides[side] = shared.read(partial(read_trajectory_file, path, progress=progress, **own[side]))
+    shared.check()
     report = evaluate_trajectory(
         sides["est"],
         sides["ref"],
@@ -116,16 +118,10 @@ def trajectory(
         print_notices(report.notices, verbose=verbose)
 
 
-def _read(path: Path | str, side: str, reading: dict[str, Any]) -> "TrajectoryFile":
-    """Read one side by its own options and by those of both."""
-    from sceneloom.formats.trajectories import read_trajectory_file
-
-    own = {
-        name.removeprefix(f"{side}_"): value
-        for name, value in reading.items()
-        if name.startswith(f"{side}_") or not name.startswith(("est_", "ref_"))
-    }
-    return read_trajectory_file(path, **options.said(**own))
+def _own(reading: dict[str, Any], side: str) -> dict[str, Any]:
+    """Take the options of one side out of all."""
+    named = {name: reading.pop(name) for name in list(reading) if name.startswith(f"{side}_")}
+    return options.said(**{name.removeprefix(f"{side}_"): value for name, value in named.items()})
 
 
 def _offset_ns(text: str) -> int:

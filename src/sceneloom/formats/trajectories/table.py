@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.errors import OptionError, PoseError, UnknownFormatError
+from sceneloom.errors import OptionError, PoseError, UnknownFormatError, check_option_names
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, replacing
@@ -32,6 +32,9 @@ FORM_NAMES = tuple(TRAJECTORY_FORMS)
 
 OWN_SUFFIXES = {".tum", ".kitti", ".jsonl"}
 """Suffixes that nothing but one form has."""
+
+
+_READING = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical", "lenient")
 
 
 def split_name(path: str | Path) -> tuple[str | Path, str | None]:
@@ -84,6 +87,7 @@ def read_trajectory_file(
         options = {**options, **({"lenient": True} if lenient else {})}
         content = read_scene_trajectory(scene_form, place, reading, options, progress)
     else:
+        check_option_names(f"opening a trajectory ({chosen.name})", options, _READING)
         ledger = Ledger(lenient=lenient)
         with ledger.telling():
             content = chosen.read(Path(where), reading, ledger)

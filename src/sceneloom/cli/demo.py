@@ -7,7 +7,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.fusion_summary import print_fusion
-from sceneloom.cli.printing import print_json, print_losses, progress_bar
+from sceneloom.cli.printing import print_json, print_losses, progress_bar, several
 
 
 @click.command()
@@ -59,11 +59,18 @@ def demo(
     if as_json:
         print_json(report)
         return
-    print_fusion(report, outputs, quiet=quiet, verbose=verbose)
+    print_fusion(report, outputs, quiet=quiet or not verbose, verbose=verbose)
     click.echo(f"recording: {recording}")
-    if not quiet:
-        print_losses(written, verbose=verbose)
-    click.echo(f"all in {time.perf_counter() - begun:.1f} s. Look at {keep / 'pictures'}; then try")
+    if verbose and not quiet:
+        print_losses(written, verbose=True)
+    elif not quiet:
+        # whoever begins has not asked yet what formats cannot hold
+        remarks = several(len([*report.notices, *report.losses, *written]), "remark")
+        click.echo(
+            f"{remarks} on what these files cannot hold of the drive: `--verbose` lists them", err=True
+        )
+    click.echo(f"all in {time.perf_counter() - begun:.1f} s")
+    click.echo(f"look at {pictures / 'cloud_drive_perspective.png'} and what is beside it; then try")
     click.echo(f"  sceneloom info {recording}")
     click.echo(f"  sceneloom info {keep / 'drive.sfs'}")
     click.echo("  sceneloom fuse YOUR_DRIVE -o YOUR_DRIVE.sfs --pictures pictures")

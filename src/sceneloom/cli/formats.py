@@ -69,8 +69,9 @@ def formats(
 
 def _row(form: "FormatListing") -> tuple[str, str, str, str]:
     both = "read, written" if form.reads and form.writes else "only read" if form.reads else "only written"
+    # a suffix says what to write; what is only read is known by its content
     suffixes = " ".join(suffix or "folder" for suffix in form.suffixes) or f"--to {form.name}"
-    return form.name, both, suffixes, form.looks_like
+    return form.name, both, suffixes if form.writes else "", form.looks_like
 
 
 def _print_holdings(name: str, *, as_json: bool) -> None:

@@ -33,7 +33,7 @@ VERBS = MappingProxyType(
         "catalog": "Put many drives into tables, and find drives and moments in them.",
         "diff": "Tell what differs between two drives.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
-        "eval": "Say how good an estimate is: a trajectory against a reference.",
+        "eval": "Say how good an estimate is: a trajectory, tracks or detections, against a reference.",
         "sync": "Tell whether the clocks of a drive's streams are in step, and correct them.",
         "calibrate": "Say whether camera and lidar lie to one another as the calibration says.",
         "serve": "Serve the fusion interface of DB34/T 4101-2022 over gRPC.",

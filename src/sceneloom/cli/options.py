@@ -272,8 +272,11 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
     if isinstance(error, DataError) and "no such file" in error.problem:
         return None
     if isinstance(error, UnknownFormatError):
-        return "`sceneloom formats` lists what can be read; `sceneloom formats --template` begins a manifest"
-    if type(error) is not DataError or "lenient" not in values:
+        return (
+            "`sceneloom formats` lists what can be read, and how it is recognised; of clouds and pictures of your own, "
+            "`sceneloom formats --template FOLDER/rig.toml --from FOLDER` begins a manifest"
+        )
+    if type(error) is not DataError or "lenient" not in values or "`--" in error.problem:
         return None
     drive = next((values[name] for name in _DRIVES if isinstance(values.get(name), Path)), None)
     if drive is None or not str(error.file).startswith(str(drive)):
@@ -371,6 +374,12 @@ def settings(flag: str, pairs: Iterable[str]) -> dict[str, str]:
 
 def said(**values: Any) -> dict[str, Any]:
     """The options that the user said; the others are left to the library's defaults."""
+    from sceneloom.formats.option_values import as_flag
+
     further = settings("--read-with", values.pop(READ_WITH, ()))
+    # what is also a flag of its own is true or false there, too
+    switched = {
+        name: as_flag(name, value) for name, value in further.items() if isinstance(values.get(name), bool)
+    }
     kept = {name: value for name, value in values.items() if value is not None and value is not False}
-    return {**kept, **further}
+    return {**kept, **further, **switched}

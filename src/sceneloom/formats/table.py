@@ -184,10 +184,7 @@ _LOOKED_AT = 20
 
 
 def _known() -> str:
-    known = (
-        f"{name}, {format_named(name).looks_like}" for name in format_names() if reads(format_named(name))
-    )
-    return f"expected one of: {'; '.join(known)}"
+    return f"expected one of: {', '.join(name for name in format_names() if reads(format_named(name)))}"
 
 
 def _near_miss(form: Format, path: Path) -> str | None:

@@ -50,7 +50,7 @@ FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "no such folder": (shutil.rmtree, ("no such file or folder",)),
     "an empty folder": (
         lambda f: [shutil.rmtree(f), f.mkdir()],
-        ("no reader knows this", "a folder with a data.jsonl"),
+        ("no reader knows this", "recording", "sceneloom formats"),
     ),
     "no calibration": (lambda f: (f / "calibration.json").unlink(), ("calibration.json",)),
     "no video": (lambda f: shutil.rmtree(f / "frames1"), ("frames1", "data.{mkv")),

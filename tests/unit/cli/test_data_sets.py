@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 from tests.unit.formats.argoverse2.test_read import write_log
 from tests.unit.formats.nuscenes.schema_folder import street
@@ -88,6 +89,34 @@ def test_options_of_one_format_go_by_read_with(call, tmp_path):
     log = write_log(tmp_path / "log")
     told = json.loads(call("info", log, "--read-with", "one_lidar=true", "--json").out)
     assert [sensor["id"] for sensor in told["sensors"]] == ["lidar", "ring_front_center"]
+
+
+@pytest.mark.parametrize("kind", ["openlabel", "npz"])
+def test_a_rate_said_by_read_with_is_a_number(call, tmp_path, kind):
+    if kind == "openlabel":
+        frames = {str(number): {} for number in range(3)}
+        drive = tmp_path / "labels.json"
+        drive.write_text(
+            json.dumps({"openlabel": {"metadata": {"schema_version": "1.0.0"}, "frames": frames}})
+        )
+    else:
+        (drive := tmp_path / "clouds").mkdir()
+        for number in range(3):
+            np.savez(drive / f"{number}.npz", points=np.ones((4, 3), np.float32))
+    told = call("info", drive, "--read-with", "rate_hz=4", "--json")
+    assert (told.code, told.err) == (0, "")
+    assert kind == "openlabel" or json.loads(told.out)["duration"] == 0.5
+    wrong = call("info", drive, "--read-with", "rate_hz=often")
+    assert (wrong.code, "rate_hz often; expected a number above 0" in wrong.err) == (2, True)
+
+
+def test_a_flag_said_by_read_with_is_true_or_false(call, tmp_path):
+    drive = tmp_path / "clouds"
+    drive.mkdir()
+    (drive / "1.npz").write_bytes(b"no such thing")
+    np.savez(drive / "2.npz", points=np.ones((4, 3), np.float32))
+    assert call("info", drive, "--read-with", "lenient=true").code == 0
+    assert call("info", drive, "--read-with", "lenient=false").code == 1
 
 
 def test_data_sets_that_are_only_read_say_what_can_be_written(call, tmp_path):

@@ -119,6 +119,9 @@ def test_demo_keeps_a_recording_a_scene_and_pictures(
     kept = {path.name for path in (tmp_path / "kept").iterdir()}
     assert kept == {"drive", "drive.sfs", "depth", "pictures"}
     assert "sceneloom info" in outcome.out
+    shown = next(line.split()[2] for line in outcome.out.splitlines() if line.startswith("look at "))
+    assert Path(shown).is_file()
+    assert "remarks on what these files cannot hold of the drive" in outcome.err
     again = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
     assert (again.code, "--overwrite" in again.err) == (1, True)
 

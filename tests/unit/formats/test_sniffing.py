@@ -44,7 +44,7 @@ def test_a_path_that_nothing_knows_lists_all_formats_that_are_read(tmp_path):
     with pytest.raises(UnknownFormatError) as caught:
         find_format(tmp_path / "notes.doc")
     named = [name for name in FORMATS if reads(format_named(name))]
-    assert all(f"{name}, {format_named(name).looks_like}" in str(caught.value) for name in named)
+    assert str(caught.value).endswith(f"expected one of: {', '.join(named)}")
 
 
 def test_what_is_empty_is_told_to_be(tmp_path):

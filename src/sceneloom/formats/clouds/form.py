@@ -9,6 +9,7 @@ from sceneloom.formats.clouds.holdings import holds_of
 from sceneloom.formats.clouds.kinds import KINDS
 from sceneloom.formats.clouds.opening import CloudReading, open_clouds
 from sceneloom.formats.loss import LossReport
+from sceneloom.formats.option_values import as_positive
 from sceneloom.scene import Scene
 
 
@@ -40,6 +41,8 @@ class CloudFormat:
         """
         given = {name: value for name, value in options.items() if value is not None}
         check_option_names("opening clouds", given, tuple(CloudReading.__dataclass_fields__))
+        if "rate_hz" in given:
+            given["rate_hz"] = as_positive("rate_hz", given["rate_hz"])
         return open_clouds(path, self._kind, CloudReading(**given))
 
     def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:

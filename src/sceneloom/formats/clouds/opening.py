@@ -24,6 +24,7 @@ from sceneloom.formats.clouds.sweeps import (
     times_of,
 )
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.option_values import as_positive
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LazyFrames, LidarSensor, NoticeKind, PointsFrame, PosePath, Scene, Trajectory
 
@@ -50,8 +51,8 @@ class CloudReading:
     def __post_init__(self) -> None:
         if self.points_frame is not None and self.points_frame not in tuple(PointsFrame):
             raise OptionError(f"points frame {self.points_frame!r}; expected one of {', '.join(PointsFrame)}")
-        if self.rate_hz is not None and not 0 < self.rate_hz < float("inf"):
-            raise OptionError(f"rate {self.rate_hz}; expected frames per second above 0")
+        if self.rate_hz is not None:
+            as_positive("rate_hz", self.rate_hz)
 
 
 def open_clouds(path: Path, kind: CloudKind, reading: CloudReading) -> Scene:
@@ -120,9 +121,7 @@ def _placed(
     if SENSOR_POSES in folder.beside and frame in {None, PointsFrame.SENSOR}:
         return replace(sensor, poses=_way(folder.beside[SENSOR_POSES], ledger).poses)
     if frame is None:
-        told = (
-            "it is not said where the points are; taken as on the ego, say `points_frame` for another frame"
-        )
+        told = "it is not said where the points are; taken as on the ego, `--points-frame` says another frame"
         ledger.note(NoticeKind.ASSUMED, "cloud-frame-assumed", str(folder.place), told)
     if frame is PointsFrame.WORLD:
         return replace(sensor, points_frame=frame)
@@ -183,7 +182,10 @@ def _times(folder: CloudFolder, reading: CloudReading, ledger: Ledger) -> tuple[
         rate_hz = reading.rate_hz or DEFAULT_RATE_HZ
         counted = numbers if numbers is not None else list(range(len(files)))
         if reading.rate_hz is None:
-            told = f"names tell no times: number k is taken as {1 / rate_hz:g} k s, say `rate_hz` for another rate"
+            told = (
+                f"names tell no times: number k is taken as {1 / rate_hz:g} k s, "
+                "`--read-with rate_hz=HZ` says another rate"
+            )
             ledger.note(NoticeKind.ASSUMED, "cloud-times-assumed", str(folder.place), told, count=len(files))
         return _counted_times(folder, counted, rate_hz), files
     return np.zeros(1, np.int64), files

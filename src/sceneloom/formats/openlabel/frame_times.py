@@ -76,7 +76,7 @@ def _count(
     rate = rate_hz or DEFAULT_RATE_HZ
     for number in missing:
         known[number] = times.at(number) if times.by_number else round(number * 1e9 / rate)
-    told = f"frames have no timestamp; taken at {rate:g} Hz by their numbers, say `rate_hz` for another rate"
+    told = f"frames have no timestamp; taken at {rate:g} Hz by number, `--read-with rate_hz=HZ` says another rate"
     ledger.note(
         NoticeKind.ASSUMED,
         "frame-times-assumed",

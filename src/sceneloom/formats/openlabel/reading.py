@@ -4,7 +4,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.openlabel.document import Part, read_document
 from sceneloom.formats.openlabel.frame_times import frame_times
@@ -14,6 +13,7 @@ from sceneloom.formats.openlabel.read_objects import Reader, links
 from sceneloom.formats.openlabel.read_streams import ego_path, read_streams
 from sceneloom.formats.openlabel.systems import read_systems
 from sceneloom.formats.openlabel.words import OURS, SCHEMA_VERSION
+from sceneloom.formats.option_values import as_positive
 from sceneloom.scene import Annotation, Identifier, NoticeKind, Scene, Trajectory
 from sceneloom.scene.angles import CuboidAngles
 
@@ -21,7 +21,7 @@ KEPT = ("metadata", "ontologies", "resources", "tags")
 """Members of the root that are kept as they are."""
 
 
-def read_openlabel(path: Path, *, lenient: bool = False, rate_hz: float | None = None) -> Scene:
+def read_openlabel(path: Path, *, lenient: bool = False, rate_hz: float | str | None = None) -> Scene:
     """Read a file.
 
     Args:
@@ -33,11 +33,10 @@ def read_openlabel(path: Path, *, lenient: bool = False, rate_hz: float | None =
         DataError: the file is wrong.
         OptionError: the rate is no number above 0.
     """
-    if rate_hz is not None and not 0 < rate_hz < float("inf"):
-        raise OptionError(f"rate {rate_hz}; expected frames per second above 0")
+    rate = None if rate_hz is None else as_positive("rate_hz", rate_hz)
     document, ledger = read_document(path), Ledger(lenient=lenient)
     with ledger.telling():
-        return _scene(document, ledger, rate_hz)
+        return _scene(document, ledger, rate)
 
 
 def _scene(document: Part, ledger: Ledger, rate_hz: float | None) -> Scene:

@@ -227,7 +227,8 @@ def _flag(name: str, doing: str) -> str | None:
         for parameter in click.get_current_context().command.params
         if isinstance(parameter, click.Option)
     }
-    return next((flags[side + name] for side in _PREFIXES.get(doing, ("",)) if side + name in flags), None)
+    names = [side + name + several for side in _PREFIXES.get(doing, ("",)) for several in ("", "s")]
+    return next((flags[name] for name in names if name in flags), None)
 
 
 def _uploading(command: Callable[..., Any], *arguments: Any, **values: Any) -> Any:

@@ -1,7 +1,6 @@
 """Objects of whole sequences from files: KITTI's text, lists of detections, and the cuboids of scenes."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -14,10 +13,10 @@ from sceneloom.evaluate.fused_objects import fused_files, read_fused, truth_in_l
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import Similarity
 from sceneloom.evaluate.scene_objects import labelled_times, scene_objects
-from sceneloom.formats import open_scene
 from sceneloom.formats.kitti import KittiLabels, read_labels
 from sceneloom.formats.kitti.detection_lists import DetectionList, read_boxes_2d_list, read_boxes_3d_list
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.shared_options import open_scenes
 from sceneloom.scene import Notice, NoticeKind
 
 LABEL_FOLDERS = ("label_02", "label_2", "data")
@@ -71,7 +70,7 @@ def read_both(
 
     Args:
         results, truth: where they are.
-        sequences: those to take. [default: all of the truth]
+        sequences: those to take, of scenes the one of a data set. [default: all of the truth]
         lenient: skip faulty lines of lists, and open damaged drives.
 
     Raises:
@@ -85,7 +84,7 @@ def read_both(
             raise OptionError(
                 f"{results} is {kinds[0]}, {truth} is {kinds[1]}; expected two scenes, or KITTI's text on both sides"
             )
-        sides = _read_scenes(results, truth, ledger)
+        sides, sequences = _read_scenes(results, truth, sequences, ledger), ()
     else:
         sides = _read_texts(Path(results), Path(truth), kinds, frozenset(sequences), ledger)
     _check_names(*sides, sequences, (results, truth))
@@ -167,12 +166,12 @@ def _folder_of(path: Path) -> Path:
 
 
 def _read_scenes(
-    results: Path | str, truth: Path | str, ledger: Ledger
+    results: Path | str, truth: Path | str, sequences: Sequence[str], ledger: Ledger
 ) -> tuple[ObjectSequences, ObjectSequences]:
-    with ExitStack() as stack:
-        found, true = (
-            stack.enter_context(open_scene(path, lenient=ledger.lenient)) for path in (results, truth)
-        )
+    if len(sequences) > 1:
+        raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; say one sequence")
+    chosen = {"sequence": sequences[0]} if sequences else {}
+    with open_scenes((results, truth), {"lenient": ledger.lenient, **chosen}) as (found, true):
         times_ns = labelled_times(true)
         return {OBJECTS: scene_objects(found, times_ns)}, {OBJECTS: scene_objects(true, times_ns)}
 

@@ -71,7 +71,14 @@ def test_of_two_drives_those_take_a_sequence_that_have_several(call, nuscenes, t
     assert merged.code == 0, merged.err
     assert call("eval", "trajectory", copy, nuscenes, *chosen).code == 0
     assert call("eval", "trajectory", way, nuscenes, *chosen).code == 0
-    for none in (("diff", copy, copy), ("eval", "trajectory", way, copy)):
+    assert call("eval", "tracking", copy, nuscenes, *chosen).code == 0
+    fused = ("fuse", copy, "-o", tmp_path / "fused.sfs")
+    for none in (
+        ("diff", copy, copy),
+        ("eval", "trajectory", way, copy),
+        ("eval", "tracking", copy, copy),
+        fused,
+    ):
         refused = call(*none, *chosen)
         assert (refused.code, "--sequence does not count here" in refused.err) == (2, True)
 

@@ -37,7 +37,7 @@ _OPTIONS: tuple[Callable[[Any], Any], ...] = (
         "sequences",
         multiple=True,
         metavar="NAME",
-        help="A sequence to take, such as 0003; may be said again. [default: all of the truth]",
+        help="A sequence to take, such as 0003; may be said again of KITTI's text. [default: all of the truth]",
     ),
     click.option(
         "-o",

@@ -20,7 +20,7 @@ from sceneloom.formats.kitti.written.files import check_lens, picture_losses, wr
 from sceneloom.formats.kitti.written.oxts_lines import oxts_lines
 from sceneloom.formats.kitti.written.places import egos_at, is_lidar, mounted_of
 from sceneloom.formats.kitti.written.target import check_replaceable, kept_of
-from sceneloom.formats.kitti.written.timeline import NONE, Timeline, moment_offset, timeline_of
+from sceneloom.formats.kitti.written.timeline import NONE, Timeline, timeline_of
 from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.written_mounts import mounting
@@ -85,11 +85,12 @@ def write_raw(
         timeline = timeline_of(choice, one_time=False)
         if kind == "sync":
             losses += timeline.losses
-            losses += _write_sync(choice, timeline, folder)
+            times, told = _write_sync(choice, timeline, folder)
         else:
-            losses += _write_extract(choice, folder)
-        losses += _write_oxts(scene, choice, _oxts_times(choice, timeline, kind), folder / "oxts")
-        losses += _write_tracklets(choice, timeline, kind, folder)
+            times, told = _write_extract(choice, timeline.timestamps_ns, folder)
+        losses += told
+        losses += _write_oxts(scene, choice, _oxts_times(choice, times, kind), folder / "oxts")
+        losses += _write_tracklets(choice, times, folder)
     return LossReport.of(losses)
 
 
@@ -125,7 +126,8 @@ def _names(scene: Scene, choice: Choice, kind: str, sequence: str | None) -> tup
     return day, f"{day}_drive_{int(number):04d}_{kind}"
 
 
-def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> list[Loss]:
+def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> tuple[Int64Array, list[Loss]]:
+    """Write sweeps and pictures; gives the times of frames as they are told, and what was lost."""
     losses = [loss for camera in choice.cameras.values() for loss in picture_losses(camera)]
     lidar = choice.lidar
     turns = (
@@ -149,15 +151,19 @@ def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> list[Loss]:
             lines.append(format_stamp(picture.timestamp_ns))
     for number, lines in stamps.items():
         _write_lines(folder / camera_folders()[number] / "timestamps.txt", lines)
-    return losses + (turns.close() if turns is not None else [])
+    if turns is None:
+        return timeline.timestamps_ns, losses
+    return turns.moments_ns(timeline.timestamps_ns), losses + turns.close()
 
 
-def _write_extract(choice: Choice, folder: Path) -> list[Loss]:
+def _write_extract(choice: Choice, times: Int64Array, folder: Path) -> tuple[Int64Array, list[Loss]]:
+    """Write sweeps and pictures; gives the times of sweeps as they are told, else `times`, and what was lost."""
     losses = [loss for camera in choice.cameras.values() for loss in picture_losses(camera)]
     if choice.lidar is not None and len(choice.lidar.frames):
         turns = TurnWriter(choice, folder / "velodyne_points")
         for k, frame in enumerate(choice.lidar.frames):
             turns.write(frame, k)
+        times = turns.moments_ns(choice.lidar.frames.timestamps_ns)
         losses += turns.close()
     for number, camera in choice.cameras.items():
         if not len(camera.pictures):
@@ -169,14 +175,14 @@ def _write_extract(choice: Choice, folder: Path) -> list[Loss]:
             write_picture(picture, place / "data" / f"{k:010d}.png")
         stamps = [format_stamp(time) for time in camera.pictures.timestamps_ns.tolist()]
         _write_lines(place / "timestamps.txt", stamps)
-    return losses
+    return times, losses
 
 
 def _write_lines(path: Path, lines: list[str]) -> None:
     path.write_text("".join(f"{line}\n" for line in lines), "utf-8", newline="\n")
 
 
-def _oxts_times(choice: Choice, timeline: Timeline, kind: str) -> Int64Array:
+def _oxts_times(choice: Choice, times: Int64Array, kind: str) -> Int64Array:
     """When lines of the OXTS unit are: those that were read, else one for each frame, or for each value of the IMU."""
     path = choice.ego_path
     units = [sensor for sensor in choice.scene.sensors if isinstance(sensor, ImuSensor)]
@@ -184,7 +190,7 @@ def _oxts_times(choice: Choice, timeline: Timeline, kind: str) -> Int64Array:
     if imu is not None and imu.id == IMU_ID and kept_of(choice.scene).get("benchmark") == "raw":
         return next(iter(imu.streams.values())).timestamps_ns
     if kind == "sync" or path is None or path.endless:
-        return timeline.timestamps_ns
+        return times
     stamps = path.timestamps_ns
     if imu is not None and "accelerometer" in imu.streams:
         stamps = imu.streams["accelerometer"].timestamps_ns
@@ -203,13 +209,10 @@ def _write_oxts(scene: Scene, choice: Choice, times: Int64Array, folder: Path) -
     return list(lines.losses)
 
 
-def _write_tracklets(choice: Choice, timeline: Timeline, kind: str, folder: Path) -> list[Loss]:
-    """Write the boxes; frames of an `extract` are the sweeps."""
+def _write_tracklets(choice: Choice, times: Int64Array, folder: Path) -> list[Loss]:
+    """Write the boxes in their frames; those of an `extract` are the sweeps."""
     if not any(isinstance(annotation, CuboidAnnotation) for annotation in choice.scene.annotations):
         return []
-    times = timeline.timestamps_ns
-    if kind == "extract" and choice.lidar is not None and len(choice.lidar.frames):
-        times = choice.lidar.frames.timestamps_ns + moment_offset(choice.lidar)
     tracklets, losses = tracklets_of(
         choice.scene, times, lambda stamps: [ego @ choice.ego_from_lidar for ego in egos_at(choice, stamps)]
     )

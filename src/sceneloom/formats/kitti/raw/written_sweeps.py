@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array
+from sceneloom.arrays import Float32Array, Int64Array
 from sceneloom.formats.kitti.raw.stamps import format_stamp
 from sceneloom.formats.kitti.scenes.sweeps import times_in_turn
 from sceneloom.formats.kitti.written.choice import Choice
@@ -67,6 +67,14 @@ class TurnWriter:
         self._worst_ns = max(self._worst_ns, error)
         self._timed_points += len(times)
         return start, forward, end
+
+    def moments_ns(self, frames_ns: Int64Array) -> Int64Array:
+        """Times of frames as `timestamps.txt` tells them, (F,) int64 [ns]; of those without a sweep as given."""
+        told = frames_ns.copy()
+        for number, turn in enumerate(self._turns):
+            if turn is not None:
+                told[number] = turn[1]
+        return told
 
     def close(self) -> list[Loss]:
         """Write the times; starts and ends only where they tell those of points. Gives what was lost."""

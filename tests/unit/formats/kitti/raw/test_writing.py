@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats import open_scene, write_scene
+from sceneloom.simulate import LidarSpec, simulate_street
 
 KEPT = (
     "calib_cam_to_cam.txt",
@@ -74,3 +75,15 @@ def test_a_changed_lens_makes_new_calibration_files(raw_folder, tmp_path):
     again = open_scene(tmp_path / "out").sensor("camera2")
     assert again.camera == lens
     np.testing.assert_allclose(again.mount.matrix, camera.mount.matrix, atol=1e-12)
+
+
+def test_boxes_of_the_last_sweep_lie_on_the_way(tmp_path):
+    drive = simulate_street(
+        4, frames=18, lidar=LidarSpec(beams=8, steps=450), cameras=()
+    )  # moments jitter by 0.2 ms
+    write_scene(drive.scene, tmp_path / "out", format="kitti-raw")
+    after = open_scene(tmp_path / "out")
+    assert not [notice for notice in after.notices if notice.code == "boxes-beyond-way"]
+    lidar = after.sensor("velodyne")
+    np.testing.assert_array_equal(lidar.poses.timestamps_ns, lidar.frames.timestamps_ns)
+    np.testing.assert_array_equal(after.trajectories["oxts"].timestamps_ns, lidar.frames.timestamps_ns)

@@ -114,7 +114,8 @@ def _urls(text: str) -> list[str]:
 
 def _listed(file: Path, files: Mapping[str, FileOption], others: frozenset[str]) -> Iterator[Input]:
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        # what else Unicode ends lines with may stand in names
+        lines = file.read_text(encoding="utf-8-sig").split("\n")
     except UnicodeDecodeError as error:
         raise DataError(file, "", "is no text in UTF-8; expected a path or an object in each line") from error
     for number, line in enumerate(map(str.strip, lines), start=1):
@@ -130,8 +131,9 @@ def _line(
     place = f"line {number}"
     try:
         told: dict[str, Any] = json.loads(line)
-    except ValueError as error:
-        raise DataError(file, place, f"{line!r}: {error}; expected a path or an object of JSON") from error
+    except (ValueError, RecursionError) as error:
+        said = repr(line[:_SHORT])
+        raise DataError(file, place, f"{said}: {error}; expected a path or an object of JSON") from error
     path = told.pop("path", None)
     if not isinstance(path, str) or not path:
         raise DataError(file, place, f"path {path!r}; expected the path of a drive")

@@ -2,7 +2,7 @@
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from sceneloom.errors import DataError, OutputError
@@ -20,9 +20,9 @@ def locked(file: Path, folder: Path) -> Iterator[None]:
         OutputError: another process has it, or it cannot be written.
         DataError: the file is something else.
     """
-    lock = sqlite3.connect(file, timeout=0.0, isolation_level=None)
-    try:
+    with ExitStack() as holding:
         try:
+            lock = holding.enter_context(closing(sqlite3.connect(file, timeout=0.0, isolation_level=None)))
             lock.execute("BEGIN EXCLUSIVE")
         except sqlite3.OperationalError as error:
             if error.sqlite_errorname != "SQLITE_BUSY":
@@ -33,6 +33,3 @@ def locked(file: Path, folder: Path) -> Iterator[None]:
         except sqlite3.DatabaseError as error:
             raise DataError(file, "", f"{error}; expected the lock of a run") from error
         yield
-    finally:
-        with suppress(sqlite3.Error):
-            lock.close()

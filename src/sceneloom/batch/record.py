@@ -7,10 +7,12 @@ the process however that ends.
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
+
+import msgspec
 
 from sceneloom.batch.jobs import Outcome, State
 from sceneloom.batch.locks import locked
@@ -94,20 +96,17 @@ class Record:
         """Read the record of a folder, while the run goes on, too.
 
         Raises:
-            DataError: it has none, or it is no record of ours.
+            DataError: it has none, or it is damaged or no record of ours.
         """
         file = folder / FOLDER / _RECORD
         if not file.is_file():
             raise DataError(
                 folder, "", f"no record of a run; expected {FOLDER}/{_RECORD}, as `sceneloom batch` leaves"
             )
-        connection = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)
-        try:
+        with _connected(f"{file.resolve().as_uri()}?mode=ro", file) as connection:
             record = cls(folder, connection)
-            record._check(file)
+            record._check()
             yield record
-        finally:
-            connection.close()
 
     @classmethod
     @contextmanager
@@ -116,23 +115,18 @@ class Record:
 
         Raises:
             OutputError: another run has it.
-            DataError: what is there is no record of ours.
+            DataError: what is there is damaged or no record of ours.
         """
         place = folder / FOLDER
         place.mkdir(parents=True, exist_ok=True)
-        with locked(place / _LOCK, folder):
-            connection = sqlite3.connect(place / _RECORD)
-            try:
-                connection.execute("PRAGMA journal_mode = WAL")
-                connection.execute("PRAGMA synchronous = NORMAL")
-                connection.executescript(_TABLES)
-                record = cls(folder, connection)
-                record.tell("version", _VERSION) if not record.told() else record._check(place / _RECORD)
-                yield record
-            except sqlite3.DatabaseError as error:
-                raise DataError(place / _RECORD, "", f"{error}; expected the record of a run") from error
-            finally:
-                connection.close()
+        file = place / _RECORD
+        with locked(place / _LOCK, folder), _connected(file.absolute().as_uri(), file) as connection:
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA synchronous = NORMAL")
+            connection.executescript(_TABLES)
+            record = cls(folder, connection)
+            record.tell("version", _VERSION) if not record.told() else record._check()
+            yield record
 
     @property
     def drafts(self) -> Path:
@@ -151,7 +145,8 @@ class Record:
 
     def told(self) -> dict[str, Any]:
         """What is known of the run as a whole."""
-        return {name: json.loads(value) for name, value in self._connection.execute("SELECT * FROM run")}
+        found = self._connection.execute("SELECT * FROM run")
+        return {name: self._value(text, f"run: {name}") for name, text in found}
 
     def rows(self, *states: State) -> list[Row]:
         """The drives, in the order of their numbers; of some states only, if these are named."""
@@ -170,12 +165,29 @@ class Record:
             f"SELECT {', '.join(_COLUMNS)} FROM drives {where} ORDER BY number",  # noqa: S608 - names of our own
             values,
         )
-        return [_row(one) for one in found]
+        return [self._row(dict(zip(_COLUMNS, one, strict=True))) for one in found]
+
+    def _row(self, found: dict[str, Any]) -> Row:
+        place = f"drives: {found['number']}"
+        try:
+            return msgspec.convert({**found, "part": self._value(found["part"], place)}, Row)
+        except msgspec.ValidationError as error:
+            raise DataError(self._file, place, f"{error}; expected what a run leaves") from error
+
+    def _value(self, text: Any, place: str) -> Any:
+        try:
+            return json.loads(text)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise DataError(self._file, place, f"is no JSON: {error}") from error
+
+    @property
+    def _file(self) -> Path:
+        return self.folder / FOLDER / _RECORD
 
     def report(self, number: int) -> Any:
         """What the verb told of a drive, as JSON values; None where it was not done."""
         found = self._connection.execute("SELECT report FROM drives WHERE number = ?", (number,)).fetchone()
-        return None if found is None or found[0] is None else json.loads(found[0])
+        return None if found is None or found[0] is None else self._value(found[0], f"drives: {number}")
 
     def add(self, drives: Sequence[tuple[str, Mapping[str, Any], str]]) -> None:
         """Add drives that are not there yet: input, part, output."""
@@ -237,15 +249,17 @@ class Record:
                 (*values.values(), outcome.number),
             )
 
-    def _check(self, file: Path) -> None:
-        try:
-            version = self.told().get("version")
-        except sqlite3.DatabaseError as error:
-            raise DataError(file, "", f"{error}; expected the record of a run") from error
+    def _check(self) -> None:
+        version = self.told().get("version")
         if version != _VERSION:
-            raise DataError(file, "version", f"{version!r}; expected {_VERSION}")
+            raise DataError(self._file, "version", f"{version!r}; expected {_VERSION}")
 
 
-def _row(values: Sequence[Any]) -> Row:
-    found = dict(zip(_COLUMNS, values, strict=True))
-    return Row(**{**found, "part": json.loads(found["part"]), "state": State(found["state"])})
+@contextmanager
+def _connected(uri: str, file: Path) -> Iterator[sqlite3.Connection]:
+    """Open a database; whatever is wrong with it until it is closed is told of its file."""
+    try:
+        with closing(sqlite3.connect(uri, uri=True)) as connection:
+            yield connection
+    except sqlite3.DatabaseError as error:
+        raise DataError(file, "", f"{error}; expected the record of a run") from error

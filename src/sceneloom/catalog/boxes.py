@@ -166,7 +166,7 @@ def track_rows(scene: Scene, rows: BoxRows, away: Float64Array, start_ns: int) -
         times = rows.timestamps_ns[mine]
         numbers[track, :2] = (times[0] - start_ns) / 1e9, (times[-1] - start_ns) / 1e9
         numbers[track, 2] = np.linalg.norm(np.diff(rows.solids[mine, :3], axis=0), axis=1).sum()
-        numbers[track, 3] = np.min(away[mine])
+        numbers[track, 3] = np.fmin.reduce(away[mine])
     said = [_said(annotation) for annotation in scene.annotations]
     texts = {
         name: [row[name] for row in said] for name in ("annotation", "type", "label", "parent", "sensor")

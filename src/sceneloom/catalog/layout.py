@@ -51,7 +51,7 @@ class Layout:
             told: Any = json.loads((folder / MARKER).read_text("utf-8"))
         except (FileNotFoundError, NotADirectoryError) as error:
             raise DataError(folder, "", "holds no catalogue; `sceneloom catalog build` makes one") from error
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise DataError(folder / MARKER, "", f"is no JSON: {error}") from error
         version = told.get("version") if isinstance(told, dict) else None
         if version != VERSION:

@@ -62,7 +62,7 @@ def read_footer(path: Path) -> tuple[int, Any]:
         return footer.num_rows, json.loads((footer.metadata or {})[_SCENES])
     except (pa.ArrowException, OSError) as error:
         raise DataError(path, "", _problem(error)) from error
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         raise DataError(
             path, "", "does not tell which scenes it holds; expected a file of a catalogue"
         ) from error

@@ -5,6 +5,7 @@ import io
 import json
 import math
 from collections.abc import Iterator
+from decimal import Decimal
 from typing import Any
 
 from sceneloom.catalog.database import Result
@@ -14,7 +15,7 @@ _SPAN = ("start", "stop")
 
 
 def records(result: Result) -> list[dict[str, Any]]:
-    """Give the rows as mappings that JSON can hold; numbers that are none are null."""
+    """Give the rows as mappings that JSON can hold; numbers that are none are null, decimals are floats."""
     return [dict(zip(result.columns, map(_plain, row), strict=True)) for row in result.rows]
 
 
@@ -53,7 +54,7 @@ def _reading(options: Any) -> dict[str, Any]:
     """How a drive is to be opened, out of the column `options` of `scenes`."""
     try:
         said = json.loads(options) if isinstance(options, str) else None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise OptionError(f"options {options!r}; expected an object of JSON, as in `scenes`") from error
     return {"reading": said} if said else {}
 
@@ -66,15 +67,15 @@ def format_cell(value: Any) -> str:
 
 
 def _cell(value: Any) -> str:
-    plain = _plain(value)
+    plain = str(value) if isinstance(value, Decimal) else _plain(value)
     if plain is None:
         return ""
     return json.dumps(plain, ensure_ascii=False) if isinstance(plain, list | dict) else str(plain)
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
+    if isinstance(value, float | Decimal):  # DuckDB's 0.5 is a decimal
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, list | tuple):
         return [_plain(one) for one in value]
     if isinstance(value, dict):

@@ -5,13 +5,9 @@ dot; the longest that fits counts, and "" is for all the rest.
 """
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from sceneloom.formats.loss import Fate, Holding
 from sceneloom.scene.contents import MODEL_FIELDS
-
-if TYPE_CHECKING:
-    from sceneloom.formats.table import Format
 
 Holds = Mapping[str, Holding]
 """Names of fields, or beginnings of them, and what becomes of these."""
@@ -28,13 +24,6 @@ def holding_of(holds: Holds, field: str) -> Holding | None:
             return holds[name]
         name = name.rpartition(".")[0]
     return holds.get("")
-
-
-def holdings_of(form: "Format") -> dict[str, Holding]:
-    """Give what a format makes of each field of the model; fields that it says nothing of are left out."""
-    holds: Holds = getattr(form, "holds", {})
-    found = {field: holding_of(holds, field) for field in MODEL_FIELDS}
-    return {field: holding for field, holding in found.items() if holding is not None}
 
 
 def unknown_names(holds: Holds) -> list[str]:

@@ -91,7 +91,7 @@ def _names(path: Path) -> dict[int, str]:
         return {}
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[int, str])
-    except (msgspec.MsgspecError, UnicodeDecodeError, OSError) as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OSError) as error:
         raise DataError(path, "", f'{error}; expected numbers and names, {{"7": "road"}}') from error
 
 

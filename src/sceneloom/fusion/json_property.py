@@ -17,7 +17,7 @@ def read_json(text: str, owner: str) -> Any:
         return None
     try:
         return msgspec.json.decode(text)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise DataError(owner, "", f"no JSON: {error}") from error
 
 

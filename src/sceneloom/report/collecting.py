@@ -102,7 +102,7 @@ def read_losses(path: Path) -> tuple[Loss, ...]:
         listed = told if isinstance(told, list) else told["losses"]
         listed = listed if isinstance(listed, list) else listed["losses"]
         return msgspec.convert(listed, tuple[Loss, ...], strict=False)
-    except (msgspec.MsgspecError, KeyError, TypeError) as error:
+    except (msgspec.MsgspecError, UnicodeError, RecursionError, KeyError, TypeError) as error:
         raise DataError(path, "", f"is no loss report: {error}") from error
 
 

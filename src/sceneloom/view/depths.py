@@ -1,5 +1,7 @@
 """Depth images: of cameras that measure depth, and those that fusion wrote."""
 
+import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,7 +115,7 @@ def written_depths(folder: Path) -> Iterator[_Entry]:
         for number, line in enumerate(lines, start=1):
             try:
                 yield msgspec.json.decode(line, type=_Entry)
-            except (msgspec.DecodeError, UnicodeError) as error:
+            except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
                 raise DataError(index, f"line {number}", f"{error}; expected a depth image") from error
 
 
@@ -174,5 +176,5 @@ def _read(path: Path) -> Float32Array:
                 with np.load(path) as arrays:
                     return np.asarray(arrays["depth"], np.float32)
             return read_depth_png(path)
-        except (ValueError, KeyError, EOFError, SyntaxError) as error:
+        except (ValueError, KeyError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error) as error:
             raise DataError(path, "", f"cannot be read as a depth image: {error}") from error

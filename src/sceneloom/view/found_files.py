@@ -73,7 +73,7 @@ def read_tracks(path: Path, scene: Scene) -> tuple[TrackedObjects, ...]:
         for number, text in enumerate(lines, start=1):
             try:
                 moments.append(_moment(msgspec.json.decode(text, type=_Line), ids))
-            except (msgspec.DecodeError, UnicodeError, ArrayError, KeyError) as error:
+            except (msgspec.DecodeError, UnicodeError, RecursionError, ArrayError, KeyError) as error:
                 problem = f"{error}; expected a line that `track --format jsonl` wrote"
                 raise DataError(path, f"line {number}", problem) from error
     return tuple(sorted(moments, key=lambda moment: moment.timestamp_ns))

@@ -1,7 +1,6 @@
 """The ego's way, and what IMU and satellite receivers say, as curves and maps."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -37,17 +36,7 @@ _ROWS_AT_ONCE = 8_192
 _MOST_SAMPLES = 200_000
 
 
-@dataclass(frozen=True, slots=True)
-class MotionShown:
-    """Which views of motion there is something for."""
-
-    imu: bool = False
-    gnss: bool = False
-    map: bool = False
-    earth: bool = False
-
-
-def show_motion(stream: Stream, places: Places, scene: Scene) -> MotionShown:
+def show_motion(stream: Stream, places: Places, scene: Scene) -> None:
     """Show the ego's way, IMU and GNSS; all of it at once, since it is small."""
     stream.static(stream.path(WORLD), sdk().ViewCoordinates.RIGHT_HAND_Z_UP)
     _show_ego(stream, places)
@@ -59,8 +48,7 @@ def show_motion(stream: Stream, places: Places, scene: Scene) -> MotionShown:
     for receiver in receivers:
         _show_fixes(stream, receiver)
     origin_lla = _map_origin(places, receivers)
-    mapped = _show_plan(stream, places, receivers, origin_lla)
-    return MotionShown(bool(imus), bool(receivers), mapped, bool(receivers))
+    _show_plan(stream, places, receivers, origin_lla)
 
 
 def _show_ego(stream: Stream, places: Places) -> None:
@@ -177,25 +165,21 @@ def _map_origin(places: Places, receivers: list[GnssSensor]) -> Float64Array | N
 
 def _show_plan(
     stream: Stream, places: Places, receivers: list[GnssSensor], origin_lla: Float64Array | None
-) -> bool:
+) -> None:
     """Log a plan in metres, north (or the world's y) up: fixes, and the ego's way where both share their axes."""
-    shown = False
     if origin_lla is not None:
         for sensor in receivers:
             finite = np.isfinite(sensor.positions_lla).all(axis=1)
             enu = enu_from_geodetic(sensor.positions_lla[finite], origin_lla)
             _plan_line(stream, (GNSS, sensor.id), enu, _FIXES)
             _plan_marks(stream, (GNSS, sensor.id), sensor.timestamps_ns[finite], enu, _FIXES)
-            shown = True
     is_enu = places.ego is not None and places.ego.enu_origin_lla is not None
     if places.path is not None and (is_enu or origin_lla is None):
         positions = places.path.positions if is_enu else places.path.positions - places.origin_world
         _plan_line(stream, (EGO,), positions, _WAY)
         _plan_marks(stream, (EGO,), places.path.timestamps_ns, positions, _WAY)
-        shown = True
         if is_enu and origin_lla is not None:
             _show_way_on_earth(stream, places.path, origin_lla)
-    return shown
 
 
 def _plan_line(stream: Stream, names: tuple[str | int, ...], enu: Float64Array, colour: Colour) -> None:

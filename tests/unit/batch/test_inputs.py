@@ -1,5 +1,7 @@
 """Drives by paths, patterns, URLs and lists, and what their outputs are called."""
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -44,6 +46,7 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
         ),
         ('{"path": "a", "stat": 3}', "line 1: 'stat'; expected path, start, stop and reading only"),
         ('{"path": ', "expected a path or an object"),
+        pytest.param('{"path": ' + "[" * 100_000, "expected a path or an object", id="deep"),
     ],
 )
 def test_faulty_lines_of_a_list_are_named(tmp_path, line, told):
@@ -51,6 +54,12 @@ def test_faulty_lines_of_a_list_are_named(tmp_path, line, told):
     with pytest.raises(DataError) as caught:
         find_inputs([], [tmp_path / "list.jsonl"])
     assert told in str(caught.value)
+
+
+def test_marks_of_windows_and_rare_ends_of_lines_are_no_part_of_the_format(tmp_path):
+    (tmp_path / "list.jsonl").write_bytes('\ufeffa.sfs\r\n{"path": "b\u2028c.sfs"}\r\n'.encode())
+    found = find_inputs([], [tmp_path / "list.jsonl"])
+    assert [Path(drive.place).name for drive in found] == ["a.sfs", "b\u2028c.sfs"]
 
 
 def test_nothing_to_do_is_refused(tmp_path):

@@ -1,6 +1,8 @@
 """Runs: what is due, what failed, what is taken up again."""
 
 import os
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -115,6 +117,33 @@ def test_a_damaged_record_is_an_error_that_names_it(tmp_path, drives, job, inlin
     with pytest.raises(DataError, match=r"record\.sqlite"), Record.opened(tmp_path / "out"):
         pass
     with pytest.raises(DataError, match="no record of a run"), Record.opened(tmp_path):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        ("UPDATE drives SET state = 'odd'", "drives: 1: Invalid enum value 'odd'"),
+        ("UPDATE drives SET part = '{'", "drives: 1: is no JSON"),
+        ("UPDATE drives SET input = x'ff'", "drives: 1: Expected `str`"),
+        ("UPDATE run SET value = '{'", "run: version: is no JSON"),
+        ("DROP TABLE drives", "no such table"),
+    ],
+)
+def test_a_damaged_row_of_a_record_is_named(tmp_path, damage, told):
+    with Record.held(tmp_path) as record:
+        record.add([("a.sfs", {}, "a.txt")])
+    with closing(sqlite3.connect(tmp_path / FOLDER / "record.sqlite")) as database:
+        database.execute(damage)
+        database.commit()
+    with pytest.raises(DataError) as caught, Record.opened(tmp_path) as record:
+        record.rows()
+    assert f"record.sqlite: {told}" in str(caught.value)
+
+
+def test_a_lock_that_cannot_be_opened_is_an_error_of_the_output(tmp_path):
+    (tmp_path / FOLDER / "lock.sqlite").mkdir(parents=True)
+    with pytest.raises(OutputError, match="cannot be written"), Record.held(tmp_path):
         pass
 
 

@@ -149,6 +149,12 @@ def test_numbers_that_nothing_can_fit_are_refused(catalogue, wanted):
         query(catalogue, Selection(**wanted))
 
 
+def test_decimals_are_numbers_in_lists_and_json_and_exact_in_csv(catalogue):
+    found = query(catalogue, "SELECT path, 0.5 AS start, 12345678901234567.25 AS stop FROM scenes LIMIT 1")
+    assert (records(found)[0]["start"], json.loads(next(iter_list(found)))["start"]) == (0.5, 0.5)
+    assert format_csv(found).endswith(",0.5,12345678901234567.25\n")
+
+
 def test_gap_and_margin_may_be_without_bound(catalogue):
     rows = query(catalogue, Selection(labels=("car",)), gap=float("inf"), margin=float("inf"))
     assert [row[1] for row in rows.rows] == [0.0, 0.0]

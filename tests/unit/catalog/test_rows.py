@@ -7,8 +7,11 @@ import pytest
 
 import sceneloom
 from sceneloom.catalog import TABLES, Selection, build, query
+from sceneloom.catalog.boxes import box_rows, distances, track_rows
+from sceneloom.catalog.ego import Ego
+from sceneloom.scene import PosePath
 
-from .conftest import box, street
+from .conftest import box, street, times_ns
 
 
 def rows_of(catalogue, sql):
@@ -47,6 +50,19 @@ def test_a_track_tells_its_span_way_and_least_distance(catalogue):
     assert (start, stop, metres, boxes) == pytest.approx((2.0, 3.0, 2.0, 11))
     t = np.arange(2.0, 3.05, 0.1)
     assert nearest == pytest.approx(np.hypot(20 - 5 * t, 5 + 2 * (t - 2)).min())
+
+
+def test_the_least_distance_is_that_of_the_moments_at_which_the_ego_is_known():
+    scene = street()
+    ego = scene.sensor("ego")
+    rows = slice(0, 30)
+    path = PosePath(
+        ego.poses.timestamps_ns[rows], ego.poses.positions[rows], ego.poses.quaternions_xyzw[rows]
+    )
+    part = replace(scene, sensors=(replace(ego, poses=path),))
+    boxes = box_rows(part, times_ns(100))
+    nearest = track_rows(part, boxes, distances(part, Ego.of(part), boxes), 0)["nearest"]
+    assert nearest == pytest.approx([np.hypot(50 - 5 * 2.9, 10), np.hypot(20 - 5 * 2.9, 7 - 0.2)], abs=0.5)
 
 
 def test_frames_tell_where_on_earth_the_ego_was(catalogue, drives):

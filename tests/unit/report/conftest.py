@@ -1,6 +1,6 @@
 """A small made-up drive with planted gaps, and the report of it, made once."""
 
-from datetime import UTC, datetime
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ from sceneloom.scene import (
 )
 from sceneloom.simulate import Faults, SensorFaults, SimulatedDrive, camera_mount, simulate_street
 
-MADE = datetime(2024, 5, 6, 7, 8, 9, tzinfo=UTC)
+MADE = datetime(2024, 5, 6, 9, 8, 9, tzinfo=timezone(timedelta(hours=2)))
 T0 = 1_000_000_000
 LOST = (4, 5, 11)
 """Numbers of the pictures that are lost: two gaps, three pictures."""

@@ -119,3 +119,16 @@ def test_annotations_without_sensors_are_counted_all_the_same():
 def test_a_spread_passes_over_what_is_no_number():
     assert Spread.of([np.nan, 1.0, 3.0]).median == 2.0
     assert Spread.of([np.nan]) is None
+
+
+def test_boxes_count_from_the_first_stamp_to_the_last_in_days_of_today():
+    times = (1_700_000_000_000_000_001, 1_700_000_020_000_000_003)
+    path = PosePath(np.array(times), np.zeros((2, 3)), STILL.quaternions_xyzw)
+    frames = LazyFrames.of(
+        [LidarFrame(t, LidarPoints(np.ones((1, 3), np.float32))) for t in times], list(times)
+    )
+    boxes = (cuboid("near", (4.0, 2.0, 2.0), (10.0, 0.0, 0.0), times=times),)
+    found = labels_of(
+        Scene((LidarSensor("lidar", frames, poses=path),), boxes, metadata=OURS), start_ns=times[0]
+    )
+    assert {count for _, count in found.over_time} == {1}

@@ -12,8 +12,6 @@ from sceneloom.geometry.rigid import RigidTransform
 
 ALIKE_DEG = 15.0
 """Cameras whose axes differ by no more are a pair [deg]."""
-FARTHEST_PAIR = 5.0
-"""Cameras farther apart are none [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

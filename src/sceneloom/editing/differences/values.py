@@ -235,10 +235,6 @@ def _keyed(members: Sequence[Any]) -> dict[str, Any] | None:
     return found if len(found) == len(members) else None
 
 
-def _by_text(values: Mapping[Any, Any]) -> dict[str, Any]:
-    return {repr(key): value for key, value in values.items()}
-
-
 def _form(array: AnyArray) -> str:
     return f"{array.dtype.name} {'x'.join(map(str, array.shape)) or 'number'}"
 

@@ -48,6 +48,7 @@ def parse_json(schema: str, content: memoryview) -> Sequence[AnyRecord]:
         msgspec.DecodeError,
         json_format.ParseError,
         binascii.Error,
+        RecursionError,
         KeyError,
         TypeError,
         AttributeError,

@@ -77,7 +77,7 @@ def read_json(path: Path, kind: type[Kind]) -> Kind:
     except msgspec.ValidationError as error:
         problem, _, place = str(error).partition(" - at `")
         raise DataError(path, place.rstrip("`"), problem) from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(path, "", f"is no JSON: {error}") from error
 
 

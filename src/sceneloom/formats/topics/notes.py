@@ -52,7 +52,7 @@ def read_notes(text: str | None, name: str) -> Notes:
             key: msgspec.convert(root.get(key, ()), tuple[dict[str, Any], ...])
             for key in ("sensors", "trajectories", "annotations")
         }
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, RecursionError) as error:
         raise DataError(name, "sceneloom.scene", f"notes that cannot be read: {error}") from error
     return Notes(**lists, root=MappingProxyType(root))
 

@@ -112,10 +112,6 @@ class ShotWriter:
         rows = np.ascontiguousarray(depth, "<f4")
         yield self.topic, self._raw(frame.timestamp_ns, "32FC1", rows, depth.shape[1] * 4)
 
-    def first_lens(self, camera: Camera, timestamp_ns: int) -> Iterator[Said]:
-        """Make the record of the camera's own lens."""
-        yield from self._lens(camera, timestamp_ns)
-
     def _lens(self, camera: Camera, timestamp_ns: int) -> Iterator[Said]:
         """Say the lens where it is another one than before."""
         if self.each_lens or camera != self.lens:

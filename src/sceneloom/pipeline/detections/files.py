@@ -304,7 +304,7 @@ def _placed(path: Path, number: int, line: str) -> _Placed:
     try:
         placed = msgspec.json.decode(line, type=_Placed)
         placed.view  # noqa: B018 - a lens or a pose that is none raises here, where the line is known
-    except (msgspec.DecodeError, SceneloomError, UnicodeError) as error:
+    except (msgspec.DecodeError, SceneloomError, UnicodeError, RecursionError) as error:
         raise DataError(path, f"line {number}", f"{error}; expected where lidar and camera were") from error
     return placed
 

@@ -185,7 +185,7 @@ def _calibration_of(scene: Scene) -> dict[str, Any]:
     file = Path(scene.source) / CALIBRATION_FILE
     try:
         content = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(
             scene.source,
             CALIBRATION_FILE,

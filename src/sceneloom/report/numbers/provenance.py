@@ -58,7 +58,7 @@ def provenance_of(
     """
     digest, hashed, size = (None, None, None) if path is None else hash_of(path)
     return Provenance(
-        made=(made or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M:%S UTC"),
+        made=(made or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
         sceneloom=__version__,
         python=platform.python_version(),
         system=platform.system(),

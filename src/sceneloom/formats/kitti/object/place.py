@@ -10,8 +10,6 @@ from sceneloom.scene import NoticeKind
 PICTURE_FOLDERS = {2: "image_2", 3: "image_3"}
 """Folders of the cameras' pictures, by number."""
 
-_NO_FRAMES = "holds no frames; expected velodyne/000000.bin, image_2/000000.png or label_2/000000.txt"
-
 PARTS = ("training", "testing")
 
 

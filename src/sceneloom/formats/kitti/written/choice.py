@@ -44,13 +44,6 @@ class Choice:
     reference: int | None
     losses: list[Loss] = field(default_factory=list)
 
-    @property
-    def reference_from_lidar(self) -> RigidTransform | None:
-        """Takes the lidar's frame into the reference camera's; None without cameras."""
-        if self.reference is None:
-            return None
-        return self.ego_from_camera[self.reference].inverse() @ self.ego_from_lidar
-
 
 def choose(
     scene: Scene, slots: Sequence[int], *, rectified: bool, models: frozenset[str], rigid: bool = True

@@ -81,7 +81,7 @@ def _sample_times(path: Path, results: Mapping[str, Any], context: ListContext) 
     try:
         rows = msgspec.json.decode(read_bytes(table))
         times = {row["token"]: int(row["timestamp"]) * 1000 for row in rows}
-    except (msgspec.DecodeError, UnicodeError, TypeError, KeyError, ValueError) as error:
+    except (msgspec.DecodeError, RecursionError, TypeError, KeyError, ValueError) as error:
         raise DataError(
             table, "", f"{error}; expected a list of objects with token and timestamp [µs]"
         ) from error

@@ -39,7 +39,7 @@ from sceneloom.cli.calibrate_repair import asked_repair, repair_calibration, rep
 @click.option(
     "--pictures", type=options.target, metavar="DIR", help="Draw points and edges over pictures into DIR."
 )
-@click.option("--overwrite", is_flag=True, help="Replace DIR if it exists.")
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @box_options
 @options.part
 @options.reading
@@ -67,6 +67,9 @@ def calibrate(
     """Check how a camera is said to lie to a lidar by what both show: rotation, shift, focal length, time.
 
     Exit 0 where the calibration is good, 3 where it is drifting, 4 where it is wrong, 5 where the drive cannot tell.
+
+    With --refine, --hand-eye, --lidar-to-lidar or --target repair it: exit 0 where it was, 3 where what is stated was
+    kept, 5 where the drive cannot tell.
     """
     asked = asked_repair(reading)
     boxes = {name: reading.pop(name) for name in BOXES}

@@ -35,7 +35,7 @@ VERBS = MappingProxyType(
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
         "eval": "Say how good an estimate is: a trajectory, tracks or detections, against a reference.",
         "sync": "Tell whether the clocks of a drive's streams are in step, and correct them.",
-        "calibrate": "Say whether camera and lidar lie to one another as the calibration says.",
+        "calibrate": "Say whether camera and lidar lie to one another as the calibration says, and repair it.",
         "serve": "Serve the fusion interface of DB34/T 4101-2022 over gRPC.",
         "send": "Send a drive, or a log, to a fusion service.",
         "get": "Fetch results from a fusion service.",

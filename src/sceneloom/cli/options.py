@@ -277,8 +277,10 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
             "`sceneloom formats` lists what can be read, and how it is recognised; of clouds and pictures of your own, "
             "`sceneloom formats --template FOLDER/rig.toml --from FOLDER` begins a manifest"
         )
-    if type(error) is not DataError or "lenient" not in values or "`--" in error.problem:
+    if type(error) is not DataError or "lenient" not in values:
         return None
+    if "`--" in error.problem or "\n" in error.problem:
+        return None  # it names an option, or lists all that is wrong
     drive = next((values[name] for name in _DRIVES if isinstance(values.get(name), Path)), None)
     if drive is None or not str(error.file).startswith(str(drive)):
         return None

@@ -157,3 +157,7 @@ def test_a_drive_that_is_broken_is_answered_with_what_to_do_next(call, recording
     stranger.write_text("?")
     assert "next: `sceneloom formats` lists what can be read" in call("info", stranger).err
     assert "next:" not in call("info", tmp_path / "none").err
+    poses = tmp_path / "poses.txt"
+    poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    without_times = call("convert", poses, tmp_path / "way.tum")
+    assert ("`--from-times FILE`" in without_times.err, "next:" in without_times.err) == (True, False)

@@ -261,7 +261,8 @@ def _stamp_patterns(stem: str) -> Iterator[str]:
         yield f"{'*' if split.start() else ''}{{s}}{part}{_rest(stem, split.end())}"
     for run in reversed(list(_DIGITS.finditer(stem))):
         unit = _UNITS_BY_DIGITS.get(len(run[0]))
-        if unit is not None and run[0][0] != "0":
+        # a clock that begins at 0 leaves zeros in front; only nanoseconds have more digits than counters
+        if unit is not None and (run[0][0] != "0" or unit == "{ns}"):
             yield f"{'*' if run.start() else ''}{unit}{_rest(stem, run.end())}"
 
 

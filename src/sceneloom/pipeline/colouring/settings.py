@@ -97,7 +97,10 @@ class ColourOutputs:
             if place is not None
         ]
         if not places:
-            raise OptionError("nothing to write: name a map, sweeps, label images or pictures")
+            raise OptionError(
+                "nothing to write: name a map (`-o map.laz`), a folder for sweeps (`--per-sweep DIR`), "
+                "for label images (`--project-labels DIR`) or for pictures (`--pictures DIR`)"
+            )
         if len({place.absolute() for place in places}) < len(places):
             raise OptionError(f"{places[0]}: named twice; expected a name for each output")
         if self.map is not None and self.map.suffix.lower() != SCENE_SUFFIX:

@@ -113,7 +113,10 @@ def blur_files(
     """
     chosen = tuple(labels)
     if not boxes and not chosen:
-        raise OptionError("nothing to hide; expected boxes (a CSV or JSON file) or labels of annotations")
+        raise OptionError(
+            "nothing to hide; expected boxes in a CSV or JSON file (`--boxes FILE`) "
+            "or labels of annotations (`--label NAME`)"
+        )
     check_scene_output(Path(output), overwrite=overwrite)
     told: list[CameraBlur] = []
     with TemporaryDirectory(dir=Path(output).parent, prefix=".sceneloom-blur-") as folder:

@@ -75,10 +75,12 @@ def lidar_to_lidar(
         progress: told after each frame.
 
     Raises:
-        OptionError: there are no two such lidars.
+        OptionError: there are no two such lidars, or `most` is less than 1.
         PoseError: no start is found, the clouds do not overlap, or the frames do not agree.
         DataError: a sweep cannot be read.
     """
+    if most < 1:
+        raise OptionError(f"{most} frames; expected at least 1")
     first, second = _chosen(scene, first_id, second_id)
     stated = None if first.mount is None or second.mount is None else first.mount.inverse() @ second.mount
     pairs = list(_clouds(scene, first, second, most))

@@ -9,6 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, geodetic_from_enu
+from sceneloom.motion.gnss_receivers import usable_places
 from sceneloom.scene import Coordinates, GnssSensor, OdometrySensor, Scene
 
 WINDOW_NS = 500_000_000
@@ -75,7 +76,7 @@ class Ego:
 
     Attributes:
         way: in the scene's world, or None.
-        fixes: of the first satellite receiver that has any, earth-centred, or None.
+        fixes: of the first satellite receiver that has usable ones, earth-centred, or None.
         origin_lla: the place whose east, north and up are the world's axes, or None.
     """
 
@@ -131,8 +132,10 @@ def _way(scene: Scene) -> Way | None:
 
 def _fixes(scene: Scene) -> Way | None:
     for sensor in scene.sensors:
-        if isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns):
-            return Way.of(sensor.timestamps_ns, ecef_from_geodetic(sensor.positions_lla))
+        if isinstance(sensor, GnssSensor):
+            rows, places = usable_places(sensor)
+            if len(rows):
+                return Way.of(sensor.timestamps_ns[rows], ecef_from_geodetic(places))
     return None
 
 

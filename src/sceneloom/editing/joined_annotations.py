@@ -150,8 +150,9 @@ def _event(first: EventAnnotation, second: EventAnnotation, name: str) -> EventA
     """From the beginning of the earlier part to the end of the later one."""
     del name
     start_ns = min(first.start_ns, second.start_ns)
-    stops = [event.start_ns + event.duration_ns for event in (first, second) if event.duration_ns is not None]
-    return replace(first, start_ns=start_ns, duration_ns=max(stops) - start_ns if stops else None)
+    duration_ns = max(event.start_ns + (event.duration_ns or 0) for event in (first, second)) - start_ns
+    untold = first.duration_ns is None and second.duration_ns is None and duration_ns == 0
+    return replace(first, start_ns=start_ns, duration_ns=None if untold else duration_ns)
 
 
 def _adjustment(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.scene import GnssSensor, Scene
 
 HIGHEST = 1e6
@@ -21,3 +21,15 @@ def usable_fixes(receiver: GnssSensor) -> BoolArray:
     usable &= (latitude != 0.0) | (longitude != 0.0)
     usable &= np.isnan(height) | (np.abs(height) <= HIGHEST)
     return usable
+
+
+def usable_places(receiver: GnssSensor) -> tuple[Int64Array, Float64Array]:
+    """The rows (M,) of usable fixes, and their places (M, 3): latitude, longitude [deg] and height [m].
+
+    A height that is not told is the median of those that are, 0 where none is.
+    """
+    rows = np.flatnonzero(usable_fixes(receiver))
+    places = receiver.positions_lla[rows]
+    untold = np.isnan(places[:, 2])
+    places[untold, 2] = 0.0 if untold.all() else np.median(places[~untold, 2])
+    return rows, places

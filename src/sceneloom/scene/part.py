@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraSensor
@@ -185,7 +185,11 @@ def _cut_samples(samples: VectorSamples, part: Interval) -> VectorSamples:
 
 
 def _cut_fixes(sensor: GnssSensor, part: Interval) -> GnssSensor:
-    rows = rows_between(sensor.timestamps_ns, part)
+    return chosen_fixes(sensor, rows_between(sensor.timestamps_ns, part))
+
+
+def chosen_fixes(sensor: GnssSensor, rows: slice | Int64Array | BoolArray) -> GnssSensor:
+    """Give the receiver with some of its fixes."""
     return replace(
         sensor,
         timestamps_ns=sensor.timestamps_ns[rows],

@@ -7,6 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.motion.gnss_receivers import usable_fixes, usable_places
 from sceneloom.pictures.canvas import Colour
 from sceneloom.scene import GnssSensor, ImuSensor, PosePath, Scene, VectorSamples
 from sceneloom.view.clouds import WORLD
@@ -127,8 +128,8 @@ def _curves(
 def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
     """Log fixes as places on earth, and their heights and accuracies as curves."""
     rr = sdk()
-    finite = np.isfinite(sensor.positions_lla[:, :2]).all(axis=1)
-    times_ns, lla = sensor.timestamps_ns[finite], sensor.positions_lla[finite]
+    usable = usable_fixes(sensor)
+    times_ns, lla = sensor.timestamps_ns[usable], sensor.positions_lla[usable]
     colour = one_packed(_FIXES)
     points = rr.GeoPoints.columns(
         positions=lla[:, :2],
@@ -142,8 +143,8 @@ def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
     stream.static(stream.path(EARTH, sensor.id, "way"), way)
     curves = (
         ("height", lla[:, 2], _AXIS_COLOURS[2]),
-        ("accuracy", sensor.accuracies[finite], _AXIS_COLOURS[0]),
-        ("vertical accuracy", sensor.vertical_accuracies[finite], _AXIS_COLOURS[1]),
+        ("accuracy", sensor.accuracies[usable], _AXIS_COLOURS[0]),
+        ("vertical accuracy", sensor.vertical_accuracies[usable], _AXIS_COLOURS[1]),
     )
     for name, values, curve in curves:
         known = np.isfinite(values)
@@ -158,9 +159,8 @@ def _map_origin(places: Places, receivers: list[GnssSensor]) -> Float64Array | N
         return np.array(places.ego.enu_origin_lla)
     if not receivers:
         return None
-    lla = receivers[0].positions_lla
-    finite = lla[np.isfinite(lla).all(axis=1)]
-    return finite[0] if len(finite) else None
+    _, fixes = usable_places(receivers[0])
+    return fixes[0] if len(fixes) else None
 
 
 def _show_plan(
@@ -169,10 +169,10 @@ def _show_plan(
     """Log a plan in metres, north (or the world's y) up: fixes, and the ego's way where both share their axes."""
     if origin_lla is not None:
         for sensor in receivers:
-            finite = np.isfinite(sensor.positions_lla).all(axis=1)
-            enu = enu_from_geodetic(sensor.positions_lla[finite], origin_lla)
+            rows, fixes = usable_places(sensor)
+            enu = enu_from_geodetic(fixes, origin_lla)
             _plan_line(stream, (GNSS, sensor.id), enu, _FIXES)
-            _plan_marks(stream, (GNSS, sensor.id), sensor.timestamps_ns[finite], enu, _FIXES)
+            _plan_marks(stream, (GNSS, sensor.id), sensor.timestamps_ns[rows], enu, _FIXES)
     is_enu = places.ego is not None and places.ego.enu_origin_lla is not None
     if places.path is not None and (is_enu or origin_lla is None):
         positions = places.path.positions if is_enu else places.path.positions - places.origin_world

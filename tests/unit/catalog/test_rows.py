@@ -74,6 +74,17 @@ def test_frames_tell_where_on_earth_the_ego_was(catalogue, drives):
     assert found == pytest.approx(street().sensors[0].positions_lla[:, :2], abs=1e-9)
 
 
+def test_fixes_without_reception_or_height_are_told_as_far_as_they_are_places():
+    whole = street()
+    lla = whole.sensor("gnss").positions_lla.copy()
+    lla[:, 2] = np.nan
+    lla[50] = 0.0
+    ego = Ego.of(replace(whole, sensors=(replace(whole.sensor("gnss"), positions_lla=lla),)))
+    found = ego.places_lla(times_ns(100))
+    assert found[:, :2] == pytest.approx(whole.sensor("gnss").positions_lla[:, :2], abs=1e-5)
+    assert ego.speeds(times_ns(100)).max() < 20.0
+
+
 def test_every_table_has_its_columns_and_the_scene(catalogue):
     for table, columns in TABLES.items():
         result = query(catalogue, f"SELECT * FROM {table} LIMIT 0")

@@ -29,6 +29,7 @@ from sceneloom.scene import (
     PointsFrame,
     PointsSensor,
     PosePath,
+    Scene,
     ShapeAnnotation,
     ShapeType,
     VectorSamples,
@@ -361,3 +362,18 @@ def test_metadata_of_both_are_kept_and_differences_told(drive):
     merged = merge_scenes([first, second])
     assert merged.metadata == {"city": "A", "sceneloom": {"applied": [{"id": 1}, {"id": 2}], "x": 1, "y": 2}}
     assert [(n.code, n.place) for n in merged.notices] == [("metadata-differ", "metadata.city")]
+
+
+@pytest.mark.parametrize(
+    ("parts", "joined"),
+    [
+        (((0, 5), (10, None)), (0, 10)),
+        (((0, None), (10, None)), (0, 10)),
+        (((10, 5), (0, 5)), (0, 15)),
+        (((3, None), (3, None)), (3, None)),
+    ],
+)
+def test_an_event_lasts_until_its_last_part_ends_though_that_is_a_moment(parts, joined):
+    one, other = (Scene((), (EventAnnotation("turn", start, lasts),)) for start, lasts in parts)
+    (event,) = merge_scenes([one, other], join=True).annotations
+    assert (event.start_ns, event.duration_ns) == joined

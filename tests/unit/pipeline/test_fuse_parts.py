@@ -84,7 +84,14 @@ def test_a_part_that_ends_too_early_is_refused(drive: Scene, tmp_path: Path) -> 
     whole = (tmp_path / "part").read_bytes()
     (tmp_path / "torn").write_bytes(whole[: len(whole) // 2])
     outputs = FusionOutputs(scene=tmp_path / "joined.sfs")
-    for name, why in (("short", "ends too early"), ("torn", "expected a record")):
+    (tmp_path / "empty").touch()
+    faults = {
+        "short": "ends too early",
+        "torn": "expected a record",
+        "empty": "is empty",
+        "gone": "cannot be read",
+    }
+    for name, why in faults.items():
         with pytest.raises(DataError, match=why):
             join_fused(drive, [tmp_path / name], outputs=outputs)
     assert not outputs.scene.exists()  # type: ignore[union-attr]

@@ -2,17 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from operator import itemgetter
 from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
 from sceneloom.editing.frame_change import FrameChange
 from sceneloom.editing.moved_world import moved_world
 from sceneloom.editing.record import assumed, skipped, with_notices
 from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.gnss_receivers import usable_places
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
@@ -27,6 +28,7 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
+from sceneloom.scene.part import chosen_fixes
 
 FIXES = ("drop", "shift")
 """What can become of satellite fixes."""
@@ -46,7 +48,7 @@ def places_from_start(scene: Scene, *, fixes: str = "drop") -> Scene:
     Args:
         scene: as it is.
         fixes: "drop": satellite receivers go; "shift": their fixes keep their shape, north and height above the first
-            one, around latitude 0 and longitude 0.
+            one, around latitude 0 and longitude 0; those that are no place go.
 
     Raises:
         OptionError: there is no such choice.
@@ -57,17 +59,17 @@ def places_from_start(scene: Scene, *, fixes: str = "drop") -> Scene:
     start = first_pose(scene)
     moved = scene if start is None else moved_world(scene, FrameChange.constant(start.inverse()))
     receivers = [sensor for sensor in moved.sensors if isinstance(sensor, GnssSensor)]
-    origin = _first_fix(receivers)
+    shifted = {one.id: one for one in _shifted(receivers)} if fixes == "shift" else {}
     kept = tuple(
-        _shifted(sensor, origin) if isinstance(sensor, GnssSensor) else sensor
+        shifted.get(sensor.id, sensor)
         for sensor in moved.sensors
-        if fixes == "shift" or not isinstance(sensor, GnssSensor)
+        if sensor.id in shifted or not isinstance(sensor, GnssSensor)
     )
-    gone = "satellite fixes: left out" if fixes == "drop" else ""
+    gone = "satellite fixes" if fixes == "drop" else "fixes that are no place, such as 0, 0"
     notices = [
-        skipped("fixes-left-out", f"sensors[{one.id}]", gone, count=len(one.timestamps_ns))
+        skipped("fixes-left-out", f"sensors[{one.id}]", f"{gone}: left out", count=count)
         for one in receivers
-        if gone
+        for count in [len(one.timestamps_ns) - (len(shifted[one.id].timestamps_ns) if shifted else 0)]
     ]
     nowhere = "nothing in it has a pose in the world; positions are relative already"
     notices.append(assumed("no-poses", "sensors", nowhere, count=int(start is None)))
@@ -95,16 +97,17 @@ def first_pose(scene: Scene) -> RigidTransform | None:
     return RigidTransform.from_quaternion(np.asarray(position, np.float64), level)
 
 
-def _first_fix(receivers: list[GnssSensor]) -> Float64Array | None:
-    fixes = [(one.timestamps_ns[0], one.positions_lla[0]) for one in receivers if len(one.timestamps_ns)]
-    return min(fixes, key=lambda fix: int(fix[0]))[1] if fixes else None
-
-
-def _shifted(receiver: GnssSensor, origin_lla: Float64Array | None) -> GnssSensor:
-    if origin_lla is None:
-        return receiver
-    moved = geodetic_from_enu(enu_from_geodetic(receiver.positions_lla, origin_lla), _SOMEWHERE_LLA)
-    return replace(receiver, positions_lla=moved)
+def _shifted(receivers: list[GnssSensor]) -> list[GnssSensor]:
+    """Put fixes around another place, without those that are none: how far off 0, 0 is would tell the true one."""
+    usable = [(one, *usable_places(one)) for one in receivers]
+    firsts = [(int(one.timestamps_ns[rows[0]]), places[0]) for one, rows, places in usable if len(rows)]
+    origin_lla = min(firsts, key=itemgetter(0), default=(0, _SOMEWHERE_LLA))[1]
+    found = []
+    for one, rows, places in usable:
+        moved = geodetic_from_enu(enu_from_geodetic(places, origin_lla), _SOMEWHERE_LLA)
+        moved[np.isnan(one.positions_lla[rows, 2]), 2] = np.nan
+        found.append(replace(chosen_fixes(one, rows), positions_lla=moved))
+    return found
 
 
 def _streams_told(scene: Scene) -> list[Notice]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
+from sceneloom.formats.clouds.cloud import file_faults
 from sceneloom.formats.output import replacing
 
 _LENGTH_BYTES = 8
@@ -53,15 +54,17 @@ def writing_records(path: Path) -> Iterator[RecordWriter]:
 
 
 def read_records(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, AnyArray]]]:
-    """Read records one after another.
+    """Read records one after another, of which there is one at least.
 
     Yields:
         values, and arrays by name.
 
     Raises:
-        DataError: the file is not what `writing_records` left.
+        DataError: the file is not there, or not what `writing_records` left.
     """
-    with path.open("rb") as file:
+    with file_faults(path), path.open("rb") as file:
+        if path.stat().st_size == 0:
+            raise DataError(path, "", "is empty; expected records of a part of a drive")
         while start := file.read(_LENGTH_BYTES):
             place = f"byte {file.tell() - len(start)}"
             try:

@@ -10,7 +10,7 @@ from sceneloom.errors import ArrayError, OptionError, PoseError
 from sceneloom.evaluate import evaluate_trajectory
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.motion.gnss_receivers import usable_fixes
+from sceneloom.motion.gnss_receivers import usable_fixes, usable_places
 from sceneloom.scene import GnssSensor, Identifier, Scene, Trajectory
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.scene import Sensor
@@ -147,7 +147,7 @@ def ways_of(scene: Scene, *, start_ns: int, found_now: frozenset[str] = frozense
     receivers = [s for s in scene.sensors if isinstance(s, GnssSensor) and usable_fixes(s).any()]
     if not receivers:
         return Ways(ways=tuple(ways))
-    origin = _known_heights(receivers[0].positions_lla[usable_fixes(receivers[0])][:1])[0]
+    origin = usable_places(receivers[0])[1][0]
     return Ways(
         ways=tuple(ways),
         fixes=tuple(_fixes(receiver, origin, start_ns) for receiver in receivers),
@@ -247,13 +247,8 @@ def _turned(quaternions_xyzw: Float64Array) -> float:
     return float(turns[turns > 0.05].sum())
 
 
-def _known_heights(positions_lla: Float64Array) -> Float64Array:
-    return np.nan_to_num(positions_lla, nan=0.0)
-
-
 def _fixes(receiver: GnssSensor, origin_lla: Float64Array, start_ns: int) -> Fixes:
-    rows = np.flatnonzero(usable_fixes(receiver))
-    lla = _known_heights(receiver.positions_lla[rows])
+    rows, lla = usable_places(receiver)
     shown = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_CORNERS)).astype(int))
     enu = enu_from_geodetic(lla[shown], origin_lla)
     seconds = (receiver.timestamps_ns[rows[shown]] - start_ns) / 1e9
@@ -300,8 +295,8 @@ def _stated_north(scene: Scene, origin_lla: Float64Array) -> North | None:
 
 def _north(way: Trajectory, receiver: GnssSensor, origin_lla: Float64Array) -> North | None:
     """Lay the fixes onto the way by a shift and a turn about the upright axis; None where that leaves north open."""
-    rows = usable_fixes(receiver)
-    enu = enu_from_geodetic(_known_heights(receiver.positions_lla[rows]), origin_lla)
+    rows, places = usable_places(receiver)
+    enu = enu_from_geodetic(places, origin_lla)
     times, first = np.unique(receiver.timestamps_ns[rows], return_index=True)
     if len(times) < 3 or np.linalg.norm(enu - enu[0], axis=1).max() < _LEAST_TURNING_WAY:
         return None

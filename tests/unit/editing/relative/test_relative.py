@@ -1,5 +1,6 @@
 """Drives that tell neither where nor when they were."""
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -73,6 +74,23 @@ def test_satellite_fixes_go_with_a_notice_or_keep_their_shape_elsewhere():
     moved = relative_scene(drive(), fixes="shift").sensor("gnss").positions_lla
     expected = pymap3d.geodetic2enu(*LLA.T, *LLA[0])
     np.testing.assert_allclose(pymap3d.geodetic2enu(*moved.T, 0.0, 0.0, 0.0), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("row", [0, 1])
+def test_fixes_that_are_no_place_do_not_tell_how_far_from_there_the_drive_was(row):
+    lost, untold = LLA.copy(), LLA.copy()
+    lost[row] = 0.0
+    untold[:, 2] = np.nan
+    whole = drive()
+    for lla, count in ((lost, 2), (untold, 3)):
+        gnss = replace(whole.sensor("gnss"), positions_lla=lla)
+        sensors = tuple(gnss if s.id == "gnss" else s for s in whole.sensors)
+        found = relative_scene(replace(whole, sensors=sensors), fixes="shift")
+        moved = found.sensor("gnss")
+        assert (len(moved.timestamps_ns), len(moved.accuracies)) == (count, count)
+        assert np.abs(moved.positions_lla[:, :2]).max() < 0.001
+        assert np.isnan(moved.positions_lla[:, 2]).all() == np.isnan(lla[:, 2]).all()
+        assert sum(n.count for n in found.notices if n.code == "fixes-left-out") == 3 - count
 
 
 def test_times_begin_with_the_drive_where_that_is_asked_for_and_stay_where_not():

@@ -14,6 +14,7 @@ from typing import Any, Self
 
 import msgspec
 
+from sceneloom.batch.inputs import READING
 from sceneloom.batch.jobs import Outcome, State
 from sceneloom.batch.locks import locked
 from sceneloom.batch.pieces import PIECE, piece_name, told_part
@@ -78,6 +79,12 @@ class Row:
     worker: str | None
     kind: str | None
     error: str | None
+
+    @property
+    def name(self) -> str:
+        """What people call it: its place, and what counts for it alone, which tells drives of a data set apart."""
+        own = ", ".join(f"{name.removeprefix(READING)} {value}" for name, value in sorted(self.part.items()))
+        return f"{self.input} ({own})" if own else self.input
 
 
 _COLUMNS = tuple(Row.__dataclass_fields__)

@@ -22,7 +22,7 @@ def test_the_scenes_of_a_data_set_are_listed_where_none_is_chosen(call, nuscenes
 
 def test_one_scene_is_told_about(call, nuscenes):
     told = json.loads(call("info", nuscenes, "--sequence", "scene-0002", "--json").out)
-    assert told["format"] == "nuscenes"
+    assert (told["format"], told["source"]) == ("nuscenes", f"{nuscenes}/scene-0002")
     assert {sensor["id"]: sensor["count"] for sensor in told["sensors"]} == {
         "LIDAR_TOP": 5,
         "RADAR_FRONT": 5,
@@ -89,6 +89,24 @@ def test_what_to_do_next_is_said_of_the_same_drive(call, tmp_path):
     (broken / "lidar" / "poses.json").write_text("[")
     told = call("info", tmp_path / "my set", "--sequence", "002")
     assert f"`sceneloom validate '{tmp_path / 'my set'}' --sequence 002`" in told.err
+
+
+def test_the_folder_of_a_drive_has_its_name_from_inside(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(write_drive(tmp_path / "set" / "002"))
+    told = json.loads(call("info", ".", "--sequence", "002", "--json").out)
+    monkeypatch.chdir(tmp_path)
+    assert told["source"] == json.loads(call("info", tmp_path / "set", "--json").out)["source"]
+
+
+@pytest.mark.usefixtures("inline")
+def test_a_batch_says_which_drive_of_a_data_set_failed(call, nuscenes, tmp_path):
+    tables = nuscenes / "v1.0-mini"
+    rows = json.loads((tables / "scene.json").read_text("utf-8"))
+    rows[1]["nbr_samples"] += 1
+    (tables / "scene.json").write_text(json.dumps(rows), "utf-8")
+    told = call("batch", "convert", nuscenes, "-o", tmp_path / "out", "--workers", 1, "--retries", 0)
+    assert f"failed: {nuscenes} (sequence scene-0002): " in told.err, told.err
+    assert f"{nuscenes} (sequence scene-0002)" in call("batch", "status", tmp_path / "out").out
 
 
 def test_options_of_one_format_go_by_read_with(call, tmp_path):

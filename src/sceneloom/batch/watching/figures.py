@@ -156,7 +156,7 @@ def _spans(ended: Sequence[Row], begun_ns: int) -> tuple[Span, ...]:
 
 def _slowest(ended: Iterable[Row]) -> tuple[tuple[str, float], ...]:
     slow = sorted(ended, key=lambda row: -(row.seconds or 0.0))
-    return tuple((row.input, row.seconds or 0.0) for row in slow[:_MOST_SHOWN])
+    return tuple((row.name, row.seconds or 0.0) for row in slow[:_MOST_SHOWN])
 
 
 def _causes(failed: Iterable[Row]) -> tuple[Cause, ...]:
@@ -166,7 +166,7 @@ def _causes(failed: Iterable[Row]) -> tuple[Cause, ...]:
         alike[row.kind or "", _NUMBERS.sub("#", _last_line(row).replace(row.input, "…"))].append(row)
     most = sorted(alike.items(), key=lambda item: -len(item[1]))
     return tuple(
-        Cause(kind=kind, error=_last_line(rows[0]), drives=tuple(row.input for row in rows))
+        Cause(kind=kind, error=_last_line(rows[0]), drives=tuple(row.name for row in rows))
         for (kind, _), rows in most
     )
 

@@ -70,7 +70,7 @@ def status(
         [
             (
                 row.state,
-                row.input,
+                row.name,
                 "" if row.seconds is None else f"{row.seconds:.1f} s",
                 _why(row),
             )
@@ -102,7 +102,7 @@ def print_summary(summary: "RunSummary", *, verbose: bool) -> None:
     with Record.opened(Path(summary.record)) as record:
         failed = record.rows(State.FAILED)
     for row in failed if verbose else failed[:_SHOWN]:
-        click.echo(f"failed: {row.input}: {_why(row)}", err=True)
+        click.echo(f"failed: {row.name}: {_why(row)}", err=True)
     if not verbose and len(failed) > _SHOWN:
         click.echo(f"… and {len(failed) - _SHOWN} more: `sceneloom batch status {summary.record}`", err=True)
     click.echo("next: mend what failed, then say the same with `--resume`", err=True)

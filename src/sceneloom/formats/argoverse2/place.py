@@ -24,7 +24,7 @@ def is_log(path: Path) -> bool:
 def logs_in(path: Path) -> list[Path]:
     """The log that a path is, or the logs in it."""
     if is_log(path):
-        return [path]
+        return [path if path.name else path.resolve()]  # `.` has no name
     if not path.is_dir():
         return []
     return [child for child in sorted(path.iterdir()) if is_log(child)]

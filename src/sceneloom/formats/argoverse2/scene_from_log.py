@@ -62,7 +62,7 @@ def open_argoverse2(
         annotations=annotations,
         trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
         metadata=MappingProxyType({"argoverse2": {"log": log.name}, "sceneloom": dict(_ANGLES)}),
-        source=str(path),
+        source=str(log),
         format="argoverse2",
         notices=ledger.notices,
     )

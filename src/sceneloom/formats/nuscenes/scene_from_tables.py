@@ -56,7 +56,7 @@ def open_nuscenes(
         annotations=annotations,
         trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
         metadata=_about(tables),
-        source=str(path),
+        source=f"{path}/{tables.scene.name}" if tables.others else str(path),
         format="nuscenes",
         notices=ledger.notices,
     )

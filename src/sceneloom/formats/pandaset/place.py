@@ -42,7 +42,9 @@ def recognises(path: Path) -> bool:
 
 def drives_in(path: Path) -> list[Path]:
     """The drive that a folder is, or the drives in it."""
-    return [path] if is_drive(path) else [child for child in sorted(path.iterdir()) if is_drive(child)]
+    if is_drive(path):
+        return [path if path.name else path.resolve()]  # `.` has no name
+    return [child for child in sorted(path.iterdir()) if is_drive(child)]
 
 
 def find_drive(path: Path, sequence: str | None) -> Path:

@@ -46,7 +46,7 @@ def open_pandaset(path: Path, *, sequence: str | None = None, lenient: bool = Fa
         annotations=annotations,
         trajectories=MappingProxyType({trajectory.name: trajectory}),
         metadata=MappingProxyType({"pandaset": {"sequence": drive.name}, "sceneloom": dict(_ANGLES)}),
-        source=str(path),
+        source=str(drive),
         format="pandaset",
         notices=ledger.notices,
     )

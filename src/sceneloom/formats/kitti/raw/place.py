@@ -36,7 +36,8 @@ def find_drive(path: Path, wanted: str | None = None) -> RawDrive:
         DataError: there is none.
         OptionError: there are several and none was chosen, or the chosen one is not there.
     """
-    found = [path] if is_drive(path) else drives_below(path)
+    own = path if path.name else path.resolve()  # `.` has no name
+    found = [own] if is_drive(path) else drives_below(path)
     if wanted is not None:
         chosen = [drive for drive in found if wanted in _names(drive)]
         if len(chosen) != 1:

@@ -94,7 +94,7 @@ def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) 
     """
     names = ", ".join(sequences) or "none"
     if wanted is not None:
-        chosen = [name for name in sequences if wanted == name or wanted.lstrip("0") == name.lstrip("0")]
+        chosen = [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
         if len(chosen) != 1:
             raise OptionError(f"sequence {wanted!r}: {path} has {names}")
         return chosen[0]

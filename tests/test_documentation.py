@@ -1,11 +1,13 @@
 """What the documentation promises is there: commands, examples, links, and a row for every part."""
 
 import ast
+import pkgutil
 import re
 import runpy
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -151,6 +153,27 @@ def test_python_in_the_documentation_runs(page, run, tmp_path):
         program = tmp_path / f"block{number}.py"
         program.write_text(text, "utf-8")
         run(program)
+
+
+OTHER_NAMES = re.compile(
+    r"sceneloom\.(db34t4101\..*|Sample|sensor_data_fusion|detection_fusion|(sfs|toml|html|prom)$)"
+)
+"""Names that look like ours in Python and are of services, schemas, entry points and files."""
+
+
+def is_there(name: str) -> bool:
+    """Whether a dotted name is a module, or leads from one to what it has."""
+    module, _, attribute = name.rpartition(".")
+    try:
+        return bool(import_module(name))
+    except ModuleNotFoundError:
+        return bool(module) and is_there(module) and hasattr(pkgutil.resolve_name(module), attribute)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_names_in_the_documentation_are_there(page):
+    told = set(re.findall(r"(?<![\w./\"])sceneloom(?:\.[A-Za-z_]\w*)+", page.read_text("utf-8")))
+    assert not sorted(name for name in told if not OTHER_NAMES.match(name) and not is_there(name))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)

@@ -259,6 +259,9 @@ def _telling_notices(command: Command) -> Command:
     return cast("Command", run)
 
 
+_NOT_BROKEN = ("no such file", "no lidar in it")
+"""What problems of drives say that no rule finds and nothing mends."""
+
 _DRIVES = ("path", "source", "drive")
 """What verbs call the argument that is a drive."""
 
@@ -270,7 +273,7 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
         error: what a verb ended with.
         values: the verb's options and arguments, by the names of its parameters.
     """
-    if isinstance(error, DataError) and "no such file" in error.problem:
+    if isinstance(error, DataError) and any(words in error.problem for words in _NOT_BROKEN):
         return None
     if isinstance(error, UnknownFormatError):
         return (

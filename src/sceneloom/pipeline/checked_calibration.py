@@ -182,7 +182,7 @@ def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> l
         DataError: a file is faulty, or a sequence is not there.
     """
     found = []
-    for name in tuple(sequences) or tracking.sequences:
+    for name in tracking.chosen(sequences):
         drive = kitti_drive(tracking.sequence(name))
         for camera_id, camera in drive.cameras.items():
             turn = turn_of_boxes(drive, camera_id)

@@ -84,7 +84,7 @@ def test_a_folder_of_lists_alone_is_judged_by_its_boxes(call, folder):
     [
         (("--pictures", "look"), 2, "--pictures does not count here"),
         (("--camera", "front"), 2, "--camera does not count here"),
-        (("--sequence", "0009"), 1, "sequence 0009"),
+        (("--sequence", "0009"), 2, "sequence '0009'"),
         (("--refine", "--sequence", "0001"), 2, "no camera with pictures"),
     ],
 )

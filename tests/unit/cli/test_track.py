@@ -169,11 +169,11 @@ def test_the_report_counts_frames_and_tracks(call, folder, tmp_path):
 
 def test_a_sequence_can_be_chosen_and_must_be_there(call, folder, tmp_path):
     (folder / "calib" / "0009.txt").write_text(CALIB)
-    assert call("track", folder, "-o", tmp_path / "out", "--sequence", "0003").code == 0
+    assert call("track", folder, "-o", tmp_path / "out", "--sequence", "3").code == 0
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["0003.txt"]
     outcome = call("track", folder, "-o", tmp_path / "other", "--sequence", "0001")
-    assert outcome.code == 1
-    assert "sequence 0001: is not there" in outcome.err
+    assert outcome.code == 2
+    assert "sequence '0001'" in outcome.err
 
 
 def test_scenes_are_written_for_scales_library_on_request(call, folder, tmp_path):

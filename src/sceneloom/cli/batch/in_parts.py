@@ -120,7 +120,7 @@ def _track_sequences(
     from sceneloom.pipeline.tracking.parts import track_folder_joined
 
     if piece["work"] == "plan":
-        times = {name: folder.sequence(name).timestamps_ns for name in sequences or folder.sequences}
+        times = {name: folder.sequence(name).timestamps_ns for name in folder.chosen(sequences)}
         pieces = [
             {"work": "track", "sequence": name, "span_ns": list(span)}
             for name, times_ns in times.items()

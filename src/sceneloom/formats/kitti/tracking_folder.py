@@ -1,6 +1,6 @@
 """A folder laid out like KITTI's tracking benchmark: calibration, OXTS and lists of detections by sequence."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, lidar_boxes
+from sceneloom.formats.kitti.chosen_sequence import choose_sequence
 from sceneloom.formats.kitti.detection_lists import (
     COLUMNS_2D,
     COLUMNS_3D,
@@ -114,6 +115,15 @@ class KittiTracking:
     detector_3d: Path | None
     lenient: bool = False
     notices: tuple[Notice, ...] = ()
+
+    def chosen(self, names: Iterable[str]) -> tuple[str, ...]:
+        """The sequences that are meant, each once: leading zeros need not be said, and no names mean all.
+
+        Raises:
+            OptionError: there is none of a name.
+        """
+        found = (choose_sequence(self.path, self.sequences, name) for name in names)
+        return tuple(dict.fromkeys(found)) or self.sequences
 
     def sequence(self, name: str) -> KittiSequence:
         """Read a sequence; its labels are never looked at.

@@ -73,7 +73,7 @@ def fuse_folder_detections(
     begun = time.perf_counter()
     if form not in {"jsonl", "kitti"}:
         raise OptionError(f"format {form!r}; expected 'jsonl' or 'kitti'")
-    output, names = Path(output), tuple(sequences) or tracking.sequences
+    output, names = Path(output), tracking.chosen(sequences)
     reports = []
     with filling(output, overwrite=overwrite) as folder:
         for k, name in enumerate(names):

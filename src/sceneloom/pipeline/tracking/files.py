@@ -207,7 +207,7 @@ def track_folder(
         OutputError: the folder has something in it, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
-    names = tuple(sequences) or tracking.sequences
+    names = tracking.chosen(sequences)
 
     def read(k: int) -> TrackableDrive:
         found = TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))

@@ -232,6 +232,13 @@ def test_a_calibration_that_is_none_is_refused(tracking_folder, spellings, line,
 def test_a_sequence_that_is_not_there_is_told_with_those_that_are(tracking_folder):
     with pytest.raises(DataError, match="sequence 0001: is not there; expected one of 0007"):
         open_tracking_folder(tracking_folder()).sequence("0001")
+    with pytest.raises(OptionError, match="sequence '1'"):
+        open_tracking_folder(tracking_folder()).chosen(["7", "1"])
+
+
+def test_sequences_are_chosen_without_their_zeros_and_each_once(tracking_folder):
+    folder = open_tracking_folder(tracking_folder())
+    assert folder.chosen(["7", "0007"]) == folder.chosen([]) == ("0007",)
 
 
 def test_pictures_tell_their_size_else_the_focal_length_else_the_lens(tracking_folder, spellings):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sceneloom.errors import DataError
+from sceneloom.formats.kitti.chosen_sequence import choose_sequence
 from sceneloom.formats.kitti.scenes.numbered import LABELS, PICTURES, SWEEPS, has_numbered
-from sceneloom.formats.kitti.tracking.place import choose_sequence
 
 CAMERAS = {number: f"image_{number}" for number in range(4)}
 """Folders of the cameras' pictures, by number."""

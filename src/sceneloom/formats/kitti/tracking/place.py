@@ -3,7 +3,8 @@
 import re
 from pathlib import Path
 
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError
+from sceneloom.formats.kitti.chosen_sequence import choose_sequence
 from sceneloom.formats.ledger import Ledger
 from sceneloom.scene import NoticeKind
 
@@ -84,20 +85,3 @@ def find_sequence(path: Path, wanted: str | None, ledger: Ledger) -> tuple[Path,
 def drives_of(path: Path) -> tuple[str, ...]:
     """Names of the sequences that a path gives to choose from."""
     return next((sequences_of(folder) for folder in places(path) if is_sequences(folder)), ())
-
-
-def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) -> str:
-    """The only sequence, or the wanted one; leading zeros need not be said.
-
-    Raises:
-        OptionError: there are several and none was chosen, or the chosen one is not there.
-    """
-    names = ", ".join(sequences) or "none"
-    if wanted is not None:
-        chosen = [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
-        if len(chosen) != 1:
-            raise OptionError(f"sequence {wanted!r}: {path} has {names}")
-        return chosen[0]
-    if len(sequences) != 1:
-        raise OptionError(f"{path} has several sequences: {names}; choose one with `--sequence NAME`")
-    return sequences[0]

@@ -1,0 +1,22 @@
+"""Which of several sequences is meant."""
+
+from pathlib import Path
+
+from sceneloom.errors import OptionError
+
+
+def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) -> str:
+    """The only sequence, or the wanted one; leading zeros need not be said.
+
+    Raises:
+        OptionError: there are several and none was chosen, or the chosen one is not there.
+    """
+    names = ", ".join(sequences) or "none"
+    if wanted is not None:
+        chosen = [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
+        if len(chosen) != 1:
+            raise OptionError(f"sequence {wanted!r}: {path} has {names}")
+        return chosen[0]
+    if len(sequences) != 1:
+        raise OptionError(f"{path} has several sequences: {names}; choose one with `--sequence NAME`")
+    return sequences[0]

@@ -171,7 +171,7 @@ def _print_labels(report: "ColourReport") -> None:
     if labels.images or labels.missing:
         click.echo(
             f"labels: {several(labels.images, 'image')} painted onto {several(labels.points, 'point')}, "
-            f"{labels.classes} different ones"
+            f"{several(labels.classes, 'label')} among them"
         )
     if labels.missing:
-        click.echo(f"labels: no image of {several(labels.missing, 'picture')}")
+        click.echo(f"labels: no label image of {several(labels.missing, 'picture')}")

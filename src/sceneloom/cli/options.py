@@ -282,8 +282,8 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
         )
     if type(error) is not DataError or "lenient" not in values:
         return None
-    if "`--" in error.problem or "\n" in error.problem:
-        return None  # it names an option, or lists all that is wrong
+    if any(told in error.problem for told in ("`--", "`sceneloom ", "\n")):
+        return None  # it names an option or a verb, or lists all that is wrong
     drive = next((values[name] for name in _DRIVES if isinstance(values.get(name), Path)), None)
     if drive is None or not str(error.file).startswith(str(drive)):
         return None

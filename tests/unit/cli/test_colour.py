@@ -36,7 +36,7 @@ def test_missing_label_images_are_counted_and_told(call, recording, tmp_path):
     done = call("colour", recording, "-o", tmp_path / "map.las", "--labels", tmp_path / "labels")
     assert done.code == 0, done.err
     assert "labels: 1 image painted onto" in done.out
-    assert "no image of 2 pictures" in done.out
+    assert "no label image of 2 pictures" in done.out
     assert set(np.unique(laspy.read(tmp_path / "map.las").label).tolist()) == {9, 65535}
 
 

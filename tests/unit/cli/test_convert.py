@@ -45,3 +45,12 @@ def test_a_drive_is_read_as_the_format_that_is_named(call: "Call", recording: Pa
     assert call("convert", recording, tmp_path / "drive.sfs", "--read-as", "recording").code == 0
     unknown = call("info", recording, "--read-as", "nope")
     assert (unknown.code, "no format 'nope'" in unknown.err) == (2, True)
+
+
+def test_an_option_of_another_kind_of_clouds_is_refused(
+    call: "Call", recording: Path, tmp_path: Path
+) -> None:
+    told = call("convert", recording, tmp_path / "ply", "--to", "ply", "--set", "encoding=ascii")
+    assert (told.code, "option 'encoding'; writing ply takes frame, lidar" in told.err) == (2, True)
+    assert not (tmp_path / "ply").exists()
+    assert call("convert", recording, tmp_path / "pcd", "--to", "pcd", "--set", "encoding=ascii").code == 0

@@ -101,8 +101,8 @@ def near_miss(path: Path, kind: CloudKind) -> str | None:
     if not others:
         return _not_begun(ours[0], kind)
     return (
-        f"it has {len(ours)} {kind.told}, but {others[0]!r}, too: read them with `format={kind.name}`, or say with a "
-        "rig.toml what is what"
+        f"it has {len(ours)} {kind.told}, but {others[0]!r}, too: read them with `--read-as {kind.name}`, or say "
+        "with a rig.toml what is what"
     )
 
 

@@ -56,7 +56,9 @@ class CloudFormat:
         from sceneloom.formats.clouds.saving import CloudSaving, write_clouds
 
         given = {name: value for name, value in options.items() if value is not None}
-        check_option_names("writing clouds", given, tuple(CloudSaving.__dataclass_fields__))
+        of_pcd = {"encoding"} if self.name != "pcd" else set()
+        known = tuple(name for name in CloudSaving.__dataclass_fields__ if name not in of_pcd)
+        check_option_names(f"writing {self.name}", given, known)
         return write_clouds(scene, Path(path), self._kind, CloudSaving(**given), overwrite=overwrite)
 
 

@@ -80,7 +80,9 @@ def colour(
     wanted = wanted if output is None else replace(wanted, map=Path(output))
     wanted.check()
     if not scene.lidars:
-        raise DataError(scene.source, "", "no lidar in it; colouring needs one")
+        raise DataError(
+            scene.source, "", "no lidar in it; colouring needs one (`sceneloom info` lists what is there)"
+        )
     woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
     job = _Job(woven, scene, chosen, Skips() if lenient else None, progress)
     with telling(job.skips), ExitStack() as stack:

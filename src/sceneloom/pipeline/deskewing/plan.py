@@ -187,7 +187,9 @@ def _chosen_lidars(scene: Scene, lidar: Identifier | None) -> tuple[LidarSensor,
     else:
         asked = scene.lidars
     if not asked:
-        raise DataError(scene.source, "", "no lidar in it; deskewing needs one")
+        raise DataError(
+            scene.source, "", "no lidar in it; deskewing needs one (`sceneloom info` lists what is there)"
+        )
     lidars = tuple(sensor for sensor in asked if sensor.points_frame is not PointsFrame.WORLD)
     if not lidars:
         raise OptionError(_in_world(scene, asked[0]))

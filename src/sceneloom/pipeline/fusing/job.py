@@ -139,7 +139,9 @@ def check_has_lidar(scene: Scene) -> None:
         DataError: it is one.
     """
     if not scene.lidars:
-        raise DataError(scene.source, "", "no lidar in it; fusing needs one")
+        raise DataError(
+            scene.source, "", "no lidar in it; fusing needs one (`sceneloom info` lists what is there)"
+        )
 
 
 def fusion_system(

@@ -41,6 +41,8 @@ _COLUMNS = (
     "camera, number or time or timestamp_ns, x1, y1, x2, y2 (or left, top, width, height), track, label"
 )
 _MOST_SECONDS = 9_000_000_000
+_MOST_DIGITS = 40
+"""What has more is no number or time of a picture, and 1e99999999 would take hours to write out."""
 
 
 def read_picture_boxes(path: str | Path) -> tuple[PictureBox, ...]:
@@ -81,10 +83,10 @@ def _json_rows(path: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]
 
 def _csv_rows(path: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
-    columns = _named(dict.fromkeys(reader.fieldnames or ()))
-    if not _says_corners(columns):
-        raise DataError(path, "line 1", f"columns {', '.join(columns) or 'none'}; expected {_COLUMNS}")
     try:
+        columns = _named(dict.fromkeys(reader.fieldnames or ()))
+        if not _says_corners(columns):
+            raise DataError(path, "line 1", f"columns {', '.join(columns) or 'none'}; expected {_COLUMNS}")
         for row in reader:
             if None in row or None in row.values():
                 raise DataError(
@@ -131,7 +133,7 @@ def _box(path: Path, where: str, row: Mapping[str, Any]) -> PictureBox:
 
 
 def _there(row: Mapping[str, Any], name: str) -> bool:
-    return row.get(name) not in {None, ""}
+    return row.get(name) not in (None, "")  # a cell of JSON may be a list, which no set can have
 
 
 def _text(row: Mapping[str, Any], name: str) -> str | None:
@@ -151,7 +153,7 @@ def _decimal(path: Path, where: str, row: Mapping[str, Any], name: str) -> Decim
         value = Decimal(str(said).strip())
     except InvalidOperation as error:
         raise DataError(path, where, f"{name}: {said!r}; expected a number") from error
-    if isinstance(said, bool) or not value.is_finite():
+    if isinstance(said, bool) or not value.is_finite() or value.adjusted() > _MOST_DIGITS:
         raise DataError(path, where, f"{name}: {said!r}; expected a finite number")
     return value
 
@@ -167,6 +169,10 @@ def _moment(path: Path, where: str, row: Mapping[str, Any]) -> tuple[int | None,
         raise DataError(path, where, f"{said[0]}: {row[said[0]]!r}; expected a whole number")
     if not whole and abs(value) > _MOST_SECONDS:
         raise DataError(path, where, f"time: {row['time']!r}; expected seconds on the scene's clock")
+    if whole and abs(value) > _MOST_SECONDS * 1_000_000_000:
+        raise DataError(
+            path, where, f"{said[0]}: {row[said[0]]!r}; expected one that a picture of the scene can have"
+        )
     if said[0] == "number":
         return int(value), None
     return None, int(value) if whole else int((value * 1_000_000_000).to_integral_value())

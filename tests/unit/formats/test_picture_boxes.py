@@ -46,6 +46,10 @@ def test_csv_with_widths_and_json_lists_say_the_same(tmp_path):
         ("[", "is no JSON"),
         ('[{"number": true, "box": [1, 2, 3, 4]}]', "number: True"),
         ("time,x1,y1,x2,y2\n1e30,1,2,3,4\n", "expected seconds on the scene's clock"),
+        ("number,x1,y1,x2,y2\n1e99999999,1,2,3,4\n", "expected a finite number"),
+        ("timestamp_ns,x1,y1,x2,y2\n1e30,1,2,3,4\n", "expected one that a picture of the scene can have"),
+        ('[{"number": 0, "x1": 1, "y1": 2, "x2": [3], "y2": 4}]', r"x2: \[3\]; expected a number"),
+        pytest.param("number,x1,y1,x2,y2," + "a" * 200_000, "is no CSV: field larger", id="long"),
     ],
 )
 def test_what_is_wrong_is_told_with_its_line(tmp_path, text, problem):

@@ -127,12 +127,18 @@ def _way_of(annotation: Box2DAnnotation | ShapeAnnotation) -> _Way:
     if isinstance(annotation, Box2DAnnotation):
         values = annotation.path.values
         corners = np.concatenate([values[:, :2], values[:, :2] + values[:, 2:]], axis=1)
-        return _Way(annotation.path.timestamps_ns, corners, bool(annotation.stationary))
+        return _in_order(annotation.path.timestamps_ns, corners, bool(annotation.stationary))
     outlines = annotation.path.vertices
     rows = [k for k, outline in enumerate(outlines) if len(outline)]
     bounds = [np.concatenate([outlines[k].min(axis=0), outlines[k].max(axis=0)]) for k in rows]
     times = annotation.path.timestamps_ns[rows]
-    return _Way(times, np.array(bounds, np.float64).reshape(-1, 4), bool(annotation.stationary))
+    return _in_order(times, np.array(bounds, np.float64).reshape(-1, 4), bool(annotation.stationary))
+
+
+def _in_order(times_ns: Int64Array, boxes: Float64Array, always: bool) -> _Way:  # noqa: FBT001 - as of `_Way`
+    """The way by rising times: annotations may be stored in any order."""
+    order = np.argsort(times_ns, kind="stable")
+    return _Way(times_ns[order], boxes[order], always)
 
 
 def _hiding(camera: CameraSensor, listed: list[PictureBox], drawn: list[_Way], hold_ns: int) -> Hiding:

@@ -130,6 +130,14 @@ def test_annotations_are_hidden_by_their_labels_while_they_last():
         find_hidings(scene_with(annotations), labels=("nose",))
 
 
+def test_boxes_whose_times_are_stored_in_any_order_are_hidden_all_the_while():
+    rows = [3, 0, 2, 1]
+    times = EARLY + np.array(rows) * PERIOD_NS
+    path = BoxPath(times, np.array([[2.0 * k, 1.0, 8.0, 8.0] for k in rows]))
+    found, _ = hidings_of(scene_with((Box2DAnnotation("f", "front", path, label="face"),)), labels=("face",))
+    assert {k: boxes[0][0] for k, boxes in found.items()} == {0: 0.0, 1: 2.0, 2: 4.0, 3: 6.0}
+
+
 def test_what_stands_still_in_a_picture_is_hidden_in_all_of_them():
     path = BoxPath(np.array([EARLY]), np.array([[1.0, 1.0, 8.0, 8.0]]))
     bonnet = Box2DAnnotation("b", "front", path, label="bonnet", stationary=True)

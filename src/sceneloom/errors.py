@@ -42,6 +42,17 @@ class SceneloomError(Exception):
         """Keep what was noticed before, once, in the order in which it was."""
         self.notices = (*(notice for notice in notices if notice not in self.notices), *self.notices)
 
+    def rename(self, place: str, called: str) -> None:
+        """Say what a place is called by people, where it is a copy of what they named."""
+        called = redacted(called)
+        self.args = tuple(_renamed(value, place, called) for value in self.args)
+        for name, value in vars(self).items():
+            setattr(self, name, _renamed(value, place, called))
+
+
+def _renamed(value: Any, place: str, called: str) -> Any:
+    return value.replace(place, called) if isinstance(value, str) else value
+
 
 class ArrayError(SceneloomError):
     """An array has the wrong shape, dtype or values."""

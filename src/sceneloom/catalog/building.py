@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.catalog.drives import Checks, Drive, looked_at
+from sceneloom.catalog.drives import Checks, Drive, gone_of, looked_at
 from sceneloom.catalog.layout import Layout
 from sceneloom.catalog.parts import Parts
 from sceneloom.catalog.running import Failure, Run
@@ -25,7 +25,7 @@ class CatalogReport(msgspec.Struct, frozen=True, kw_only=True):
         added: paths of drives that are new in it.
         changed: of those that were read again.
         unchanged: how many were left as they were.
-        removed: paths of those that were taken out.
+        removed: paths of those that were taken out, with their names in data sets.
         gone: of those that are not where they were, and still stand in it.
         failed: those that could not be read; what stood of them before still does.
     """
@@ -113,12 +113,12 @@ def update(
         if chosen:
             return _updated(layout, parts, chosen, how, workers=workers, progress=progress)
         standing = [Drive(entry.path, entry.options) for entry in parts.entries.values()]
-        gone = [drive for drive in standing if not is_url(drive.path) and not Path(drive.path).exists()]
+        gone = gone_of(standing)
         there = [drive for drive in standing if drive not in gone]
         if prune:
             parts.remove({drive.name for drive in gone})
         report = _updated(layout, parts, there, how, workers=workers, progress=progress)
-    paths = tuple(drive.path for drive in gone)
+    paths = tuple(drive.called for drive in gone)
     return msgspec.structs.replace(report, **({"removed": paths} if prune else {"gone": paths}))
 
 

@@ -1,8 +1,9 @@
 """Drives that are catalogued, and reading one of them, in whatever process that happens."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ from sceneloom.catalog.drafts import write_draft
 from sceneloom.catalog.layout import VERSION, scene_name
 from sceneloom.catalog.rows import scene_rows
 from sceneloom.checks import validate
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats import open_scene, size_on_disk
+from sceneloom.formats.drives import drives_of
 from sceneloom.formats.fingerprints import fingerprint
-from sceneloom.formats.urls import path_or_url
+from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.scene import Finding
 from sceneloom.version import __version__
 
@@ -41,6 +43,13 @@ class Drive:
     reading: Mapping[str, Any]
 
     @property
+    def called(self) -> str:
+        """What people call it: its path, and its name in a data set."""
+        return (
+            f"{self.path} (sequence {self.reading['sequence']})" if "sequence" in self.reading else self.path
+        )
+
+    @property
     def name(self) -> str:
         """What its scene is called in the catalogue."""
         return scene_name(self.path, self.reading)
@@ -49,6 +58,27 @@ class Drive:
         """What tells it, its files by `looked_at`, and how it is catalogued from another time; "" for not known."""
         told = repr((files, VERSION, __version__, checks.value))
         return blake2b(told.encode(), digest_size=16).hexdigest() if files else ""
+
+
+def gone_of(drives: Iterable[Drive]) -> list[Drive]:
+    """Those that are not where they were: no such path, or no drive of this name in the data set there."""
+    names = cache(drives_of)
+    return [drive for drive in drives if not is_url(drive.path) and _is_gone(drive, names)]
+
+
+def _is_gone(drive: Drive, names: Callable[[Path], Sequence[Path | str]]) -> bool:
+    path = Path(drive.path)
+    if not path.exists():
+        return True
+    if "sequence" not in drive.reading or drive.reading["sequence"] in names(path):
+        return False
+    try:
+        open_scene(drive.path, **drive.reading).close()
+    except OptionError:
+        return True
+    except SceneloomError:
+        return False  # reading it tells why
+    return False
 
 
 def looked_at(drives: Iterable[Drive]) -> dict[str, str]:

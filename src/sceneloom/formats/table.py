@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, Protocol, cast
 from urllib.parse import urlsplit
 
-from sceneloom.errors import OptionError, UnknownFormatError
+from sceneloom.errors import OptionError, SceneloomError, UnknownFormatError
 from sceneloom.formats.loss import Holding, LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.urls import is_url, path_or_url
@@ -286,8 +286,10 @@ def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Sce
         fetched = fetch(url)
     try:
         scene = open_scene(fetched.path, format=format, **options)
-    except BaseException:
+    except BaseException as error:
         fetched.remove()
+        if isinstance(error, SceneloomError):
+            error.rename(str(fetched.path), url.rstrip("/"))
         raise
     told = Notice(
         kind=NoticeKind.ASSUMED,

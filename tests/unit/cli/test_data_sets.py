@@ -98,6 +98,27 @@ def test_the_folder_of_a_drive_has_its_name_from_inside(call, tmp_path, monkeypa
     assert told["source"] == json.loads(call("info", tmp_path / "set", "--json").out)["source"]
 
 
+def test_a_drive_that_its_data_set_lacks_now_is_taken_out_of_a_catalogue(call, nuscenes, tmp_path):
+    fleet, table = tmp_path / "fleet", nuscenes / "v1.0-mini" / "scene.json"
+    assert call("catalog", "build", nuscenes, "-o", fleet, "--workers", 1).code == 0
+    table.write_text(json.dumps(json.loads(table.read_text("utf-8"))[:1]), "utf-8")
+    told = call("catalog", "update", fleet, "--workers", 1)
+    assert f"not there any more: {nuscenes} (sequence scene-0002); `--prune`" in told.out + told.err
+    assert "1 scene: 1 unchanged, 1 taken out" in call("catalog", "update", fleet, "--prune").out
+
+
+def test_errors_of_a_data_set_behind_a_url_name_the_url(call, nuscenes):
+    fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed")
+    store = fsspec.filesystem("memory")
+    store.put(f"{nuscenes}/", "/two_scenes/", recursive=True)
+    told = call("info", "memory://two_scenes")
+    assert (told.code, told.err.split()[1]) == (2, "memory://two_scenes/v1.0-mini:"), told.err
+    store.pipe("/two_scenes/v1.0-mini/scene.json", b"[")
+    broken = call("info", "memory://two_scenes", "--sequence", "scene-0001")
+    store.rm("/two_scenes", recursive=True)
+    assert "memory://two_scenes/v1.0-mini/scene.json" in broken.err, broken.err
+
+
 @pytest.mark.usefixtures("inline")
 def test_a_batch_says_which_drive_of_a_data_set_failed(call, nuscenes, tmp_path):
     tables = nuscenes / "v1.0-mini"

@@ -56,11 +56,14 @@ def read_extrinsics(path: Path) -> tuple[Extrinsic, ...]:
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(str(path), "", f"{error}; expected a text with an extrinsic in it") from error
     found: list[Extrinsic] = []
-    for extrinsic in _walk(_parsed(text), ""):
-        if hypotheses(extrinsic.numbers, extrinsic.known, apart=extrinsic.apart):
-            found.append(extrinsic)
-        if len(found) == _MOST_FOUND:
-            break
+    try:
+        for extrinsic in _walk(_parsed(text), ""):
+            if hypotheses(extrinsic.numbers, extrinsic.known, apart=extrinsic.apart):
+                found.append(extrinsic)
+            if len(found) == _MOST_FOUND:
+                break
+    except OverflowError as error:  # whole numbers may have any length
+        raise DataError(str(path), "", f"{error}; expected the numbers of an extrinsic") from error
     if not found:
         raise DataError(
             str(path), "", "no extrinsic in it; expected 16, 12 or 9 numbers of a matrix, 7 of a translation and a "

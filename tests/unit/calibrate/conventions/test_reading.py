@@ -100,3 +100,10 @@ def test_the_files_of_kitti_and_others_are_read(data_dir):
     assert [extrinsic.place for extrinsic in recording][:3] == [f"cameras[{n}].imuToCamera" for n in range(3)]
     nuscenes = read_extrinsics(data_dir / "real" / "nuscenes_one_sample" / "infos.json")
     assert "data_list[0].images.CAM_FRONT.lidar2cam" in {extrinsic.place for extrinsic in nuscenes}
+
+
+@pytest.mark.parametrize("text", ['{{"T": [{}]}}', "T = [{}]"])
+def test_whole_numbers_that_no_float_can_hold_are_refused(tmp_path, text):
+    (tmp_path / "calib").write_text(text.format(", ".join(["1" + "0" * 400] * 16)))
+    with pytest.raises(DataError, match="too large to convert to float; expected the numbers"):
+        read_extrinsics(tmp_path / "calib")

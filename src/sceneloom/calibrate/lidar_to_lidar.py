@@ -115,7 +115,8 @@ def _chosen(
     for wanted in (first, second):
         if wanted is None or key_of(wanted) not in known:
             listed = ", ".join(map(repr, ids)) or "none"
-            raise OptionError(f"{scene.source}: lidars {listed}; expected two, and {wanted!r} among them")
+            named = "" if wanted is None else f", and {wanted!r} among them"
+            raise OptionError(f"{scene.source}: lidars {listed}; expected two{named}")
     if first == second:
         raise OptionError(f"lidar {first!r} is named twice; expected two of them")
     return known[key_of(first)], known[key_of(second)]  # type: ignore[arg-type]

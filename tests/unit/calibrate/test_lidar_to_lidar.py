@@ -1,5 +1,7 @@
 """Two lidars against each other on a simulated drive."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,9 @@ def test_the_second_lidar_is_found_from_a_wrong_mounting_and_from_none(
 def test_lidars_that_are_not_there_are_refused(drive: SimulatedDrive) -> None:
     with pytest.raises(OptionError, match="expected two"):
         lidar_to_lidar(drive.scene, "lidar0", "lidar7")
+    one = replace(drive.scene, sensors=drive.scene.lidars[:1])
+    with pytest.raises(OptionError, match=r"expected two$"):
+        lidar_to_lidar(one)
     with pytest.raises(OptionError, match="named twice"):
         lidar_to_lidar(drive.scene, "lidar0", "lidar0")
 

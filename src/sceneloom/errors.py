@@ -95,7 +95,7 @@ class UnknownOptionError(OptionError):
         self.option, self.doing, self.known = option, doing, known
 
     def __str__(self) -> str:
-        return f"option {self.option!r}; {self.doing} takes {', '.join(self.known)}"
+        return f"option {self.option!r}; {self.doing} takes {', '.join(self.known) or 'no options'}"
 
 
 def check_option_names(doing: str, given: Iterable[str], known: tuple[str, ...]) -> None:

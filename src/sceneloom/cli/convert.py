@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.converting.report import ConversionReport
 
 
+_OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "reading", "progress")
+"""What converting takes whatever the target's format."""
+
+
 @click.command()
 @click.argument("source", type=options.place)
 @click.argument("target", type=options.target)
@@ -27,7 +31,8 @@ if TYPE_CHECKING:
 @click.option(
     "--trajectory",
     metavar="NAME",
-    help="Which trajectory to write to a file of its own; `lidar`, `gnss`: computed; `fixes`: as received.",
+    help="Which trajectory to write to a file of its own, `lidar`, `gnss`: computed, `fixes`: as received; of COLMAP "
+    "and nerfstudio: along which to place the pictures.",
 )
 @click.option(
     "--to",
@@ -93,6 +98,14 @@ def convert(
     from sceneloom.pipeline.converting.report import headline
     from sceneloom.stages import timed
 
+    chosen = options.said(
+        profile=profile, time_unit=time_unit, pictures=pictures, optical=to_optical, origin_lla=origin_lla
+    )
+    further = options.settings("--set", settings)
+    for name in sorted({*_OWN, *chosen} & further.keys()):
+        raise click.UsageError(
+            f"--set {name} does not count here: what the verb itself takes has its own name"
+        )
     with progress_bar("converting", quiet=quiet) as progress, timed() as stages:
         report = convert_scene(
             source,
@@ -102,14 +115,8 @@ def convert(
             strict=strict,
             loss=loss,
             overwrite=overwrite,
-            **options.said(
-                profile=profile,
-                time_unit=time_unit,
-                pictures=pictures,
-                optical=to_optical,
-                origin_lla=origin_lla,
-            ),
-            **options.settings("--set", settings),
+            **chosen,
+            **further,
             reading={name.removeprefix("from_"): value for name, value in options.said(**reading).items()},
             progress=progress,
         )

@@ -378,11 +378,17 @@ def settings(flag: str, pairs: Iterable[str]) -> dict[str, str]:
     return found
 
 
+_OF_ALL_FORMATS = {"path", "format", "start", "stop", "storage_options"}
+"""What is said of any drive that is opened, and not as an option of its format."""
+
+
 def said(**values: Any) -> dict[str, Any]:
     """The options that the user said; the others are left to the library's defaults."""
     from sceneloom.formats.option_values import as_flag
 
     further = settings("--read-with", values.pop(READ_WITH, ()))
+    for name in sorted(_OF_ALL_FORMATS & further.keys()):
+        raise OptionError(f"--read-with {name}: no format has this option; expected one that its page lists")
     # what is also a flag of its own is true or false there, too
     switched = {
         name: as_flag(name, value) for name, value in further.items() if isinstance(values.get(name), bool)

@@ -54,7 +54,7 @@ class Format(Protocol):
 
     Further attributes are optional: `reads` and `writes`, false where it is only written or only read; `reads_urls`;
     `near_miss(path)`, what a path that nearly is one lacks; `drives`, as of `FolderFormat`; `check_place(path)`, which
-    refuses harmful outputs.
+    refuses harmful outputs; `along_trajectory`, true where `write` takes the name of the ego's way as `trajectory`.
     """
 
     name: str

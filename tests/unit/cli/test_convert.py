@@ -54,3 +54,23 @@ def test_an_option_of_another_kind_of_clouds_is_refused(
     assert (told.code, "option 'encoding'; writing ply takes frame, lidar" in told.err) == (2, True)
     assert not (tmp_path / "ply").exists()
     assert call("convert", recording, tmp_path / "pcd", "--to", "pcd", "--set", "encoding=ascii").code == 0
+
+
+def test_pictures_are_placed_along_the_way_that_is_named(
+    call: "Call", recording: Path, tmp_path: Path
+) -> None:
+    done = call("convert", recording, tmp_path / "model", "--to", "colmap", "--trajectory", "groundTruth")
+    assert (done.code, (tmp_path / "model" / "sparse").is_dir()) == (0, True), done.err
+    unknown = call("convert", recording, tmp_path / "none", "--to", "colmap", "--trajectory", "nix")
+    assert (unknown.code == 0, "nix" in unknown.err) == (False, True)
+
+
+def test_what_the_verb_itself_takes_is_no_option_of_a_format(
+    call: "Call", recording: Path, tmp_path: Path
+) -> None:
+    for name in ("trajectory", "overwrite", "progress"):
+        told = call("convert", recording, tmp_path / "model", "--to", "colmap", "--set", f"{name}=x")
+        assert (told.code, f"--set {name} does not count here" in told.err) == (2, True)
+    for name in ("start", "path", "format"):
+        told = call("info", recording, "--read-with", f"{name}=1")
+        assert (told.code, f"--read-with {name}: no format has this option" in told.err) == (2, True)

@@ -15,6 +15,7 @@ class WrittenOnly:
     called: str
     """What messages call it."""
     reads = False
+    along_trajectory = True
     holds: Holds = HOLDS
 
     def recognises(self, path: Path) -> bool:

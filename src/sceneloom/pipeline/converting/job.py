@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -78,7 +78,8 @@ def convert(
         source: a file or folder.
         target: a file or folder, or the URL of one in a store; its suffix chooses the format unless `to` names it.
         to: name of the target's format, or form of trajectories.
-        trajectory: name of the trajectory, where a file of trajectories is written or read.
+        trajectory: name of the trajectory, where a file of trajectories is written or read, or pictures are placed
+            along one (COLMAP, nerfstudio).
         strict: refuse to lose anything: what the format never holds before anything is written, what shows only while
             writing so that nothing is left behind.
         loss: a file for what becomes of every field: `.json`, `.md` or `.txt`; written also where `strict` refuses.
@@ -173,6 +174,9 @@ def _write_drive(
     if reading.get("form") in TRAJECTORY_FORMS or holds_trajectory_only(source):
         _refuse_part(source, reading)
         opened = drive_of(source, trajectory, reading)
+    elif trajectory is not None and getattr(writer, "along_trajectory", False):
+        target = replace(target, writing={**target.writing, "trajectory": trajectory})
+        opened = open_scene(source, **reading)
     elif trajectory is not None:
         files = ", ".join(TRAJECTORY_FORMS)
         raise OptionError(

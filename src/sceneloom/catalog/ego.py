@@ -1,9 +1,7 @@
 """The ego over time, as far as a scene tells it without reading frames: place, speed, latitude and longitude."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +9,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, geodetic_from_enu
 from sceneloom.motion.gnss_receivers import usable_places
 from sceneloom.scene import Coordinates, GnssSensor, OdometrySensor, Scene
+from sceneloom.scene.ego import stated_origin
 
 WINDOW_NS = 500_000_000
 """Speeds are those over so long, so that the noise of poses does not count as motion."""
@@ -87,7 +86,7 @@ class Ego:
     @classmethod
     def of(cls, scene: Scene) -> "Ego":
         """Take it from the first trajectory, the odometry, or what poses in the world a sensor has; and from fixes."""
-        return cls(_way(scene), _fixes(scene), _origin(scene))
+        return cls(_way(scene), _fixes(scene), stated_origin(scene))
 
     def positions(self, timestamps_ns: Int64Array) -> Float64Array:
         """Where it was in the world, (M, 3) [m]; NaN where that is not known."""
@@ -137,15 +136,3 @@ def _fixes(scene: Scene) -> Way | None:
             if len(rows):
                 return Way.of(sensor.timestamps_ns[rows], ecef_from_geodetic(places))
     return None
-
-
-def _origin(scene: Scene) -> tuple[float, float, float] | None:
-    ours: Any = scene.metadata.get("sceneloom")
-    said = ours.get("enu_origin") if isinstance(ours, Mapping) else None
-    if not isinstance(said, Mapping):
-        return None
-    numbers = [said.get(name) for name in ("latitude", "longitude", "altitude")]
-    if not all(isinstance(number, int | float) for number in numbers):
-        return None
-    latitude, longitude, altitude = map(float, numbers)  # type: ignore[arg-type]
-    return latitude, longitude, altitude

@@ -1,5 +1,6 @@
 """The one way of the ego that a scene is placed by."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from sceneloom.scene.notices import Notice
 from sceneloom.scene.part import cut_path
 from sceneloom.scene.part_annotations import Interval
 from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,3 +72,25 @@ class EgoMotion:
             return replace(self, path=path)
         kept = np.isin(self.path.timestamps_ns, path.timestamps_ns)
         return replace(self, path=path, covariances=self.covariances[kept])
+
+
+def stated_origin(scene: Scene) -> tuple[float, float, float] | None:
+    """The place whose east, north and up are the axes of the scene's world, as its metadata say it.
+
+    Returns:
+        latitude, longitude [deg] and height above the WGS84 ellipsoid [m]; None where nothing such is said, or the
+        world was moved since.
+    """
+    ours = scene.metadata.get("sceneloom")
+    said = ours.get("enu_origin") if isinstance(ours, Mapping) and "world_from_file" not in ours else None
+    if not isinstance(said, Mapping):
+        return None
+    numbers = [said.get(name) for name in ("latitude", "longitude", "altitude")]
+    if not all(isinstance(number, int | float) and abs(number) < _FAR for number in numbers):
+        return None
+    latitude, longitude, altitude = map(float, numbers)  # type: ignore[arg-type]
+    return latitude, longitude, altitude
+
+
+_FAR = 1e9
+"""No place on earth is told by such numbers."""

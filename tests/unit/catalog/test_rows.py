@@ -85,6 +85,22 @@ def test_fixes_without_reception_or_height_are_told_as_far_as_they_are_places():
     assert ego.speeds(times_ns(100)).max() < 20.0
 
 
+@pytest.mark.parametrize(
+    ("ours", "known"),
+    [
+        ({}, True),
+        ({"world_from_file": np.eye(4).tolist()}, False),
+        ({"enu_origin": {"latitude": 10**400, "longitude": 11.0, "altitude": 0.0}}, False),
+    ],
+)
+def test_a_place_of_the_world_counts_where_it_is_one_and_the_world_was_not_moved(ours, known):
+    origin = dict(zip(("latitude", "longitude", "altitude"), (48.0, 11.0, 500.0), strict=True))
+    scene = replace(
+        street(), sensors=street().sensors[1:], metadata={"sceneloom": {"enu_origin": origin, **ours}}
+    )
+    assert np.isfinite(Ego.of(scene).places_lla(times_ns(3))).all() == known
+
+
 def test_every_table_has_its_columns_and_the_scene(catalogue):
     for table, columns in TABLES.items():
         result = query(catalogue, f"SELECT * FROM {table} LIMIT 0")

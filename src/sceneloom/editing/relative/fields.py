@@ -42,7 +42,7 @@ _LINES = (
 
 _RECORDING, _OURS = "recording", "sceneloom"
 
-_OURS_TELLING = frozenset({"world_from_file", "source", "sources"})
+_OURS_TELLING = frozenset({"enu_origin", "world_from_file", "cropped", "source", "sources"})
 """Entries of our own part of the metadata that tell a place or a name; others are numbers that readers need."""
 
 

@@ -1,7 +1,5 @@
 """Where the ego went: its ways through the world, satellite fixes, heights and speeds."""
 
-from collections.abc import Mapping
-
 import msgspec
 import numpy as np
 
@@ -12,6 +10,7 @@ from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.motion.gnss_receivers import usable_fixes, usable_places
 from sceneloom.scene import GnssSensor, Identifier, Scene, Trajectory
+from sceneloom.scene.ego import stated_origin
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Coordinates
@@ -280,16 +279,10 @@ def _three(values: Float64Array | Int64Array) -> tuple[float, float, float]:
 
 def _stated_north(scene: Scene, origin_lla: Float64Array) -> North | None:
     """North where the scene says that its axes are east, north and up at a place, and was not moved since."""
-    ours = scene.metadata.get("sceneloom")
-    if not isinstance(ours, Mapping) or "world_from_file" in ours:
+    stated = stated_origin(scene)
+    if stated is None:
         return None
-    said = ours.get("enu_origin")
-    if not isinstance(said, Mapping):
-        return None
-    known = [said.get(name) for name in ("latitude", "longitude", "altitude")]
-    if not all(isinstance(value, int | float) and np.isfinite(value) for value in known):
-        return None
-    shift = enu_from_geodetic(origin_lla[None], np.array(known, np.float64))[0]
+    shift = enu_from_geodetic(origin_lla[None], stated)[0]
     return North(direction_deg=90.0, shift=_three(shift))
 
 

@@ -93,6 +93,17 @@ def test_fixes_that_are_no_place_do_not_tell_how_far_from_there_the_drive_was(ro
         assert sum(n.count for n in found.notices if n.code == "fixes-left-out") == 3 - count
 
 
+def test_what_says_where_on_earth_the_world_was_is_left_out():
+    said = {"latitude": 48.1, "longitude": 11.5, "altitude": 520.0}
+    ours = {
+        "enu_origin": said,
+        "cropped": {"box": [690_000.0] * 6, "frame": "world"},
+        "euler_unit": "degrees",
+    }
+    found = relative_scene(drive(metadata={"sceneloom": ours}))
+    assert found.metadata["sceneloom"].keys() == {"euler_unit", "relative"}
+
+
 def test_times_begin_with_the_drive_where_that_is_asked_for_and_stay_where_not():
     kept, shifted = (
         relative_scene(drive(time_offset_ns=5)),

@@ -1,8 +1,6 @@
 """OXTS lines of a scene: from the way of the ego, the IMU and the satellite receiver."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene import GnssSensor, ImuSensor, PosePath, Scene
+from sceneloom.scene.ego import stated_origin
 
 UNTOLD = {"navstat": -1.0, "numsats": -1.0, "posmode": -1.0, "velmode": -1.0, "orimode": -1.0}
 """What stands for states that nothing tells; of all other columns it is 0."""
@@ -118,10 +117,9 @@ def _origin(
     scene: Scene, path: PosePath, gnss: GnssSensor | None
 ) -> tuple[Float64Array | None, float | None]:
     """The world's origin on earth, (3,) latitude, longitude, altitude, and how far fixes are from the way it gives."""
-    told: Any = scene.metadata.get("sceneloom")
-    named: Any = told.get("enu_origin") if isinstance(told, Mapping) else None
-    if isinstance(named, Mapping):
-        return np.array([float(named[key]) for key in ("latitude", "longitude", "altitude")]), None
+    stated = stated_origin(scene)
+    if stated is not None:
+        return np.array(stated), None
     if gnss is None or not len(gnss.timestamps_ns):
         return None, None
     finite = np.isfinite(gnss.positions_lla).all(axis=1)

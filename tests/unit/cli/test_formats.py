@@ -30,6 +30,14 @@ def test_a_template_is_written_once(call: Call, tmp_path: Path) -> None:
     assert call("formats", "--template", path, "--overwrite").code == 0
 
 
+def test_whoever_has_a_folder_that_nothing_reads_is_told_of_the_template(call: Call, tmp_path: Path) -> None:
+    outcome = call("info", tmp_path)
+    assert (outcome.code, "sceneloom formats --template FOLDER/rig.toml --from FOLDER" in outcome.err) == (
+        1,
+        True,
+    )
+
+
 def test_a_template_is_printed(call: Call) -> None:
     assert tomllib.loads(call("formats", "--template", "-").out)["sensors"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError
+from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.rig import FORMAT
 from sceneloom.scene import PointsFrame
 
@@ -63,11 +63,6 @@ def test_a_manifest_of_another_name_is_recognised_by_its_sensors(folder):
     (folder / "broken.toml").write_text("sensors = [")
     assert not FORMAT.recognises(folder / "other.toml")
     assert not FORMAT.recognises(folder / "broken.toml")
-
-
-def test_a_folder_without_manifest_is_told_about_the_template(tmp_path):
-    with pytest.raises(UnknownFormatError, match=r"sceneloom formats --template rig.toml"):
-        sceneloom.open(tmp_path)
 
 
 def test_a_rig_is_not_written(opened, tmp_path):

@@ -8,7 +8,14 @@ from sceneloom.formats.faults import MALFORMED
 from sceneloom.formats.sfs.lens_readings import note_tangential
 from sceneloom.formats.sfs.records import Faults, Place, RecordReader
 from sceneloom.formats.sfs.source import Source
-from sceneloom.formats.sfs.times import INT64_MAX, READABLE_TICKS_NS, FileClock, TimeRangeError, scaled
+from sceneloom.formats.sfs.times import (
+    EARLIEST_OFFSET_NS,
+    INT64_MAX,
+    READABLE_TICKS_NS,
+    FileClock,
+    TimeRangeError,
+    scaled,
+)
 from sceneloom.scene import Notice
 
 VERSIONS = ("1.0", "5.1")
@@ -73,7 +80,7 @@ def _offset_ns(source: Source, offset: float, tick_ns: int, shift_ns: int) -> in
     except TimeRangeError as error:
         root_fault(source, ("time_offset",), str(error))
         return 0
-    if abs(offset_ns) > INT64_MAX:
+    if not EARLIEST_OFFSET_NS <= offset_ns <= INT64_MAX:
         root_fault(source, ("time_offset",), f"{offset}; expected a time of at most 292 years")
         return 0
     return offset_ns

@@ -63,7 +63,7 @@ class FileClock:
         if stamps.size:
             self.absolute_ns(int(stamps.min()))
             self.absolute_ns(int(stamps.max()))
-        if self.offset_ns == 0 or not INT64_MIN <= self.offset_ns <= INT64_MAX:
+        if self.offset_ns == 0 or not self._offset_fits:
             return self._absolute_exactly(stamps)
         highest = 0 if stamps.size == 0 else max(abs(int(stamps.min())), abs(int(stamps.max())))
         if highest * self.tick_ns > INT64_MAX:
@@ -72,6 +72,11 @@ class FileClock:
         absolute_ns *= self.tick_ns
         absolute_ns += self.offset_ns
         return absolute_ns
+
+    @property
+    def _offset_fits(self) -> bool:
+        """Whether arrays can be shifted by the offset: one in whole seconds may lie before all times of 64 bits."""
+        return INT64_MIN <= self.offset_ns <= INT64_MAX
 
     def _absolute_exactly(self, stamps: AnyArray) -> Int64Array:
         if self.offset_ns == 0:
@@ -116,6 +121,8 @@ class FileClock:
             return np.zeros(0, dtype), 0
         first_ns, last_ns = span_ns or (int(timestamps_ns.min()), int(timestamps_ns.max()))
         lowest, highest = checked_ns(first_ns - self.offset_ns), checked_ns(last_ns - self.offset_ns)
+        if not self._offset_fits:
+            return self._stamps_exactly(timestamps_ns, dtype)
         if dtype is np.uint32 and lowest >= 0 and highest - lowest < UINT32_MAX - 4 * self.tick_ns:
             return self._stamps_of_sweep(timestamps_ns, lowest)
         if self.tick_ns > 1 and lowest > -_EXACT_QUOTIENT and highest < _EXACT_QUOTIENT:
@@ -128,6 +135,13 @@ class FileClock:
         stamps = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
         inexact = int(np.count_nonzero(since_offset - quotient * self.tick_ns))
         return stamps.astype(dtype, copy=False), inexact
+
+    def _stamps_exactly(
+        self, timestamps_ns: Int64Array, dtype: type[np.integer[Any]]
+    ) -> tuple[AnyArray, int]:
+        times_ns = timestamps_ns.tolist()
+        inexact = sum((time_ns - self.offset_ns) % self.tick_ns != 0 for time_ns in times_ns)
+        return np.array([self.stamp(time_ns) for time_ns in times_ns], dtype), inexact
 
     def _stamps_of_sweep(self, timestamps_ns: Int64Array, lowest: int) -> tuple[AnyArray, int]:
         """Divide in 32 bits, which takes half the time, what lies within 4 s.
@@ -214,3 +228,7 @@ def chosen_offset_ns(first_ns: int) -> int:
     if 0 <= first_ns < SMALL_START_NS:
         return 0
     return first_ns // _SECOND_NS * _SECOND_NS
+
+
+EARLIEST_OFFSET_NS = chosen_offset_ns(INT64_MIN)
+"""The offset of a scene whose first time is the earliest of 64 bits [ns]."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats.sfs import FORMAT, write_scene
+from sceneloom.formats.sfs.times import INT64_MIN
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import GnssSensor, OdometrySensor, Scene, Trajectory
 
@@ -290,3 +291,11 @@ def test_the_place_of_an_antenna_comes_back(tmp_path):
     with FORMAT.open(tmp_path / "drive.sfs") as scene:
         np.testing.assert_array_equal(scene.sensor("gnss").mount.matrix, mount.matrix)
         assert scene.sensor("gnss").extras == {}
+
+
+@pytest.mark.parametrize("unit", ["microseconds", "nanoseconds"])
+def test_a_scene_at_the_earliest_times_of_64_bits_comes_back(target, unit):
+    times_ns = INT64_MIN + np.array([808, 100_000_808], np.int64)
+    way = Trajectory("lidar", times_ns, np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    write_scene(Scene((), trajectories={"lidar": way}), target, time_unit=unit)
+    np.testing.assert_array_equal(FORMAT.open(target).trajectories["lidar"].timestamps_ns, times_ns)

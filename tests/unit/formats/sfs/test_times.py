@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs.times import FileClock, TimeRangeError
+from sceneloom.formats.sfs.times import INT64_MIN, FileClock, TimeRangeError, chosen_offset_ns
 
 OFFSETS_NS = [0, 1_700_000_000_000_000_000, -5_000]
 
@@ -49,3 +49,18 @@ def test_a_span_beyond_64_bits_is_refused():
         clock.stamp_array(np.array([2**62 + 2**61], np.int64))
     with pytest.raises(TimeRangeError):
         clock.stamps_of_span(0, 2**62 + 2**61)
+
+
+@pytest.mark.parametrize("tick_ns", [1, 1_000])
+@pytest.mark.parametrize("dtype", [np.uint32, np.int64])
+def test_the_earliest_times_of_64_bits_have_stamps(tick_ns, dtype):
+    """Their offset, in whole seconds, lies before every time that 64 bits hold."""
+    times_ns = INT64_MIN + np.array([400, 1_307, 1_308, 2_000, 10_000_000], np.int64)
+    clock = FileClock(tick_ns, chosen_offset_ns(INT64_MIN))
+    stamps, inexact = clock.stamp_array(times_ns, dtype=dtype)
+    assert stamps.dtype == dtype
+    assert stamps.tolist() == [clock.stamp(time) for time in times_ns.tolist()]
+    assert inexact == (0 if tick_ns == 1 else 5)
+    np.testing.assert_allclose(
+        clock.absolute_array(stamps) - INT64_MIN, times_ns - INT64_MIN, atol=tick_ns // 2
+    )

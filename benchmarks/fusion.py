@@ -284,11 +284,11 @@ def show_stages(count, repetitions):
     view = task.fuse().views[0]
     kept, seen, drawn = len(view.point_ids), int(view.visible.sum()), int((view.depth_image > 0).sum())
     least = {
-        "project": 24 * count + 32 * kept,
+        "project": 24 * count + 36 * kept,
         "scan lines": 12 * kept,
         "hiding": 12 * kept + kept,
-        "depth image": 13 * kept + 8 * drawn,
-        "colours": 17 * kept + 7 * seen + 4 * count,
+        "depth image": 9 * kept + 8 * drawn,
+        "colours": 13 * kept + 7 * seen + 4 * count,
     }
     median = {label: float(np.median(values[1:])) for label, values in stages.times.items()}
     parts = ("project", "scan lines", "hiding", "depth image")
@@ -332,8 +332,7 @@ def show_lenses(count, repetitions):
     from sceneloom.cameras import PointsInPicture  # as in `spent_by_two`
 
     points, matrix = make_street(count), place_camera().inverse().matrix
-    ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
-    room = PointsInPicture(ids, pixels, *np.empty((4, count), np.float32))
+    room = PointsInPicture.room(count)
     times, kept = defaultdict(list), {}
     for _ in range(repetitions + 1):
         for name, camera in LENSES.items():

@@ -15,6 +15,7 @@ from sceneloom.kernels.depth_images import draw_depths, mark_nearest
 from sceneloom.kernels.direction_grid import measure_extent
 from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
+from sceneloom.kernels.pixel_numbers import pixel_numbers
 from sceneloom.kernels.point_colours import paint_points
 
 GUARD = 64
@@ -128,9 +129,13 @@ def test_pictures_and_colours_are_written_nowhere_else(pixels, size, data):
     colors, check_colors = guarded((10, 3), np.uint8, 255)
     camera_index, check_index = guarded((10,), np.uint8, 255)
     best, check_best = guarded((10,), np.float64, math.inf)
-    draw_depths(pixels, depths, visible, image)
-    mark_nearest(pixels, depths, image, nearest)
-    paint_points(ids, pixels, visible, np.full((*size, 3), 9, np.uint8), 1, best, colors, camera_index)
+    numbers = pixel_numbers(pixels, size[1], size[0])
+    numbers[::7] = data.draw(st.integers(-(2**31), 2**31 - 1))
+    draw_depths(numbers, depths, visible, image)
+    mark_nearest(numbers, depths, image, nearest)
+    paint_points(
+        ids, pixels, numbers, visible, np.full((*size, 3), 9, np.uint8), 1, best, colors, camera_index
+    )
     for check in (check_image, check_nearest, check_colors, check_index, check_best):
         check()
     assert ((image >= 0) & np.isfinite(image)).all()

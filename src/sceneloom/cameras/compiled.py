@@ -20,7 +20,7 @@ handed on inside a loop has its references counted for every point, which takes 
 
 from typing import Any
 
-from numba import float32, float64, int64, njit, types, void
+from numba import float32, float64, int32, int64, njit, types, void
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from sceneloom.cameras.points_in_picture import PointsInPicture
@@ -36,7 +36,8 @@ PICTURE_SIGNATURE = int64(
     int64,
     int64,
     _named_tuple(
-        (int64[::1], float32[:, ::1], float32[::1], float32[::1], float32[::1], float32[::1]), PointsInPicture
+        (int64[::1], float32[:, ::1], int32[::1], float32[::1], float32[::1], float32[::1], float32[::1]),
+        PointsInPicture,
     ),
 )
 ROWS_SIGNATURE = void(_READ_ONLY_ROWS, _READ_ONLY_NUMBERS, float64[:, ::1])

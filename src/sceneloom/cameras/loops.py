@@ -13,6 +13,7 @@ from sceneloom.cameras.compiled import BLOCK, PART, camera_coordinates, pose_num
 from sceneloom.cameras.formulas import plane_of_pixel, project_point, ray_of_chart, ray_of_pixel
 from sceneloom.cameras.solving import angle_at, approach_angle, approach_place, place_at
 from sceneloom.kernels.directions import turn_to_directions
+from sceneloom.kernels.pixel_numbers import number_pixels
 
 _EDGE = float32(-0.5)
 """Where the picture begins, to the left and at the top [px]."""
@@ -72,7 +73,7 @@ def pick_points(points_world, camera_from_world, lens, width, height, kept):  # 
     """Keep the points that fall into the picture; see `compiled`.
 
     A block is projected to where it would stand if all of it were kept, which is so for most of a lidar's blocks, or
-    none. Directions are made while it is in the nearest cache.
+    none. Directions and pixel numbers are made while it is in the nearest cache.
     """
     pose = pose_numbers(camera_from_world)
     flat_points, flat_pixels = points_world.reshape(points_world.size), kept.pixels.reshape(kept.pixels.size)
@@ -90,6 +91,7 @@ def pick_points(points_world, camera_from_world, lens, width, height, kept):  # 
             _close_up(inside, start, ids, pixels, xs, ys, zs)
         near = kept.inverse_ranges[count : count + found]
         turn_to_directions(xs[:found], ys[:found], zs[:found], near)
+        number_pixels(pixels, width, height, kept.pixel_numbers[count : count + found])
         count += found
     return count
 

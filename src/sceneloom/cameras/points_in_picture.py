@@ -2,7 +2,9 @@
 
 from typing import NamedTuple
 
-from sceneloom.arrays import Float32Array, Int64Array
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Int32Array, Int64Array
 
 
 class PointsInPicture(NamedTuple):
@@ -11,6 +13,7 @@ class PointsInPicture(NamedTuple):
     Attributes:
         point_ids: (N,) int64, ascending.
         pixels: (N, 2) float32 [px].
+        pixel_numbers: (N,) int32, the nearest pixel, counted row by row.
         depths: (N,) float32, z in the camera frame [m].
         rightward, downward: (N,) float32, direction in the equal-area map of `kernels.directions`.
         inverse_ranges: (N,) float32 [1/m], 0 for a point so near or so far that it has no direction.
@@ -18,10 +21,17 @@ class PointsInPicture(NamedTuple):
 
     point_ids: Int64Array
     pixels: Float32Array
+    pixel_numbers: Int32Array
     depths: Float32Array
     rightward: Float32Array
     downward: Float32Array
     inverse_ranges: Float32Array
+
+    @classmethod
+    def room(cls, count: int) -> "PointsInPicture":
+        """Make room for so many points."""
+        ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
+        return cls(ids, pixels, np.empty(count, np.int32), *np.empty((4, count), np.float32))
 
     def part(self, start: int, stop: int) -> "PointsInPicture":
         """Give some rows of all."""

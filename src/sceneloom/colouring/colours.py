@@ -38,13 +38,25 @@ def colour_points(
     """
     if len(views) != len(camera_indices):
         raise OptionError(f"{len(camera_indices)} camera indices for {len(views)} views; expected one each")
-    colors, camera_index = np.full((count, 3), 255, np.uint8), np.full(count, NO_CAMERA, np.uint8)
+    colors, camera_index = _blank(count, Crew.of(threads, count))
     eccentricities = np.full(count if len(views) > 1 else 0, np.inf)
     for view, index in zip(views, camera_indices, strict=True):
         if not 0 <= index < NO_CAMERA:
             raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
         rgb = np.ascontiguousarray(view.rgb)
         _paint(view, rgb, index, eccentricities, colors, camera_index, Crew.of(threads, len(view.point_ids)))
+    return colors, camera_index
+
+
+def _blank(count: int, crew: Crew) -> tuple[UInt8Array, UInt8Array]:
+    """Give colours and cameras of points that no picture shows."""
+    colors, camera_index = np.empty((count, 3), np.uint8), np.empty(count, np.uint8)
+
+    def fill(_: int, a: int, b: int) -> None:
+        colors[a:b].fill(255)
+        camera_index[a:b].fill(NO_CAMERA)
+
+    crew.share(count, fill)
     return colors, camera_index
 
 
@@ -60,7 +72,8 @@ def _paint(
     """Paint the points of one picture, which are all different: threads write to different rows."""
 
     def paint(_: int, a: int, b: int) -> None:
-        ids, pixels, visible = view.point_ids[a:b], view.pixels[a:b], view.visible[a:b]
-        paint_points(ids, pixels, visible, rgb, index, eccentricities, colors, camera_index)
+        ids, pixels, numbers = view.point_ids[a:b], view.pixels[a:b], view.pixel_numbers[a:b]
+        visible = view.visible[a:b]
+        paint_points(ids, pixels, numbers, visible, rgb, index, eccentricities, colors, camera_index)
 
     crew.share(len(view.point_ids), paint)

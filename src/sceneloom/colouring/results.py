@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, check_array
+from sceneloom.arrays import (
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int32Array,
+    Int64Array,
+    UInt8Array,
+    check_array,
+)
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
@@ -41,6 +49,7 @@ class FusedView:
         rgb: (H, W, 3) uint8, the picture.
         point_ids: (M,) int64, which points of the frame fall into the picture, ascending.
         pixels: (M, 2) float32 [px], where (u, v), (0, 0) is the centre of the top-left pixel.
+        pixel_numbers: (M,) int32, the nearest pixel, counted row by row: `row * W + column`.
         depths: (M,) float32 [m], z in the camera frame.
         visible: (M,) bool, False for a point behind a nearer surface.
         depth_image: (H, W) float32 [m], z of the nearest visible point in each pixel, 0 for none.
@@ -57,6 +66,7 @@ class FusedView:
     rgb: UInt8Array
     point_ids: Int64Array
     pixels: Float32Array
+    pixel_numbers: Int32Array
     depths: Float32Array
     visible: BoolArray
     depth_image: Float32Array
@@ -67,6 +77,7 @@ class FusedView:
     def __post_init__(self) -> None:
         count = check_array("view.point_ids", self.point_ids, (None,), np.int64)
         check_array("view.pixels", self.pixels, (count, 2), np.float32)
+        check_array("view.pixel_numbers", self.pixel_numbers, (count,), np.int32)
         check_array("view.depths", self.depths, (count,), np.float32)
         check_array("view.visible", self.visible, (count,), np.bool_)
         check_array("view.rgb", self.rgb, (self.camera.height, self.camera.width, 3), np.uint8)

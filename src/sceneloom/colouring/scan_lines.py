@@ -7,6 +7,7 @@ from math import cos, degrees, isnan, log, pi, radians, sin
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.direction_grid import measure_extent
 from sceneloom.kernels.spacing import find_neighbours, find_slopes, measure_along_axes
 
@@ -103,6 +104,7 @@ def look_around(
     *,
     extent: Float32Array | None = None,
     samples: int = _SAMPLES,
+    crew: Crew = ALONE,
 ) -> Neighbours:
     """Find the neighbours of some points, evenly drawn from a cloud.
 
@@ -111,11 +113,12 @@ def look_around(
         inverse_ranges: (M,) float32 [1/m]; 0 for a point that takes no part.
         extent: (4,) of the cloud, where it is known what `measure_extent` gives.
         samples: how many points; of fewer each one.
+        crew: the threads that share the cloud.
     """
     if extent is None:
-        extent = measure_extent(directions, inverse_ranges)
+        extent = measure_extent(directions, inverse_ranges, crew=crew)
     distances, ids = np.empty((samples, _SECTORS)), np.empty((samples, _SECTORS), np.int64)
-    find_neighbours(directions, inverse_ranges, extent, _CELL, *_disc(), distances, ids)
+    find_neighbours(directions, inverse_ranges, extent, _CELL, *_disc(), distances, ids, crew=crew)
     drawn = min(samples, len(inverse_ranges))
     points = np.arange(drawn) * len(inverse_ranges) // max(drawn, 1)
     return Neighbours(points, ids[:drawn], distances[:drawn])

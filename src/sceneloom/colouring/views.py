@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, check_array
+from sceneloom.arrays import (
+    Float32Array,
+    Float64Array,
+    Int32Array,
+    Int64Array,
+    UInt8Array,
+    check_array,
+)
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector, projection_kernel
 from sceneloom.cameras.points_in_picture import PointsInPicture
@@ -14,6 +21,7 @@ from sceneloom.colouring.visibility import Looks, VisibilitySettings, find_visib
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
+from sceneloom.kernels.pixel_numbers import pixel_numbers
 from sceneloom.scene import Identifier
 from sceneloom.visibility.rolling_shutter import ShutterWay, project_by_lines
 
@@ -52,7 +60,7 @@ def view_points(
     points = np.ascontiguousarray(points_world)
     crew = Crew.of(settings.threads, len(points))
     seen = _see(points, camera, world_from_camera, shutter, crew)
-    point_ids, pixels, depths = seen.point_ids, seen.pixels, seen.depths
+    point_ids, depths = seen.point_ids, seen.depths
     visible = (
         find_visible(
             seen.cloud, seen.rows, seen.camera_from_cloud, settings, way=seen.known(way), looks=seen.looks
@@ -61,9 +69,9 @@ def view_points(
         else np.ones(len(point_ids), np.bool_)
     )
     depth_image = _empty_image(camera, crew)
-    draw_depths(pixels, depths, visible, depth_image, crew=crew)
+    draw_depths(seen.pixel_numbers, depths, visible, depth_image, crew=crew)
     if not settings.enabled:
-        mark_nearest(pixels, depths, depth_image, visible)
+        mark_nearest(seen.pixel_numbers, depths, depth_image, visible)
     return FusedView(
         camera_id,
         camera,
@@ -71,7 +79,8 @@ def view_points(
         world_from_camera,
         rgb,
         point_ids,
-        pixels,
+        seen.pixels,
+        seen.pixel_numbers,
         depths,
         visible,
         depth_image,
@@ -95,7 +104,7 @@ class _Seen:
     """The points in a picture, and how the camera saw them.
 
     Attributes:
-        point_ids, pixels, depths: as in `FusedView`.
+        point_ids, pixels, pixel_numbers, depths: as in `FusedView`.
         cloud: (C, 3) float64 [m], a frame in which the camera has one pose.
         rows: (M,) int64, the points of the picture in `cloud`.
         camera_from_cloud: (4, 4) float64.
@@ -106,6 +115,7 @@ class _Seen:
 
     point_ids: Int64Array
     pixels: Float32Array
+    pixel_numbers: Int32Array
     depths: Float32Array
     cloud: Float64Array
     rows: Int64Array
@@ -131,12 +141,14 @@ def _see(
 ) -> _Seen:
     if shutter is None:
         camera_from_world = world_from_camera.inverse_matrix
-        point_ids, pixels, depths, looks = _project(points_world, camera, camera_from_world, crew)
-        return _Seen(point_ids, pixels, depths, points_world, point_ids, camera_from_world, looks)
+        kept, looks = _project(points_world, camera, camera_from_world, crew)
+        own = kept.point_ids, kept.pixels, kept.pixel_numbers, kept.depths
+        return _Seen(*own, points_world, kept.point_ids, camera_from_world, looks)
     rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
     return _Seen(
         rolled.point_ids,
         rolled.pixels,
+        pixel_numbers(rolled.pixels, camera.width, camera.height),
         rolled.points_camera[:, 2].astype(np.float32),
         rolled.points_camera,
         np.arange(len(rolled.point_ids)),
@@ -149,12 +161,10 @@ def _see(
 
 def _project(
     points_world: Float64Array, camera: Camera, camera_from_world: Float64Array, crew: Crew
-) -> tuple[Int64Array, Float32Array, Float32Array, Looks]:
-    """Give ids, pixels and depths of the points that fall into the picture, and where the camera sees them."""
+) -> tuple[PointsInPicture, Looks]:
+    """Give the points that fall into the picture, and where the camera sees them."""
     count, directions = len(points_world), np.empty((2, len(points_world)), np.float32)
-    point_ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
-    depths, inverse_ranges = np.empty(count, np.float32), np.empty(count, np.float32)
-    room = PointsInPicture(point_ids, pixels, depths, directions[0], directions[1], inverse_ranges)
+    room = PointsInPicture.room(count)._replace(rightward=directions[0], downward=directions[1])
     kernel, lens = projection_kernel(camera.model), lens_vector(camera)
     found: list[tuple[int, int]] = []
 
@@ -168,13 +178,13 @@ def _project(
     kept = 0
     for start, size in sorted(found):
         if start > 0:
-            point_ids[start : start + size] += start
+            room.point_ids[start : start + size] += start
         if start > kept:
             for rows in room:
                 rows[kept : kept + size] = rows[start : start + size]
         kept += size
-    looks = np.ascontiguousarray(directions[:, :kept]), inverse_ranges[:kept]
+    looks = np.ascontiguousarray(directions[:, :kept]), room.inverse_ranges[:kept]
     if 2 * kept > count:
-        return point_ids[:kept], pixels[:kept], depths[:kept], looks
+        return room.part(0, kept), looks
     # The view may live long, and must not hold the room that all points would have needed.
-    return point_ids[:kept].copy(), pixels[:kept].copy(), depths[:kept].copy(), looks
+    return PointsInPicture._make(rows[:kept].copy() for rows in room), looks

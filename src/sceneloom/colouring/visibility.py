@@ -160,7 +160,7 @@ def find_visible(
     )
     from_lidar = _FromLidar(points_world, point_ids, camera_from_world, eyes, fractions)
     extent = measure_extent(directions, inverse_ranges, crew=crew)
-    passes, surface_distance = _measure(directions, inverse_ranges, extent, settings, from_lidar)
+    passes, surface_distance = _measure(directions, inverse_ranges, extent, settings, from_lidar, crew)
     for number, (reach, hiding) in enumerate(passes):
         seen = np.empty(len(point_ids), np.bool_)
         mark_unhidden(
@@ -230,6 +230,7 @@ def _measure(
     extent: Float32Array,
     settings: VisibilitySettings,
     from_lidar: _FromLidar,
+    crew: Crew,
 ) -> tuple[list[tuple[Reach, Float32Array]], float]:
     """Take the settings' reach and surface distance, or measure in the cloud what they leave open.
 
@@ -242,7 +243,7 @@ def _measure(
         distance = USUAL_SURFACE_DISTANCE
     if window is not None and near is not None and distance is not None:
         return [(Reach(radians(window), radians(near), radians(near)), inverse_ranges)], distance
-    neighbours = look_around(directions, inverse_ranges, extent=extent)
+    neighbours = look_around(directions, inverse_ranges, extent=extent, crew=crew)
     if distance is None:
         margins = _STRAIGHTNESS * settings.margin, _STRAIGHTNESS * settings.margin_share
         distance = measure_surface_distance(neighbours, directions, inverse_ranges, *margins)

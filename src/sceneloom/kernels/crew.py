@@ -30,13 +30,22 @@ class Crew:
         """Give so many threads for so many points, or the calling one where waking others would take longer."""
         return cls(threads) if count >= _FEWEST_POINTS else ALONE
 
-    def share(self, count: int, work: Callable[[int, int, int], None]) -> None:
-        """Call `work(part, start, stop)` for consecutive parts of 0 to `count`, as many as threads, side by side."""
+    def share(self, count: int, work: Callable[[int, int, int], None], *, rounds: int = 1) -> None:
+        """Call `work(part, start, stop)` for all of 0 to `count`, each part by a thread of its own, side by side.
+
+        A part takes as many pieces as there are rounds, spread over the whole: what is unlike here and there evens out.
+        """
         if self.size == 1:
             work(0, 0, count)
             return
-        ends = [count * part // self.size for part in range(self.size + 1)]
-        self.gather([partial(work, part, ends[part], ends[part + 1]) for part in range(self.size)])
+        pieces = self.size * rounds
+        ends = [count * piece // pieces for piece in range(pieces + 1)]
+
+        def take(part: int) -> None:
+            for piece in range(part, pieces, self.size):
+                work(part, ends[piece], ends[piece + 1])
+
+        self.gather([partial(take, part) for part in range(self.size)])
 
     def gather(self, tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
         """Call all of these side by side, each by the next thread that is free, and give what each gives.

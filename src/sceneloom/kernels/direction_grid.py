@@ -5,7 +5,7 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import float32, types, void
+from numba import float32, float64, int64, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array
 from sceneloom.kernels.crew import ALONE, Crew
@@ -124,6 +124,19 @@ def fit_grid(extent: Float32Array, cell: float, border: int) -> tuple[Any, Any, 
     top, bottom = _step(extent[2], some, per_cell), _step(extent[3], some, per_cell)
     columns, rows = int(right - left) + 1 + 2 * border, int(bottom - top) + 1 + 2 * border
     return per_cell, np.int32(left - border), np.int32(top - border), columns, rows
+
+
+@numba.njit(void(_IN_F32_1D, float64, int64, int64[::1]), cache=True, nogil=True, error_model="numpy")
+def _place_grid(extent: Float32Array, cell: float, border: int, grid: AnyArray) -> None:
+    _, grid[0], grid[1], grid[2], grid[3] = fit_grid(extent, cell, border)
+
+
+def place_grid(extent: Float32Array, cell: float, border: int) -> list[int]:
+    """Give what `fit_grid` gives but for the first: first column and row, columns and rows."""
+    grid = np.empty(4, np.int64)
+    _place_grid(extent, cell, border, grid)
+    first_and_sizes: list[int] = grid.tolist()
+    return first_and_sizes
 
 
 @numba.njit(**INNER)

@@ -9,19 +9,15 @@ from numba import float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.kernels.crew import ALONE, Crew
-from sceneloom.kernels.direction_grid import fit_grid, keep_nearest, read_keys
+from sceneloom.kernels.direction_grid import keep_nearest, place_grid, read_keys
 from sceneloom.kernels.lanes import LANES
 from sceneloom.kernels.occlusion_bounds import bound_hiding
 from sceneloom.kernels.occlusion_search import search_hiding
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
+_ROUNDS = 4
+"""Some parts of a cloud hide much and others nothing: each thread takes so many pieces."""
 _KERNEL: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-
-
-@numba.njit(void(_IN_F32_1D, float64, int64, int64[::1]), **_KERNEL)
-def _fit_grid(extent: Float32Array, cell: float, border: int, grid: AnyArray) -> None:
-    """Write a grid's first column and row, counted from the edge of the map, its columns and rows."""
-    _, grid[0], grid[1], grid[2], grid[3] = fit_grid(extent, cell, border)
 
 
 @numba.njit(
@@ -34,7 +30,8 @@ def _keep_nearest(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, hiding: Float32Array, cell: float,
     first_column: int, first_row: int, columns: int, rows: int, numbers: AnyArray, keys: AnyArray,
 ) -> None:  # fmt: skip
-    """Number the cells of some points, and raise the keys of these cells."""
+    """Number the cells of some points, and write for each cell the key of its nearest; 0 where none is."""
+    keys[:] = 0
     grid = (np.float32(1.0 / cell), np.int32(first_column), np.int32(first_row), columns, rows)
     keep_nearest(rightward, downward, inverse_ranges, hiding, grid, numbers, keys)
     keys[0] = 0
@@ -122,9 +119,9 @@ def mark_unhidden(
     size_x, size_y = math.ceil(reach_x), math.ceil(reach_y)
     border = max(math.ceil(radius), size_x, size_y)
     points = directions[0], directions[1], inverse_ranges
-    first_column, first_row, columns, rows = _fit(extent, cell, border)
+    first_column, first_row, columns, rows = place_grid(extent, cell, border)
     cells, numbers = columns * rows, np.empty(len(inverse_ranges), np.int32)
-    keys = np.zeros((crew.size, cells), np.int64)
+    keys = np.empty((crew.size, cells), np.int64)
 
     def keep(part: int, a: int, b: int) -> None:
         some, corner = _some(points, a, b), (cell, first_column, first_row)
@@ -153,7 +150,7 @@ def mark_unhidden(
             bounds[0], bounds[1], size_x, size_y, border, rule, eyes, point_ids[a:b], fractions, visible[a:b],
         )  # fmt: skip
 
-    crew.share(len(numbers), search)
+    crew.share(len(numbers), search, rounds=_ROUNDS)
 
 
 _Rows = tuple[Float32Array, Float32Array, Float32Array]
@@ -161,10 +158,3 @@ _Rows = tuple[Float32Array, Float32Array, Float32Array]
 
 def _some(rows: _Rows, start: int, stop: int) -> _Rows:
     return rows[0][start:stop], rows[1][start:stop], rows[2][start:stop]
-
-
-def _fit(extent: Float32Array, cell: float, border: int) -> list[int]:
-    grid = np.empty(4, np.int64)
-    _fit_grid(extent, cell, border, grid)
-    first_and_sizes: list[int] = grid.tolist()
-    return first_and_sizes

@@ -4,14 +4,17 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba import float32, int32, int64, types, void
 
-from sceneloom.arrays import AnyArray, Float32Array
+from sceneloom.arrays import AnyArray, Float32Array, Int32Array
 
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Options of functions that are compiled, and cached, as parts of others."""
 
 BLOCK = 256
-"""Points that are numbered at once, by vector instructions; pixels of the next block are on their way meanwhile."""
+"""Points whose pixels are picked at once, by vector instructions; those of the next are on their way meanwhile."""
+
+_IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 
 _LOW, _NOTHING, _HALF = np.float32(-0.5), np.float32(0.0), np.float32(0.5)
 
@@ -46,3 +49,24 @@ def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: A
         row = np.int32(min(_round(v if inside else _NOTHING), last_row))
         number = np.int32(np.int32(row * columns) + column)
         numbers[i] = number if inside else np.int32(-1)
+
+
+@numba.njit(void(_IN_F32_2D, int64, int64, int32[::1]), cache=True, nogil=True, error_model="numpy")
+def _number_pixels(pixels: Float32Array, width: int, height: int, numbers: AnyArray) -> None:
+    number_pixels(pixels.reshape(pixels.size), width, height, numbers)
+
+
+def pixel_numbers(pixels: Float32Array, width: int, height: int) -> Int32Array:
+    """Give what `number_pixels` writes.
+
+    Args:
+        pixels: (M, 2) float32 [px].
+        width: [px].
+        height: [px].
+
+    Returns:
+        (M,) int32.
+    """
+    numbers = np.empty(len(pixels), np.int32)
+    _number_pixels(pixels, width, height, numbers)
+    return numbers

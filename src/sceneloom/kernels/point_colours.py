@@ -2,13 +2,22 @@
 
 import numba
 import numpy as np
-from numba import boolean, float32, float64, int64, types, uint8, void
+from numba import boolean, float32, float64, int32, int64, types, uint8, void
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.arrays import (
+    AnyArray,
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int32Array,
+    Int64Array,
+    UInt8Array,
+)
 from sceneloom.kernels.fetching import fetch
-from sceneloom.kernels.pixel_numbers import BLOCK, PART, number_pixels
+from sceneloom.kernels.pixel_numbers import BLOCK, PART
 
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
+_IN_I32_1D = types.Array(int32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 _IN_BOOL_1D = types.Array(boolean, 1, "C", readonly=True)
 _IN_U8_3D = types.Array(uint8, 3, "C", readonly=True)
@@ -17,10 +26,14 @@ _GREEN, _BLUE = np.uint64(1), np.uint64(2)
 
 
 @numba.njit(**PART)
-def _cross_out(point_ids: Int64Array, visible: BoolArray, count: int, numbers: AnyArray) -> None:
-    """Write pixel number -1 for points that are unseen or do not exist."""
+def _pick(
+    pixel_numbers: Int32Array, size: int, visible: BoolArray, point_ids: Int64Array, count: int, numbers: AnyArray
+) -> None:  # fmt: skip
+    """Write the points' pixels, of which there are `size`; -1 for points that are unseen or do not exist."""
     for i in range(numbers.shape[0]):
-        numbers[i] = numbers[i] if visible[i] & (np.uint64(point_ids[i]) < np.uint64(count)) else np.int32(-1)
+        inside = np.uint32(pixel_numbers[i]) < np.uint32(size)
+        painted = inside & visible[i] & (np.uint64(point_ids[i]) < np.uint64(count))
+        numbers[i] = pixel_numbers[i] if painted else np.int32(-1)
 
 
 @numba.njit(**PART)
@@ -61,7 +74,17 @@ def _paint(
 
 
 @numba.njit(
-    void(_IN_I64_1D, _IN_F32_2D, _IN_BOOL_1D, _IN_U8_3D, uint8, float64[::1], uint8[:, ::1], uint8[::1]),
+    void(
+        _IN_I64_1D,
+        _IN_F32_2D,
+        _IN_I32_1D,
+        _IN_BOOL_1D,
+        _IN_U8_3D,
+        uint8,
+        float64[::1],
+        uint8[:, ::1],
+        uint8[::1],
+    ),
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -69,6 +92,7 @@ def _paint(
 def paint_points(
     point_ids: Int64Array,
     pixels: Float32Array,
+    pixel_numbers: Int32Array,
     visible: BoolArray,
     rgb: UInt8Array,
     camera: int,
@@ -81,6 +105,7 @@ def paint_points(
     Args:
         point_ids: (M,), rows of the outputs.
         pixels: (M, 2) [px].
+        pixel_numbers: (M,), the nearest ones, counted row by row; negative outside the picture.
         visible: (M,).
         rgb: (H, W, 3), the picture.
         camera: number to write into `camera_index`.
@@ -100,14 +125,17 @@ def paint_points(
     for start in range(0, count + BLOCK, BLOCK):
         stop = min(start + BLOCK, count)
         if start < stop:
-            block, ids, between = (
-                coming[: stop - start],
-                point_ids[start:stop],
-                flat_pixels[2 * start : 2 * stop],
+            block, ids = coming[: stop - start], point_ids[start:stop]
+            _pick(
+                pixel_numbers[start:stop],
+                width * height,
+                visible[start:stop],
+                ids,
+                camera_index.shape[0],
+                block,
             )
-            number_pixels(between, width, height, block)
-            _cross_out(ids, visible[start:stop], camera_index.shape[0], block)
             if eccentricities.shape[0] > 0:
+                between = flat_pixels[2 * start : 2 * stop]
                 _choose(ids, between, width, height, eccentricities, block)
         ids = point_ids[max(start - BLOCK, 0) : min(start, count)]
         _paint(numbers, ids, coming, flat_rgb, camera, flat_colors, camera_index)

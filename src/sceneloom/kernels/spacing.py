@@ -1,60 +1,85 @@
 """The nearest neighbours of a cloud's points in several directions, as a camera sees them."""
 
 import math
-from typing import Any
 
 import numba
 import numpy as np
-from numba import float32, float64, int64, types, void
+from numba import float32, float64, int32, int64, types, void
 
-from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array
-from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, number_cells
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int32Array, Int64Array
+from sceneloom.kernels.crew import ALONE, Crew
+from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, number_cells, place_grid
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 _IN_F64_1D = types.Array(float64, 1, "C", readonly=True)
 _IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
+_IN_I32_1D = types.Array(int32, 1, "C", readonly=True)
+_IN_I32_2D = types.Array(int32, 2, "C", readonly=True)
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 _IN_I64_2D = types.Array(int64, 2, "C", readonly=True)
 
 
-@numba.njit(**INNER)
+@numba.njit(
+    void(
+        _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, int64, int64, _IN_F32_1D, float64, int64, int32[::1], int32[::1]
+    ),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
 def _occupy(
-    directions: Float32Array,
-    inverse_ranges: Float32Array,
-    grid: tuple[Any, Any, Any, int, int],
-    sampled: AnyArray,
-) -> AnyArray:
-    """Put the number of a point, from 1, into its cell; write the cells of evenly drawn points to `sampled`.
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, first: int, count: int,
+    extent: Float32Array, cell: float, border: int, sampled: AnyArray, holders: AnyArray,
+) -> None:  # fmt: skip
+    """Put the numbers of some of `count` points, the first of them `first`, from 1 on into their cells.
 
-    The last point in a cell holds it; cells without a point hold 0, and so does `sampled` for a point without a cell.
+    The last point in a cell holds it; cells without a point hold 0. The cells of evenly drawn points go to `sampled`;
+    0 for a point without a cell.
     """
-    holders, numbers = np.zeros(grid[3] * grid[4], np.int32), np.empty(BLOCK, np.int32)
-    rightward, downward, count = directions[0], directions[1], inverse_ranges.shape[0]
-    sampled[:] = 0
-    samples, taken = min(sampled.shape[0], count), 0
-    for start in range(0, count, BLOCK):
-        stop = min(start + BLOCK, count)
-        block = numbers[: stop - start]
+    grid, numbers = fit_grid(extent, cell, border), np.empty(BLOCK, np.int32)
+    holders[:] = 0
+    samples = min(sampled.shape[0], count)
+    taken = -(-first * samples // count)
+    for start in range(0, inverse_ranges.shape[0], BLOCK):
+        stop = min(start + BLOCK, inverse_ranges.shape[0])
+        block, before = numbers[: stop - start], first + start
         number_cells(rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], grid, block)
         for k in range(block.shape[0]):
-            holders[np.uint32(block[k])] = start + k + 1
-        while taken < samples and taken * count // samples < stop:
-            sampled[taken] = block[taken * count // samples - start]
+            holders[np.uint32(block[k])] = before + k + 1
+        while taken < samples and taken * count // samples < first + stop:
+            sampled[taken] = block[taken * count // samples - before]
             taken += 1
     holders[0] = 0
-    return holders
 
 
 @numba.njit(
     void(
-        _IN_F32_2D, _IN_F32_1D, _IN_F32_1D, float64, _IN_I64_1D, _IN_I64_1D, _IN_I64_1D, _IN_F64_1D, float64[:, ::1],
-        int64[:, ::1],
+        _IN_I32_2D, int64, _IN_I32_1D, _IN_I64_1D, _IN_I64_1D, _IN_I64_1D, _IN_F64_1D, float64[:, ::1], int64[:, ::1]
     ),
     cache=True,
     nogil=True,
     error_model="numpy",
 )  # fmt: skip
+def _find_holders(
+    holders: Int32Array, columns: int, sampled: Int32Array, right: Int64Array, down: Int64Array, sectors: Int64Array,
+    distances: Float64Array, found: Float64Array, neighbours: Int64Array,
+) -> None:  # fmt: skip
+    """Look around the sampled cells for those that any of the threads found to be held."""
+    found[:], neighbours[:] = math.nan, -1
+    for s in range(sampled.shape[0]):
+        missing = found.shape[1] if sampled[s] > 0 else 0
+        for k in range(right.shape[0]):
+            if missing == 0:
+                break
+            place, holder = sampled[s] + down[k] * columns + right[k], np.int32(0)
+            for part in range(holders.shape[0]):
+                holder = max(holder, holders[part, place])
+            if holder > 0 and neighbours[s, sectors[k]] < 0:
+                found[s, sectors[k]], neighbours[s, sectors[k]] = distances[k], holder - 1
+                missing -= 1
+
+
 def find_neighbours(
     directions: Float32Array,
     inverse_ranges: Float32Array,
@@ -66,6 +91,8 @@ def find_neighbours(
     distances: Float64Array,
     found: Float64Array,
     neighbours: Int64Array,
+    *,
+    crew: Crew = ALONE,
 ) -> None:
     """Write how far it is from some points, evenly drawn from the cloud, to the next point in each sector.
 
@@ -81,22 +108,18 @@ def find_neighbours(
         distances: (K,) how far such a cell is, in any unit.
         found: (samples, sectors), written: the distance of the first occupied cell; NaN for none.
         neighbours: (samples, sectors), written: a point in that cell; -1 for none.
+        crew: the threads that share the points; what comes out is the same.
     """
-    reach = 1
-    for k in range(right.shape[0]):
-        reach = max(reach, abs(right[k]), abs(down[k]))
-    grid, sampled = fit_grid(extent, cell, reach), np.empty(found.shape[0], np.int32)
-    holders = _occupy(directions, inverse_ranges, grid, sampled)
-    found[:], neighbours[:] = math.nan, -1
-    for s in range(sampled.shape[0]):
-        missing = found.shape[1] if sampled[s] > 0 else 0
-        for k in range(right.shape[0]):
-            if missing == 0:
-                break
-            holder = holders[sampled[s] + down[k] * grid[3] + right[k]]
-            if holder > 0 and neighbours[s, sectors[k]] < 0:
-                found[s, sectors[k]], neighbours[s, sectors[k]] = distances[k], holder - 1
-                missing -= 1
+    reach, count = int(max(1, np.abs(right).max(), np.abs(down).max())), len(inverse_ranges)
+    _, _, columns, rows = place_grid(extent, cell, reach)
+    sampled, holders = np.zeros(len(found), np.int32), np.empty((crew.size, columns * rows), np.int32)
+
+    def occupy(part: int, a: int, b: int) -> None:
+        some = directions[0, a:b], directions[1, a:b], inverse_ranges[a:b]
+        _occupy(*some, a, count, extent, cell, reach, sampled, holders[part])
+
+    crew.share(count, occupy)
+    _find_holders(holders, columns, sampled, right, down, sectors, distances, found, neighbours)
 
 
 @numba.njit(**INNER)

@@ -244,7 +244,10 @@ def test_coefficients_that_nearly_vanish_change_nothing(tiny):
 def run_kernel(camera: Camera, points_world, camera_from_world):
     count = len(points_world)
     room = PointsInPicture(
-        np.full(count, -1), np.full((count, 2), np.nan, np.float32), *np.full((4, count), np.nan, np.float32)
+        np.full(count, -1),
+        np.full((count, 2), np.nan, np.float32),
+        np.full(count, -1, np.int32),
+        *np.full((4, count), np.nan, np.float32),
     )
     kernel, lens = projection_kernel(camera.model), lens_vector(camera)
     kept = kernel(points_world, camera_from_world, lens, camera.width, camera.height, room)
@@ -266,6 +269,8 @@ def test_the_hot_path_keeps_what_the_plain_way_sees_in_ascending_order(camera):
     assert 100 < len(ids) < 4900
     assert np.abs(kept.pixels - pixels[ids]).max() < 4e-5  # float32 of up to 640 px
     assert np.allclose(kept.depths, points_camera[ids, 2], rtol=1e-7, atol=1e-6)
+    columns, rows = np.floor(kept.pixels.astype(np.float64) + 0.5).T
+    np.testing.assert_array_equal(kept.pixel_numbers, rows * camera.width + columns)
     assert_looks_as_mapped(kept, points_world, POSE)
 
 

@@ -8,6 +8,7 @@ from sceneloom.colouring.colours import colour_points
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.pixel_numbers import pixel_numbers
 
 
 def make_view(point_ids, pixels, rgb, visible=None):
@@ -21,6 +22,7 @@ def make_view(point_ids, pixels, rgb, visible=None):
         rgb,
         np.array(point_ids, np.int64),
         np.array(pixels, np.float32).reshape(count, 2),
+        pixel_numbers(np.array(pixels, np.float32).reshape(count, 2), width, height),
         np.ones(count, np.float32),
         np.ones(count, bool) if visible is None else np.array(visible, bool),
         np.zeros((height, width), np.float32),

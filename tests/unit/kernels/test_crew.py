@@ -14,6 +14,17 @@ def test_all_is_shared_out_once_and_in_order(size, count):
     assert max((len(part) for part in seen.values()), default=0) <= -(-count // size)
 
 
+@pytest.mark.parametrize("size", [1, 2, 3])
+@pytest.mark.parametrize("count", [0, 1, 7, 100])
+def test_rounds_spread_the_pieces_of_each_part_over_the_whole(size, count):
+    seen = []
+    Crew(size).share(count, lambda part, start, stop: seen.append((start, stop, part)), rounds=4)
+    pieces = sorted(seen)
+    assert [i for start, stop, _ in pieces for i in range(start, stop)] == list(range(count))
+    if size > 1 and count == 100:
+        assert [part for _, _, part in pieces] == [*range(size)] * 4
+
+
 def test_parts_run_side_by_side():
     meeting = threading.Barrier(3, timeout=30)
     Crew(3).share(3, lambda *_: meeting.wait())

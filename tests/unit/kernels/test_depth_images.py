@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
+from sceneloom.kernels.pixel_numbers import pixel_numbers
 
 WIDTH, HEIGHT = 7, 5
 
@@ -37,6 +38,10 @@ def nearest_one_by_one(pixels, depths, image):
     ]
 
 
+def numbered(pixels, size=(WIDTH, HEIGHT)):
+    return pixel_numbers(np.array(pixels, np.float32), *size)
+
+
 def random_points(count, seed):
     random = np.random.default_rng(seed)
     pixels = random.uniform(-1.5, [WIDTH + 0.5, HEIGHT + 0.5], (count, 2)).astype(np.float32)
@@ -52,14 +57,14 @@ def random_points(count, seed):
 def test_each_pixel_holds_the_least_depth_of_the_visible_points_in_it(count):
     pixels, depths, visible = random_points(count, seed=count)
     image = np.zeros((HEIGHT, WIDTH), np.float32)
-    draw_depths(pixels, depths, visible, image)
+    draw_depths(numbered(pixels), depths, visible, image)
     np.testing.assert_array_equal(image, drawn_one_by_one(pixels, depths, visible, WIDTH, HEIGHT))
 
 
 def test_points_are_added_to_what_the_image_holds():
     image = np.zeros((HEIGHT, WIDTH), np.float32)
     for depth in (3, 2, 4):
-        draw_depths(np.array([[1, 2]], np.float32), np.array([depth], np.float32), np.ones(1, bool), image)
+        draw_depths(numbered([[1, 2]]), np.array([depth], np.float32), np.ones(1, bool), image)
     assert image[2, 1] == 2
 
 
@@ -68,7 +73,7 @@ def test_a_point_is_nearest_if_its_pixel_holds_nothing_less(count):
     pixels, depths, _ = random_points(count, seed=count + 1)
     image = drawn_one_by_one(pixels, depths, np.ones(count, bool), WIDTH, HEIGHT)
     nearest = np.zeros(count, bool)
-    mark_nearest(pixels, depths, image, nearest)
+    mark_nearest(numbered(pixels), depths, image, nearest)
     assert nearest.tolist() == nearest_one_by_one(pixels, depths, image)
 
 
@@ -84,12 +89,12 @@ def test_a_point_is_nearest_if_its_pixel_holds_nothing_less(count):
 )
 def test_points_on_borders_fall_into_the_pixel_after_the_border_and_never_beyond_the_last(u, v, place):
     image = np.zeros((HEIGHT, WIDTH), np.float32)
-    draw_depths(np.array([[u, v]], np.float32), np.ones(1, np.float32), np.ones(1, bool), image)
+    draw_depths(numbered([[u, v]]), np.ones(1, np.float32), np.ones(1, bool), image)
     assert np.argwhere(image).tolist() == [list(place)]
 
 
 def test_a_picture_of_one_pixel_takes_the_nearest_point():
     image = np.zeros((1, 1), np.float32)
-    pixels = np.array([[0, 0], [0.5, 0.5], [-0.5, 0], [0.6, 0]], np.float32)
-    draw_depths(pixels, np.array([3, 2, 4, 1], np.float32), np.ones(4, bool), image)
+    numbers = numbered([[0, 0], [0.5, 0.5], [-0.5, 0], [0.6, 0]], (1, 1))
+    draw_depths(numbers, np.array([3, 2, 4, 1], np.float32), np.ones(4, bool), image)
     assert image[0, 0] == 2

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from sceneloom.kernels.pixel_numbers import pixel_numbers
 from sceneloom.kernels.point_colours import paint_points
 
 WIDTH, HEIGHT, COUNT = 9, 6, 60
@@ -38,8 +39,9 @@ def random_view(seed, size=(HEIGHT, WIDTH)):
 def painted(views, count, *, alone=False):
     colors, camera_index = np.full((count, 3), 255, np.uint8), np.full(count, 255, np.uint8)
     eccentricities = np.full(0 if alone else count, math.inf)
-    for camera, view in enumerate(views):
-        paint_points(*view, camera, eccentricities, colors, camera_index)
+    for camera, (ids, pixels, visible, rgb) in enumerate(views):
+        numbers = pixel_numbers(pixels, rgb.shape[1], rgb.shape[0])
+        paint_points(ids, pixels, numbers, visible, rgb, camera, eccentricities, colors, camera_index)
     return colors.tolist(), camera_index.tolist()
 
 

@@ -8,6 +8,7 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.results import FusedView
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.pixel_numbers import pixel_numbers
 
 Points = Sequence[tuple[float, float, float, bool]]
 MakeView = Callable[..., FusedView]
@@ -33,6 +34,7 @@ def _make_view(
         rgb=np.full((height, width, 3), level, np.uint8),
         point_ids=np.arange(len(rows), dtype=np.int64),
         pixels=rows[:, :2].copy(),
+        pixel_numbers=pixel_numbers(np.ascontiguousarray(rows[:, :2]), width, height),
         depths=rows[:, 2].copy(),
         visible=visible,
         depth_image=depth_image,

@@ -120,9 +120,7 @@ def project_features(
         lens: as `Change.lens` gives it.
     """
     camera, count = features.picture.camera, len(points_lidar)
-    room = PointsInPicture(
-        np.empty(count, np.int64), np.empty((count, 2), np.float32), *np.empty((4, count), np.float32)
-    )
+    room = PointsInPicture.room(count)
     kernel = projection_kernel(camera.model)
     kept = kernel(points_lidar, camera_from_points, lens, camera.width, camera.height, room)
     return room.point_ids[:kept], room.pixels[:kept]

@@ -85,7 +85,7 @@ def range_image(frame: FusedFrame, view: FusedView) -> Float32Array:
     positions_world = frame.points.positions[view.point_ids].astype(np.float64)
     ranges = np.linalg.norm(positions_world - view.world_from_camera.translation, axis=1)
     image = np.zeros((view.camera.height, view.camera.width), np.float32)
-    draw_depths(view.pixels, ranges.astype(np.float32), view.visible, image)
+    draw_depths(view.pixel_numbers, ranges.astype(np.float32), view.visible, image)
     return image
 
 

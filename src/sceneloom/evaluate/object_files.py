@@ -70,7 +70,8 @@ def read_both(
 
     Args:
         results, truth: where they are.
-        sequences: those to take, of scenes the one of a data set. [default: all of the truth]
+        sequences: those to take, leading zeros need not be said; of scenes the one of a data set. [default: all of the
+            truth]
         lenient: skip faulty lines of lists, and open damaged drives.
 
     Raises:
@@ -86,6 +87,7 @@ def read_both(
             )
         sides, sequences = _read_scenes(results, truth, sequences, ledger), ()
     else:
+        sequences = _as_named(Path(truth), sequences)
         sides = _read_texts(Path(results), Path(truth), kinds, frozenset(sequences), ledger)
     _check_names(*sides, sequences, (results, truth))
     found, true = ({name: side[name] for name in sequences or sorted(sides[1])} for side in sides)
@@ -204,6 +206,12 @@ def _files_of(path: Path, wanted: frozenset[str]) -> list[Path]:
         return [path]
     files = [file for file in sorted(_folder_of(path).glob("*.txt")) if file.stem.isdigit()]
     return [file for file in files if file.stem in wanted] if wanted else files
+
+
+def _as_named(truth: Path, sequences: Sequence[str]) -> tuple[str, ...]:
+    """Name sequences as the truth's files do, each once: leading zeros need not be said."""
+    names = {file.stem.lstrip("0"): file.stem for file in _files_of(truth, frozenset())}
+    return tuple(dict.fromkeys(names.get(name.lstrip("0"), name) if name else name for name in sequences))
 
 
 def _read_labels(

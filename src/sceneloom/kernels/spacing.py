@@ -67,17 +67,21 @@ def _find_holders(
 ) -> None:  # fmt: skip
     """Look around the sampled cells for those that any of the threads found to be held."""
     found[:], neighbours[:] = math.nan, -1
+    offsets = np.empty(right.shape[0], np.int32)
+    for k in range(offsets.shape[0]):
+        offsets[k] = down[k] * columns + right[k]
     for s in range(sampled.shape[0]):
         missing = found.shape[1] if sampled[s] > 0 else 0
-        for k in range(right.shape[0]):
-            if missing == 0:
-                break
-            place, holder = sampled[s] + down[k] * columns + right[k], np.int32(0)
-            for part in range(holders.shape[0]):
+        for k in range(offsets.shape[0] if missing > 0 else 0):
+            place = np.uint32(sampled[s] + offsets[k])
+            holder = holders[0, place]
+            for part in range(1, holders.shape[0]):
                 holder = max(holder, holders[part, place])
             if holder > 0 and neighbours[s, sectors[k]] < 0:
                 found[s, sectors[k]], neighbours[s, sectors[k]] = distances[k], holder - 1
                 missing -= 1
+                if missing == 0:
+                    break
 
 
 def find_neighbours(

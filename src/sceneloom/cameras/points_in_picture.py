@@ -31,7 +31,8 @@ class PointsInPicture(NamedTuple):
     def room(cls, count: int) -> "PointsInPicture":
         """Make room for so many points."""
         ids, pixels = np.empty(count, np.int64), np.empty((count, 2), np.float32)
-        return cls(ids, pixels, np.empty(count, np.int32), *np.empty((4, count), np.float32))
+        # arrays of their own: what keeps one of them shall not hold the others
+        return cls(ids, pixels, np.empty(count, np.int32), *(np.empty(count, np.float32) for _ in range(4)))
 
     def part(self, start: int, stop: int) -> "PointsInPicture":
         """Give some rows of all."""

@@ -141,9 +141,8 @@ def _see(
 ) -> _Seen:
     if shutter is None:
         camera_from_world = world_from_camera.inverse_matrix
-        kept, looks = _project(points_world, camera, camera_from_world, crew)
-        own = kept.point_ids, kept.pixels, kept.pixel_numbers, kept.depths
-        return _Seen(*own, points_world, kept.point_ids, camera_from_world, looks)
+        own, looks = _project(points_world, camera, camera_from_world, crew)
+        return _Seen(*own, points_world, own[0], camera_from_world, looks)
     rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
     return _Seen(
         rolled.point_ids,
@@ -159,10 +158,13 @@ def _see(
     )
 
 
+_Own = tuple[Int64Array, Float32Array, Int32Array, Float32Array]
+
+
 def _project(
     points_world: Float64Array, camera: Camera, camera_from_world: Float64Array, crew: Crew
-) -> tuple[PointsInPicture, Looks]:
-    """Give the points that fall into the picture, and where the camera sees them."""
+) -> tuple[_Own, Looks]:
+    """Give ids, pixels, their numbers and depths of the points in the picture, and where the camera sees them."""
     count, directions = len(points_world), np.empty((2, len(points_world)), np.float32)
     room = PointsInPicture.room(count)._replace(rightward=directions[0], downward=directions[1])
     kernel, lens = projection_kernel(camera.model), lens_vector(camera)
@@ -184,7 +186,8 @@ def _project(
                 rows[kept : kept + size] = rows[start : start + size]
         kept += size
     looks = np.ascontiguousarray(directions[:, :kept]), room.inverse_ranges[:kept]
+    own = room.point_ids[:kept], room.pixels[:kept], room.pixel_numbers[:kept], room.depths[:kept]
     if 2 * kept > count:
-        return room.part(0, kept), looks
+        return own, looks
     # The view may live long, and must not hold the room that all points would have needed.
-    return PointsInPicture._make(rows[:kept].copy() for rows in room), looks
+    return (own[0].copy(), own[1].copy(), own[2].copy(), own[3].copy()), looks

@@ -137,7 +137,14 @@ def test_read_only_points_are_taken():
 def test_a_view_of_few_points_does_not_hold_the_room_of_all():
     points = np.concatenate([cloud(10), POSE.apply(np.full((1000, 3), -5.0))])
     fused = view(points)
-    assert all(a.base is None for a in (fused.point_ids, fused.pixels, fused.depths))
+    assert all(a.base is None for a in (fused.point_ids, fused.pixels, fused.pixel_numbers, fused.depths))
+
+
+def test_a_view_of_many_points_holds_no_more_than_its_own():
+    points = np.concatenate([POSE.apply(np.full((1000, 3), [0.0, 0, 5])), POSE.apply(np.full((10, 3), -5.0))])
+    fused = view(points)
+    for held in (fused.point_ids, fused.pixels, fused.pixel_numbers, fused.depths):
+        assert held.base.shape == (len(points), *held.shape[1:])
 
 
 @pytest.mark.parametrize("points", [np.zeros((5, 2)), np.zeros((5, 3), np.float32), np.zeros(3)], ids=str)

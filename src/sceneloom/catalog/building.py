@@ -161,7 +161,7 @@ def _updated(
         if not stamps[drive.name] or drive.name not in whole or whole[drive.name].stamp != stamps[drive.name]
     ]
     run = Run(parts, layout.drafts, checks, workers=workers, progress=progress)
-    run.go(due, done=len(drives) - len(due))
+    run.go(due, files, done=len(drives) - len(due))
     lost = [
         Failure(path=damage.file, error=f"{damage}; delete it, and say `update` with the paths of its drives")
         for damage in parts.lost

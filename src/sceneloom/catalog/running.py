@@ -3,7 +3,7 @@
 import shutil
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,11 +68,12 @@ class Run:
         self.read: list[Drive] = []
         self.failed: list[Failure] = []
 
-    def go(self, drives: Sequence[Drive], *, done: int = 0) -> None:
+    def go(self, drives: Sequence[Drive], files: Mapping[str, str], *, done: int = 0) -> None:
         """Read drives, and those whose rows were lost with damaged files of the same parts.
 
         Args:
             drives: each once.
+            files: of them, as `looked_at` gives them.
             done: how many more are done already.
 
         Raises:
@@ -82,20 +83,20 @@ class Run:
         due = list(drives)
         while due:
             tried |= {drive.name for drive in due}
-            lost = self._read(due, done) - tried
+            lost = self._read(due, files, done) - tried
             done += len(due)
             due = [
                 Drive(entry.path, entry.options)
                 for scene, entry in self._parts.entries.items()
                 if scene in lost
             ]
+            files = looked_at(due)
 
-    def _read(self, drives: Sequence[Drive], before: int) -> set[str]:
+    def _read(self, drives: Sequence[Drive], files: Mapping[str, str], before: int) -> set[str]:
         """Read drives and put them in; the names of scenes whose rows are lost."""
         workers = self._workers or min(processors(), -(-len(drives) // _DRIVES_OF_WORKER))
         executor: Executor = ProcessPool(workers) if min(workers, len(drives)) > 1 else _Here()
         lost: set[str] = set()
-        files = looked_at(drives)
         tasks = [self._task(number, drive, files[drive.path]) for number, drive in enumerate(drives)]
         try:
             for done, (task, outcome) in enumerate(_finished(tasks, executor), start=1):

@@ -14,6 +14,7 @@ from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import Similarity
 from sceneloom.evaluate.scene_objects import labelled_times, scene_objects
 from sceneloom.formats.kitti import KittiLabels, read_labels
+from sceneloom.formats.kitti.chosen_sequence import sequences_called
 from sceneloom.formats.kitti.detection_lists import DetectionList, read_boxes_2d_list, read_boxes_3d_list
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.shared_options import open_scenes
@@ -210,8 +211,8 @@ def _files_of(path: Path, wanted: frozenset[str]) -> list[Path]:
 
 def _as_named(truth: Path, sequences: Sequence[str]) -> tuple[str, ...]:
     """Name sequences as the truth's files do, each once: leading zeros need not be said."""
-    names = {file.stem.lstrip("0"): file.stem for file in _files_of(truth, frozenset())}
-    return tuple(dict.fromkeys(names.get(name.lstrip("0"), name) if name else name for name in sequences))
+    names = [file.stem for file in _files_of(truth, frozenset())]
+    return tuple(dict.fromkeys((sequences_called(names, name) or [name])[-1] for name in sequences))
 
 
 def _read_labels(

@@ -17,6 +17,7 @@ from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.pictures.dense_depths import draw_dense_depth
 from sceneloom.pipeline.fusing.sinks import lidar_folders, names_of
+from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene import CameraSensor, Identifier, Notice, Scene
@@ -251,8 +252,7 @@ def _check_choices(method: str, form: str, folder: Path, pictures: Path | None, 
 
 def _with_cameras(scene: Scene, cameras: Iterable[Identifier] | None) -> Scene:
     """Leave out the pictures of all cameras but some, which need not be decoded then."""
-    if not scene.lidars:
-        raise DataError(scene.source, "", "no lidar in it; depth images need one")
+    check_has_lidar(scene, "depth images need")
     if not scene.cameras:
         raise DataError(scene.source, "", "no camera in it; depth images need one")
     if cameras is None:

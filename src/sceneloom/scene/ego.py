@@ -14,6 +14,9 @@ from sceneloom.scene.part_annotations import Interval
 from sceneloom.scene.poses import PosePath, Trajectory
 from sceneloom.scene.scene import Scene
 
+_FAR = 1e9
+"""No place on earth is told by such numbers."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoMotion:
@@ -90,7 +93,3 @@ def stated_origin(scene: Scene) -> tuple[float, float, float] | None:
         return None
     latitude, longitude, altitude = map(float, numbers)  # type: ignore[arg-type]
     return latitude, longitude, altitude
-
-
-_FAR = 1e9
-"""No place on earth is told by such numbers."""

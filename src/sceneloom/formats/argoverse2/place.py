@@ -4,6 +4,7 @@ from itertools import islice
 from pathlib import Path
 
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.named_folder import named_folder
 
 POSES = "city_SE3_egovehicle.feather"
 MOUNTS = "calibration/egovehicle_SE3_sensor.feather"
@@ -24,7 +25,7 @@ def is_log(path: Path) -> bool:
 def logs_in(path: Path) -> list[Path]:
     """The log that a path is, or the logs in it."""
     if is_log(path):
-        return [path if path.name else path.resolve()]  # `.` has no name
+        return [named_folder(path)]
     if not path.is_dir():
         return []
     return [child for child in sorted(path.iterdir()) if is_log(child)]

@@ -1,8 +1,14 @@
 """Which of several sequences is meant."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from sceneloom.errors import OptionError
+
+
+def sequences_called(sequences: Iterable[str], wanted: str) -> list[str]:
+    """Those of some sequences that a name means; its leading zeros need not be said."""
+    return [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
 
 
 def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) -> str:
@@ -13,7 +19,7 @@ def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) 
     """
     names = ", ".join(sequences) or "none"
     if wanted is not None:
-        chosen = [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
+        chosen = sequences_called(sequences, wanted)
         if len(chosen) != 1:
             raise OptionError(f"sequence {wanted!r}: {path} has {names}")
         return chosen[0]

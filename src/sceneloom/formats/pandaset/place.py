@@ -5,6 +5,7 @@ from itertools import islice
 from pathlib import Path
 
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.named_folder import named_folder
 
 _FRAME = re.compile(r"\d+\.pkl(\.gz)?")
 _MOST_LOOKED_AT = 50
@@ -43,7 +44,7 @@ def recognises(path: Path) -> bool:
 def drives_in(path: Path) -> list[Path]:
     """The drive that a folder is, or the drives in it."""
     if is_drive(path):
-        return [path if path.name else path.resolve()]  # `.` has no name
+        return [named_folder(path)]
     return [child for child in sorted(path.iterdir()) if is_drive(child)]
 
 

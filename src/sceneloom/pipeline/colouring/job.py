@@ -15,7 +15,7 @@ from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.moving import MovingPoints, lags_for
 from sceneloom.colouring.moving_boxes import MovingBoxes
-from sceneloom.errors import DataError, PoseError
+from sceneloom.errors import PoseError
 from sceneloom.formats.label_folders import LabelFolder
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
@@ -25,6 +25,7 @@ from sceneloom.pipeline.colouring.report import ColourReport, ExposureReport, La
 from sceneloom.pipeline.colouring.settings import ColourOutputs, ColourSettings
 from sceneloom.pipeline.colouring.sweeps import ColouredSweep, SweepColouring
 from sceneloom.pipeline.fusing.report import CameraTally, FusionTally, told_once
+from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene import Identifier, LidarFrame, Notice, NoticeKind, Scene
@@ -79,10 +80,7 @@ def colour(
     wanted = outputs or ColourOutputs()
     wanted = wanted if output is None else replace(wanted, map=Path(output))
     wanted.check()
-    if not scene.lidars:
-        raise DataError(
-            scene.source, "", "no lidar in it; colouring needs one (`sceneloom info` lists what is there)"
-        )
+    check_has_lidar(scene, "colouring needs")
     woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
     job = _Job(woven, scene, chosen, Skips() if lenient else None, progress)
     with telling(job.skips), ExitStack() as stack:

@@ -16,6 +16,7 @@ from sceneloom.motion.inertial import imu_motion
 from sceneloom.motion.one_moment import MOMENTS, DeskewedFrame, DeskewedFrames, Deskewer, typical_offset_ns
 from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.motion.trajectories import IMU
+from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips
 from sceneloom.scene import (
     Coordinates,
@@ -185,11 +186,8 @@ def _chosen_lidars(scene: Scene, lidar: Identifier | None) -> tuple[LidarSensor,
             raise OptionError(f"{scene.source}: sensor {lidar!r} is a {sensor.type}; expected a lidar")
         asked: tuple[LidarSensor, ...] = (sensor,)
     else:
+        check_has_lidar(scene, "deskewing needs")
         asked = scene.lidars
-    if not asked:
-        raise DataError(
-            scene.source, "", "no lidar in it; deskewing needs one (`sceneloom info` lists what is there)"
-        )
     lidars = tuple(sensor for sensor in asked if sensor.points_frame is not PointsFrame.WORLD)
     if not lidars:
         raise OptionError(_in_world(scene, asked[0]))

@@ -9,12 +9,13 @@ from pathlib import Path
 import msgspec
 
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.errors import DataError, PoseError
+from sceneloom.errors import PoseError
 from sceneloom.formats.loss import LossReport
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pipeline.fusing.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
 from sceneloom.pipeline.fusing.report import CameraTally, FrameCounts, FusionReport, FusionTally, told_once
+from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene import Scene
@@ -114,7 +115,7 @@ def _fuse(
     progress: Progress | None,
 ) -> FusionReport:
     begun = time.perf_counter()
-    check_has_lidar(scene)
+    check_has_lidar(scene, "fusing needs")
     wanted = checked_outputs(outputs or FusionOutputs(), output)
     steps = _Steps(progress)
     woven = weave(
@@ -130,18 +131,6 @@ def _fuse(
     system = fusion_system(woven, configuration, skips)
     counted = ((f, FrameCounts.of(f)) for f in play(woven.scene, system, skips=skips))
     return write_fused(woven, wanted, counted, skips, begun=begun, progress=steps.fusing)
-
-
-def check_has_lidar(scene: Scene) -> None:
-    """Refuse a scene without a lidar.
-
-    Raises:
-        DataError: it is one.
-    """
-    if not scene.lidars:
-        raise DataError(
-            scene.source, "", "no lidar in it; fusing needs one (`sceneloom info` lists what is there)"
-        )
 
 
 def fusion_system(

@@ -17,9 +17,10 @@ from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.motion.odometry import OdometryRun
-from sceneloom.pipeline.fusing.job import check_has_lidar, fusion_system, write_fused
+from sceneloom.pipeline.fusing.job import fusion_system, write_fused
 from sceneloom.pipeline.fusing.outputs import FusionOutputs, checked_outputs
 from sceneloom.pipeline.fusing.report import FrameCounts, FusionReport
+from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.parts.records import read_records, writing_records
 from sceneloom.pipeline.play import Skips, play, telling
 from sceneloom.pipeline.woven.scene import weave
@@ -42,7 +43,7 @@ def reference_times(scene: Scene) -> Int64Array:
     Raises:
         DataError: there is no lidar.
     """
-    check_has_lidar(scene)
+    check_has_lidar(scene, "fusing needs")
     return max((lidar.frames.timestamps_ns for lidar in scene.lidars), key=len)
 
 

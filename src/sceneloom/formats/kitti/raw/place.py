@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.named_folder import named_folder
 
 CALIBRATION_FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
 """The day's files: how the cameras lie, where the lidar is among them, and where the OXTS unit is."""
@@ -36,8 +37,7 @@ def find_drive(path: Path, wanted: str | None = None) -> RawDrive:
         DataError: there is none.
         OptionError: there are several and none was chosen, or the chosen one is not there.
     """
-    own = path if path.name else path.resolve()  # `.` has no name
-    found = [own] if is_drive(path) else drives_below(path)
+    found = [named_folder(path)] if is_drive(path) else drives_below(path)
     if wanted is not None:
         chosen = [drive for drive in found if wanted in _names(drive)]
         if len(chosen) != 1:

@@ -284,7 +284,7 @@ def _check_names(
     if not true and not wanted:
         raise DataError(paths[1], "", "no sequence; expected files such as 0000.txt")
     for path, side in zip(paths, (found, true), strict=True):
-        missing = ", ".join(sorted(set(wanted) - set(side)))
+        missing = ", ".join(name or "''" for name in sorted(set(wanted) - set(side)))
         if missing:
             raise OptionError(f"{path}: no sequence {missing}, which `--sequence` asks for")
     for path, side, other in ((paths[0], found, true), (paths[1], true, found)):

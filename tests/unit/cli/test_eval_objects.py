@@ -145,9 +145,10 @@ def test_chosen_sequences_need_no_others(call: Call, sides: tuple[Path, Path]) -
     for name in ("0000", "0"):
         told = json.loads(call("eval", "tracking", results, truth, "--sequence", name, "--json").out)
         assert told["sequences"] == ["0000"]
-    missing = call("eval", "tracking", results, truth, "--sequence", "0099")
-    assert missing.code == 2
-    assert "no sequence 0099, which `--sequence` asks for" in missing.err
+    for name, called in (("0099", "0099"), ("", "''")):
+        missing = call("eval", "tracking", results, truth, "--sequence", name)
+        assert missing.code == 2
+        assert f"no sequence {called}, which `--sequence` asks for" in missing.err
 
 
 def test_empty_results_are_all_missed(call: Call, sides: tuple[Path, Path]) -> None:

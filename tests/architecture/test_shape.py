@@ -1,6 +1,5 @@
-"""Files and functions stay small, have names of the field, and hold nothing of one machine."""
+"""Modules have names of the field, and no file is large or holds anything of one machine."""
 
-import ast
 import re
 
 import pytest
@@ -17,15 +16,7 @@ REFUSED_NAMES = {
     "managers",
     "tools",
 }
-LONGEST_MODULE = 600
-LONGEST_FUNCTION = 60
 LARGEST_FILE = 1_000_000
-
-LONG_FUNCTIONS: dict[str, str] = {}
-"""`module.function` and the reason why it is better in one piece."""
-
-LONG_MODULES: dict[str, str] = {}
-"""Module and the reason why it is better in one piece."""
 
 MACHINE_PATHS = re.compile(r"(?<![\w.~$}-])/(?:root|work|home|Users|mnt|data|scratch)/\w")
 HOSTS = (
@@ -49,42 +40,6 @@ def test_a_module_is_named_after_what_it_is_about(modules_of_room):
 def test_a_folder_of_modules_is_a_package(modules_of_room):
     for module in modules_of_room:
         assert (module.path.parent / "__init__.py").is_file(), module.name
-
-
-def test_a_module_is_short_enough_to_read(modules_of_room):
-    for module in modules_of_room:
-        length = len(module.path.read_text("utf-8").splitlines())
-        if module.name not in LONG_MODULES:
-            assert length <= LONGEST_MODULE, f"{module.name}: {length} lines"
-
-
-def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Lines from `def` to the end, the docstring's not counted."""
-    length = (function.end_lineno or function.lineno) - function.lineno + 1
-    first = function.body[0]
-    if (
-        isinstance(first, ast.Expr)
-        and isinstance(first.value, ast.Constant)
-        and isinstance(first.value.value, str)
-    ):
-        length -= (first.end_lineno or first.lineno) - first.lineno + 1
-    return length
-
-
-def test_a_function_is_short_enough_to_read(modules_of_room):
-    for module in modules_of_room:
-        functions = [n for n in module.nodes if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
-        long = {
-            f"{module.name}.{n.name}": body_length(n) for n in functions if body_length(n) > LONGEST_FUNCTION
-        }
-        assert not {name: length for name, length in long.items() if name not in LONG_FUNCTIONS}
-
-
-def test_exceptions_to_length_are_still_needed(modules):
-    names = {m.name for m in modules}
-    functions = {f"{m.name}.{n.name}" for m in modules for n in m.nodes if isinstance(n, ast.FunctionDef)}
-    assert set(LONG_MODULES) <= names
-    assert set(LONG_FUNCTIONS) <= functions
 
 
 def test_no_file_is_large(project_files, project):

@@ -1,0 +1,401 @@
+"""Mutants of whole drives: each is read to its end, told of and validated in a process of its own with little memory.
+
+A mutant is a drive with one file changed, and is known by the name of the drive and a number, so that each can be made
+again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
+`python -m tests.malformed.mutants NAME --count 2000` tries the first of them.
+
+What may become of a mutant is a scene, or a `SceneloomError`. Any other exception, a process that dies, takes more
+memory than `MEMORY`, or longer than `SECONDS`, is a failure.
+"""
+
+import json
+import os
+import re
+import resource
+import select
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SECONDS = 20.0
+"""How long one mutant may take; a sound drive takes a fraction of a second."""
+MEMORY = 2 << 30
+"""How much more memory than a sound drive has asked for before a mutant may ask for [bytes of address space]."""
+
+_ROOT = Path(__file__).parents[2]
+_HEAD = 400
+_TEXTS = ("", "NaN", "-1", "0", "1e999", "-1e308", "99999999999999999999999", "9223372036854775808", "null", "true",
+          '"a"', "[]", "{}", "[[[]]]", "1e-320", "Infinity", "\u00e9", "0x10", "-0", "1_0", "\x00")  # fmt: skip
+_DEEP = ("[" * 100_000, "[" * 100_000 + "]" * 100_000, '{"a":' * 100_000, "<a>" * 100_000)
+_NUMBERS = tuple(
+    struct.pack(kind, value)
+    for kind, values in (
+        ("<b", (0, -1, 127, -128)),
+        ("<h", (0, -1, 32767, -32768)),
+        ("<i", (0, -1, 2**31 - 1, -(2**31), 2**28)),
+        ("<q", (0, -1, 2**63 - 1, -(2**63), 2**40)),
+        ("<f", (float("nan"), float("inf"), 3e38, 1e-40)),
+        ("<d", (float("nan"), float("-inf"), 1e308, 1e-310, 0.0)),
+        (">i", (2**31 - 1, 2**28)),
+    )
+    for value in values
+)
+
+
+def sound_scene() -> Any:
+    """A small drive with sweeps, pictures, boxes, an IMU and a trajectory."""
+    from sceneloom.cameras.camera import Camera
+    from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, camera_mount, simulate_street
+
+    camera = CameraSpec(Camera("pinhole", 48, 16, 30.0, 30.0, 23.5, 7.5), camera_mount())
+    lidar, imu = LidarSpec(beams=4, steps=60), ImuSpec(rate_hz=20.0)
+    return simulate_street(5, frames=2, lidar=lidar, cameras=(camera,), imu=imu).scene
+
+
+def _written(name: str, place: str, **options: Any) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        from sceneloom.formats import write_scene
+
+        write_scene(sound_scene(), folder / place, format=name, **options)
+        return folder / place
+
+    return write
+
+
+DRIVES: dict[str, Callable[[Path], Path]] = {
+    "openlabel": _written("openlabel", "drive.json"),
+    "kitti-raw": _written("kitti-raw", "drive"),
+    "kitti-object": _written("kitti-object", "drive"),
+    "laz": _written("laz", "drive"),
+    "las": _written("las", "drive"),
+    "pcd": _written("pcd", "drive"),
+    "ply": _written("ply", "drive"),
+    "npz": _written("npz", "drive"),
+}
+"""Writers of sound drives: each takes an empty folder and gives the path of the drive in it, a file or a folder."""
+
+
+def mutant_of(content: bytes, chance: np.random.Generator) -> bytes:
+    """Change a file in one of many ways; its beginning more often than the rest."""
+    return _WAYS[int(chance.integers(len(_WAYS)))](content, chance)
+
+
+def _place(content: bytes, chance: np.random.Generator) -> int:
+    reach = len(content) if chance.random() < 0.5 else min(_HEAD, len(content))
+    return int(chance.integers(reach + 1))
+
+
+def _span(content: bytes, chance: np.random.Generator) -> tuple[int, int]:
+    start = _place(content, chance)
+    return start, start + int(chance.integers(1, 65))
+
+
+def _flipped(content: bytes, chance: np.random.Generator) -> bytes:
+    changed = bytearray(content)
+    for _ in range(int(chance.integers(1, 4))):
+        if changed:
+            changed[min(_place(content, chance), len(changed) - 1)] ^= 1 << int(chance.integers(8))
+    return bytes(changed)
+
+
+def _set(content: bytes, chance: np.random.Generator) -> bytes:
+    place = _place(content, chance)
+    return content[:place] + chance.bytes(1) + content[place + 1 :]
+
+
+def _cut(content: bytes, chance: np.random.Generator) -> bytes:
+    return content[: _place(content, chance)]
+
+
+def _doubled(content: bytes, chance: np.random.Generator) -> bytes:
+    start, stop = _span(content, chance)
+    return content[:stop] + content[start:stop] * int(chance.integers(1, 4)) + content[stop:]
+
+
+def _removed(content: bytes, chance: np.random.Generator) -> bytes:
+    start, stop = _span(content, chance)
+    return content[:start] + content[stop:]
+
+
+def _inserted(content: bytes, chance: np.random.Generator) -> bytes:
+    place = _place(content, chance)
+    return content[:place] + chance.bytes(int(chance.integers(1, 17))) + content[place:]
+
+
+def _numbered(content: bytes, chance: np.random.Generator) -> bytes:
+    place, number = _place(content, chance), _NUMBERS[int(chance.integers(len(_NUMBERS)))]
+    if chance.random() < 0.5:
+        place -= place % len(number)
+    return content[:place] + number + content[place + len(number) :]
+
+
+def _replaced(content: bytes, chance: np.random.Generator) -> bytes:
+    """Put something else for a number or a word of a text; where there is no text, for a number of bytes."""
+    if b"\x00" in content[:_HEAD]:
+        return _numbered(content, chance)
+    tokens = list(re.finditer(rb"-?\d[\d.eE+-]*|\"[^\"]*\"|[A-Za-z_]+", content))
+    if not tokens:
+        return _inserted(content, chance)
+    token = tokens[int(chance.integers(len(tokens)))]
+    texts = _DEEP if chance.random() < 0.03 else _TEXTS
+    text = texts[int(chance.integers(len(texts)))].encode()
+    return content[: token.start()] + text + content[token.end() :]
+
+
+def _relined(content: bytes, chance: np.random.Generator) -> bytes:
+    """Leave a line out, or say it twice, or somewhere else."""
+    lines = content.split(b"\n")
+    taken = lines.pop(int(chance.integers(len(lines))))
+    for _ in range(int(chance.integers(3))):
+        lines.insert(int(chance.integers(len(lines) + 1)), taken)
+    return b"\n".join(lines)
+
+
+_WAYS = (_flipped, _set, _cut, _doubled, _removed, _inserted, _numbered, _numbered, _replaced, _replaced, _replaced,
+         _relined)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What should not have become of a mutant.
+
+    Attributes:
+        number: which mutant.
+        told: the traceback, or what became of the process.
+    """
+
+    number: int
+    told: str
+
+    @property
+    def kind(self) -> str:
+        """The same for failures of one cause: where the exception came from, or what became of the process."""
+        places = re.findall(r'File "[^"]*/(sceneloom/[^"]*)", line (\d+)', self.told)
+        last = self.told.strip().splitlines()[-1][:120]
+        return f"{':'.join(places[-1])}: {last}" if places else last
+
+
+class Tried:
+    """What became of many mutants."""
+
+    def __init__(self) -> None:
+        self.outcomes: Counter[str] = Counter()
+        self.failures: list[Failure] = []
+
+    def __str__(self) -> str:
+        counts = ", ".join(f"{count} {name}" for name, count in sorted(self.outcomes.items()))
+        kinds: dict[str, list[Failure]] = {}
+        for failure in self.failures:
+            kinds.setdefault(failure.kind, []).append(failure)
+        lines = [
+            f"  {len(found)} x {kind} (such as mutant {found[0].number})" for kind, found in kinds.items()
+        ]
+        return "\n".join([counts, *lines])
+
+
+def try_mutants(name: str, numbers: range, *, seconds: float = float("inf")) -> Tried:
+    """Make mutants of a drive and see what becomes of them.
+
+    Args:
+        name: of `DRIVES`.
+        numbers: of the mutants.
+        seconds: begin no further mutant after this time.
+    """
+    tried, stop = Tried(), time.monotonic() + seconds
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        sound = Path(folder, "sound")
+        sound.mkdir()
+        DRIVES[name](sound)
+        waiting = list(reversed(numbers))
+        while waiting and time.monotonic() < stop:
+            _work_off(name, Path(folder), waiting, tried, stop)
+    return tried
+
+
+def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, stop: float) -> None:
+    """Give mutants to one worker until it dies or none is left."""
+    with _worker(name, folder) as worker:
+        told = _answer(worker, 300.0)
+        if told is None or told["outcome"] != "scene":
+            raise AssertionError(f"the sound drive {name!r} cannot be read: {told}")
+        while waiting and time.monotonic() < stop:
+            number = waiting.pop()
+            worker.stdin.write(f"{number}\n".encode())
+            worker.stdin.flush()
+            told = _answer(worker, SECONDS)
+            if told is None:
+                worker.kill()
+                code = worker.wait()
+                fate = "was killed: it took too long" if code == -9 else f"died: exit code {code}"
+                tried.outcomes["failed"] += 1
+                tried.failures.append(Failure(number, f"the process {fate}"))
+                return
+            tried.outcomes[told["outcome"]] += 1
+            if told["outcome"] == "failed":
+                tried.failures.append(Failure(number, told["told"]))
+
+
+@contextmanager
+def _worker(name: str, folder: Path) -> Iterator[Any]:
+    command = [sys.executable, "-m", "tests.malformed.mutants", "--worker", name, str(folder)]
+    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    worker = subprocess.Popen(
+        command,
+        cwd=_ROOT,
+        env={**os.environ, **threads},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield worker
+    finally:
+        worker.kill()
+        worker.wait()
+        for stream in (worker.stdin, worker.stdout):
+            with suppress(OSError):
+                stream.close()
+
+
+def _answer(worker: Any, seconds: float) -> dict[str, Any] | None:
+    """The next line of a worker, or None if it dies or takes too long."""
+    found, stop = b"", time.monotonic() + seconds
+    while not found.endswith(b"\n"):
+        ready, _, _ = select.select([worker.stdout], [], [], max(stop - time.monotonic(), 0.0))
+        piece = os.read(worker.stdout.fileno(), 1 << 20) if ready else b""
+        if not piece:
+            return None
+        found += piece
+    answer: dict[str, Any] = json.loads(found)
+    return answer
+
+
+def _work(name: str, folder: Path) -> None:
+    """Be a worker: read numbers from the standard input, answer with a line each."""
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    sound = next((folder / "sound").iterdir())
+    with tempfile.TemporaryDirectory(dir=folder) as own:
+        drive = Path(own, sound.name)
+        (shutil.copytree if sound.is_dir() else shutil.copy)(sound, drive)
+        outcome = [_use(drive, name, step) for step in range(len(_STEPS))]
+        answers.write(
+            json.dumps({"outcome": outcome[0][0] if len(set(outcome)) == 1 else str(outcome)}) + "\n"
+        )
+        pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
+        limit = pages * resource.getpagesize() + MEMORY
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        for line in sys.stdin:
+            number = int(line)
+            file, content = change(drive, name, number)
+            outcome, told = _use(drive, name, number)
+            file.write_bytes(content)
+            answers.write(json.dumps({"outcome": outcome, "told": told}) + "\n")
+
+
+def change(drive: Path, name: str, number: int) -> tuple[Path, bytes]:
+    """Make a mutant of a drive in place; gives the file that was changed and what it was before."""
+    chance = np.random.default_rng([number, *name.encode()])
+    kinds: dict[Any, list[Path]] = {}
+    for file in sorted(file for file in drive.rglob("*") if file.is_file()) if drive.is_dir() else [drive]:
+        kinds.setdefault((file.parent, file.suffix), []).append(file)
+    files = list(kinds.values())[int(chance.integers(len(kinds)))]
+    file = files[int(chance.integers(len(files)))]
+    content = file.read_bytes()
+    file.write_bytes(mutant_of(content, chance))
+    return file, content
+
+
+def _use(drive: Path, name: str, number: int) -> tuple[str, str]:
+    """Read a drive, then do one of several things with it, by the number."""
+    from sceneloom.errors import SceneloomError
+
+    outcome = "scene"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            for step in (_read, _STEPS[number % len(_STEPS)]):
+                try:
+                    step(drive, name)
+                except SceneloomError:
+                    outcome = "refused"
+    except BaseException:  # noqa: BLE001 - whatever else it is, it is what is looked for
+        return "failed", traceback.format_exc()
+    return outcome, ""
+
+
+def _read(drive: Path, name: str, *, lenient: bool = False) -> None:
+    """Open a drive and read all that is in it."""
+    import sceneloom
+
+    with sceneloom.open(drive, format=name, lenient=lenient) as scene:
+        for sensor in scene.sensors:
+            for frame in getattr(sensor, "frames", ()):
+                points = frame.points
+                for part in ("positions", "intensities", "timestamps_ns", "colors"):
+                    getattr(points, part, None)
+            for picture in getattr(sensor, "pictures", ()):
+                picture.decode()
+        for annotation in scene.annotations:
+            list(getattr(annotation, "labeled_points", ()))
+
+
+def _read_leniently(drive: Path, name: str) -> None:
+    _read(drive, name, lenient=True)
+
+
+def _tell(drive: Path, name: str) -> None:
+    """Do what `info` does, the format found by the content."""
+    del name
+    _run_verb("info", str(drive))
+
+
+def _validate(drive: Path, name: str) -> None:
+    del name
+    _run_verb("validate", str(drive), "--json")
+
+
+def _run_verb(*arguments: str) -> None:
+    from click.testing import CliRunner
+
+    from sceneloom.cli.main import sceneloom
+
+    result = CliRunner().invoke(sceneloom, arguments)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+
+
+_STEPS: tuple[Callable[[Path, str], None], ...] = (_read_leniently, _tell, _validate)
+
+
+def _main() -> None:
+    arguments = sys.argv[1:]
+    if arguments[0] == "--worker":
+        _work(arguments[1], Path(arguments[2]))
+    elif arguments[1] == "--count":
+        begun = time.monotonic()
+        tried = try_mutants(arguments[0], range(int(arguments[2])))
+        sys.stdout.write(f"{arguments[0]}: {tried}\n  {time.monotonic() - begun:.0f} s\n")
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            drive = DRIVES[arguments[0]](Path(folder))
+            file, content = change(drive, arguments[0], int(arguments[1]))
+            sys.stdout.write(f"{file.relative_to(folder)}: {len(content)} -> {file.stat().st_size} bytes\n")
+            sys.stdout.write("\n".join(_use(drive, arguments[0], int(arguments[1]))) + "\n")
+
+
+if __name__ == "__main__":
+    _main()

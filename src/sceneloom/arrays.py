@@ -1,6 +1,7 @@
 """Names for the arrays that cross module borders, and the check that each is what its name says."""
 
 from collections.abc import Sequence
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,111 @@ def check_array(
         else:
             return found[0]
     raise ArrayError(f"{name}: {found} {array.dtype.name}; {_expected(shape, dtype)}")
+
+
+_MOST_ROUNDED = 5e-4
+"""How much a number may change when an array of float64 or a list is kept as float32, in the unit of the field: up to
+8,192 m a position keeps half a millimetre."""
+
+
+def hold_array(
+    owner: object, name: str, shape: Sequence[int | None], dtype: DTypeLike, *, optional: bool = False
+) -> int:
+    """Check an array field of a frozen object that is being made; lists and other dtypes are converted losslessly.
+
+    Integers must fit, and are not made of floats. Floats may be rounded to float32 where no number changes by more
+    than 0.0005.
+
+    Args:
+        owner: the object; its field is the last word of `name`.
+        name: the field's path, for the message.
+        shape: as in `check_array`.
+        dtype: the dtype that the field has then.
+        optional: accept None.
+
+    Returns:
+        The length of the first axis, 0 for an absent array.
+
+    Raises:
+        ArrayError: the array is absent, has another shape, or cannot be converted without loss.
+    """
+    field = name.rpartition(".")[2]
+    value = getattr(owner, field)
+    if value is not None and not (isinstance(value, np.ndarray) and value.dtype == dtype):
+        value = as_array(name, value, shape, dtype)
+        object.__setattr__(owner, field, value)
+    return check_array(name, value, shape, dtype, optional=optional)
+
+
+def as_array(name: str, value: Any, shape: Sequence[int | None], dtype: DTypeLike) -> AnyArray:
+    """Give a list, or an array of another dtype, as an array of `dtype`, if nothing is lost.
+
+    Raises:
+        ArrayError: it holds no numbers, they differ in their lengths, or do not fit; see `hold_array`.
+    """
+    if isinstance(value, np.ndarray) and value.dtype == dtype:
+        return value
+    wanted, expected = np.dtype(dtype), _expected(shape, dtype)
+    if not isinstance(value, np.ndarray | list | tuple):
+        raise ArrayError(f"{name}: a {type(value).__name__}; {expected}")
+    try:
+        found = np.asarray(value)
+    except (ValueError, OverflowError) as error:
+        raise ArrayError(f"{name}: {error}; {expected}") from None
+    if found.size == 0 and not isinstance(value, np.ndarray):
+        empty = (0, *(length or 0 for length in shape[1:])) if found.ndim == 1 else found.shape
+        return np.zeros(empty, wanted)
+    kinds = "iu" if wanted.kind in "iu" else "iuf"
+    if found.dtype.kind not in kinds:
+        hint = ": floats cannot hold them exactly" if found.dtype.kind == "f" and wanted.itemsize == 8 else ""
+        raise ArrayError(f"{name}: {found.shape} {found.dtype.name}; {expected}{hint}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        converted = found.astype(wanted)
+        if wanted.kind in "iu":
+            same = (converted == found) & ((converted < 0) == (found < 0))
+        elif found.dtype.kind in "iu":
+            same = converted.astype(np.longdouble) == found.astype(np.longdouble)
+        else:
+            same = np.abs(converted - found) <= _MOST_ROUNDED
+            same |= (converted == found) | (np.isnan(converted) & np.isnan(found))
+    if not np.all(same):
+        worst = found[~np.asarray(same)].flat[0]
+        raise ArrayError(
+            f"{name}: {found.shape} {found.dtype.name} with {worst}, which {wanted.name} cannot hold; {expected}"
+        )
+    return converted
+
+
+def as_timestamp(name: str, value: Any) -> int:
+    """Give a time in nanoseconds as an int; NumPy's integers are such, floats and bools are not.
+
+    Raises:
+        ArrayError: it is no integer, or none of 64 bits.
+    """
+    if type(value) is int and _LEAST_NS <= value <= _MOST_NS:
+        return value
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        whole = index(value)
+        if _LEAST_NS <= whole <= _MOST_NS:
+            return whole
+    hint = "; seconds are `round(seconds * 1e9)`" if isinstance(value, float | np.floating) else ""
+    raise ArrayError(f"{name}: {value!r}; expected an integer of nanoseconds, of 64 bits{hint}")
+
+
+def hold_timestamp(owner: object, name: str) -> None:
+    """Check a time field of a frozen object that is being made; it is an int then. `name` is as in `hold_array`.
+
+    Raises:
+        ArrayError: it is no integer, or none of 64 bits.
+    """
+    field = name.rpartition(".")[2]
+    value = getattr(owner, field)
+    held = as_timestamp(name, value)
+    if held is not value:
+        object.__setattr__(owner, field, held)
+
+
+_LEAST_NS, _MOST_NS = -(2**63), 2**63 - 1
 
 
 def check_count(name: str, values: Sequence[Any] | None, count: int) -> None:

@@ -36,9 +36,9 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @options.way(further="`identity`: it stood still")
 @click.option(
     "--algorithm",
-    metavar="NAME",
-    help="`projection`: colours of nearest pixels; `blending`: of all pictures, by weight; packages can bring "
-    "others. [default: projection]",
+    metavar="NAME|FILE.py:FUNCTION",
+    help="`projection`: colours of nearest pixels; `blending`: of all pictures, by weight; one that a package brings, "
+    "or a function of a Python file, which is executed. [default: projection]",
 )
 @click.option("--depth", type=options.target, help="Folder for depth images.")
 @click.option(

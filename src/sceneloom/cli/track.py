@@ -30,7 +30,11 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 )
 @detection_options.takes
 @options.way(further="`identity`: it stood still")
-@click.option("--algorithm", metavar="NAME", help="Algorithm of detection fusion. [default: projection]")
+@click.option(
+    "--algorithm",
+    metavar="NAME|FILE.py:FUNCTION",
+    help="Algorithm of detection fusion, or a function of a Python file. [default: projection]",
+)
 @click.option(
     "--pictures",
     type=options.target,

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from sceneloom.colouring import VisibilitySettings
 from sceneloom.detections.detector_files import DEFAULT
+from sceneloom.fusion.algorithms import AlgorithmChoice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -11,7 +12,8 @@ class FusionConfiguration:
     """How the fusion system works.
 
     Attributes:
-        fusion_algorithm: name of an algorithm of sensor-data fusion, as `fusion.algorithms` has them.
+        fusion_algorithm: name of an algorithm of sensor-data fusion, as `fusion.algorithms` has them, or a function
+            that is called as `colouring.FusionAlgorithm`.
         pairing_tolerance_ns: how far a picture may be from a sweep's reference time; None for one sweep period.
         lateness_ns: how much later than its time a picture may arrive and still be waited for.
         visibility: what counts as hidden behind a nearer surface.
@@ -29,11 +31,11 @@ class FusionConfiguration:
     Source: DB34/T 4101-2022, table 2 names the algorithm's property.
     """
 
-    fusion_algorithm: str = "projection"
+    fusion_algorithm: AlgorithmChoice = "projection"
     pairing_tolerance_ns: int | None = None
     lateness_ns: int = 0
     visibility: VisibilitySettings = field(default_factory=VisibilitySettings)
-    detection_algorithm: str = "projection"
+    detection_algorithm: AlgorithmChoice = "projection"
     detectors: str = DEFAULT
     most_waiting: int | None = None
     stand_beyond_way: bool = False

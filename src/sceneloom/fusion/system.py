@@ -12,7 +12,7 @@ from sceneloom.detections import DetectionAlgorithm
 from sceneloom.detections.detector_files import DEFAULT
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.algorithms import FusionType, algorithm
+from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.detection_fusion import BoxFusion, BoxPairing, FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.pairing import Leave, OnLeft, Pairing, Waiting, nobody
@@ -273,8 +273,10 @@ class FusionSystem:
             return cast("DetectionAlgorithm", found)
         return partial(found, settings=ProjectionSettings(detectors=detectors))
 
-    def _algorithm(self, fusion_type: FusionType, name: str) -> Any:
+    def _algorithm(self, fusion_type: FusionType, name: AlgorithmChoice) -> Any:
         """Find an algorithm when it is first needed: few drives have boxes."""
+        if not isinstance(name, str):
+            return algorithm(fusion_type, name)
         found = self._algorithms.get((fusion_type, name))
         if found is None:
             found = self._algorithms[fusion_type, name] = algorithm(fusion_type, name)

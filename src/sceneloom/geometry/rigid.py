@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, FloatArray, check_array, read_only
+from sceneloom.arrays import Float64Array, FloatArray, hold_array, read_only
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rotations import matrix_from_quaternion, nearest_rotation, quaternion_from_matrix
 
@@ -29,8 +29,8 @@ class RigidTransform:
     translation: Float64Array
 
     def __post_init__(self) -> None:
-        check_array("rotation", self.rotation, (3, 3), np.float64)
-        check_array("translation", self.translation, (3,), np.float64)
+        hold_array(self, "rotation", (3, 3), np.float64)
+        hold_array(self, "translation", (3,), np.float64)
         error, determinant = _measure(self.rotation)
         if not (error < 1e-6 and determinant > 0 and all(map(isfinite, self.translation.tolist()))):
             raise CalibrationError(

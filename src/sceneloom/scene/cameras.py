@@ -6,7 +6,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from sceneloom.arrays import UInt8Array, check_array
+from sceneloom.arrays import UInt8Array, as_array, check_array, hold_timestamp
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import Kept, LazyFrames
@@ -35,10 +35,15 @@ class Picture:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
     encoded: Callable[[], bytes] | None = None
 
+    def __post_init__(self) -> None:
+        hold_timestamp(self, "picture.timestamp_ns")
+
     @classmethod
     def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "Picture":
         """Wrap a picture that is already in memory."""
-        check_array("picture.rgb", rgb, (camera.height, camera.width, 3), np.uint8)
+        shape = (camera.height, camera.width, 3)
+        rgb = as_array("picture.rgb", rgb, shape, np.uint8)
+        check_array("picture.rgb", rgb, shape, np.uint8)
         return cls(timestamp_ns, camera, Kept(rgb))
 
     @property

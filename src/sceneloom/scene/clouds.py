@@ -6,7 +6,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.arrays import (
+    AnyArray,
+    Float32Array,
+    Int64Array,
+    UInt8Array,
+    UInt16Array,
+    hold_array,
+    hold_timestamp,
+)
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.packed import UnpackedWhenAsked
@@ -40,12 +48,12 @@ class LidarPoints(UnpackedWhenAsked):
     extras: Mapping[str, AnyArray] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("points.positions", self.positions, (None, 3), np.float32)
-        check_array("points.intensities", self.intensities, (count,), np.uint8, optional=True)
-        check_array("points.colors", self.colors, (count, 3), np.uint8, optional=True)
-        check_array("points.timestamps_ns", self.timestamps_ns, (count,), np.int64, optional=True)
-        check_array("points.rings", self.rings, (count,), np.uint16, optional=True)
-        check_array("points.camera_index", self.camera_index, (count,), np.uint8, optional=True)
+        count = hold_array(self, "points.positions", (None, 3), np.float32)
+        hold_array(self, "points.intensities", (count,), np.uint8, optional=True)
+        hold_array(self, "points.colors", (count, 3), np.uint8, optional=True)
+        hold_array(self, "points.timestamps_ns", (count,), np.int64, optional=True)
+        hold_array(self, "points.rings", (count,), np.uint16, optional=True)
+        hold_array(self, "points.camera_index", (count,), np.uint8, optional=True)
 
     def __len__(self) -> int:
         packed_count = self.packed_count()
@@ -65,6 +73,9 @@ class LidarFrame:
     timestamp_ns: int
     points: LidarPoints
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        hold_timestamp(self, "frame.timestamp_ns")
 
     @property
     def reference_ns(self) -> int:
@@ -131,10 +142,10 @@ class RadarPoints:
     extras: Mapping[str, AnyArray] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("points.positions", self.positions, (None, 3), np.float32)
-        check_array("points.directions", self.directions, (count, 3), np.float32, optional=True)
-        check_array("points.lengths", self.lengths, (count,), np.float32, optional=True)
-        check_array("points.timestamps_ns", self.timestamps_ns, (count,), np.int64, optional=True)
+        count = hold_array(self, "points.positions", (None, 3), np.float32)
+        hold_array(self, "points.directions", (count, 3), np.float32, optional=True)
+        hold_array(self, "points.lengths", (count,), np.float32, optional=True)
+        hold_array(self, "points.timestamps_ns", (count,), np.int64, optional=True)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -147,6 +158,9 @@ class RadarFrame:
     timestamp_ns: int
     points: RadarPoints
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        hold_timestamp(self, "frame.timestamp_ns")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,8 +201,8 @@ class PointsSensor:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("points.positions", self.positions, (None, 3), np.float32)
-        check_array("points.colors", self.colors, (count, 3), np.uint8, optional=True)
+        count = hold_array(self, "points.positions", (None, 3), np.float32)
+        hold_array(self, "points.colors", (count, 3), np.uint8, optional=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
         arrays = packed(self.positions), packed(self.colors)

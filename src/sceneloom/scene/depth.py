@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, check_array
+from sceneloom.arrays import Float32Array, as_array, check_array, hold_timestamp
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import VideoContent
@@ -36,10 +36,15 @@ class DepthFrame:
     mount: RigidTransform | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
+    def __post_init__(self) -> None:
+        hold_timestamp(self, "frame.timestamp_ns")
+
     @classmethod
     def of(cls, timestamp_ns: int, camera: Camera, depth: Float32Array) -> "DepthFrame":
         """Wrap an image that is already in memory, (height, width) float32 [m], 0 for none."""
-        check_array("frame.depth", depth, (camera.height, camera.width), np.float32)
+        shape = (camera.height, camera.width)
+        depth = as_array("frame.depth", depth, shape, np.float32)
+        check_array("frame.depth", depth, shape, np.float32)
         return cls(timestamp_ns, camera, Kept(depth))
 
     @property

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import Float64Array, Int64Array, check_array, read_only
+from sceneloom.arrays import Float64Array, Int64Array, hold_array, hold_timestamp, read_only
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
@@ -63,14 +63,15 @@ class Boxes3D:
     sensor_id: Identifier | None = None
 
     def __post_init__(self) -> None:
-        count = check_array("boxes.centers", self.centers, (None, 3), np.float64)
-        check_array("boxes.sizes_lwh", self.sizes_lwh, (count, 3), np.float64)
-        check_array("boxes.yaws", self.yaws, (count,), np.float64)
-        check_array("boxes.scores", self.scores, (count,), np.float64)
-        check_array("boxes.velocities", self.velocities, (count, 3), np.float64, optional=True)
-        check_array("boxes.covariances", self.covariances, (count, 7, 7), np.float64, optional=True)
-        check_array("boxes.ids", self.ids, (count,), np.int64, optional=True)
-        _check_labels(self.labels, count)
+        hold_timestamp(self, "boxes.timestamp_ns")
+        count = hold_array(self, "boxes.centers", (None, 3), np.float64)
+        hold_array(self, "boxes.sizes_lwh", (count, 3), np.float64)
+        hold_array(self, "boxes.yaws", (count,), np.float64)
+        hold_array(self, "boxes.scores", (count,), np.float64)
+        hold_array(self, "boxes.velocities", (count, 3), np.float64, optional=True)
+        hold_array(self, "boxes.covariances", (count, 7, 7), np.float64, optional=True)
+        hold_array(self, "boxes.ids", (count,), np.int64, optional=True)
+        _hold_labels(self, count)
         _freeze(self, _ARRAYS_3D)
 
     def __len__(self) -> int:
@@ -165,10 +166,11 @@ class Boxes2D:
     sensor_id: Identifier | None = None
 
     def __post_init__(self) -> None:
-        count = check_array("boxes.corners_xyxy", self.corners_xyxy, (None, 4), np.float64)
-        check_array("boxes.scores", self.scores, (count,), np.float64)
-        check_array("boxes.ids", self.ids, (count,), np.int64, optional=True)
-        _check_labels(self.labels, count)
+        hold_timestamp(self, "boxes.timestamp_ns")
+        count = hold_array(self, "boxes.corners_xyxy", (None, 4), np.float64)
+        hold_array(self, "boxes.scores", (count,), np.float64)
+        hold_array(self, "boxes.ids", (count,), np.int64, optional=True)
+        _hold_labels(self, count)
         _freeze(self, _ARRAYS_2D)
 
     def __len__(self) -> int:
@@ -196,7 +198,11 @@ _ARRAYS_2D = ("corners_xyxy", "scores", "ids")
 Boxes = TypeVar("Boxes", Boxes3D, Boxes2D)
 
 
-def _check_labels(labels: tuple[str, ...], count: int) -> None:
+def _hold_labels(boxes: "Boxes3D | Boxes2D", count: int) -> None:
+    labels = boxes.labels
+    if isinstance(labels, list):
+        labels = tuple(labels)
+        object.__setattr__(boxes, "labels", labels)
     if not isinstance(labels, tuple) or len(labels) != count:
         raise ArrayError(
             f"boxes.labels: {type(labels).__name__} of {len(labels)}; expected a tuple of {count}"

@@ -6,7 +6,8 @@ from typing import Any, Generic, TypeVar, cast, overload
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Int64Array, check_array, read_only
+from sceneloom.arrays import AnyArray, Int64Array, as_array, check_array, read_only
+from sceneloom.errors import ArrayError
 from sceneloom.stages import stage
 
 Item_co = TypeVar("Item_co", covariant=True)
@@ -47,6 +48,7 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
 
     def __init__(self, timestamps_ns: Int64Array, read: Callable[[int], Item_co]) -> None:
         """Hold the stamps and the function that makes frame `k` (0 <= k < N)."""
+        timestamps_ns = as_array("frames.timestamps_ns", timestamps_ns, (None,), np.int64)
         check_array("frames.timestamps_ns", timestamps_ns, (None,), np.int64)
         self.timestamps_ns: Int64Array = read_only(timestamps_ns)
         self._read = read
@@ -55,7 +57,12 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     def of(cls, items: Sequence[Item_co], timestamps_ns: Sequence[int]) -> "LazyFrames[Item_co]":
         """Wrap frames that are already in memory."""
         kept = tuple(items)
-        return cls(np.asarray(timestamps_ns, dtype=np.int64).reshape(-1), kept.__getitem__)
+        times_ns = as_array("frames.timestamps_ns", timestamps_ns, (None,), np.int64)
+        if times_ns.shape != (len(kept),):
+            raise ArrayError(
+                f"frames.timestamps_ns: {times_ns.shape} for {len(kept)} frames; expected as many of both"
+            )
+        return cls(times_ns, kept.__getitem__)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return LazyFrames, (self.timestamps_ns, self._read)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, check_array
+from sceneloom.arrays import Float64Array, Int64Array, hold_array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import NO_FIELDS, Identifier, SensorType
@@ -42,9 +42,9 @@ class VectorSamples:
     file_seconds: Float64Array | None = None
 
     def __post_init__(self) -> None:
-        count = check_array("samples.timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("samples.values", self.values, (count, None), np.float64)
-        check_array("samples.file_seconds", self.file_seconds, (count,), np.float64, optional=True)
+        count = hold_array(self, "samples.timestamps_ns", (None,), np.int64)
+        hold_array(self, "samples.values", (count, None), np.float64)
+        hold_array(self, "samples.file_seconds", (count,), np.float64, optional=True)
 
     def __len__(self) -> int:
         return len(self.timestamps_ns)
@@ -101,11 +101,11 @@ class GnssSensor:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("gnss.timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("gnss.positions_lla", self.positions_lla, (count, 3), np.float64)
-        check_array("gnss.accuracies", self.accuracies, (count,), np.float64)
-        check_array("gnss.vertical_accuracies", self.vertical_accuracies, (count,), np.float64)
-        check_array("gnss.file_seconds", self.file_seconds, (count,), np.float64, optional=True)
+        count = hold_array(self, "gnss.timestamps_ns", (None,), np.int64)
+        hold_array(self, "gnss.positions_lla", (count, 3), np.float64)
+        hold_array(self, "gnss.accuracies", (count,), np.float64)
+        hold_array(self, "gnss.vertical_accuracies", (count,), np.float64)
+        hold_array(self, "gnss.file_seconds", (count,), np.float64, optional=True)
 
     @property
     def type(self) -> SensorType:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, check_array, read_only
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, hold_array, read_only
 from sceneloom.errors import ArrayError, PoseError
 from sceneloom.geometry.interpolation import interpolate_poses
 from sceneloom.geometry.rotations import normalise_quaternion
@@ -48,9 +48,9 @@ class PosePath:
     endless: bool = False
 
     def __post_init__(self) -> None:
-        count = check_array("poses.timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("poses.positions", self.positions, (count, 3), np.float64)
-        check_array("poses.quaternions_xyzw", self.quaternions_xyzw, (count, 4), np.float64)
+        count = hold_array(self, "poses.timestamps_ns", (None,), np.int64)
+        hold_array(self, "poses.positions", (count, 3), np.float64)
+        hold_array(self, "poses.quaternions_xyzw", (count, 4), np.float64)
         if count == 0:
             raise ArrayError("poses: empty; expected at least one pose")
         if self.endless and count != 1:
@@ -145,21 +145,19 @@ class Trajectory:
     covariances: Float64Array | None = None
 
     def __post_init__(self) -> None:
-        count = check_array(f"trajectories[{self.name}].timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array(f"trajectories[{self.name}].positions", self.positions, (count, 3), np.float64)
-        check_array(
+        count = hold_array(self, f"trajectories[{self.name}].timestamps_ns", (None,), np.int64)
+        hold_array(self, f"trajectories[{self.name}].positions", (count, 3), np.float64)
+        hold_array(
+            self,
             f"trajectories[{self.name}].quaternions_xyzw",
-            self.quaternions_xyzw,
             (count, 4),
             np.float64,
             optional=True,
         )
-        check_array(
-            f"trajectories[{self.name}].file_seconds", self.file_seconds, (count,), np.float64, optional=True
-        )
-        check_array(
+        hold_array(self, f"trajectories[{self.name}].file_seconds", (count,), np.float64, optional=True)
+        hold_array(
+            self,
             f"trajectories[{self.name}].covariances",
-            self.covariances,
             (count, 6, 6),
             np.float64,
             optional=True,

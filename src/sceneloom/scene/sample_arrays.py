@@ -83,3 +83,12 @@ def _boxes(sample: Sample) -> Iterator[Named]:
     yield "boxes.centers_world", boxes.centers_world
     yield "boxes.sizes_lwh", boxes.sizes_lwh
     yield "boxes.rotations_world", boxes.rotations_world
+    numbers = np.arange(len(boxes), dtype=np.int64) if boxes.numbers is None else boxes.numbers.copy()
+    yield "boxes.track_numbers", numbers
+    yield "boxes.track_ids", _texts([str(identifier) for identifier in boxes.ids])
+    yield "boxes.labels", _texts(["" if label is None else label for label in boxes.labels])
+
+
+def _texts(texts: list[str]) -> np.ndarray[Any, Any]:
+    """Texts of 64 characters, so that all samples have one dtype; wider only where one is longer."""
+    return np.array(texts, f"<U{max([64, *map(len, texts)])}")

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, hold_array
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.angles import CuboidAngles
@@ -26,6 +26,7 @@ class Boxes:
         centers_world: (B, 3) float64 [m].
         sizes_lwh: (B, 3) float64 [m], length, width, height.
         quaternions_xyzw: (B, 4) float64, `world_from_box`.
+        numbers: (B,) int64, of the annotations among the scene's cuboids: one object has the same in all samples.
     """
 
     ids: tuple[Identifier, ...]
@@ -33,12 +34,14 @@ class Boxes:
     centers_world: Float64Array
     sizes_lwh: Float64Array
     quaternions_xyzw: Float64Array
+    numbers: Int64Array | None = None
 
     def __post_init__(self) -> None:
         count = len(self.ids)
-        check_array("boxes.centers_world", self.centers_world, (count, 3), np.float64)
-        check_array("boxes.sizes_lwh", self.sizes_lwh, (count, 3), np.float64)
-        check_array("boxes.quaternions_xyzw", self.quaternions_xyzw, (count, 4), np.float64)
+        hold_array(self, "boxes.numbers", (count,), np.int64, optional=True)
+        hold_array(self, "boxes.centers_world", (count, 3), np.float64)
+        hold_array(self, "boxes.sizes_lwh", (count, 3), np.float64)
+        hold_array(self, "boxes.quaternions_xyzw", (count, 4), np.float64)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -116,7 +119,8 @@ class BoxTable:
             OptionError: unit or order of the angles is none of those known.
         """
         if len(rows) == 0:
-            return Boxes((), (), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)))
+            nowhere = np.zeros((0, 3))
+            return Boxes((), (), nowhere, nowhere, np.zeros((0, 4)), np.zeros(0, np.int64))
         stamps, values, starts, stops = self._paths
         passed = np.add.reduceat((stamps <= time_ns).astype(np.int64), starts)[rows]
         last = stops[rows] - 1
@@ -132,6 +136,7 @@ class BoxTable:
             np.ascontiguousarray(blended[:, 3:]),
             np.ascontiguousarray(blended[:, :3]),
             turned(self.angles, values[before, 6:], values[after, 6:], share),
+            np.asarray(rows, np.int64),
         )
 
     def _there(self, time_ns: int) -> BoolArray:

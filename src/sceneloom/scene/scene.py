@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from sceneloom.arrays import hold_timestamp
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.scene.annotations import Annotation, AttributePath
 from sceneloom.scene.cameras import CameraSensor
@@ -70,6 +71,7 @@ class Scene:
     on_close: Callable[[], None] = _nothing
 
     def __post_init__(self) -> None:
+        hold_timestamp(self, "time_offset_ns")
         for kind, ids in (
             ("sensors", [s.id for s in self.sensors]),
             ("annotations", [a.id for a in self.annotations]),

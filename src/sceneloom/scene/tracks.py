@@ -7,7 +7,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, check_array, read_only
+from sceneloom.arrays import (
+    AnyArray,
+    Float64Array,
+    Int64Array,
+    UInt8Array,
+    check_array,
+    hold_array,
+    hold_timestamp,
+    read_only,
+)
 from sceneloom.errors import ArrayError
 from sceneloom.scene.types import Identifier
 
@@ -41,8 +50,8 @@ _STATE = {
 
 def _check_states(states: "Track | TrackedObjects", count: int, place: str) -> None:
     for name, shape in _STATE.items():
-        check_array(f"{place}.{name}", getattr(states, name), (count, *shape), np.float64)
-    check_array(f"{place}.supports", states.supports, (count,), np.uint8)
+        hold_array(states, f"{place}.{name}", (count, *shape), np.float64)
+    hold_array(states, f"{place}.supports", (count,), np.uint8)
     for camera_id, corners in states.corners_xyxy.items():
         check_array(f"{place}.corners_xyxy[{camera_id!r}]", corners, (count, 4), np.float64)
 
@@ -92,7 +101,7 @@ class Track:
     corners_xyxy: Mapping[Identifier, Float64Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        count = check_array("track.timestamps_ns", self.timestamps_ns, (None,), np.int64)
+        count = hold_array(self, "track.timestamps_ns", (None,), np.int64)
         _check_states(self, count, "track")
         if (np.diff(self.timestamps_ns) <= 0).any():
             raise ArrayError(f"track {self.id}: timestamps_ns do not rise")
@@ -131,7 +140,8 @@ class TrackedObjects:
     corners_xyxy: Mapping[Identifier, Float64Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        count = check_array("objects.ids", self.ids, (None,), np.int64)
+        hold_timestamp(self, "objects.timestamp_ns")
+        count = hold_array(self, "objects.ids", (None,), np.int64)
         _check_states(self, count, "objects")
         if len(self.labels) != count:
             raise ArrayError(f"objects.labels: {len(self.labels)}; expected {count}")

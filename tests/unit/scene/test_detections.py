@@ -105,9 +105,9 @@ def test_boxes_cannot_be_edited_and_survive_pickling(boxes):
     ("wrong", "message"),
     [
         ({"sizes_lwh": np.ones((3, 3))}, r"sizes_lwh: \(3, 3\)"),
-        ({"yaws": np.zeros(4, np.float32)}, "yaws.*float32"),
+        ({"yaws": np.array(["0"] * 4)}, "yaws.*str"),
         ({"labels": ("car",)}, "labels: tuple of 1; expected a tuple of 4"),
-        ({"labels": ["car"] * 4}, "labels: list"),
+        ({"labels": "cars"}, "labels: str"),
         ({"covariances": np.zeros((4, 3, 3))}, "covariances"),
         ({"ids": np.zeros(4)}, "ids"),
     ],

@@ -361,6 +361,26 @@ def test_boxes_are_those_that_are_there_at_the_moment_turned_the_shorter_way():
     np.testing.assert_allclose(boxes.rotations_world[1], expected, atol=EXACT)
 
 
+def test_arrays_name_each_box_and_number_it_alike_in_all_samples():
+    def cuboid(identifier, label, times):
+        return CuboidAnnotation(identifier, CuboidPath(times, np.tile(ROW, (len(times), 1))), label=label)
+
+    early = cuboid("early", "car", SWEEPS_NS[:2])
+    whole = cuboid(7, None, np.array([0, 400 * MS], np.int64))
+    scene = drive(annotations=(early, whole))
+    first, last = (scene.samples()[k].arrays() for k in (0, 3))
+    assert first["boxes.track_ids"].tolist() == ["early", "7"]
+    assert first["boxes.labels"].tolist() == ["car", ""]
+    assert first["boxes.track_numbers"].tolist() == [0, 1]
+    assert (last["boxes.track_ids"].tolist(), last["boxes.track_numbers"].tolist()) == (["7"], [1])
+    assert {name: array.dtype for name, array in first.items()} == {
+        name: array.dtype for name, array in last.items()
+    }
+
+
+ROW = np.array([4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
 def test_angles_of_boxes_are_read_as_the_metadata_say():
     standing = box(7, [0], [[1, 1, 1, 0, 0, 0, 0.1, 0.2, 0.3]], stationary=True)
     metadata = {"sceneloom": {"euler_unit": "radians", "euler_order": "zyx"}}

@@ -15,7 +15,7 @@ from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.fusion import FusionConfiguration, FusionSystem
-from sceneloom.fusion.algorithms import FusionType, algorithm
+from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.timestamps import Timestamp
@@ -48,7 +48,8 @@ def iter_fused_detections(
         CalibrationError: a lens is unknown.
     """
     chosen = configuration or FusionConfiguration()
-    detect: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, chosen.detection_algorithm)
+    named = chosen_algorithm(FusionType.DETECTIONS, chosen.detection_algorithm)
+    detect: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, named)
     if chosen.detection_algorithm == "projection":
         if settings is None and chosen.detectors != DEFAULT:
             settings = ProjectionSettings(detectors=chosen.detectors)

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -12,6 +12,7 @@ from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import PoseError
 from sceneloom.formats.loss import LossReport
 from sceneloom.fusion import FusionConfiguration, FusionSystem
+from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, chosen_algorithm
 from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pipeline.fusing.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
 from sceneloom.pipeline.fusing.report import CameraTally, FrameCounts, FusionReport, FusionTally, told_once
@@ -28,6 +29,7 @@ def iter_fused(
     *,
     trajectory: str | None = None,
     heading: str | None = None,
+    algorithm: AlgorithmChoice | None = None,
     configuration: FusionConfiguration | None = None,
 ) -> Iterator[FusedFrame]:
     """Fuse a scene sweep by sweep without writing anything.
@@ -36,6 +38,8 @@ def iter_fused(
         trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
             None for the scene's default, which is found from the sweeps where the scene has none.
         heading: "motion" to derive orientations where the trajectory has positions only.
+        algorithm: a function that is called as `colouring.FusionAlgorithm`, the name of an installed algorithm, or
+            "file.py:function"; None for what the configuration says.
         configuration: settings of the fusion system.
 
     Yields:
@@ -44,9 +48,11 @@ def iter_fused(
     Raises:
         PoseError: the sensors' motion is not known.
         DataError: a sweep or a picture cannot be read.
+        OptionError: an algorithm is not there, or does not give what it should.
     """
+    settings = _configured(configuration, algorithm)
     woven = weave(scene, trajectory=trajectory, heading=heading)
-    yield from play(woven.scene, build_system(woven.scene, woven.ego, configuration or FusionConfiguration()))
+    yield from play(woven.scene, build_system(woven.scene, woven.ego, settings))
 
 
 def fuse(
@@ -57,6 +63,7 @@ def fuse(
     heading: str | None = None,
     start: float | None = None,
     stop: float | None = None,
+    algorithm: AlgorithmChoice | None = None,
     outputs: FusionOutputs | None = None,
     configuration: FusionConfiguration | None = None,
     lenient: bool = False,
@@ -72,6 +79,8 @@ def fuse(
         start: seconds after the scene's first time stamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
         outputs: where to write what, and how.
+        algorithm: a function that is called as `colouring.FusionAlgorithm`, the name of an installed algorithm, or
+            "file.py:function"; None for what the configuration says.
         configuration: settings of the fusion system.
         lenient: count sweeps and pictures that cannot be read, and go on.
         progress: told after each sweep; each counts twice where the ego's way is found from the sweeps first.
@@ -94,11 +103,19 @@ def fuse(
             start=start,
             stop=stop,
             outputs=outputs,
-            configuration=configuration,
+            configuration=_configured(configuration, algorithm),
             lenient=lenient,
             progress=progress,
         )
     return msgspec.structs.replace(report, stages=dict(stages))
+
+
+def _configured(
+    configuration: FusionConfiguration | None, algorithm: AlgorithmChoice | None
+) -> FusionConfiguration:
+    settings = configuration or FusionConfiguration()
+    chosen = settings.fusion_algorithm if algorithm is None else algorithm
+    return replace(settings, fusion_algorithm=chosen_algorithm(FusionType.SENSOR_DATA, chosen))
 
 
 def _fuse(

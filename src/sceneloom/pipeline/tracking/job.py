@@ -11,7 +11,7 @@ from sceneloom.detections import DetectionPair
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import DetectionAlgorithm
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.fusion.algorithms import FusionType, algorithm
+from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm, chosen_algorithm
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.detected import DetectedDrive, Moment, moments, projection_settings
 from sceneloom.pipeline.tracking.tracked import TrackedDrive, joined_moments, moments_of
@@ -26,13 +26,14 @@ class TrackingSettings:
 
     Attributes:
         offline: whether states may look ahead: smoothed over the drive, gaps filled.
-        algorithm: name of the algorithm of detection fusion.
+        algorithm: the algorithm of detection fusion: its name, "file.py:function", or a function that is called as
+            `detections.DetectionAlgorithm`.
         fusion: what fusion by projection takes for granted; None for what is known of the drive's detectors.
         tracker: what the tracker takes for granted.
     """
 
     offline: bool = False
-    algorithm: str = "projection"
+    algorithm: AlgorithmChoice = "projection"
     fusion: ProjectionSettings | None = None
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
 
@@ -158,10 +159,11 @@ def _track_all(
     return moments_of(tracks, drive.timestamps_ns), seconds
 
 
-def _fusion(name: str, known: ProjectionSettings) -> DetectionAlgorithm:
-    if name == "projection":
+def _fusion(chosen: AlgorithmChoice, known: ProjectionSettings) -> DetectionAlgorithm:
+    if chosen == "projection":
         return partial(fuse_by_projection, settings=known)
-    found: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, name)
+    named = chosen_algorithm(FusionType.DETECTIONS, chosen)
+    found: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, named)
     return found
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array, check_array
+from sceneloom.arrays import Int64Array, hold_array
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
 
@@ -36,7 +36,7 @@ class AttributePath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        check_array("attribute.timestamps_ns", self.timestamps_ns, (None,), np.int64, optional=True)
+        hold_array(self, "attribute.timestamps_ns", (None,), np.int64, optional=True)
 
     @property
     def is_timed(self) -> bool:

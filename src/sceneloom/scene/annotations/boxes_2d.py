@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, check_array
+from sceneloom.arrays import Float64Array, Int64Array, hold_array
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
@@ -29,8 +29,8 @@ class BoxPath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("path.timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("path.values", self.values, (count, 4), np.float64)
+        count = hold_array(self, "path.timestamps_ns", (None,), np.int64)
+        hold_array(self, "path.values", (count, 4), np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

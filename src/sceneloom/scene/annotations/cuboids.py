@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, check_array, check_count
+from sceneloom.arrays import Float64Array, Int64Array, check_array, check_count, hold_array
 from sceneloom.errors import ArrayError
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import NO_FIELDS, Identifier
@@ -31,8 +31,8 @@ class CuboidPath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("cuboid.path.timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("cuboid.path.values", self.values, (count, 9), np.float64)
+        count = hold_array(self, "cuboid.path.timestamps_ns", (None,), np.int64)
+        hold_array(self, "cuboid.path.values", (count, 9), np.float64)
 
 
 def cut_cuboid_paths(
@@ -85,8 +85,8 @@ class Activation:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("cuboids", self.cuboids, (count, 9), np.float64, optional=True)
+        count = hold_array(self, "timestamps_ns", (None,), np.int64)
+        hold_array(self, "cuboids", (count, 9), np.float64, optional=True)
         check_count("durations_ns", self.durations_ns, count)
 
 
@@ -112,9 +112,9 @@ class Projection:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("boxes", self.boxes, (count, 4), np.float64, optional=True)
-        check_array("cuboids", self.cuboids, (count, 9), np.float64, optional=True)
+        count = hold_array(self, "timestamps_ns", (None,), np.int64)
+        hold_array(self, "boxes", (count, 4), np.float64, optional=True)
+        hold_array(self, "cuboids", (count, 9), np.float64, optional=True)
         check_count("confirmed", self.confirmed, count)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, check_array, check_count
+from sceneloom.arrays import Float64Array, Int64Array, check_count, hold_array
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
@@ -30,8 +30,8 @@ class PointPath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("values", self.values, (count, None), np.float64)
+        count = hold_array(self, "timestamps_ns", (None,), np.int64)
+        hold_array(self, "values", (count, None), np.float64)
 
 
 def places_of(values: Float64Array) -> Float64Array:
@@ -61,9 +61,9 @@ class PointProjection:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("timestamps_ns", self.timestamps_ns, (None,), np.int64)
-        check_array("points", self.points, (count, 2), np.float64, optional=True)
-        check_array("positions", self.positions, (count, 3), np.float64, optional=True)
+        count = hold_array(self, "timestamps_ns", (None,), np.int64)
+        hold_array(self, "points", (count, 2), np.float64, optional=True)
+        hold_array(self, "positions", (count, 3), np.float64, optional=True)
         check_count("confirmed", self.confirmed, count)
 
 

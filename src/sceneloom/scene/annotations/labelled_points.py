@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import UInt32Array, check_array
+from sceneloom.arrays import UInt32Array, hold_array
 from sceneloom.errors import ArrayError
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import NO_FIELDS, Identifier
@@ -29,7 +29,7 @@ class LabeledPoints:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        check_array("point_ids", self.point_ids, (None,), np.uint32)
+        hold_array(self, "point_ids", (None,), np.uint32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from sceneloom.arrays import hold_timestamp
 from sceneloom.errors import ArrayError
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import NO_FIELDS, Identifier
@@ -93,6 +94,9 @@ class EventAnnotation:
     parent_id: Identifier | None = None
     attributes: tuple[AttributePath, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    def __post_init__(self) -> None:
+        hold_timestamp(self, "start_ns")
 
     @property
     def type(self) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, check_array, check_count
+from sceneloom.arrays import Float64Array, Int64Array, as_array, check_array, check_count, hold_array
 from sceneloom.errors import ArrayError
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import NO_FIELDS, Identifier
@@ -51,8 +51,11 @@ class VertexPath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = check_array("path.timestamps_ns", self.timestamps_ns, (None,), np.int64)
+        count = hold_array(self, "path.timestamps_ns", (None,), np.int64)
         check_count("path.vertices", self.vertices, count)
+        if not all(isinstance(vertices, np.ndarray) for vertices in self.vertices):
+            held = tuple(as_array("path.vertices", v, (None, None), np.float64) for v in self.vertices)
+            object.__setattr__(self, "vertices", held)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

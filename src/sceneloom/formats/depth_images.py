@@ -9,6 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, check_array
 from sceneloom.errors import ArrayError, DataError
+from sceneloom.formats.encoded_pictures import open_image
 from sceneloom.formats.output import replacing
 
 _STEPS_PER_METRE = 256
@@ -51,10 +52,8 @@ def read_depth_png(path: Path) -> Float32Array:
     Raises:
         DataError: it is no such image.
     """
-    from PIL import Image
-
     try:
-        with Image.open(path, formats=("PNG",)) as image:
+        with open_image(path, ("PNG",)) as image:
             if not image.mode.startswith("I"):
                 raise DataError(
                     path, "", f"a picture of mode {image.mode}; expected depths of 16 bits a pixel"

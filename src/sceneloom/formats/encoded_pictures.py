@@ -4,13 +4,18 @@ import io
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from sceneloom.arrays import UInt8Array
 from sceneloom.errors import DataError
+from sceneloom.formats.files import check_pixels, check_regular
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _PNG_HEAD = struct.Struct(">8s4x4sIIBB")
 _PNG_MARK = b"\x89PNG\r\n\x1a\n"
@@ -60,6 +65,33 @@ class EncodedPicture:
         return self.content
 
 
+def open_image(path: Path, formats: tuple[str, ...]) -> "Image.Image":
+    """Open the file of a picture and read its head; Pillow decodes it when its pixels are asked for.
+
+    Args:
+        path: the file.
+        formats: what it may be, by Pillow's names.
+
+    Raises:
+        DataError: it has more pixels than `check_pixels` lets pass.
+        OSError: it is no regular file, or none of such a format.
+        ValueError, SyntaxError: Pillow cannot read its head.
+    """
+    from PIL import Image
+
+    check_regular(path)
+    try:
+        image = Image.open(path, formats=formats)
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from error
+    try:
+        check_pixels(path, "", *image.size)
+    except DataError:
+        image.close()
+        raise
+    return image
+
+
 def picture_size(content: bytes, form: str, *, owner: str = "picture", place: str = "") -> tuple[int, int]:
     """Width and height of a file in memory [px], from its head.
 
@@ -69,12 +101,14 @@ def picture_size(content: bytes, form: str, *, owner: str = "picture", place: st
         place: the field that holds it, for messages.
 
     Raises:
-        DataError: it is no such file, or of more than 8 bits.
+        DataError: it is no such file, of more than 8 bits, or has more pixels than `check_pixels` lets pass.
     """
     try:
-        return _SIZES[form](content)
+        width, height = _SIZES[form](content)
     except _FAULTS as error:
         raise DataError(owner, place, f"is no {form} file: {error}") from error
+    check_pixels(owner, place, width, height)
+    return width, height
 
 
 def encode_png(rgb: UInt8Array) -> bytes:

@@ -11,6 +11,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array, UInt16Array
 from sceneloom.errors import DataError
 from sceneloom.formats.file_names import file_stems
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.label_images import read_label_png
 from sceneloom.scene import CameraSensor, Identifier
 
@@ -90,7 +91,7 @@ def _names(path: Path) -> dict[int, str]:
     if not path.is_file():
         return {}
     try:
-        return msgspec.json.decode(path.read_bytes(), type=dict[int, str])
+        return msgspec.json.decode(read_bytes(path), type=dict[int, str])
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OSError) as error:
         raise DataError(path, "", f'{error}; expected numbers and names, {{"7": "road"}}') from error
 

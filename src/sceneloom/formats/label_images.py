@@ -6,6 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import UInt16Array, check_array
 from sceneloom.errors import DataError
+from sceneloom.formats.encoded_pictures import open_image
 from sceneloom.formats.output import replacing
 
 _NUMBERS = {"1", "L", "P", "I", "I;16", "I;16B", "I;16L"}
@@ -23,7 +24,7 @@ def read_label_png(path: Path) -> UInt16Array:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(path, formats=("PNG",)) as image:
+        with open_image(path, ("PNG",)) as image:
             mode = image.mode
             values = np.asarray(image) if mode in _NUMBERS else None
     except UnidentifiedImageError as error:

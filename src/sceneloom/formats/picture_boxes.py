@@ -10,6 +10,7 @@ from typing import Any
 
 from sceneloom.editing.hiding import PictureBox
 from sceneloom.errors import DataError
+from sceneloom.formats.files import read_bytes
 
 _ALIASES: Mapping[str, str] = MappingProxyType(
     {
@@ -59,7 +60,7 @@ def read_picture_boxes(path: str | Path) -> tuple[PictureBox, ...]:
     if not place.is_file():
         raise DataError(place, "", "no such file; expected a list of boxes as CSV or JSON")
     try:
-        text = place.read_text("utf-8-sig")
+        text = read_bytes(place).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(place, f"byte {error.start}", "is no UTF-8; expected CSV or JSON") from error
     is_json = text.lstrip()[:1] in {"[", "{"}

@@ -14,8 +14,8 @@ from sceneloom.arrays import Float32Array, UInt16Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.clouds.cloud import file_faults
 from sceneloom.formats.depth_images import read_depth_png
+from sceneloom.formats.files import file_faults
 from sceneloom.scene import DepthCameraSensor, DepthFrame, Identifier, Scene
 from sceneloom.view.feeds import Feed, Tell
 from sceneloom.view.pictures import PlacedCamera, picture_path

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import ArrayError, DataError
-from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.files import file_faults
 from sceneloom.pictures.objects import objects_of_fused
 from sceneloom.pipeline.detections.files import fused_files, read_fused
 from sceneloom.scene import Identifier, Scene, Support, TrackedObjects

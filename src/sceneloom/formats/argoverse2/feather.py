@@ -9,6 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.formats.files import check_regular, file_faults
 from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.geometry.rotations import normalise_quaternion
 
@@ -33,13 +34,15 @@ def read_columns(path: Path, columns: Columns) -> dict[str, AnyArray]:
         raise MissingExtraError(
             "feather files need pyarrow: install it with `pip install 'sceneloom[argoverse]'`"
         ) from error
-    if not path.is_file():
+    if not path.exists():
         raise DataError(path, "", "is not there; expected a feather file")
     try:
+        with file_faults(path):
+            check_regular(path)
         table = feather.read_table(os.fspath(path), memory_map=False)
         # without it a damaged file would be read beyond its end
         table.validate(full=True)
-    except (pa.ArrowException, OSError, ValueError) as error:
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise DataError(path, "", f"is no whole feather file: {error}") from error
     missing = [name for name in columns if name not in table.column_names]
     if missing:

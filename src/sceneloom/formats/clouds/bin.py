@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, read_bytes
+from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of
 from sceneloom.formats.clouds.layout import KITTI, NUSCENES, FieldLayout
+from sceneloom.formats.files import read_bytes
 
 
 def default_layout(path: Path) -> FieldLayout:

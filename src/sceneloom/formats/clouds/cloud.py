@@ -1,7 +1,6 @@
 """A file of points as it is: named columns, whatever they mean."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -31,27 +30,6 @@ class Cloud:
     count: int
     columns: Mapping[str, AnyArray]
     head: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-
-
-@contextmanager
-def file_faults(path: Path) -> Iterator[None]:
-    """Turn what the operating system says of a file into a DataError."""
-    try:
-        yield
-    except OSError as error:
-        raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
-    except MemoryError as error:
-        raise DataError(path, "", "does not fit into the memory") from error
-
-
-def read_bytes(path: Path) -> bytes:
-    """Read a whole file.
-
-    Raises:
-        DataError: it cannot be read.
-    """
-    with file_faults(path):
-        return path.read_bytes()
 
 
 def columns_of(records: AnyArray) -> dict[str, AnyArray]:

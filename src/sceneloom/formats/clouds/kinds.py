@@ -10,6 +10,7 @@ import numpy as np
 
 from sceneloom.formats.clouds.bin import default_layout
 from sceneloom.formats.clouds.npz import POSITION_NAMES
+from sceneloom.formats.files import open_file
 
 _BEGINNING = 4096
 _FEW_POINTS = 64
@@ -49,7 +50,7 @@ class CloudKind:
 
 def _first_bytes(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return file.read(_BEGINNING)
     except OSError:
         return b""
@@ -92,7 +93,7 @@ def _is_npz(path: Path, start: bytes) -> bool:
     if not start.startswith(b"PK"):
         return False
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_file(path) as file, zipfile.ZipFile(file) as archive:
             names = {name.removesuffix(".npy") for name in archive.namelist()}
     except (OSError, zipfile.BadZipFile, ValueError, RuntimeError, NotImplementedError):
         return False

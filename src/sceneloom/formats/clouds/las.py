@@ -12,8 +12,9 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud, check_count, file_faults
+from sceneloom.formats.clouds.cloud import Cloud, check_count
 from sceneloom.formats.clouds.written import NO_LABEL, WrittenPoints, seconds
+from sceneloom.formats.files import file_faults, open_file
 
 STEP = 0.001
 """Positions are whole multiples of this [m] from an offset: finer than any lidar measures."""
@@ -116,7 +117,7 @@ def read_las(path: Path) -> Cloud:
     """
     import laspy
 
-    with file_faults(path), path.open("rb") as stream:
+    with file_faults(path), open_file(path) as stream:
         if not path.stat().st_size:
             raise DataError(path, "", "is empty; expected a LAS file")
         try:

@@ -11,9 +11,10 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, file_faults
+from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of
 from sceneloom.formats.clouds.layout import FieldLayout
 from sceneloom.formats.clouds.roles import ALIASES, ROW_ALIASES
+from sceneloom.formats.files import file_faults, open_file
 
 _LARGEST_ARRAY = 1 << 32
 _FAULTS = (
@@ -88,7 +89,7 @@ def _arrays(path: Path) -> dict[str, AnyArray]:
         if not path.stat().st_size:
             raise DataError(path, "", "is empty; expected arrays of NumPy")
         try:
-            with path.open("rb") as file:  # NumPy leaves a file that it opened itself open where it fails
+            with open_file(path) as file:  # NumPy leaves a file that it opened itself open where it fails
                 loaded: Any = np.load(file, allow_pickle=False)
                 if isinstance(loaded, np.ndarray):
                     return {"points" if loaded.dtype.names is None else "": loaded}

@@ -13,8 +13,9 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, read_bytes, unique_names
+from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, unique_names
 from sceneloom.formats.clouds.text_rows import parse_rows
+from sceneloom.formats.files import read_bytes
 
 _LONGEST_HEADER = 1 << 16
 _LETTERS = {"F": "f", "I": "i", "U": "u"}

@@ -13,8 +13,9 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, read_bytes, unique_names
+from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, unique_names
 from sceneloom.formats.clouds.text_rows import parse_rows
+from sceneloom.formats.files import read_bytes
 
 _TYPES: Mapping[str, str] = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",

@@ -11,7 +11,7 @@ import numpy as np
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, SceneloomError
-from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.files import read_bytes
 from sceneloom.geometry.rigid import RigidTransform
 
 _ENTRY = re.compile(r"(?P<indent> *)(?P<key>[^\s:#][^:#]*):(?P<value>.*)")

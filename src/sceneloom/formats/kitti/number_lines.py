@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 
 LARGEST = 1e9

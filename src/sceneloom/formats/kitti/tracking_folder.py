@@ -9,6 +9,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
+from sceneloom.formats.files import file_faults, open_file, read_bytes
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, lidar_boxes
 from sceneloom.formats.kitti.chosen_sequence import choose_sequence
@@ -290,7 +291,7 @@ def _frame_count(
 ) -> tuple[int, int]:
     """How many frames a sequence has, and of how many the OXTS unit tells."""
     oxts = folder / "oxts" / f"{name}.txt"
-    poses = len(read_fields(oxts)) if oxts.is_file() and oxts.read_bytes().strip() else 0
+    poses = len(read_fields(oxts)) if oxts.is_file() and read_bytes(oxts).strip() else 0
     pictures = sum(1 for _ in (folder / PICTURES / name).glob("*.png"))
     found = max((one.frame_count for one in lists if one is not None), default=0)
     if poses == 0:
@@ -329,8 +330,9 @@ def frame_times(folder: Path, name: str, frame_count: int) -> Int64Array:
 def picture_size(folder: Path, name: str, calibration: KittiCalibration, ledger: Ledger) -> tuple[int, int]:
     """Width and height of a sequence's pictures: of the first one, else by the focal length or the lens."""
     for picture in sorted((folder / PICTURES / name).glob("*.png"))[:1]:
-        head = picture.read_bytes()[:24] if picture.stat().st_size >= 24 else b""
-        if head[:8] == b"\x89PNG\r\n\x1a\n":
+        with file_faults(picture), open_file(picture) as file:
+            head = file.read(24)
+        if len(head) == 24 and head[:8] == b"\x89PNG\r\n\x1a\n":
             return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
     known = calibration.usual_size(CAMERA)
     if known is not None:

@@ -4,6 +4,7 @@ import struct
 from pathlib import Path
 
 from sceneloom.errors import SceneloomError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.mcap.index import McapIndex, read_index
 from sceneloom.formats.mcap.records import HEAD, MAGIC, Fields, Op
@@ -21,7 +22,7 @@ def is_mcap(path: Path) -> bool:
     try:
         if not path.is_file():
             return False
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return file.read(len(MAGIC)) == MAGIC
     except OSError:
         return False
@@ -44,7 +45,7 @@ def is_ros_mcap(path: Path) -> bool:
 
 def _profile(path: Path) -> str:
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             file.seek(len(MAGIC))
             op, length = HEAD.unpack(file.read(HEAD.size))
             return Fields(file.read(min(length, _LONGEST_HEAD))).text() if op == Op.HEADER else ""

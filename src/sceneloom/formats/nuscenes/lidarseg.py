@@ -11,8 +11,8 @@ import numpy as np
 
 from sceneloom.arrays import UInt8Array
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import read_bytes
 from sceneloom.formats.clouds.layout import NUSCENES
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.nuscenes.selection import SceneTables, SensorData, file_of
 from sceneloom.formats.nuscenes.tables import CategoryRow, LidarsegRow, iter_rows

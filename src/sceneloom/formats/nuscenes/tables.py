@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file, read_bytes
 
 Microseconds = Annotated[int, msgspec.Meta(ge=-9_000_000_000_000_000, le=9_000_000_000_000_000)]
 """A time; as nanoseconds it has to be within 64 bits."""
@@ -204,7 +205,7 @@ def iter_rows(folder: Path, table: str) -> Iterator[Any]:
             rows = _rows_of_piece(decoder, piece)
             if rows is None:
                 # the piece ends inside a text, or is wrong: the whole file tells
-                yield from _decoded(path, decoder, path.read_bytes())[given:]
+                yield from _decoded(path, decoder, read_bytes(path))[given:]
                 return
             given += len(rows)
             yield from rows
@@ -215,7 +216,7 @@ def iter_rows(folder: Path, table: str) -> Iterator[Any]:
 
 def _pieces(path: Path) -> Iterator[bytes]:
     """Cut a JSON list of objects into shorter lists of whole objects."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         content = file.read(_PIECE)
         if len(content) < _PIECE:
             yield content

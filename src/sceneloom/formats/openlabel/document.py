@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.files import read_bytes
 
 _SHOWN = 60
 _LARGEST = 1e150

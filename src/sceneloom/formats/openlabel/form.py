@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import check_option_names
+from sceneloom.formats.files import open_file
 from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.openlabel.holdings import HOLDS
@@ -63,7 +64,7 @@ def _beginning(path: Path) -> bytes:
     if not path.is_file():
         return b""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return file.read(_BEGINNING)
     except OSError:
         return b""

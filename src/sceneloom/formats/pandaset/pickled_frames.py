@@ -23,7 +23,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.files import file_faults, open_file
 
 LARGEST = 1 << 29
 """More bytes than this, unpacked, no frame has."""
@@ -110,7 +110,7 @@ _LOOKUPS = (AttributeError, TypeError, ValueError, IndexError, KeyError, Overflo
 
 def _unpacked(path: Path) -> bytes:
     try:
-        with file_faults(path), path.open("rb") as file:
+        with file_faults(path), open_file(path) as file:
             is_packed = file.read(2) == _GZIP
             file.seek(0)
             content = (gzip.GzipFile(fileobj=file) if is_packed else file).read(LARGEST + 1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.geometry.rotations import normalise_quaternion
 

@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault, json_problem
 from sceneloom.formats.recording.lenses import CameraParameters
@@ -151,7 +152,7 @@ def _read_old(folder: Path, data_path: Path, other_lines: Iterable[str], ledger:
 
 def _read_object(path: Path) -> Mapping[str, Any]:
     try:
-        text = path.read_bytes()
+        text = read_bytes(path)
         content = msgspec.json.decode(text)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error.strerror}") from error

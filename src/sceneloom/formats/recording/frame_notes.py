@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.formats.files import open_file
 from sceneloom.formats.recording.column_arrays import nanoseconds, time_order, view
 from sceneloom.formats.recording.columns import FrameColumns
 
@@ -94,7 +95,7 @@ def _texts(frames: FrameColumns, rows: list[int], data_path: Path) -> list[str]:
         for row in camera.rows:
             if row in named:
                 named[row].append(index)
-    with data_path.open("rb") as file:
+    with open_file(data_path) as file:
         texts = []
         for row in rows:
             if frames.offsets[row] >= 0:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration
 from sceneloom.formats.recording.column_arrays import by_time, further_by_time, lines_of, row_keys, view
@@ -192,7 +193,7 @@ def _text(path: Path, code: str, ledger: Ledger) -> str | None:
     if not path.is_file():
         return None
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bytes(path).decode()
     except (OSError, UnicodeDecodeError) as error:
         ledger.fault(code, DataError(path, "", f"cannot be read as text: {error}"))
         return None

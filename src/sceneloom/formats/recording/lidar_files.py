@@ -10,6 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, read_only
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.recording.columns import FARTHEST_TIME
 from sceneloom.scene import LidarPoints
 
@@ -96,7 +97,7 @@ def _mapped(path: Path, count: int) -> AnyArray:
     if count == 0:
         return np.empty(0, XYZIRT)
     size = count * XYZIRT.itemsize
-    with path.open("rb", buffering=0) as file:
+    with open_file(path, buffering=0) as file:
         if sys.platform == "linux":
             # all pages at once: one by one takes twice as long
             flags = mmap.MAP_SHARED | mmap.MAP_POPULATE

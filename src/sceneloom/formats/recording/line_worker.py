@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from sceneloom.errors import SceneloomError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.recording.columns import RecordingColumns
 from sceneloom.formats.recording.line_blocks import blocks_of_lines
 from sceneloom.formats.recording.line_reading import LineReader
@@ -63,7 +64,7 @@ def read_part(path: Path, start: int, stop: int) -> ReadPart | None:
     """Read the lines that begin in a part of a file; None where that is better done as one with the others."""
     reader = LineReader()
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             for lines, offset in blocks_of_lines(file, path, start, stop):
                 reader.read(lines, offset)
                 if len(reader.faults) > MOST_FAULTS:

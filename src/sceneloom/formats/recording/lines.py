@@ -8,6 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.column_arrays import line_seconds
 from sceneloom.formats.recording.columns import RecordingColumns
@@ -56,7 +57,7 @@ def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
 
 def _check_beginning(path: Path) -> None:
     """Refuse a file that is no text at once: of its lines there would be none that is right."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         told = other_file(file.read(16))
     if told is not None:
         raise DataError(path, "", f"{told}; expected lines of JSON in UTF-8: unpack or export it as such")
@@ -65,7 +66,7 @@ def _check_beginning(path: Path) -> None:
 def _read_serially(
     reader: LineReader, path: Path, ledger: Ledger, start: int = 0, stop: int | None = None
 ) -> None:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         for lines, offset in blocks_of_lines(file, path, start, stop):
             reader.read(lines, offset)
             _pass_faults(reader.faults, path, ledger)

@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 
 PARAMETERS_FILE = "parameters.txt"
@@ -115,8 +116,8 @@ def read_parameters_file(path: Path) -> dict[str, str]:
         DataError: it cannot be read as text, or a part of it is no name and value, or stands there twice.
     """
     try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(_LONGEST)
+        with open_file(path) as file:
+            text = file.read(_LONGEST).decode()
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(path, "", f"cannot be read as text: {error}") from error
     values: dict[str, str] = {}

@@ -12,6 +12,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.recording.column_arrays import nanoseconds, time_order, view
 from sceneloom.formats.recording.columns import CameraColumns, FrameColumns
@@ -120,7 +121,7 @@ def further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> d
         return {}
     data_file.check()
     try:
-        with data_file.path.open("rb") as file:
+        with open_file(data_file.path) as file:
             file.seek(offset)
             line = msgspec.json.decode(file.readline())
         line = with_frames(line) if has_old_frame(line) else line

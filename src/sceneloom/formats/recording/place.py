@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from sceneloom.formats.files import open_file
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.line_shapes import RECORD_KEYS
 from sceneloom.formats.recording.picture_files import OpenPictures
@@ -87,7 +88,7 @@ def near_miss(path: Path) -> str | None:
 def is_log(path: Path) -> bool:
     """Whether a file is lines of JSON as a recording or the output of a method has them: one of the first is known."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             for _ in range(_LEADING_LINES):
                 line = _object(file.readline(_LONGEST_FIRST_LINE))
                 if line is None or _is_known(line):

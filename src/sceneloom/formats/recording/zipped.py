@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from zipfile import BadZipFile, LargeZipFile, ZipFile, ZipInfo
 
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file
 
 MOST_FILES = 1_000_000
 """More files than this are not unpacked: 28 hours of lidar at 10 Hz have as many."""
@@ -63,7 +64,7 @@ class UnpackedFolder:
 def is_zip(path: Path) -> bool:
     """Whether a file begins as zip archives do."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return file.read(4) == b"PK\x03\x04"
     except OSError:
         return False
@@ -72,7 +73,7 @@ def is_zip(path: Path) -> bool:
 def damage_of_zip(path: Path) -> str | None:
     """Why a zip archive cannot be read; None where it can."""
     try:
-        with ZipFile(path):
+        with open_file(path) as file, ZipFile(file):
             return None
     except _FAULTS as error:
         return f"a zip archive that is damaged or cut off: {error or type(error).__name__}"
@@ -88,7 +89,7 @@ def holds_recording(path: Path, data_file: str) -> bool:
     if not is_zip(path):
         return False
     try:
-        with ZipFile(path) as archive:
+        with open_file(path) as file, ZipFile(file) as archive:
             return root_of(archive.namelist(), data_file) is not None
     except _FAULTS:
         return False
@@ -122,7 +123,7 @@ def unpack(path: Path, data_file: str) -> UnpackedFolder:
             names leads out of the folder.
     """
     try:
-        with ZipFile(path) as archive:
+        with open_file(path) as file, ZipFile(file) as archive:
             return _unpack(archive, path, data_file)
     except _FAULTS as error:
         raise DataError(path, "", f"cannot be unpacked: {error or type(error).__name__}") from error

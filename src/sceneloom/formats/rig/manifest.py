@@ -6,6 +6,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from sceneloom.errors import DataError
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.rig.faults import Faults
 from sceneloom.formats.rig.records import Record, read_record
 
@@ -98,7 +99,7 @@ def _parse(path: Path) -> Record:
         size = path.stat().st_size
         if size > _LARGEST_MANIFEST:
             raise DataError(path, "", f"{size} bytes; expected a manifest of at most {_LARGEST_MANIFEST}")
-        text = path.read_bytes().decode("utf-8-sig")
+        text = read_bytes(path).decode("utf-8-sig")
         return tomllib.loads(text.replace("\r\n", "\n"), parse_float=_decimal)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error

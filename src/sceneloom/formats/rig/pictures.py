@@ -11,7 +11,8 @@ from PIL import Image, UnidentifiedImageError
 from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.encoded_pictures import open_image
+from sceneloom.formats.files import read_bytes
 from sceneloom.scene import Picture
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -34,7 +35,7 @@ def open_picture(path: Path) -> Image.Image:
         DataError: it is no PNG and no JPEG, or cannot be read.
     """
     try:
-        return cast("Image.Image", Image.open(path, formats=_FORMS))
+        return open_image(path, _FORMS)
     except UnidentifiedImageError as error:
         raise DataError(path, "", "is no PNG and no JPEG picture") from error
     except _FAULTS as error:

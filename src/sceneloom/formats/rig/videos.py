@@ -11,6 +11,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.video import VideoReader, open_video
 from sceneloom.scene import Picture, VideoContent
 
@@ -67,7 +68,7 @@ class VideoFile:
 
     def open_binary(self) -> BinaryIO:
         """Open the video's bytes."""
-        return self.path.open("rb")
+        return open_file(self.path)
 
     def content(self, chosen: Int64Array) -> VideoContent:
         """The video for those who copy it, with the pictures that are used of it."""

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.ros.bags import Bag
 from sceneloom.formats.ros.mcap_bag import McapBag
@@ -64,7 +65,7 @@ def _metadata(folder: Path, ledger: Ledger) -> Mapping[str, Any]:
     except ImportError as missing:
         raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[ros]'") from missing
     try:
-        root = YAML(typ="safe").load(path.read_text("utf-8"))[ROOT_KEY]
+        root = YAML(typ="safe").load(read_bytes(path).decode())[ROOT_KEY]
         if not isinstance(root, dict):
             raise TypeError(f"{ROOT_KEY} is no mapping")  # noqa: TRY301 - one place for all that can be wrong
     except (YAMLError, OSError, UnicodeDecodeError, KeyError, TypeError) as error:

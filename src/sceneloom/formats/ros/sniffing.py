@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from sceneloom.formats.files import open_file
 from sceneloom.formats.mcap.sniffing import is_ros_mcap
 
 METADATA = "metadata.yaml"
@@ -30,7 +31,7 @@ def _has_metadata(folder: Path) -> bool:
     metadata = folder / METADATA
     if not metadata.is_file():
         return False
-    with metadata.open("rb") as file:
+    with open_file(metadata) as file:
         return ROOT_KEY.encode() in file.read(_LOOKED_AT)
 
 
@@ -46,7 +47,7 @@ def _holds_messages(folder: Path) -> bool:
 def _is_sqlite_bag(path: Path) -> bool:
     if not _begins(path, _SQLITE_MAGIC):
         return False
-    with path.open("rb") as file:
+    with open_file(path) as file:
         content = file.read(_LOOKED_AT)
     # the first page holds the statements that made the tables
     return b"serialization_format" in content and b"topic_id" in content
@@ -56,7 +57,7 @@ def _begins(path: Path, magic: bytes) -> bool:
     try:
         if not path.is_file():
             return False
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return file.read(len(magic)) == magic
     except OSError:
         return False

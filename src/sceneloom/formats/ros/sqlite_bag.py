@@ -12,6 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
+from sceneloom.formats.files import check_regular, file_faults
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.ros.bags import Connection
 
@@ -58,6 +59,8 @@ class SqliteBag:
 
     def _opened(self) -> sqlite3.Connection:
         if self._database is None or self._process != os.getpid():
+            with file_faults(self.path):
+                check_regular(self.path)
             address = f"file:{quote(os.fspath(self.path.absolute()))}?mode=ro"
             self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
             self._process = os.getpid()

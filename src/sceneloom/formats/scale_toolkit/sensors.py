@@ -11,9 +11,9 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.clouds import PointMapping, read_cloud
-from sceneloom.formats.clouds.cloud import read_bytes
 from sceneloom.formats.clouds.points import detect_scale
 from sceneloom.formats.clouds.roles import find_roles
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.pandaset.text_files import read_json
 from sceneloom.formats.quaternion_lengths import lengths_of

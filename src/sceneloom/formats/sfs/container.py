@@ -17,6 +17,7 @@ import msgspec
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.identity import Identity
 from sceneloom.formats.sfs.items import (
     DTYPES,
@@ -195,7 +196,7 @@ def has_scene_header(path: Path) -> bool:
     if not path.is_file():
         return False
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             if not file.read(4096).lstrip(b" \t\r\n").startswith(b"{"):
                 return False
             if path.suffix.lower() == ".sfs":

@@ -12,6 +12,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
 from sceneloom.formats.byte_stream import ByteStream
+from sceneloom.formats.files import open_file
 from sceneloom.formats.identity import FileIdentity
 
 _MAPPED_AT_MOST = 128 << 20
@@ -38,7 +39,7 @@ class MappedFile(mmap.mmap):
             OSError: it cannot be read.
             ValueError: it is empty.
         """
-        with path.open("rb") as file:
+        with open_file(path) as file:
             mapped = cls(file.fileno(), 0, access=mmap.ACCESS_READ)
             mapped.identity = FileIdentity.of(path, descriptor=file.fileno())
         return mapped

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.files import file_faults, open_file
 
 _BEGINNING = 65_536
 
@@ -13,7 +13,7 @@ def beginning(path: Path) -> str | None:
     Raises:
         DataError: it cannot be read.
     """
-    with file_faults(path), path.open("rb") as file:
+    with file_faults(path), open_file(path) as file:
         raw = file.read(_BEGINNING + 1)
     if b"\0" in raw:
         return None

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.poses import Poses
@@ -66,7 +66,7 @@ def _recognises(text: str) -> bool:
 
 def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     found: dict[str, _Poses] = {}
-    with file_faults(path), path.open("rb") as file:
+    with file_faults(path), open_file(path) as file:
         for number, text in enumerate(file, 1):
             if not text.strip():
                 continue

@@ -3,13 +3,13 @@
 import re
 from collections.abc import Collection
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from sceneloom.arrays import AnyArray, UInt8Array, UInt16Array
 from sceneloom.errors import DataError
+from sceneloom.formats.encoded_pictures import open_image
 
 _NUMBERED = re.compile(r"(\d{8})\.png")
 _EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX"}
@@ -101,7 +101,7 @@ class PngFolder:
     def _open(self, index: int) -> Image.Image:
         place = picture_name(index)
         try:
-            return cast("Image.Image", Image.open(self._folder / place, formats=("PNG",)))
+            return open_image(self._folder / place, ("PNG",))
         except UnidentifiedImageError as error:
             raise DataError(self.name, place, "is no PNG picture") from error
         except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:

@@ -14,6 +14,7 @@ from av.video.stream import VideoStream
 
 from sceneloom.errors import DataError
 from sceneloom.formats.byte_stream import ByteStream
+from sceneloom.formats.files import open_file
 from sceneloom.formats.processors import processors
 
 VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryIO]
@@ -45,7 +46,7 @@ def as_path(source: Path | str) -> Path:
 def open_bytes(source: VideoSource) -> BinaryIO:
     """Open the source as a new seekable binary file."""
     if isinstance(source, Path | str):
-        return as_path(source).open("rb")
+        return open_file(as_path(source))
     if callable(source):
         return source()
     return cast("BinaryIO", io.BufferedReader(ByteStream(memoryview(source).cast("B"))))

@@ -12,7 +12,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError, SceneloomError
-from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.files import file_faults
 from sceneloom.formats.kitti import KittiTracking, write_labels
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.output import check_output, filling, replacing

@@ -16,7 +16,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.files import file_faults
 from sceneloom.formats.output import replacing
 
 _LENGTH_BYTES = 8

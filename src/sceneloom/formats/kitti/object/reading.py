@@ -14,7 +14,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import KittiLabels, joined_labels, read_labels
 from sceneloom.formats.kitti.object.place import PARTS, PICTURE_FOLDERS, find_frames

@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import UInt32Array, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import read_bytes
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.kitti.scenes.numbered import NumberedFiles
 from sceneloom.formats.kitti.scenes.sensors import LIDAR_ID
 from sceneloom.formats.kitti.scenes.sweeps import POINT_BYTES

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.files import file_faults
 from sceneloom.formats.kitti.number_lines import LATEST
 from sceneloom.formats.ledger import Ledger
 from sceneloom.scene import NoticeKind

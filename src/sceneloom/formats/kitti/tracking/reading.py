@@ -7,6 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import KittiLabels, read_labels
 from sceneloom.formats.kitti.oxts import read_fields
@@ -116,7 +117,7 @@ def _labels(path: Path, ledger: Ledger) -> KittiLabels | None:
 
 
 def _fields(path: Path) -> np.ndarray | None:
-    return read_fields(path) if path.is_file() and path.read_bytes().strip() else None
+    return read_fields(path) if path.is_file() and read_bytes(path).strip() else None
 
 
 def _times(folder: Path, name: str, count: int, ledger: Ledger) -> Int64Array:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from sceneloom.errors import DataError, UnknownFormatError
-from sceneloom.formats.clouds.cloud import file_faults
+from sceneloom.formats.files import file_faults
 from sceneloom.formats.ledger import Ledger
 from sceneloom.pipeline.detections.lists import json_lines, kitti_text, nuscenes
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm

@@ -1,0 +1,145 @@
+"""Files of a drive: opened only where they are regular files, and never taken for larger than their bytes say.
+
+Every reader opens its files with `open_file` or `read_bytes`, or asks `check_regular` before a library opens one by its
+path: a named pipe would be waited for without end, a device gives bytes without end. What a file declares is checked
+against the bytes that are there before memory is asked for; what is compressed may declare more, within
+`check_unpacked`. The constants of this module are looked up at each call, so a program that has larger files may raise
+them: `sceneloom.formats.files.LARGEST_RATIO = 1000`.
+"""
+
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from sceneloom.errors import DataError
+
+LARGEST_READ = 1 << 32
+"""Longest file that is read whole: a sweep, a picture, a table, a text [bytes]. Videos, bags, `.sfs` files and the
+lines of recordings are read piece by piece, and may be of any length."""
+
+LARGEST_RATIO = 100
+"""How many times as long as they are compressed bytes may become; sweeps and tables become 2 to 20 times as long."""
+
+ALWAYS_UNPACKED = 1 << 26
+"""Up to so many bytes anything compressed may become, however short it is: constant values compress very well."""
+
+MOST_PIXELS = 1 << 27
+"""Most pixels of a picture, by its head, before it is decoded: 16384 x 8192."""
+
+_KINDS = {
+    stat.S_IFIFO: "is a named pipe",
+    stat.S_IFCHR: "is a device",
+    stat.S_IFBLK: "is a device",
+    stat.S_IFSOCK: "is a socket",
+}
+_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+
+
+def check_regular(path: Path) -> None:
+    """Refuse what is no regular file, for libraries that open files by their paths.
+
+    Raises:
+        OSError: it is a folder, a pipe, a device or a socket, or cannot be looked at.
+    """
+    _check_mode(path, path.stat().st_mode)
+
+
+def open_file(path: Path, *, buffering: int = -1) -> BinaryIO:
+    """Open a file of a drive for reading bytes.
+
+    Raises:
+        OSError: it is no regular file, or cannot be opened.
+    """
+    check_regular(path)
+    if type(path) is not type(Path()):
+        # files of remote folders open in their own way, and are regular ones
+        return path.open("rb", buffering)
+
+    def opened(name: str, _: int) -> int:
+        descriptor = os.open(name, _FLAGS)
+        try:
+            # what has taken the file's place in between is not waited for
+            _check_mode(path, os.fstat(descriptor).st_mode)
+        except OSError:
+            os.close(descriptor)
+            raise
+        if hasattr(os, "set_blocking") and os.name == "posix":
+            os.set_blocking(descriptor, True)
+        return descriptor
+
+    return open(path, "rb", buffering, opener=opened)
+
+
+def _check_mode(path: Path, mode: int) -> None:
+    if stat.S_ISREG(mode):
+        return
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    kind = _KINDS.get(stat.S_IFMT(mode), "is no regular file")
+    raise OSError(errno.EINVAL, f"{kind}; expected a regular file", str(path))
+
+
+@contextmanager
+def file_faults(path: Path) -> Iterator[None]:
+    """Turn what the operating system says of a file into a DataError."""
+    try:
+        yield
+    except OSError as error:
+        raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise DataError(path, "", "does not fit into the memory") from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a whole file.
+
+    Raises:
+        DataError: it cannot be read, is no regular file, or is longer than `LARGEST_READ`.
+    """
+    with file_faults(path), open_file(path) as file:
+        check_length(path)
+        return file.read()
+
+
+def check_length(path: Path) -> None:
+    """Refuse a file that is too long to be read whole.
+
+    Raises:
+        DataError: it is longer than `LARGEST_READ`.
+    """
+    size = path.stat().st_size
+    if size > LARGEST_READ:
+        raise DataError(
+            path, "", f"{size} bytes; expected {LARGEST_READ} at most in a file that is read whole"
+        )
+
+
+def check_unpacked(path: object, place: str, packed: int, unpacked: int) -> None:
+    """Refuse compressed bytes that declare to become far more than data of sensors do.
+
+    Args:
+        path: the file, for the message.
+        place: where in it, for the message.
+        packed: how many bytes they are [bytes].
+        unpacked: how many they declare to become [bytes].
+
+    Raises:
+        DataError: these are more than `ALWAYS_UNPACKED` and more than `LARGEST_RATIO` times as many.
+    """
+    most = max(ALWAYS_UNPACKED, LARGEST_RATIO * packed)
+    if unpacked > most:
+        raise DataError(path, place, f"{packed} bytes that unpack to {unpacked}; expected {most} at most")
+
+
+def check_pixels(path: object, place: str, width: int, height: int) -> None:
+    """Refuse a picture that is larger than those of cameras, before it is decoded.
+
+    Raises:
+        DataError: it has more than `MOST_PIXELS` pixels.
+    """
+    if width * height > MOST_PIXELS:
+        raise DataError(path, place, f"{width}x{height} pixels; expected {MOST_PIXELS} pixels at most")

@@ -1,0 +1,113 @@
+"""Readers open the files of a drive by `sceneloom.formats.files`, which waits for no pipe and reads no device."""
+
+import ast
+
+READING_MODES = ("r", "rb", "rt")
+
+BY_PATH = {
+    "Image.open", "av.open", "laspy.open", "np.fromfile", "np.genfromtxt", "np.load", "np.loadtxt", "np.memmap",
+    "os.open", "pa.OSFile", "pa.memory_map", "feather.read_table", "sqlite3.connect", "zipfile.ZipFile", "ZipFile",
+    "gzip.open", "gzip.GzipFile", "io.open", "io.FileIO", "tarfile.open", "ET.parse", "cv2.imread", "YAML",
+}  # fmt: skip
+"""What opens a file by its path, if it is given one; `read_bytes()` and `read_text()` of any object, and `open` of any
+object with a mode for reading, are others."""
+
+ALLOWED = {
+    ("sceneloom.formats.files", "os.open"): "the one place where files are opened",
+    ("sceneloom.formats.files", "open"): "the one place where files are opened",
+    ("sceneloom.formats.files", "path.open"): "files of remote folders open in their own way",
+    ("sceneloom.formats.remote.mirrored_path", "open"): "of files that were fetched into a folder of our own",
+    ("sceneloom.formats.remote.mirrored_path", "read_bytes"): "the listing in a folder of our own",
+    (
+        "sceneloom.formats.remote.late_file",
+        "io.FileIO",
+    ): "of files that were fetched into a folder of our own",
+    ("sceneloom.formats.remote.stores", "source.open"): "what was written is sent",
+    ("sceneloom.formats.recording.line_parts", "read_bytes"): "written by our own process",
+    ("sceneloom.formats.sfs.spool", "path.open"): "what was written before is put together",
+    ("sceneloom.formats.encoded_pictures", "Image.open"): "after `check_regular`, or of bytes in memory",
+    ("sceneloom.formats.argoverse2.feather", "feather.read_table"): "after `check_regular`",
+    ("sceneloom.formats.ros.sqlite_bag", "sqlite3.connect"): "after `check_regular`",
+    ("sceneloom.formats.ros.opening", "YAML"): "of a text",
+    ("sceneloom.formats.clouds.text_rows", "np.loadtxt"): "of lines in memory",
+    ("sceneloom.formats.clouds.las", "laspy.open"): "of a stream, or for writing",
+    ("sceneloom.formats.clouds.frame_files", "laspy.open"): "for writing",
+    ("sceneloom.formats.clouds.npz", "np.load"): "of an open file",
+    ("sceneloom.formats.clouds.kinds", "zipfile.ZipFile"): "of an open file",
+    ("sceneloom.formats.recording.zipped", "ZipFile"): "of an open file",
+    ("sceneloom.formats.pandaset.pickled_frames", "gzip.GzipFile"): "of an open file",
+    ("sceneloom.formats.video.source", "av.open"): "after a look whether it is a file",
+    ("sceneloom.formats.video.writer", "av.open"): "for writing",
+    ("sceneloom.formats.sfs.video_rescue", "av.open"): "for writing",
+}
+"""Module and call, and why it is in order."""
+
+
+def called(node: ast.Call) -> str:
+    """The last two names of what is called, such as `np.load`, or `.open` of something longer."""
+    function = node.func
+    if isinstance(function, ast.Name):
+        return function.id
+    if not isinstance(function, ast.Attribute):
+        return ""
+    return f"{function.value.id if isinstance(function.value, ast.Name) else ''}.{function.attr}"
+
+
+def mode_of(node: ast.Call, place: int) -> str | None:
+    """The mode that a file is opened with, or None where the call says none that can be read here."""
+    given = [*node.args[place : place + 1], *(word.value for word in node.keywords if word.arg == "mode")]
+    if not given:
+        return "r" if {word.arg for word in node.keywords} & {"encoding", "buffering"} else None
+    return given[0].value if isinstance(given[0], ast.Constant) and isinstance(given[0].value, str) else None
+
+
+def opens_for_reading(node: ast.Call) -> str | None:
+    """What a call is named by if it opens a file by its path to read it."""
+    name = called(node)
+    attribute = name.rpartition(".")[2]
+    if name in BY_PATH:
+        return name
+    if attribute in {"read_bytes", "read_text"} and "." in name and not node.args:
+        return attribute
+    if name == "open":
+        return name if (mode_of(node, 1) or "r") in READING_MODES else None
+    if attribute == "open" and mode_of(node, 0) in READING_MODES:
+        return name
+    return None
+
+
+def test_readers_open_files_by_the_one_function_that_refuses_pipes_and_devices(modules):
+    found, used = [], set()
+    for module in modules:
+        if not module.name.startswith("sceneloom.formats"):
+            continue
+        for node in ast.walk(module.tree):
+            name = opens_for_reading(node) if isinstance(node, ast.Call) else None
+            if name is None:
+                continue
+            used.add((module.name, name))
+            if (module.name, name) not in ALLOWED:
+                found.append(f"{module.name}, line {node.lineno}: {name}")
+    assert not found, f"use open_file or read_bytes of sceneloom.formats.files: {found}"
+    assert set(ALLOWED) <= used, f"no longer needed: {set(ALLOWED) - used}"
+
+
+def test_what_opens_files_is_told_from_what_does_not():
+    reading = [
+        "p.open('rb')",
+        "p.open(encoding='utf-8')",
+        "open(p)",
+        "open(p, 'rb')",
+        "a.b.read_bytes()",
+        "np.load(p)",
+    ]
+    other = [
+        "p.open('wb')",
+        "video.open()",
+        "open(p, 'xb')",
+        "read_bytes(p)",
+        "open_file(p)",
+        "form.open(path)",
+    ]
+    assert all(opens_for_reading(ast.parse(text).body[0].value) for text in reading)
+    assert not any(opens_for_reading(ast.parse(text).body[0].value) for text in other)

@@ -1,6 +1,9 @@
-"""SQL over a catalogue, by DuckDB: reading only, and nothing but the catalogue's own files."""
+"""SQL over a catalogue, by DuckDB: reading only, and nothing but the catalogue's own tables.
 
-import re
+DuckDB itself opens no file: the tables come to it as data sets of pyarrow, its file systems are switched off, its
+settings locked, and a query runs in a read-only transaction. So no statement, however it is nested, can write.
+"""
+
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,25 +12,24 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.catalog.layout import Layout
-from sceneloom.catalog.parquet import read_footer, read_part
-from sceneloom.catalog.tables import TABLES, Kind
+from sceneloom.catalog.parquet import arrow_type, pyarrow, read_footer, read_part
+from sceneloom.catalog.tables import TABLES
 from sceneloom.errors import DataError, MissingExtraError, OptionError
 
-_SQL_KINDS = {
-    Kind.TEXT: "VARCHAR", Kind.TIME: "BIGINT", Kind.COUNT: "INTEGER", Kind.NUMBER: "DOUBLE", Kind.FLAG: "BOOLEAN",
-}  # fmt: skip
-_SETTINGS: dict[str, Any] = {
+_AT_THE_START: dict[str, Any] = {
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
+    "allow_persistent_secrets": False,
     "python_enable_replacements": False,
+    "temp_directory": "",
 }
+_SEALED = (
+    "SET enable_external_access = false",
+    "SET disabled_filesystems = 'LocalFileSystem'",
+    "SET lock_configuration = true",
+)
 _READING = frozenset({"SELECT", "EXPLAIN"})
-_WRONG_SQL = (
-    "ParserException", "BinderException", "CatalogException", "ConversionException", "PermissionException",
-    "OutOfRangeException", "TypeMismatchException", "SyntaxException", "NotSupportedException",
-    "NotImplementedException", "InvalidInputException",
-)  # fmt: skip
-"""DuckDB's errors about what was asked, as against those about what was found."""
+"""Statements that are let through. For a clear message only: what keeps a query from writing are the settings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +46,12 @@ class Result:
 
 
 class Database:
-    """An open catalogue; its tables are views over the Parquet files."""
+    """An open catalogue; its tables are views of data sets over the Parquet files."""
 
     def __init__(self, connection: Any, duckdb: Any, layout: Layout) -> None:
         """Hold a connection whose settings are locked."""
         self._connection, self._duckdb, self._layout = connection, duckdb, layout
-        self._viewed: set[str] = set()
+        self._viewed = False
 
     def query(self, sql: str, parameters: Sequence[Any] = (), *, limit: int | None = None) -> Result:
         """Run one statement that reads.
@@ -71,10 +73,8 @@ class Database:
             self._check(statements)
         except self._duckdb.Error as error:
             raise self._told(error) from error
-        try:
-            self._view_tables(sql)
-        except (self._duckdb.Error, UnicodeDecodeError) as error:  # of our own text: the files are at fault
-            raise self._damage(error) from error
+        self._view_tables()
+        self._connection.execute("BEGIN TRANSACTION READ ONLY")
         try:
             self._connection.execute(statements[0], list(parameters))
             columns = _each_once([column[0] for column in self._connection.description])
@@ -85,14 +85,14 @@ class Database:
             raise self._told(error) from error
         except (OverflowError, ValueError) as error:  # of the way from DuckDB's values to Python's
             raise OptionError(f"SQL: a value that Python cannot hold ({error}); cast it to text") from error
+        finally:
+            self._connection.execute("ROLLBACK")
 
-    def _view_tables(self, sql: str) -> None:
-        """Make views of the tables that the text names, all where it names none: each looks through its files."""
-        named = [table for table in TABLES if table in sql.lower()] or list(TABLES)
-        for table in named:
-            if table not in self._viewed:
-                self._connection.execute(_view(table, self._layout))
-                self._viewed.add(table)
+    def _view_tables(self) -> None:
+        """Make views of the tables, whose files are listed here, and opened by what reads them."""
+        for table in TABLES if not self._viewed else ():
+            self._connection.register(table, _data_set(table, self._layout))
+        self._viewed = True
 
     @staticmethod
     def _check(statements: Sequence[Any]) -> None:
@@ -104,12 +104,15 @@ class Database:
 
     def _told(self, error: Exception) -> Exception:
         """An error of DuckDB's as one of ours: what was asked is wrong, or what was found."""
-        asked = tuple(getattr(self._duckdb, name) for name in _WRONG_SQL if hasattr(self._duckdb, name))
         text = " ".join(str(error).split())
+        if any(words in text for words in _ABOUT_A_FILE):
+            return self._damage(error)
         if _NEEDS_ZONES in text:
             return OptionError("SQL: a time with its zone in the result; cast it to TIMESTAMP or to text")
-        is_asked = isinstance(error, asked) and _ABOUT_A_FILE.search(text) is None
-        return OptionError(f"SQL: {text}") if is_asked else self._damage(error)
+        if isinstance(error, self._duckdb.OutOfMemoryException):
+            short = text.split(" Database is launched")[0]
+            return OptionError(f"SQL: {short}; ask for fewer rows or columns at once")
+        return OptionError(f"SQL: {text}")
 
     def _damage(self, error: Exception) -> DataError:
         """Name the file that is at fault: first by the ends of all files, then by what is in them."""
@@ -123,8 +126,8 @@ class Database:
         return DataError(self._layout.folder, "", f"{' '.join(str(error).split())}; {_REMEDY}")
 
 
-_ABOUT_A_FILE = re.compile(r"\.parquet\"|in file '[^']*\.parquet'")
-"""What DuckDB's messages about files hold, and those about SQL do not."""
+_ABOUT_A_FILE = ("reading the stream registered as", "arrow_scan: ")
+"""What DuckDB's messages about data sets hold, and those about SQL do not."""
 _NEEDS_ZONES = "Required module 'pytz'"
 """What DuckDB says where a time with a zone would become an object of Python's."""
 _MOST_ROWS = 2**31 - 1
@@ -146,28 +149,31 @@ def opened(catalogue: str | Path) -> Iterator[Database]:
         raise MissingExtraError(
             "queries need duckdb: install it with `pip install 'sceneloom[catalog]'`"
         ) from error
-    with duckdb.connect(":memory:", config=_SETTINGS) as connection:
+    with duckdb.connect(":memory:", config=_AT_THE_START) as connection:
         database = Database(connection, duckdb, layout)
-        folder = str(layout.folder.absolute())
         try:
-            # a pattern is looked at before it is resolved, so the folder is allowed in both spellings
-            allowed = ", ".join(f"'{_quoted(name)}/'" for name in dict.fromkeys((folder, _literal(folder))))
-            connection.execute(f"SET allowed_directories = [{allowed}]")
-            connection.execute("SET enable_external_access = false")
-            connection.execute("SET parquet_metadata_cache = true")
-            connection.execute("SET lock_configuration = true")
+            for setting in _SEALED:
+                connection.execute(setting)
         except duckdb.Error as error:
             raise database._told(error) from error  # noqa: SLF001 - of this module
         yield database
 
 
-def _view(table: str, layout: Layout) -> str:
-    kinds = {"scene": "VARCHAR", **{column.name: _SQL_KINDS[column.kind] for column in TABLES[table]}}
-    if not layout.files(table):
-        nulls = ", ".join(f"NULL::{kind} AS {name}" for name, kind in kinds.items())
-        return f"CREATE VIEW {table} AS SELECT {nulls} WHERE false"
-    files = _quoted(f"{_literal(str(layout.folder.absolute()))}/{table}/part-*.parquet")
-    return f"CREATE VIEW {table} AS SELECT {', '.join(kinds)} FROM read_parquet('{files}')"  # noqa: S608
+def _data_set(table: str, layout: Layout) -> Any:
+    """The rows of a table as a data set of pyarrow, which reads what a query needs of them."""
+    pa, _ = pyarrow()
+    from pyarrow import dataset, fs
+
+    columns = [("scene", pa.string()), *((column.name, arrow_type(column.kind)) for column in TABLES[table])]
+    try:
+        return dataset.FileSystemDataset.from_paths(
+            [str(file.absolute()) for file in layout.files(table)],
+            schema=pa.schema(columns),
+            format=dataset.ParquetFileFormat(),
+            filesystem=fs.LocalFileSystem(),
+        )
+    except UnicodeEncodeError as error:
+        raise DataError(layout.folder, "", "its path is no Unicode, which queries need; rename it") from error
 
 
 def _each_once(names: Sequence[str]) -> tuple[str, ...]:
@@ -184,12 +190,3 @@ def _check_text(sql: str) -> None:
         sql.encode()
     except UnicodeEncodeError as error:
         raise OptionError(f"SQL {sql!r}: is no text in Unicode ({error.reason})") from error
-
-
-def _literal(path: str) -> str:
-    """A path as a pattern that fits it alone."""
-    return "".join(f"[{character}]" if character in "*?[" else character for character in path)
-
-
-def _quoted(text: str) -> str:
-    return text.replace("'", "''")

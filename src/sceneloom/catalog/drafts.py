@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.catalog.parquet import pyarrow
+from sceneloom.catalog.parquet import arrow_type, pyarrow
 from sceneloom.catalog.tables import TABLES, Column, Kind
 from sceneloom.catalog.values import Repeated, Rows, Values
 from sceneloom.errors import DataError, OutputError
@@ -53,10 +53,7 @@ def _table(pa: Any, scene: str, name: str, rows: Rows) -> Any:
 
 
 def _array(pa: Any, column: Column, values: Values) -> Any:
-    kind = {
-        Kind.TEXT: pa.string(), Kind.TIME: pa.int64(), Kind.COUNT: pa.int32(), Kind.NUMBER: pa.float64(),
-        Kind.FLAG: pa.bool_(),
-    }[column.kind]  # fmt: skip
+    kind = arrow_type(column.kind)
     if isinstance(values, Repeated):
         words = pa.array([_unicode(word) for word in values.words], pa.string())
         return pa.DictionaryArray.from_arrays(pa.array(values.codes, pa.int32()), words).cast(kind)

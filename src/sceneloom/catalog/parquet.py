@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from sceneloom.catalog.tables import Kind
 from sceneloom.errors import DataError, MissingExtraError
 
 _ROWS_OF_GROUP = 131_072
@@ -66,6 +67,15 @@ def read_footer(path: Path) -> tuple[int, Any]:
         raise DataError(
             path, "", "does not tell which scenes it holds; expected a file of a catalogue"
         ) from error
+
+
+def arrow_type(kind: Kind) -> Any:
+    """What values of a kind are to pyarrow."""
+    pa, _ = pyarrow()
+    return {
+        Kind.TEXT: pa.string(), Kind.TIME: pa.int64(), Kind.COUNT: pa.int32(), Kind.NUMBER: pa.float64(),
+        Kind.FLAG: pa.bool_(),
+    }[kind]  # fmt: skip
 
 
 def _problem(error: Exception) -> str:

@@ -1,11 +1,13 @@
 """SQL reads the catalogue, and can do nothing else; what is damaged is named."""
 
 import shutil
+from itertools import product
 
 import numpy as np
 import pytest
 
-from sceneloom.catalog import TABLES, query, update
+from sceneloom.catalog import TABLES, opened, query, update
+from sceneloom.catalog.database import Database
 from sceneloom.errors import DataError, OptionError
 
 
@@ -44,6 +46,69 @@ def test_sql_that_is_wrong_writes_or_looks_elsewhere_is_refused(copied, tmp_path
     with pytest.raises(OptionError, match="SQL"):
         query(copied, sql.format(tmp_path, copied))
     assert sorted(tmp_path.rglob("*")) == before
+
+
+WRITES = (
+    "COPY scenes TO '{to}'",
+    "COPY scenes TO '{to}' (FORMAT parquet)",
+    "COPY (SELECT 1) TO '{to}' (FORMAT csv)",
+    "COPY scenes TO '{folder}' (FORMAT parquet, PARTITION_BY scene, OVERWRITE)",
+    "WITH x AS (COPY scenes TO '{to}') SELECT 1",
+    "WITH x AS (COPY scenes TO '{to}') SELECT * FROM x",
+    "PREPARE x AS COPY scenes TO '{to}'",
+    "EXECUTE x",
+    "EXPORT DATABASE '{folder}'",
+    "ATTACH '{to}' AS other",
+    "CREATE TABLE t AS SELECT * FROM scenes",
+    "CREATE PERSISTENT SECRET s (TYPE http)",
+    "DROP VIEW scenes",
+    "CREATE OR REPLACE VIEW scenes AS SELECT 1",
+    "INSTALL httpfs",
+    "LOAD '{to}'",
+    "CHECKPOINT",
+    "SET temp_directory = '{folder}'",
+    "SET lock_configuration = false",
+    "RESET disabled_filesystems",
+    "SET secret_directory = '{folder}'",
+    "SET extension_directory = '{folder}'",
+    "PRAGMA profiling_output = '{to}'",
+    "PRAGMA enable_profiling = 'json'",
+    "CALL enable_logging(storage = 'file', storage_path = '{folder}')",
+    "SELECT * FROM enable_logging(storage = 'file', storage_path = '{folder}')",
+    "SELECT write_log('x')",
+    "SELECT * FROM query('COPY scenes TO ''{to}''')",
+    "SELECT * FROM checkpoint()",
+    "FROM read_blob('{to}')",
+    "SELECT * FROM annotations ORDER BY ALL",
+)
+AROUND = ("{}", "EXPLAIN {}", "EXPLAIN ANALYZE {}", "EXPLAIN (ANALYZE, FORMAT json) {}")
+
+
+def content(folder):
+    return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["by the verb", "by the settings alone"])
+def test_no_statement_writes_anything_anywhere(copied, tmp_path, monkeypatch, guarded):
+    home = tmp_path / "home"
+    (home / "here").mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(home / "here")
+    if not guarded:
+        monkeypatch.setattr(Database, "_check", lambda *_: None)
+    (part,) = copied.glob("scenes/*.parquet")
+    before, refused = content(tmp_path), 0
+    with opened(copied) as database:
+        for around, sql, to in product(
+            AROUND, WRITES, (part, "new.csv", f"file://{part}", "http://127.0.0.1/x")
+        ):
+            try:
+                database.query(around.format(sql.format(to=to, folder=tmp_path / "new")))
+            except OptionError:
+                refused += 1
+        assert content(tmp_path) == before
+        assert refused > 300
+        assert database.query("SELECT count(*) FROM scenes").rows == [(3,)]
 
 
 def test_names_of_this_program_are_no_tables(catalogue):

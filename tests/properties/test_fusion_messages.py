@@ -100,6 +100,9 @@ class Draws:
 
     def corners(self, *shape):
         sides = np.sort(self.array(UINT32S, *shape, 2, 2), axis=-1)
+        flat = sides[..., 0] == sides[..., 1]
+        sides[..., 0][flat & (sides[..., 0] > 0)] -= 1
+        sides[..., 1][sides[..., 0] == sides[..., 1]] += 1
         return np.ascontiguousarray(sides.swapaxes(-1, -2)).reshape(*shape, 4)
 
     def covariances(self, count):

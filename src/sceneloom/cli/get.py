@@ -12,6 +12,7 @@ import msgspec
 from sceneloom.cli import options
 from sceneloom.cli.printing import print_json
 from sceneloom.cli.service_options import calling, connected, host_and_port
+from sceneloom.errors import OptionError
 
 if TYPE_CHECKING:
     from sceneloom.fusion.events import Result
@@ -69,7 +70,10 @@ def get(
         if output is not None:
             sink = stack.enter_context(open_sink(output, detections=kind == "detection", overwrite=overwrite))
         try:
-            for result in _results(open_client(""), _TYPES[kind], count, wait, follow=follow, track=track):
+            client = open_client("")
+            if follow and not quiet and not _has_received(client):
+                click.echo(f"session {_name(client)!r} has received no records yet; waiting", err=True)
+            for result in _results(client, _TYPES[kind], count, wait, follow=follow, track=track):
                 fetched[kind] += 1
                 if sink is not None:
                     sink.add(result)
@@ -78,11 +82,26 @@ def get(
         except KeyboardInterrupt:
             if not quiet:
                 click.echo("stopped; what was fetched is kept", err=True)
+        else:
+            if not follow and not fetched[kind] and not _has_received(client):
+                problem = (
+                    f"session {_name(client)!r} has received no records; expected one that data were sent to"
+                )
+                raise OptionError(f"{problem} (--session)")
     summary = {"address": address, "type": kind, "results": fetched[kind], "output": output}
     if as_json:
         print_json(summary | {"output": None if output is None else str(output)})
     elif output is not None:
         click.echo(f"{fetched[kind]} results of {kind} fusion: {output}")
+
+
+def _has_received(client: "FusionClient") -> bool:
+    """Whether anything was sent to the session, whatever became of it: the service begins one with any name."""
+    return any(name.startswith(("received.", "refused.")) for name in client.counters())
+
+
+def _name(client: "FusionClient") -> str:
+    return client.session or "default"
 
 
 def _results(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from sceneloom.formats.recording.lidar_files import XYZIRT
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.ledger import Stream, Ticket
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
@@ -46,6 +47,15 @@ class Admitted:
         stream = kind_of(self.record).name, self.sensor_id
         object.__setattr__(self, "ticket", Ticket(stream, size=size_of(self.record)))
         object.__setattr__(self, "timestamp_ns", self.record.timestamp.nanoseconds)
+
+    @property
+    def left_out(self) -> int:
+        """How many points of a cloud are not fused, because a number of theirs is not finite."""
+        if not isinstance(self.received, LidarFrame):
+            return 0
+        record = self.record
+        sent = record.length // XYZIRT.itemsize if isinstance(record, RawData) else 0
+        return (record.number if isinstance(record, PointCloudData) else sent) - len(self.received.points)
 
     @property
     def stream(self) -> Stream:

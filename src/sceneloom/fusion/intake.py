@@ -3,6 +3,9 @@
 from dataclasses import dataclass, field
 from typing import NoReturn
 
+import numpy as np
+
+from sceneloom.arrays import Float64Array
 from sceneloom.errors import CalibrationError, SceneloomError
 from sceneloom.fusion.admitted import CLOCK_JUMP_NS, Admitted, Received, WholeRecord
 from sceneloom.fusion.bare_boxes import seq_of
@@ -16,11 +19,15 @@ from sceneloom.fusion.messages.scene_form import (
     picture_of_raw,
 )
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
+from sceneloom.fusion.messages.tables import BOX_3D
 from sceneloom.fusion.outcome import Cause, Outcome, refused
 from sceneloom.fusion.setting import Setting
 
 _REMEMBERED = 256
 """Numbers of each stream that are kept to tell one that comes again."""
+
+_LEAST_LEVEL = 1e-3
+"""A direction whose part along the ground is a smaller share of it than this is vertical."""
 
 RESTART_NS = 2_000_000_000
 """A sensor that was silent for so long may have been started again, and count from 0."""
@@ -203,12 +210,40 @@ def _received(record: WholeRecord, sensor_id: int, setting: Setting) -> Received
         return lidar_frame_of(record)
     if isinstance(record, ImageData):
         return picture_of(record, setting.camera(sensor_id))
+    if isinstance(record, Boxes3d):
+        check_headings(record.directions.astype(np.float64), "boxes", setting)
     if isinstance(record, RawData):
         declared = setting.sensors[sensor_id]
         if declared.kind is SensorKind.LIDAR:
             return lidar_frame_of_raw(record)
         return picture_of_raw(record, setting.camera(sensor_id), str(declared.raw))
     return record
+
+
+def check_headings(directions: Float64Array, group: str, setting: Setting) -> None:
+    """Refuse boxes that head straight up or down: boxes are upright, so nothing would be known of how they lie.
+
+    Args:
+        directions: (N, 3), of any length but 0, in the declared lidar frame.
+        group: how messages call the list; "" for a single box.
+
+    Raises:
+        RefusedError: one does.
+
+    Source: READING of direction in docs/CONVENTIONS.md.
+    """
+    lifts = directions @ setting.standard_from_lidar[2]
+    if not lifts.any():
+        return
+    squares = (directions * directions).sum(axis=1)
+    upright = squares - lifts * lifts <= _LEAST_LEVEL**2 * squares
+    if upright.any():
+        k = int(np.argmax(upright))
+        place = f"{group}[{k}].direction" if group else "direction"
+        problem = (
+            f"{tuple(directions[k].tolist())} is vertical; expected where the box heads along the ground"
+        )
+        _refuse(Cause.BAD_RECORD, BOX_3D.fault(place, problem))
 
 
 def _refuse(cause: Cause, reason: object) -> NoReturn:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+
 from sceneloom.errors import CalibrationError, OptionError, SceneloomError
 from sceneloom.fusion.admitted import Admitted, WholeRecord
 from sceneloom.fusion.algorithms import FusionType, algorithm
@@ -15,7 +17,7 @@ from sceneloom.fusion.calibration.table import CalibrationTable
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.events import Announcer, Observer, Refused, Result
 from sceneloom.fusion.gathering import Gathering
-from sceneloom.fusion.intake import Intake, RefusedError
+from sceneloom.fusion.intake import Intake, RefusedError, check_headings
 from sceneloom.fusion.ledger import Ledger
 from sceneloom.fusion.messages.boxes import Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.calibration_data import CalibrationData
@@ -291,6 +293,7 @@ class FusionInterface:
         if jump:
             self.counters.add(f"clock.{jump}")
         self.counters.add(f"{verb}.{admitted.stream[0]}")
+        self.counters.add("left-out.points", admitted.left_out)
         self._ledger.issue(admitted.ticket)
         self._worker.do(admitted, most=most)
         return self._remarks(admitted)
@@ -324,6 +327,8 @@ class FusionInterface:
 
     def _gather(self, box: Box3d | Box2d, setting: Setting) -> Outcome:
         """Keep a box that came alone until its frame is whole."""
+        if isinstance(box, Box3d):
+            check_headings(np.array([box.direction]), "", setting)
         begins = self._gathering.add(box, setting)
         self.counters.add(f"received.{kind_of(box).name}")
         if begins:

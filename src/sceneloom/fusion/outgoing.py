@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring.colours import colour_points
+from sceneloom.colouring.colours import NO_CAMERA, colour_points
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
@@ -15,12 +15,16 @@ from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData
-from sceneloom.fusion.messages.scene_form import sensor_fusion_of
+from sceneloom.fusion.messages.scene_form import COLOR_NAMES, result_fields, sensor_fusion_of
+from sceneloom.fusion.messages.sensor_data import ImageData
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.setting import Setting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.declared_objects import declare_objects
-from sceneloom.scene import LidarPoints
+from sceneloom.scene import LidarFrame, LidarPoints
+
+UNSEEN_LEVEL = 128
+"""Red, green and blue of points that the picture does not show."""
 
 
 def sensor_fusion_record(
@@ -29,6 +33,8 @@ def sensor_fusion_record(
     world_from_lidar: RigidTransform,
     setting: Setting,
     *,
+    sent: LidarFrame,
+    image: ImageData,
     camera_id: int,
     lidar_id: int,
     image_seq: int,
@@ -37,8 +43,12 @@ def sensor_fusion_record(
 ) -> SensorFusionData:
     """Give the record of a sweep and one of its pictures.
 
+    The points have x, y, z, then what else was sent of them in its order, then r, g, b, whatever the values are.
+
     Args:
         world_from_lidar: the lidar at the sweep's reference time; where the ego stood, the identity.
+        sent: the sweep as it was sent.
+        image: the picture as it was sent.
 
     Source: DB34/T 4101-2022, table 9; READINGS of table 9 in docs/CONVENTIONS.md.
     """
@@ -48,15 +58,18 @@ def sensor_fusion_record(
         (setting.frames.lidar, SensorKind.LIDAR) if of_lidar else (setting.frames.camera, SensorKind.CAMERA)
     )
     points = replace(
-        frame.points,
+        sent.points,
         positions=_moved(frame.points, world_from_frame, axes.standard_from_declared(kind).T),
         colors=_colors_of(frame, view, setting),
         camera_index=None,
+        extras={name: values for name, values in sent.points.extras.items() if name not in COLOR_NAMES},
     )
     return sensor_fusion_of(
         frame,
         view,
         points,
+        fields=result_fields(sent),
+        image=image,
         camera_id=camera_id,
         lidar_id=lidar_id,
         image_seq=image_seq,
@@ -70,12 +83,17 @@ def sensor_fusion_record(
 def _colors_of(frame: FusedFrame, view: FusedView, setting: Setting) -> UInt8Array:
     """The colours that one picture gives the points: those of the cloud, where it is the only one that gave them.
 
-    Algorithms of other packages may colour a cloud as they like.
+    Algorithms of other packages may colour a cloud as they like. Points that the picture does not show are grey.
     """
     own = setting.properties.algorithms[FusionType.SENSOR_DATA] in BUILT_IN[FusionType.SENSOR_DATA]
-    if own and len(frame.views) == 1 and frame.points.colors is not None:
-        return frame.points.colors
-    return colour_points(len(frame.points), [view], [0])[0]
+    colors, shown_by = frame.points.colors, frame.points.camera_index
+    if not own or len(frame.views) != 1 or colors is None or shown_by is None:
+        colors, shown_by = colour_points(len(frame.points), [view], [0])
+    unseen = shown_by == NO_CAMERA
+    if unseen.any():
+        colors = colors.copy()
+        colors[unseen] = UNSEEN_LEVEL
+    return colors
 
 
 def _moved(
@@ -111,6 +129,7 @@ def fused_detections_record(
     """
     fused = frame.fused
     columns, sound = declared_columns(fused, setting.declared_from_standard, camera)
+    _tilt(columns, fused, boxes_3d, setting.standard_from_lidar)
     fields: dict[str, Any] = {
         "timestamp": boxes_3d.timestamp,
         "image_seq": boxes_2d.seq,
@@ -129,6 +148,29 @@ def fused_detections_record(
         if sound
         else FusedDetections(**fields, **columns)
     )
+
+
+def _tilt(
+    columns: dict[str, Any], fused: FusedBoxes, boxes_3d: Boxes3d, standard_from_declared: Float64Array
+) -> None:
+    """Let directions rise and fall as those that were sent do: objects of the fusion system are upright."""
+    rows = np.flatnonzero(fused.rows_3d != NO_BOX)
+    up = standard_from_declared[2]
+    sent = boxes_3d.directions[fused.rows_3d[rows]].astype(np.float64)
+    lifts = sent @ up
+    tilted = np.flatnonzero(lifts)
+    if not len(tilted):
+        return
+    rows, sent, lifts = rows[tilted], sent[tilted], lifts[tilted]
+    level = np.sqrt((sent * sent).sum(axis=1) - lifts * lifts)
+    headings = columns["directions"][rows].astype(np.float64)
+    # an object may have been found to head the other way, and then goes down where the box went up
+    along = np.sign((headings * sent).sum(axis=1))
+    tilts = np.where(along == 0, 0.0, along) * np.arctan2(lifts, level)
+    directions = headings * np.cos(tilts)[:, None] + np.sin(tilts)[:, None] * up
+    columns["directions"][rows] = directions
+    if columns["velocity_vectors"] is not None:
+        columns["velocities"][rows] = (columns["velocity_vectors"][rows] * directions).sum(axis=1)
 
 
 def tracked_detections_record(
@@ -172,6 +214,9 @@ def declared_columns(
         np.array([camera.width, camera.height], np.float64),
     )
     columns: dict[str, Any] = dict(zip(_COLUMNS, found[:-1], strict=True))
+    corners = columns["corners_xyxy"]
+    # what is cut off at the picture's edge is beside the view, and has no outline
+    corners[~(corners[:, 2:] > corners[:, :2]).all(axis=1)] = 0
     if velocities is None:
         columns["velocity_vectors"] = None
     return columns, found[-1]

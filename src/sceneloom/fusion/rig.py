@@ -3,14 +3,14 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError
-from sceneloom.fusion.admitted import CLOCK_JUMP_NS, Admitted, Received
+from sceneloom.fusion.admitted import CLOCK_JUMP_NS, Admitted, Received, WholeRecord
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.declared_data import standard_boxes, standard_frame
@@ -19,7 +19,8 @@ from sceneloom.fusion.found_objects import FoundObjects
 from sceneloom.fusion.ledger import Ledger, Stream, Ticket
 from sceneloom.fusion.messages.boxes import Boxes3d
 from sceneloom.fusion.messages.records import ResultRecord
-from sceneloom.fusion.messages.scene_form import boxes_2d_of, boxes_3d_of
+from sceneloom.fusion.messages.scene_form import boxes_2d_of, boxes_3d_of, image_of_raw
+from sceneloom.fusion.messages.sensor_data import ImageData, RawData
 from sceneloom.fusion.mounting import way_of_mounted
 from sceneloom.fusion.outgoing import fused_detections_record, sensor_fusion_record
 from sceneloom.fusion.pairing import Leave
@@ -59,10 +60,20 @@ class _Sent(NamedTuple):
     seq: int
     setting: Setting
     ticket: Ticket
+    source: WholeRecord
 
     @property
     def extras(self) -> Mapping[str, Any]:
         return MappingProxyType({"sent": self})
+
+    @property
+    def image(self) -> ImageData:
+        """The picture as it was sent; it was checked when it came."""
+        source = self.source
+        if not isinstance(source, RawData):
+            return cast("ImageData", source)
+        encoding = str(self.setting.sensors[source.sensor_id].raw)
+        return image_of_raw(source, self.setting.camera(source.sensor_id), encoding)
 
 
 @dataclass(slots=True)
@@ -98,7 +109,7 @@ class Rig:
         pairs = setting.pairs_of(kind, sensor_id)
         lidar_ids = (sensor_id,) if of_lidar and pairs else tuple(sorted(lidar_id for _, lidar_id in pairs))
         self.ledger.share(ticket, len(lidar_ids))
-        sent = _Sent(received, admitted.record.seq, setting, ticket)
+        sent = _Sent(received, admitted.record.seq, setting, ticket, admitted.record)
         for lidar_id in lidar_ids:
             system = self._systems[lidar_id]
             try:
@@ -194,6 +205,8 @@ class Rig:
                     view,
                     world_from_lidar,
                     sweep.setting,
+                    sent=sweep.record,
+                    image=picture.image,
                     camera_id=_number(view.camera_id),
                     lidar_id=lidar_id,
                     image_seq=picture.seq,
@@ -228,6 +241,12 @@ class Rig:
             self._failed(found.sweep_extras, error)
             return
         boxes_3d.ticket.fused = boxes_2d.ticket.fused = True
+        for kind, sent, used in (
+            ("boxes_3d", boxes_3d, record.box_3d_ids),
+            ("boxes_2d", boxes_2d, record.box_2d_ids),
+        ):
+            # several objects may be made of one box, and a box may have the id of another
+            self.counters.add(f"left-out.{kind}", max(len(sent.record) - len(used) + used.count(None), 0))
         world_from_lidar = self._world_from_lidar(lidar_id, found.timestamp_ns) if compensated else _HERE
         origin = self._origin if compensated else _HERE.translation
         yield RigResult(

@@ -5,6 +5,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
+from urllib.parse import quote
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import msgspec
 import numpy as np
@@ -107,7 +109,8 @@ class SceneFile:
 class ResultFolder:
     """Writes sensor data: `results.jsonl`, and of each result a depth image, a picture and the points.
 
-    `depth/NNNNNN.png` has 16 bits, metres times 256; `points/NNNNNN.npz` one array for each field.
+    `depth/NNNNNN.png` has 16 bits, metres times 256; `points/NNNNNN.npz` one array for each field;
+    names that could be paths are percent-encoded there.
     """
 
     folder: Path
@@ -119,7 +122,7 @@ class ResultFolder:
         depth = self._place("depth", f"{name}.png")
         beyond = write_depth_png(record.depths, depth)
         points = self._place("points", f"{name}.npz")
-        np.savez_compressed(points, **{key: record.points[:, k] for k, key in enumerate(record.point_fields)})  # type: ignore[arg-type]
+        _write_columns(points, record)
         line = described(result) | {
             "depth": _relative(depth, self.folder),
             "depth_beyond_range": beyond,
@@ -145,6 +148,17 @@ class ResultFolder:
         place = self.folder / folder
         place.mkdir(exist_ok=True)
         return place / name
+
+
+def _write_columns(path: Path, record: SensorFusionData) -> None:
+    """Write an `.npz` with one array for each field of the points; names come from anywhere, and are no paths."""
+    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
+        for k, name in enumerate(record.point_fields):
+            plain = name if name.isprintable() and not set(name) & set("/\\:") else quote(name, safe="")
+            with archive.open(f"{plain}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(
+                    member, np.ascontiguousarray(record.points[:, k]), allow_pickle=False
+                )
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -9,7 +9,9 @@ from PIL import Image
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.cli.main import main
 from sceneloom.cli.main import sceneloom as program
+from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.service.black_box import BlackBox
 from sceneloom.service.client import FusionClient
 from sceneloom.service.replay import compare
@@ -148,3 +150,52 @@ def test_nobody_there_and_a_half_certificate_end_with_their_codes(drive, tmp_pat
 @pytest.mark.parametrize("verb", [("get", "--type", "sensor"), ("send", "drive"), ("conformance",)])
 def test_an_address_without_a_port_is_told_at_once(verb, address):
     run(*verb, address, code=2, told="expected HOST:PORT")
+
+
+@pytest.mark.parametrize("form", [[], ["--json"], ["-o", "x.jsonl"]])
+def test_a_session_that_received_nothing_is_an_error_and_is_named(
+    address, tmp_path, monkeypatch, capsys, form
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["get", address, "--type", "detection", "--session", "nosuch", *form])
+    shown = capsys.readouterr()
+    assert (ended.value.code, shown.out) == (2, "")
+    assert "session 'nosuch' has received no records" in shown.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_session_whose_results_were_all_fetched_gives_none_and_is_no_error(address, sent):
+    for _ in range(2):
+        run("get", address, "--type", "sensor", "--session", sent)
+
+
+def test_points_with_fields_of_any_name_become_a_folder(address, tmp_path):
+    fields = ("x", "y", "z", "file", "allow_pickle", "../up", "echo 1")
+    with FusionClient(address, session="names") as client:
+        client.set_calibration(
+            CalibrationData(
+                image_size=(8, 8),
+                intrinsic_matrix=(8, 0, 3.5, 0, 8, 3.5, 0, 0, 1),
+                reference_frame=0,
+                extrinsic_matrix=(0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1),
+            )
+        )
+        now = Timestamp(5, 0)
+        pixels = np.zeros((8, 8, 2), np.uint8)[:, :, :1]
+        image = ImageData(
+            sensor_id=0, timestamp=now, seq=0, height=8, width=8, encoding="mono8", channel=1, data=pixels
+        )
+        rows = np.arange(14, dtype=np.float32).reshape(2, 7)
+        cloud = PointCloudData(
+            sensor_id=0, timestamp=now, seq=0, number=2, fields=fields, fields_number=7, data=rows
+        )
+        assert client.send(image)
+        assert client.send(cloud)
+        client.flush()
+    out = tmp_path / "out"
+    run("get", address, "--type", "sensor", "--session", "names", "-o", out)
+    with np.load(next((out / "points").iterdir())) as points:
+        assert set(points) == {*fields, *"rgb"} - {"../up"} | {"..%2Fup"}
+        np.testing.assert_array_equal(points["file"], rows[:, 3])
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]

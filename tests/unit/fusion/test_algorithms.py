@@ -59,7 +59,7 @@ def test_its_sensor_data_fusion_colours_near_points_alone(fusion):
     assert fusion.send(cloud(0, 1, [(10.0, 0, 0), (30.0, 3.0, 0)]))
     fusion.flush()
     result = fusion.get(0)
-    np.testing.assert_array_equal(result.record.points, [[10, 0, 0, 7, 7, 7], [30, 3, 0, 255, 255, 255]])
+    np.testing.assert_array_equal(result.record.points, [[10, 0, 0, 7, 7, 7], [30, 3, 0, 128, 128, 128]])
     assert result.configuration["fusion_algorithm"] == "near"
 
 

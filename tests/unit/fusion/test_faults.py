@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sceneloom.errors import DataError
 from sceneloom.fusion.calibration.entries import CalibrationEntry, format_calibrations
 from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.messages import Boxes2d, Boxes3d
 from sceneloom.fusion.outcome import Cause
 
 from .sending import (
@@ -90,17 +90,103 @@ def test_frames_without_boxes_are_fused_to_none(fusion):
     assert (len(record), record.points_seq, record.image_seq) == (0, 3, 4)
 
 
-def test_what_is_not_finite_cannot_be_made_a_record_and_raw_data_with_it_get_0(fusion):
-    with pytest.raises(DataError, match="nan"):
-        cloud(0, 1, [(np.nan, 0, 0)])
+def test_points_that_are_not_finite_are_left_out_and_counted(fusion):
+    gone = (np.nan, np.nan, np.nan)
+    for seq, points in enumerate(([gone, (10, 0, 0), (0, np.inf, 0), (10, 1, 0)], [gone, gone], [gone])):
+        assert fusion.send(image(100 * seq, seq))
+        assert fusion.send(cloud(100 * seq, seq, points))
+    fusion.flush()
+    found = [result.record.points[:, :3].tolist() for result in fusion.results(0)]
+    assert found == [[[10, 0, 0], [10, 1, 0]], [], []]
+    assert fusion.counters.counts()["left-out.points"] == 5
+
+
+def test_raw_points_that_are_not_finite_are_left_out_and_counted(fusion):
     assert fusion.set_property(
         "sensors", '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera"}}'
     )
-    row = np.zeros(1, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
-    row["xyz"] = np.inf
-    outcome = fusion.send(raw(0, 1, row.tobytes(), sensor_id=0))
-    assert (outcome.cause, "expected a finite number" in outcome.reason) == (Cause.BAD_RECORD, True)
-    assert fusion.send(raw(0, 1, b"x" * 24, sensor_id=0)).cause is Cause.BAD_RECORD
+    row = np.zeros(3, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
+    row["xyz"] = [(np.nan, 0, 0), (10, 0, 0), (10, 1, 0)]
+    row["t"] = [stamp(0).nanoseconds / 1e9, stamp(0).nanoseconds / 1e9, np.nan]
+    assert fusion.send(image(0, 1))
+    assert fusion.send(raw(0, 1, row.tobytes(), sensor_id=0))
+    fusion.flush()
+    record = fusion.get(0).record
+    assert record.points[:, :3].tolist() == [[10, 0, 0]]
+    assert record.point_fields == ("x", "y", "z", "reflectivity", "ring", "time", "r", "g", "b")
+    assert fusion.counters.counts()["left-out.points"] == 2
+    assert fusion.send(raw(0, 2, b"x" * 24, sensor_id=0)).cause is Cause.BAD_RECORD
+
+
+@pytest.mark.parametrize("axes", ["+x,-y,+z", "+z,+x,-y"])
+def test_a_box_that_heads_straight_up_is_refused_for_it_does_not_say_how_it_lies(fusion, axes):
+    assert fusion.set_property("lidar_axes", axes)
+    up = (0.0, 0.0, 2.0) if axes.endswith("z") else (0.0, -2.0, 0.0)
+    if not axes.endswith("z"):
+        forward = (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+        assert fusion.set_calibration(calibration(extrinsic_matrix=forward), camera_id=1, lidar_id=0)
+    for send in (boxes_3d, box_3d):
+        outcome = fusion.send(send(0, 1, direction=up))
+        assert (outcome.cause, "is vertical" in outcome.reason) == (Cause.BAD_RECORD, True)
+    assert fusion.counters.counts() == {"refused.bad-record": 2}
+
+
+def test_every_box_that_was_taken_is_in_a_result_or_counted(fusion):
+    rng = np.random.default_rng(5)
+    for seq in range(40):
+        corners = rng.integers(0, 200, (6, 4)).astype(np.uint32)
+        two = Boxes2d(
+            sensor_id=1,
+            seq=seq,
+            timestamp=stamp(100 * seq),
+            id=np.arange(6, dtype=np.int32),
+            class_names=("Car",) * 6,
+            confidence=rng.random(6, np.float32),
+            corners_xyxy=np.hstack([corners[:, :2], corners[:, :2] + 1 + corners[:, 2:]]),
+        )
+        three = Boxes3d(
+            sensor_id=0,
+            seq=seq,
+            timestamp=stamp(100 * seq),
+            id=np.arange(6, dtype=np.int32),
+            class_names=("Car",) * 6,
+            confidence=rng.random(6, np.float32),
+            centers=rng.normal(0, 30, (6, 3)).astype(np.float32),
+            sizes_lwh=rng.uniform(0.1, 5, (6, 3)).astype(np.float32),
+            directions=rng.normal(0, 1, (6, 3)).astype(np.float32),
+            velocities=np.zeros(6, np.float32),
+        )
+        assert fusion.send(three)
+        assert fusion.send(two)
+        fusion.flush()
+        record, counts = fusion.get(1).record, fusion.counters.counts()
+        for kind, ids in (("boxes_3d", record.box_3d_ids), ("boxes_2d", record.box_2d_ids)):
+            left_out = counts.get(f"left-out.{kind}", 0)
+            assert len({number for number in ids if number is not None}) + left_out == 6
+            fusion.counters.add(f"left-out.{kind}", -left_out)
+
+
+def test_a_box_that_goes_uphill_heads_there_in_the_result(fusion):
+    assert fusion.send(boxes_2d(0, 1))
+    assert fusion.send(boxes_3d(0, 1, direction=(3.0, 0.0, 4.0), velocity=-2.0))
+    fusion.flush()
+    (found,) = fusion.get(1).record
+    assert found.direction == pytest.approx((0.6, 0.0, 0.8)) or found.direction == pytest.approx(
+        (-0.6, 0.0, -0.8)
+    )
+    assert found.velocity == pytest.approx(-2.0 if found.direction[0] > 0 else 2.0)
+
+
+def test_objects_that_the_image_does_not_show_have_an_empty_outline(fusion):
+    for seq, center in enumerate(({"X": -20.0}, {"X": 5.0, "Y": 60.0}, {"X": 20.0})):
+        assert fusion.send(no_boxes_2d(100 * seq, seq))
+        assert fusion.send(boxes_3d(100 * seq, seq, **center))
+    fusion.flush()
+    behind, beside, ahead = (result.record for result in fusion.results(1))
+    for record in (behind, beside):
+        assert record.corners_xyxy.tolist() == [[0, 0, 0, 0]]
+        assert record.in_image.tolist() == [False]
+    assert ahead.in_image.tolist() == [True]
 
 
 def encoded(form):
@@ -125,7 +211,7 @@ def test_raw_data_of_each_declared_form_are_fused(fusion, form):
     assert (record.points_seq, record.image_seq) == (9, 8)
     columns = dict(zip(record.point_fields, record.points.T, strict=True))
     assert (columns["reflectivity"].tolist(), columns["ring"].tolist()) == ([30, 30], [5, 5])
-    assert columns["r"].tolist() == [9, 255]
+    assert columns["r"].tolist() == [9, 128]
 
 
 def test_raw_data_of_a_sensor_that_nobody_declared_are_refused(fusion):

@@ -1,7 +1,11 @@
 """Clause 5 in one process: what is sent comes back fused, and what cannot be is refused with a reason."""
 
+import io
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from sceneloom.errors import OptionError
 from sceneloom.fusion.interface import FusionInterface
@@ -73,7 +77,7 @@ def test_a_pair_comes_back_as_a_record_of_table_9(fusion):
     assert (record.camera_id, record.lidar_id) == (1, 0)
     assert record.timestamp == stamp(0)
     assert record.point_fields == ("x", "y", "z", "r", "g", "b")
-    np.testing.assert_array_equal(record.points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 255, 255, 255]])
+    np.testing.assert_array_equal(record.points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 128, 128, 128]])
     assert (
         record.depths[23, 31] == 10.0 or record.depths[24, 32] == 10.0
     )  # the axis meets the corner of four pixels
@@ -90,7 +94,7 @@ def test_axes_that_were_declared_turn_points_on_the_way_in_and_back(fusion):
     assert fusion.send(cloud(0, 1, points=[(0.0, 10.0, 0.0), (10.0, 0.0, 0.0)]))
     fusion.flush()
     points = fusion.get(0).record.points
-    np.testing.assert_array_equal(points, [[0, 10, 0, 7, 7, 7], [10, 0, 0, 255, 255, 255]])
+    np.testing.assert_array_equal(points, [[0, 10, 0, 7, 7, 7], [10, 0, 0, 128, 128, 128]])
 
 
 def test_results_of_points_can_be_in_the_camera_frame_and_depths_ranges(fusion):
@@ -173,5 +177,89 @@ def test_points_have_the_colours_of_the_picture_in_the_result_however_many_pictu
         assert set(results) == set(cameras)
         for camera, record in results.items():
             colors = [record.point_fields.index(name) for name in "rgb"]
-            seen, other = [20.0 * camera] * 3, [255.0] * 3
+            seen, other = [20.0 * camera] * 3, [128.0] * 3
             assert record.points[:, colors].tolist() == [seen, seen, other]
+
+
+_LAYOUTS = {
+    "plain": ("x", "y", "z"),
+    "reflectivity": ("x", "y", "z", "reflectivity"),
+    "both": ("intensity", "x", "reflectivity", "y", "z", "ring"),
+    "colours first": ("b", "g", "r", "x", "y", "z", "time", "azimuth"),
+    "a third of a colour": ("x", "y", "z", "r", "echo"),
+}
+_VALUES = {
+    "whole": lambda rng, shape: rng.integers(0, 100, shape),
+    "shares": lambda rng, shape: rng.random(shape),
+    "negative": lambda rng, shape: -rng.random(shape) * 1000,
+    "large": lambda rng, shape: rng.random(shape) * 1e6,
+    "none": lambda rng, shape: np.zeros((0, shape[1])),
+}
+
+
+@pytest.mark.parametrize("fields", _LAYOUTS.values(), ids=_LAYOUTS)
+def test_point_fields_go_by_the_names_that_were_sent_and_never_by_the_values(fusion, fields):
+    others = tuple(name for name in fields if name not in ("x", "y", "z", "r", "g", "b"))
+    expected = ("x", "y", "z", *others, "r", "g", "b")
+    rng = np.random.default_rng(3)
+    for seq, draw in enumerate(_VALUES.values()):
+        data = draw(rng, (4, len(fields))).astype(np.float32)
+        for axis, value in zip("xyz", (10.0, 0.0, 0.0), strict=True):
+            data[:, fields.index(axis)] = value
+        if "time" in fields:  # pictures are paired by it
+            data[:, fields.index("time")] *= 1e-8
+        sent = PointCloudData(
+            sensor_id=0,
+            timestamp=stamp(100 * seq),
+            seq=seq,
+            number=len(data),
+            fields=fields,
+            fields_number=len(fields),
+            data=data,
+        )
+        assert fusion.send(image(100 * seq, seq, level=9))
+        assert fusion.send(sent)
+        fusion.flush()
+        record = fusion.get(0).record
+        assert record.point_fields == expected
+        columns = dict(zip(record.point_fields, record.points.T, strict=True))
+        for name in (*"xyz", *others):
+            np.testing.assert_array_equal(columns[name], data[:, fields.index(name)])
+        for name in "rgb":
+            np.testing.assert_array_equal(columns[name], 9.0)
+
+
+_PIXELS = {
+    "rgb8": (200, 100, 50),
+    "bgr8": (50, 100, 200),
+    "rgba8": (200, 100, 50, 7),
+    "bgra8": (50, 100, 200, 7),
+    "mono8": (90,),
+    "raw": (200, 100, 50),
+}
+
+
+@pytest.mark.parametrize("encoding", [*_PIXELS, "jpeg", "png"])
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_a_picture_comes_back_in_the_encoding_in_which_it_was_sent(encoding, cameras):
+    pixel = _PIXELS.get(encoding, (200, 100, 50))
+    pixels = np.tile(np.array(pixel, np.uint8), (HEIGHT, WIDTH, 1))
+    data = pixels.reshape(-1)
+    if encoding in ("jpeg", "png"):
+        file = io.BytesIO()
+        Image.fromarray(pixels).save(file, encoding, **({"quality": 100} if encoding == "jpeg" else {}))
+        data = np.frombuffer(file.getvalue(), np.uint8)
+    with FusionInterface(inline=True) as fusion:
+        for camera_id in range(cameras):
+            assert fusion.set_calibration(calibration(), camera_id=camera_id, lidar_id=0)
+            sent = replace(image(0, 1, sensor_id=camera_id), encoding=encoding, channel=len(pixel), data=data)
+            assert fusion.send(sent)
+        assert fusion.send(cloud(0, 1))
+        fusion.flush()
+        records = [result.record for result in fusion.results(0)]
+    assert len(records) == cameras
+    for record in records:
+        assert (record.encoding, record.image_channel) == (encoding, len(pixel))
+        np.testing.assert_array_equal(record.image_data, data)
+        expected = (90, 90, 90) if encoding == "mono8" else (200, 100, 50)
+        np.testing.assert_allclose(record.points[0, 3:], expected, atol=3 if encoding == "jpeg" else 0)

@@ -108,7 +108,7 @@ def test_a_pair_comes_back_as_a_record_of_table_9(call):
     record = reply.sensor_data
     assert (reply.number, record.image_seq, record.points_seq, record.camera_id) == (0, 5, 5, 1)
     points = np.frombuffer(record.point_data, "<f4").reshape(record.point_num, record.fields_number)
-    np.testing.assert_array_equal(points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 255, 255, 255]])
+    np.testing.assert_array_equal(points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 128, 128, 128]])
     assert {p.name: p.value.integer_value for p in reply.configuration.properties}["lidar_frequency"] == 10
     assert call("Get").WhichOneof("result") == "no_data"
 

@@ -185,7 +185,7 @@ class Box2d:
         image_seq: seq of its picture.
         confidence: probability that the object exists, 0 to 1.
         timestamp: time of the box.
-        x1, y1, x2, y2: left, upper, right and lower edge [px], uint32.
+        x1, y1, x2, y2: left, upper, right and lower edge [px], uint32; the box has an area.
 
     Raises:
         DataError: a field is missing, of another type or out of range.
@@ -205,7 +205,7 @@ class Box2d:
 
     def __post_init__(self) -> None:
         BOX_2D.settle(self)
-        check_corners(BOX_2D, np.array([[self.x1, self.y1, self.x2, self.y2]], np.uint32), group="")
+        check_area(np.array([[self.x1, self.y1, self.x2, self.y2]], np.uint32), group="")
 
     def alone(self, sensor_id: int) -> "Boxes2d":
         """The list of this one box."""
@@ -231,7 +231,7 @@ class Boxes2d:
         id: (N,) int32.
         class_names: N classes.
         confidence: (N,) float32, 0 to 1.
-        corners_xyxy: (N, 4) uint32 [px], left, upper, right and lower edge.
+        corners_xyxy: (N, 4) uint32 [px], left, upper, right and lower edge; each box has an area.
 
     Raises:
         DataError: a field is missing, of another type or out of range; arrays have another shape or dtype.
@@ -251,7 +251,7 @@ class Boxes2d:
         BOXES_2D.settle(self)
         count = _CHECKS_2D.settle(self)
         settle_classes(self, BOX_2D, count, group="boxes")
-        check_corners(BOX_2D, self.corners_xyxy, group="boxes")
+        check_area(self.corners_xyxy, group="boxes")
 
     @classmethod
     def empty(cls, sensor_id: int, seq: int, timestamp: Timestamp) -> "Boxes2d":
@@ -278,6 +278,26 @@ class Boxes2d:
             x2=x2,
             y2=y2,
         )
+
+
+def check_area(corners_xyxy: UInt32Array, *, group: str) -> None:
+    """Check that boxes of table 8 have an area; right and lower edges are exclusive.
+
+    Args:
+        group: how messages call the list; "" for a single box.
+
+    Raises:
+        DataError: a right edge is not beyond the left one, or a lower edge not below the upper one.
+    """
+    areas = corners_xyxy[:, 2:] > corners_xyxy[:, :2]
+    if areas.all():
+        return
+    k, axis = divmod(int(np.argmin(areas.reshape(-1))), 2)
+    name, first = ("x2", "y2")[axis], int(corners_xyxy[k, axis])
+    problem = (
+        f"{corners_xyxy[k, 2 + axis]}; expected more than {first}, which is {name[0]}1: edges are exclusive"
+    )
+    raise BOX_2D.fault(f"{group}[{k}].{name}" if group else name, problem)
 
 
 def check_corners(table: Table, corners_xyxy: UInt32Array, *, group: str) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, UInt8Array, UInt32Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, UInt8Array, UInt32Array
 from sceneloom.fusion.messages.basic_types import shown
 from sceneloom.fusion.messages.boxes import COLUMNS_3D, check_corners
 from sceneloom.fusion.messages.columns import Column, ColumnChecks, settle_classes, settle_ids, settled
@@ -144,7 +144,8 @@ class FusedDetection:
         size_cov: 9 numbers [m²], 3x3 row-major: length, width, height.
         direction: where it heads, lidar frame; not 0 where there is a 3D box.
         velocity: speed along the direction [m/s], negative for reversing.
-        x1, y1, x2, y2: left, upper, right and lower edge in the picture [px], uint32.
+        x1, y1, x2, y2: left, upper, right and lower edge in the picture [px], uint32; all 0 of a detection that the
+            image does not show: one behind the camera or beside its view.
         velocity_vector: velocity [m/s] along x, y, z, or None.
         box_3d_id, box_2d_id: the boxes it was made of; None for a sensor that did not see it.
 
@@ -203,7 +204,7 @@ class FusedDetections:
         size_covs: (N, 3, 3) float32 [m²]: length, width, height.
         directions: (N, 3) float32, lidar frame; not 0 where there is a 3D box.
         velocities: (N,) float32 [m/s] along the directions.
-        corners_xyxy: (N, 4) uint32 [px].
+        corners_xyxy: (N, 4) uint32 [px]; zeros of a detection that the image does not show, see `in_image`.
         velocity_vectors: (N, 3) float32 [m/s], or None.
         box_3d_ids, box_2d_ids: the boxes that each was made of, None in them for a sensor that did not see it; None
             for N of None.
@@ -268,6 +269,13 @@ class FusedDetections:
             if not column.optional
         }
         return cls(timestamp=timestamp, class_names=(), **none, **pair)
+
+    @property
+    def in_image(self) -> BoolArray:
+        """Which detections the image shows, (N,) bool: those whose outline has an area."""
+        sides = self.corners_xyxy[:, 2:] > self.corners_xyxy[:, :2]
+        shown: BoolArray = np.logical_and(sides[:, 0], sides[:, 1])
+        return shown
 
     def __len__(self) -> int:
         return len(self.id)

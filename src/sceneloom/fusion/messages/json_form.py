@@ -1,11 +1,12 @@
 """Records as JSON objects with the standard's names.
 
 Time stamps are texts as "1595682678.715705367", since a JSON number cannot hold one; arrays are Base64 of their
-little-endian bytes, or lists of numbers.
+little-endian bytes, or lists of numbers, in which null stands for a number that is not finite.
 """
 
 import base64
 import binascii
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -165,6 +166,10 @@ def _timestamp(value: Any, row: Row, owner: str) -> Timestamp:
 
 
 def _array(values: list[Any], dtype: np.dtype[Any], row: Row, owner: str) -> AnyArray:
+    if not row.finite:
+        values = [math.nan if value is None else value for value in values]
+        if set(map(type, values)) <= {int, float} and all(not abs(value) >= FLOAT_BOUND for value in values):
+            return np.array(values, dtype)
     kinds = set(map(type, values))
     whole = dtype.kind in "iu"
     low, high = (np.iinfo(dtype).min - 1, np.iinfo(dtype).max + 1) if whole else (-FLOAT_BOUND, FLOAT_BOUND)

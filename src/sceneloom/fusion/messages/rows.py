@@ -44,6 +44,7 @@ class Row:
         unit: "" for none.
         low, high: the smallest and largest value that makes sense, each included; None for those of the type.
         above: `low` itself makes no sense.
+        finite: whether every number has to be finite; points without a position are dropped when they are used.
         required: whether it has to be there.
         default: what it is where it is not there.
         size: how many values an array has, in words of other fields.
@@ -63,6 +64,7 @@ class Row:
     low: float | None = None
     high: float | None = None
     above: bool = False
+    finite: bool = True
     required: bool = True
     default: Any = None
     size: str = ""
@@ -225,7 +227,8 @@ def _array(row: Row, values: Any, owner: str) -> AnyArray:
     if not isinstance(values, np.ndarray) or values.dtype != dtype:
         raise DataError(owner, row.name, f"{shown(values)}; expected an array of {dtype.name}")
     flat = read_only(values.reshape(-1))
-    row.refuse_any(flat, owner)
+    if row.finite:
+        row.refuse_any(flat, owner)
     return flat
 
 

@@ -100,8 +100,9 @@ class PointCloudData:
         number: how many points.
         fields: what each point has; x, y and z among it.
         fields_number: how many fields.
-        data: float32, finite, number * fields_number values point by point. Given in any shape, kept flat and
-            read-only.
+        data: float32, number * fields_number values point by point; what fuses the cloud leaves out and counts points
+            with a number that is not finite, which is how drivers mark missing returns. Given in any shape, kept flat
+            and read-only.
         sensor_type: 0 for a mechanical lidar, 1 for a solid-state lidar.
         beam: how many beams a mechanical lidar has, or None.
         ring: the beam that all points are of, where the lidar is mechanical, or None.

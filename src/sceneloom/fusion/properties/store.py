@@ -103,11 +103,8 @@ class PropertyStore:
 
         Source: DB34/T 4101-2022, clause 5.3.
         """
-        if not _is_name(name) or len(description) > _LONGEST_DESCRIPTION:
-            return refused(
-                Cause.ILL_TYPED, f"name {shown(name)}; expected 1 to {_LONGEST_NAME} visible characters"
-            )
         try:
+            _check_words(name, description)
             kind = ValueType.parse(type)
         except DataError as error:
             return refused(Cause.ILL_TYPED, error)
@@ -194,6 +191,22 @@ class PropertyStore:
     def _known(self) -> str:
         names = list(self._properties)
         return f"there are {', '.join(names[:40])}{'' if len(names) <= 40 else ', …'}"
+
+
+def _check_words(name: str, description: str) -> None:
+    """Check name and description of a property that is added.
+
+    Raises:
+        DataError: one of them cannot be.
+    """
+    if not _is_name(name):
+        problem = f"{shown(name)}; expected 1 to {_LONGEST_NAME} visible characters"
+        raise DataError("property", "name", problem)
+    if not isinstance(description, str):
+        raise DataError(f"property {name}", "description", f"{shown(description)}; expected a text")
+    if len(description) > _LONGEST_DESCRIPTION:
+        problem = f"{len(description)} characters; expected at most {_LONGEST_DESCRIPTION}"
+        raise DataError(f"property {name}", "description", problem)
 
 
 def _is_name(name: str) -> bool:

@@ -164,4 +164,25 @@ def _alone(bench: Bench) -> Iterator[Seen]:
     yield same("a box in the picture, none in space: detections", 1, len(detections))
 
 
-CHECKS.checks.sort(key=lambda check: (not check.id.startswith("T10"), int(check.id.split("-")[1])))
+@CHECKS.clause(
+    "6.8-1",
+    "6.8",
+    "of an object that the picture does not show x1, y1, x2 and y2 are 0: its outline is empty",
+    basis=Basis.READING,
+)
+def _not_shown(bench: Bench) -> Iterator[Seen]:
+    for place, X, Y in (("behind the camera", -16.0, 2.0), ("beside its view", 5.0, 60.0)):
+        peer = bench.ready()
+        peer.send(scene.boxes_2d(boxes=[]))
+        peer.send(scene.boxes_3d(boxes=[scene.box_3d(scene.MATCHED, X=X, Y=Y)]))
+        found = peer.result(1).detections
+        corners = [(box.x1, box.y1, box.x2, box.y2) for box in found]
+        yield same(f"a box {place}, Get: x1, y1, x2, y2", [(0, 0, 0, 0)], corners)
+
+
+_ROWS = "T10-"
+CHECKS.checks.sort(
+    key=lambda check: (
+        (0, int(check.id.removeprefix(_ROWS)), "") if check.id.startswith(_ROWS) else (1, 0, check.id)
+    )
+)

@@ -97,6 +97,9 @@ CLAUSES: Mapping[str, Quote] = MappingProxyType(
         "6.2": Quote("raw data are as table 4 says", "原始数据描述 应符合表4的规定"),
         "6.3": Quote("image data are as table 5 says", "图像数据描述 应符合表5的规定"),
         "6.4": Quote("point cloud data are as table 6 says", "点云数据描述 应符合表6的规定"),
+        "6.5": Quote("3D boxes are as table 7 says", "点云目标检测三维包围框信息描述 应符合表7的规定"),
+        "6.7": Quote("fused sensor data are as table 9 says", "传感器数据融合后数据描述 应符合表9的规定"),
+        "6.8": Quote("fused detections are as table 10 says", "目标检测结果融合后数据描述 应符合表10的规定"),
     }
 )
 """By clause."""

@@ -84,10 +84,12 @@ def _image_depth(bench: Bench) -> Iterator[Seen]:
     yield true(f"{_SENT}: pixels with a depth", "none far from the points", pixels, agrees=all(near_points))
 
 
-@CHECKS.row(9, "point_fields", "names of what each point has, x, y and z among them")
+@CHECKS.row(
+    9, "point_fields", "names of what each point has, x, y and z first, r, g and b last", basis=Basis.READING
+)
 def _point_fields(bench: Bench) -> Iterator[Seen]:
     names = list(bench.once(fused_pair).point_fields)
-    yield true(f"{_SENT}: point_fields", "x, y, z among them", names, agrees={"x", "y", "z"} <= set(names))
+    yield same(f"{_SENT}: point_fields", [*"xyz", *"rgb"], names)
 
 
 @CHECKS.row(9, "fields_number", "as many as there are names in point_fields")
@@ -124,4 +126,71 @@ def _colors(bench: Bench) -> Iterator[Seen]:
         yield same(f"{_SENT}: r, g, b of point {k}", expected, found[k].tolist())
 
 
-CHECKS.checks.sort(key=lambda check: (not check.id.startswith("T9"), int(check.id.split("-")[1])))
+@CHECKS.clause(
+    "6.7-1",
+    "6.7",
+    "point_fields are x, y, z, then what else was sent in its order, then r, g, b, whatever the values are",
+    basis=Basis.READING,
+)
+def _layout(bench: Bench) -> Iterator[Seen]:
+    sent = ("r", "reflectivity", "x", "g", "y", "echo", "b", "z")
+    expected = ["x", "y", "z", "reflectivity", "echo", "r", "g", "b"]
+    peer = bench.ready()
+    for seq, (name, scale) in enumerate((("whole numbers", 40.0), ("fractions", 0.3), ("below 0", -0.7))):
+        rows = np.full((len(scene.points_lidar()), len(sent)), scale, np.float32)
+        rows[:, [sent.index(axis) for axis in "xyz"]] = scene.points_lidar()
+        later = 100_000_000 * seq
+        peer.send(scene.image(seq + 1, scene.PICTURE_LATER_NS + later))
+        peer.send(scene.cloud(seq + 1, later, rows, fields=sent, fields_number=len(sent)))
+        record = peer.result(0)
+        yield same(f"points with {name}, Get: point_fields", expected, list(record.point_fields))
+        kept = columns_of(record, ("reflectivity", "echo"))
+        agrees = bool((kept == np.float32(scale)).all())
+        told = "as sent" if agrees else kept.tolist()
+        yield true(f"points with {name}, Get: reflectivity, echo", "as sent", told, agrees=agrees)
+        found = columns_of(record, ("r", "g", "b"))
+        colors = [[float(level) for level in scene.color_at(point)] for point in scene.SEEN]
+        yield same(f"points with {name}, Get: r, g, b of those seen", colors, found[: len(colors)].tolist())
+
+
+@CHECKS.clause(
+    "6.7-2", "6.7", "a picture comes back as it was sent: encoding, channels and data", basis=Basis.READING
+)
+def _encodings(bench: Bench) -> Iterator[Seen]:
+    red, green, blue = np.moveaxis(scene.picture(), 2, 0)
+    clear = np.full_like(red, 200)
+    for encoding, channels in (
+        ("mono8", (green,)),
+        ("bgr8", (blue, green, red)),
+        ("rgba8", (red, green, blue, clear)),
+        ("bgra8", (blue, green, red, clear)),
+    ):
+        peer = bench.ready()
+        data = np.stack(channels, axis=2).tobytes()
+        peer.send(scene.image(encoding=encoding, channel=len(channels), data=data))
+        peer.send(scene.cloud())
+        record = peer.result(0)
+        yield same(
+            f"the scene's picture in {encoding}, Get: encoding, image_channel",
+            (encoding, len(channels)),
+            (record.encoding, record.image_channel),
+        )
+        agrees = record.image_data == data
+        found = "as sent" if agrees else "others"
+        yield true(f"the scene's picture in {encoding}, Get: image_data", "as sent", found, agrees=agrees)
+
+
+@CHECKS.clause(
+    "6.7-3", "6.7", "points that the picture does not show have r, g, b = 128, 128, 128", basis=Basis.READING
+)
+def _unseen(bench: Bench) -> Iterator[Seen]:
+    found = columns_of(bench.once(fused_pair), ("r", "g", "b"))[len(scene.SEEN) :]
+    yield same(f"{_SENT}: r, g, b of points not seen", [[128.0] * 3] * len(found), found.tolist())
+
+
+_ROWS = "T9-"
+CHECKS.checks.sort(
+    key=lambda check: (
+        (0, int(check.id.removeprefix(_ROWS)), "") if check.id.startswith(_ROWS) else (1, 0, check.id)
+    )
+)

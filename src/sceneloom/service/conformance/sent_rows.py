@@ -10,7 +10,7 @@ from sceneloom.fusion.messages.tables import TABLES
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.conformance import scene
 from sceneloom.service.conformance.bench import Bench, Peer, told
-from sceneloom.service.conformance.catalogue import Basis, Catalogue, Look, Seen, same, true
+from sceneloom.service.conformance.catalogue import Basis, Catalogue, Look, Seen, near, same, true
 from sceneloom.service.conformance.sensor_results import columns_of
 
 CHECKS = Catalogue("What is sent (clauses 6.2 to 6.6, tables 4 to 8)")
@@ -53,7 +53,7 @@ _CLOUD_ROWS: Mapping[str, Case] = {
     "fields_number": ((3,), (0, 2, 4, 3 + 256)),
     "data": (
         (_POINTS.tobytes(),),
-        (b"", _POINTS.tobytes()[:-4], _POINTS.tobytes()[:-1], np.full_like(_POINTS, np.nan).tobytes()),
+        (b"", _POINTS.tobytes()[:-4], _POINTS.tobytes()[:-1]),
     ),
     "sensor_type": ((0, 1), (2,)),
     "beam": ((32, None), ()),
@@ -92,8 +92,8 @@ _BOX_2D_ROWS: Mapping[str, Case] = {
     "timestamp": ((scene.stamp(),), (*_STAMPS[1:], scene.stamp(1))),
     "x1": ((0,), (scene.WIDTH,)),
     "y1": ((0,), (scene.HEIGHT,)),
-    "x2": ((scene.WIDTH,), (0,)),
-    "y2": ((scene.HEIGHT,), (0,)),
+    "x2": ((scene.WIDTH,), (0, 8)),
+    "y2": ((scene.HEIGHT,), (0, 8)),
 }
 
 
@@ -213,3 +213,37 @@ def _solid_state(bench: Bench) -> Iterator[Seen]:
     ):
         status = peer.send(request)
         yield same(f"Send sensor_type = 1, {name} = 1", "status 0", f"status {status}")
+
+
+@CHECKS.clause(
+    "6.4-2",
+    "6.4",
+    "points that are not finite, as drivers mark missing returns, are left out, and the others are fused",
+    basis=Basis.READING,
+)
+def _missing_returns(bench: Bench) -> Iterator[Seen]:
+    for missing in _FLOATS:
+        peer = bench.ready()
+        points = scene.points_lidar()
+        points[1] = missing
+        peer.send(scene.image())
+        status = peer.send(scene.cloud(points=points))
+        yield same(f"Send of a cloud whose point 1 is {missing}", "taken", "taken" if status else "refused")
+        record = peer.result(0)
+        yield same("Get: point_num", len(points) - 1, record.point_num)
+        found = columns_of(record, ("x", "y", "z"))
+        error = float(np.abs(found - np.delete(scene.points_lidar(), 1, axis=0)).max())
+        yield near("Get: distance of the others from where they were sent [m]", 0.0, error, 1e-5)
+
+
+@CHECKS.clause(
+    "6.5-1",
+    "6.5",
+    "a box whose direction is vertical does not say how it lies, and is refused",
+    basis=Basis.READING,
+)
+def _vertical(bench: Bench) -> Iterator[Seen]:
+    peer = bench.ready()
+    for direction in ((0.0, 0.0, 1.0), (0.0, 0.0, -2.0)):
+        status = peer.send(_box_3d({"direction": direction}))
+        yield same(f"Send of a box, direction = {direction}", "status 0", f"status {status}")

@@ -160,7 +160,7 @@ def test_raw_bytes_of_a_lidar_are_the_records_of_the_recording_format():
     ("content", "problem"),
     [
         (b"1" * 47, "a remainder of 1 bytes"),
-        (np.full(23, 255, np.uint8).tobytes(), "nan; expected a finite number"),
+        (b"~" * 46, "times up to"),
     ],
 )
 def test_raw_bytes_that_are_no_records_are_refused(content, problem):
@@ -329,7 +329,8 @@ def test_boxes_with_broken_edges_get_the_whole_pixels_that_they_touch():
     corners = np.array([[-3.5, 1.25, 10.0, 19.5], [2.0, 3.0, 4.0, 5.0], [30.0, 40.0, 50.0, 60.0]])
     boxes = Boxes2D(5, corners, np.ones(3), ("a", "b", "c"))
     record = boxes_2d_record(boxes, sensor_id=0, seq=1, size_wh=(16, 12))
-    assert record.corners_xyxy.tolist() == [[0, 1, 10, 12], [2, 3, 4, 5], [16, 12, 16, 12]]
+    assert record.corners_xyxy.tolist() == [[0, 1, 10, 12], [2, 3, 4, 5]]  # the third is beside the picture
+    assert record.class_names == ("a", "b")
     unbounded = boxes_2d_record(boxes, sensor_id=0, seq=1)
     assert unbounded.corners_xyxy.tolist() == [[0, 1, 10, 20], [2, 3, 4, 5], [30, 40, 50, 60]]
 

@@ -58,7 +58,9 @@ def boxes_3d(seed):
 def boxes_2d(seed):
     random = np.random.default_rng(seed)
     count = int(random.integers(0, 7))
-    corners = np.sort(random.choice(np.array([0, 1, 127, 128, 2**32 - 1], np.uint32), (count, 2, 2)), axis=1)
+    edges = np.array([0, 1, 127, 128, 2**32 - 1], np.uint32)
+    sides = [random.choice(edges, 2, replace=False) for _ in range(2 * count)]
+    corners = np.sort(np.array(sides, np.uint32).reshape(count, 2, 2), axis=2).swapaxes(1, 2)
     return Boxes2d(
         sensor_id=7,
         seq=int(random.choice([0, 5, 2**32 - 1])),

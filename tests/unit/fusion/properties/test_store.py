@@ -159,3 +159,11 @@ def test_a_snapshot_stays_as_it_was():
     assert before["lidar_frequency"] == 10
     assert store.snapshot()["lidar_frequency"] == 20
     assert store.snapshot().revision > before.revision
+
+
+def test_what_is_wrong_with_a_property_that_is_added_is_named():
+    store = PropertyStore()
+    told = store.add("frequency", "x" * 100_001, "uint32")
+    assert (told.status, "description" in told.reason, "name" in told.reason) == (0, True, False)
+    told = store.add("a name", "", "uint32")
+    assert (told.status, "name" in told.reason, "description" in told.reason) == (0, True, False)

@@ -194,7 +194,72 @@ def lengths_halved(_, method, request):
     return request
 
 
+def whole_cloud_refused(_, method, request):
+    """A cloud with one number that is not finite is refused."""
+    if method == "Send" and request.WhichOneof("data") == "points":
+        content = request.points.data
+        if len(content) % 4 == 0 and not np.isfinite(np.frombuffer(content, "<f4")).all():
+            return fusion_pb2.SendRequest(session=request.session)
+    return request
+
+
+def flat_boxes_taken(_, method, request):
+    """Boxes without a width are taken for a pixel wide."""
+    if method == "Send" and request.WhichOneof("data") == "boxes_2d":
+        for box in request.boxes_2d.boxes:
+            box.x2 += box.x1 == box.x2
+    return request
+
+
+def vertical_taken_for_forward(_, method, request):
+    """Boxes that head straight up are taken to head forward."""
+    if method == "Send" and request.WhichOneof("data") == "boxes_3d":
+        for box in request.boxes_3d.boxes:
+            if len(box.direction) == 3 and not any(box.direction[:2]) and box.direction[2]:
+                box.direction[:] = [1.0, 0.0, 0.0]
+    return request
+
+
 # what goes out
+
+
+def always_rgb8(_, method, request, reply):
+    """Pictures are told to be rgb8, whatever they are."""
+    if method == "Get" and reply.HasField("sensor_data"):
+        reply.sensor_data.encoding = "rgb8"
+    return reply
+
+
+def layout_by_values(_, method, request, reply):
+    """Colours come before what else was sent of a point where that is whole numbers."""
+    record = reply.sensor_data if method == "Get" else None
+    if record is not None and len(record.point_fields) > 6:
+        names = list(record.point_fields)
+        rows = np.frombuffer(record.point_data, "<f4").reshape(-1, len(names))
+        if np.array_equal(rows[:, 3], np.rint(rows[:, 3])):
+            record.point_fields[:] = [*names[:3], *names[-3:], *names[3:-3]]
+            order = [names.index(name) for name in record.point_fields]
+            record.point_data = np.ascontiguousarray(rows[:, order]).tobytes()
+    return reply
+
+
+def unseen_white(_, method, request, reply):
+    """Points that the picture does not show are white."""
+    record = reply.sensor_data if method == "Get" else None
+    if record is not None and record.point_data:
+        rows = np.frombuffer(record.point_data, "<f4").reshape(-1, len(record.point_fields)).copy()
+        rows[(rows[:, -3:] == 128).all(axis=1), -3:] = 255
+        record.point_data = rows.tobytes()
+    return reply
+
+
+def outlines_at_the_border(_, method, request, reply):
+    """Outlines of what is not in the picture are somewhere at its border."""
+    if method == "Get" and reply.HasField("detections"):
+        for found in reply.detections.detections:
+            if found.x2 == 0:
+                found.x1 = found.x2 = 64
+    return reply
 
 
 def status_two(_, method, request, reply):
@@ -423,8 +488,11 @@ def time_of_the_picture(_, method, request, reply):
 INCOMING = {
     wrapping_values: "T1-4 T1-5",
     reference_frame_ignored: "T3-4",
-    blue_taken_for_red: "6.3-1",
-    colours_swapped: "T9-11 4.1-3",
+    blue_taken_for_red: "6.3-1 6.7-2",
+    colours_swapped: "T9-11 4.1-3 6.7-1",
+    whole_cloud_refused: "6.4-2",
+    flat_boxes_taken: "T8-8",
+    vertical_taken_for_forward: "6.5-1",
     negative_seq: "5.6-8 T4-3 T5-3 T6-3",
     chirality_ignored: "T2-2 5.2-1",
     distortion_ignored: "T3-2",
@@ -435,7 +503,7 @@ INCOMING = {
     late_refused: "5.6-10",
     bare_boxes_refused: "5.6-6",
     lengths_halved: "T10-9",
-    matrix_by_rows: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 4.1-3 5.2-1 5.2-2 5.2-3 6.3-1 "
+    matrix_by_rows: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 4.1-3 5.2-1 5.2-2 5.2-3 6.3-1 6.7-1 "
     "T9-12 T10-16 T10-17 T10-18 X-10 X-11 X-15",
 }
 """What is broken on the way in, and the checks that find it."""
@@ -454,7 +522,11 @@ OUTGOING = {
     speed_without_sign: "T10-14",
     depth_by_columns: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 5.2-1 5.2-2 5.2-3 T9-12 X-10 X-15 X-20",
     no_reasons: "X-1",
-    points_reversed: "5.2-1 5.2-2 5.2-3 6.3-1 T9-16 4.1-3 X-11",
+    points_reversed: "5.2-1 5.2-2 5.2-3 6.3-1 6.4-2 6.7-1 6.7-3 T9-16 4.1-3 X-11",
+    always_rgb8: "6.7-2",
+    layout_by_values: "6.7-1",
+    unseen_white: "6.7-3",
+    outlines_at_the_border: "6.8-1",
     directions_turned: "5.2-1 5.2-2 5.2-3 T10-13",
     time_of_the_picture: "T9-1",
 }

@@ -8,6 +8,7 @@ from sceneloom.fusion.messages.scene_form.boxes import (
     whole_corners,
 )
 from sceneloom.fusion.messages.scene_form.clouds import (
+    COLOR_NAMES,
     fields_of,
     lidar_frame_of,
     lidar_frame_of_raw,
@@ -15,9 +16,11 @@ from sceneloom.fusion.messages.scene_form.clouds import (
     point_cloud_of,
     point_columns,
     points_of,
+    result_fields,
 )
 from sceneloom.fusion.messages.scene_form.pictures import (
     image_data_of,
+    image_of_raw,
     picture_of,
     picture_of_raw,
     picture_of_result,
@@ -27,6 +30,7 @@ from sceneloom.fusion.messages.scene_form.pictures import (
 from sceneloom.fusion.messages.scene_form.results import depth_frame_of, range_image, sensor_fusion_of
 
 __all__ = [
+    "COLOR_NAMES",
     "boxes_2d_of",
     "boxes_2d_record",
     "boxes_3d_of",
@@ -34,6 +38,7 @@ __all__ = [
     "depth_frame_of",
     "fields_of",
     "image_data_of",
+    "image_of_raw",
     "lidar_frame_of",
     "lidar_frame_of_raw",
     "lidar_frame_of_result",
@@ -45,6 +50,7 @@ __all__ = [
     "point_columns",
     "points_of",
     "range_image",
+    "result_fields",
     "rgb_of_pixels",
     "sensor_fusion_of",
     "whole_corners",

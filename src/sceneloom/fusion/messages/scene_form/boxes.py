@@ -89,20 +89,25 @@ def boxes_2d_record(
 ) -> Boxes2d:
     """Give the list of table 8 of boxes in a picture, with the whole pixels that each touches.
 
+    Boxes that have no area within the picture, or are not finite, are left out: the record has fewer then.
+
     Args:
         size_wh: of the picture [px], to which boxes are cut; None to cut at 0 alone.
 
     Raises:
         DataError: a number cannot stand in the record.
     """
+    corners = whole_corners(boxes.corners_xyxy, size_wh)
+    sides = corners[:, 2:] > corners[:, :2]
+    kept = np.logical_and(sides[:, 0], sides[:, 1])
     return Boxes2d(
         sensor_id=sensor_id,
         seq=seq,
         timestamp=Timestamp.of(boxes.timestamp_ns),
-        id=_ids(boxes),
-        class_names=boxes.labels,
-        confidence=_confidence(boxes),
-        corners_xyxy=whole_corners(boxes.corners_xyxy, size_wh),
+        id=_ids(boxes)[kept],
+        class_names=tuple(name for name, keep in zip(boxes.labels, kept.tolist(), strict=True) if keep),
+        confidence=_confidence(boxes)[kept],
+        corners_xyxy=corners[kept],
     )
 
 

@@ -21,6 +21,9 @@ REFLECTIVITY_NAMES = ("reflectivity", "intensity")
 COLOR_NAMES = ("r", "g", "b")
 """Fields of a coloured point, 0 to 255."""
 
+_RAW_FIELDS = ("reflectivity", "ring", "time")
+"""What the 23-byte records of the recording format tell of a point beside its position."""
+
 _LONGEST_OFFSET = 3600.0
 """Times of points that are farther than so many seconds from their cloud's are none."""
 
@@ -33,7 +36,8 @@ def lidar_frame_of(record: PointCloudData) -> LidarFrame:
     `reflectivity` or `intensity` becomes intensities: whole numbers to 255 as they are, fractions to 1 times 255,
     larger ones scaled from 65535; `ring` rings; `time` [s, from the cloud's time stamp] times; `r`, `g`, `b` colours. A
     field that these do not hold exactly, and any other, stays as it is in `points.extras`. The frame's extras hold
-    sensor_id, seq, fields, sensor_type, beam and ring of the record.
+    sensor_id, seq, fields, sensor_type, beam and ring of the record. Points with a number that is not finite are left
+    out: the sweep has fewer then.
     """
     extras = {
         "sensor_id": record.sensor_id,
@@ -43,7 +47,10 @@ def lidar_frame_of(record: PointCloudData) -> LidarFrame:
         "beam": record.beam,
         "ring": record.ring,
     }
-    points = points_of(record.points, record.fields, record.timestamp.nanoseconds)
+    values = record.points
+    if not _are_finite(values):
+        values = values[np.isfinite(values).all(axis=1)]
+    points = points_of(values, record.fields, record.timestamp.nanoseconds)
     return LidarFrame(record.timestamp.nanoseconds, points, extras=MappingProxyType(extras))
 
 
@@ -58,19 +65,22 @@ def lidar_frame_of_result(record: SensorFusionData) -> LidarFrame:
 def lidar_frame_of_raw(record: RawData) -> LidarFrame:
     """Give the sweep of raw data that are the 23-byte records of the recording format.
 
+    Points with a number that is not finite are left out, as those of table 6 are.
+
     Raises:
-        DataError: the bytes are no whole number of records, or a number in them is not finite.
+        DataError: the bytes are no whole number of records, or times are none.
     """
     count, remainder = divmod(record.length, XYZIRT.itemsize)
     if remainder:
         expected = f"expected records of {XYZIRT.itemsize} bytes"
         raise RAW.fault("data", f"{count} records and a remainder of {remainder} bytes; {expected}")
     rows = np.frombuffer(record.data, XYZIRT)
+    finite = np.ones(count, np.bool_)
     for name in ("x", "y", "z", "timestamp"):
-        bad = ~np.isfinite(rows[name])
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise RAW.fault(f"data[{k}].{name}", f"{rows[name][k]}; expected a finite number")
+        finite &= np.isfinite(rows[name])
+    if not finite.all():
+        rows = rows[finite]
+        count = len(rows)
     latest = float(rows["timestamp"].max()) if count else 0.0
     if latest >= 2**32 or (count and rows["timestamp"].min() < 0):
         raise RAW.fault("data", f"times up to {latest} s; expected 0 to {2**32} s")
@@ -142,6 +152,19 @@ def points_of(values: Float32Array, fields: Sequence[str], timestamp_ns: int) ->
     return LidarPoints(cast("Float32Array", read_only(positions)), extras=MappingProxyType(extras), **parts)
 
 
+def result_fields(sent: LidarFrame) -> tuple[str, ...]:
+    """The fields of the points of table 9, by the names of what was sent and by nothing else.
+
+    Args:
+        sent: the sweep of a record of table 6, or of raw data.
+
+    Source: READING of point_fields in docs/CONVENTIONS.md.
+    """
+    names = sent.extras.get("fields", ("x", "y", "z", *_RAW_FIELDS))
+    others = (name for name in names if name not in ("x", "y", "z", *COLOR_NAMES))
+    return ("x", "y", "z", *others, *COLOR_NAMES)
+
+
 def fields_of(points: LidarPoints) -> tuple[str, ...]:
     """The names of all fields that points have; of further arrays those of 32-bit numbers."""
     there = (
@@ -177,8 +200,8 @@ def point_columns(points: LidarPoints, fields: Sequence[str], timestamp_ns: int)
     return values if _are_finite(points.positions) else values[np.isfinite(points.positions).all(axis=1)]
 
 
-def _are_finite(positions: Float32Array) -> bool:
-    return positions.size == 0 or bool(np.isfinite(positions.min()) and np.isfinite(positions.max()))
+def _are_finite(values: Float32Array) -> bool:
+    return values.size == 0 or bool(np.isfinite(values.min()) and np.isfinite(values.max()))
 
 
 def _column(points: LidarPoints, name: str, timestamp_ns: int) -> AnyArray:

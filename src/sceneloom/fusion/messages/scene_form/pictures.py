@@ -59,7 +59,12 @@ def picture_of(record: ImageData, camera: Camera) -> Picture:
 
 
 def picture_of_raw(record: RawData, camera: Camera, encoding: str) -> Picture:
-    """Give the picture of raw data.
+    """Give the picture of raw data; see `image_of_raw`."""
+    return picture_of(image_of_raw(record, camera, encoding), camera)
+
+
+def image_of_raw(record: RawData, camera: Camera, encoding: str) -> ImageData:
+    """Give the image record of raw data.
 
     Args:
         encoding: what the bytes are: jpeg, png, or pixels of the camera's size in another one of `ENCODINGS`.
@@ -79,7 +84,7 @@ def picture_of_raw(record: RawData, camera: Camera, encoding: str) -> Picture:
         raise RAW.fault("length", f"{record.length}; expected {expected}")
     if record.length == 0:
         raise RAW.fault("length", f"0; expected a file of {encoding}")
-    image = ImageData(
+    return ImageData(
         sensor_id=record.sensor_id,
         timestamp=record.timestamp,
         seq=record.seq,
@@ -89,7 +94,6 @@ def picture_of_raw(record: RawData, camera: Camera, encoding: str) -> Picture:
         channel=channel,
         data=np.frombuffer(record.data, np.uint8),
     )
-    return picture_of(image, camera)
 
 
 def picture_of_result(record: SensorFusionData, camera: Camera) -> Picture:

@@ -12,6 +12,7 @@ from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.fused import DEPTH_KINDS, SensorFusionData
 from sceneloom.fusion.messages.scene_form.clouds import fields_of, point_columns
+from sceneloom.fusion.messages.sensor_data import ImageData
 from sceneloom.fusion.messages.tables import SENSOR_FUSION
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.kernels.depth_images import draw_depths
@@ -31,6 +32,7 @@ def sensor_fusion_of(
     point_frame: str = "lidar",
     motion_compensated: bool = False,
     fields: Sequence[str] | None = None,
+    image: ImageData | None = None,
 ) -> SensorFusionData:
     """Give the record of a sweep and one of the pictures that it was paired with.
 
@@ -44,6 +46,7 @@ def sensor_fusion_of(
         point_frame: "lidar" or "camera".
         motion_compensated: whether the way of the vehicle was taken into account.
         fields: what to give of each point; None for all that there is.
+        image: the picture as it was sent, whose encoding and data the record gets; None for its pixels as rgb8.
 
     Raises:
         DataError: a number cannot stand in the record.
@@ -61,9 +64,9 @@ def sensor_fusion_of(
         lidar_id=lidar_id,
         height=view.camera.height,
         width=view.camera.width,
-        encoding="rgb8",
-        image_channel=3,
-        image_data=view.rgb,
+        encoding="rgb8" if image is None else image.encoding,
+        image_channel=3 if image is None else image.channel,
+        image_data=view.rgb if image is None else image.data,
         image_depth=view.depth_image if depth_kind == "z" else range_image(frame, view),
         point_num=len(data),
         point_fields=names,

@@ -81,6 +81,12 @@ class KittiLabels:
         have: BoolArray = np.all(self.sizes_hwl > 0, axis=1)
         return have
 
+    @property
+    def have_outline(self) -> BoolArray:
+        """(N,) bool, whether it is told where a picture shows the object."""
+        have: BoolArray = np.any(self.corners_xyxy != NO_OUTLINE, axis=1)
+        return have
+
     def with_frames(self, numbers: Sequence[int]) -> "KittiLabels":
         """The same with other numbers of frames, by the old ones."""
         return replace(self, frames=np.array([numbers[k] for k in self.frames.tolist()], np.int64))
@@ -96,6 +102,9 @@ class KittiLabels:
         }
         return KittiLabels(types=tuple(self.types[k] for k in chosen.tolist()), **kept)
 
+
+NO_OUTLINE = -1.0
+"""All four edges of a box of a drive that has no camera; KITTI's own labels have none such."""
 
 _COLUMNS: dict[str, tuple[type, tuple[int, ...]]] = {
     "track_ids": (np.int64, ()),

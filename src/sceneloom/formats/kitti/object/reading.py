@@ -138,18 +138,19 @@ def _open(folder: Path, ledger: Ledger) -> Scene:
     times = FrameTimes(every)
     path = PosePath(*_still(len(every)))
     sensors: list[Sensor] = []
+    told = _labels(labels, ledger)
     if len(sweeps):
         sensors.append(
             lidar_sensor(sweeps, times.of(sweeps.numbers), RigidTransform.identity(), path, ledger)
         )
     for number, files in pictures.items():
-        if len(files) or (number == 2 and len(labels)):
+        if len(files) or (number == 2 and told.have_outline.any()):
             sensors.append(_camera(number, files, calibrations, times, ledger))
     message = "frames have no times and no common world: they are a second apart, each in the frame of its own lidar"
     ledger.note(NoticeKind.ASSUMED, "frames-apart", str(folder), message)
     return Scene(
         tuple(sensors),
-        annotations=_annotations(labels, calibrations, times, ledger),
+        annotations=_annotations(told, labels.folder, calibrations, times),
         trajectories=MappingProxyType({WAY: Trajectory(WAY, *_still(len(every)))}),
         metadata=kitti_metadata("object", numbers=every.tolist(), calibration=_plain(calibrations)),
         source=str(folder),
@@ -230,16 +231,19 @@ def _poses(
     return PosePath(stamps_ns, positions, np.stack([mounts[row].quaternion_xyzw for row in chosen]))
 
 
-def _annotations(
-    files: NumberedFiles, calibrations: FrameCalibrations, times: FrameTimes, ledger: Ledger
-) -> tuple[Annotation, ...]:
+def _labels(files: NumberedFiles, ledger: Ledger) -> KittiLabels:
     found: list[KittiLabels] = []
     for path in files.paths:
         try:
             found.append(read_labels(path))
         except DataError as error:
             ledger.fault("faulty-labels", error)
-    labels = joined_labels(found)
+    return joined_labels(found)
+
+
+def _annotations(
+    labels: KittiLabels, folder: Path, calibrations: FrameCalibrations, times: FrameTimes
+) -> tuple[Annotation, ...]:
     if not len(labels):
         return ()
     rectified = {row: one.rectified_from_lidar.inverse() for row, one in enumerate(calibrations.different)}
@@ -249,4 +253,4 @@ def _annotations(
         np.stack([rectified[row].quaternion_xyzw for row in rows]),
         np.zeros(len(rows), np.uint8),
     )
-    return label_annotations(labels, LabelPlaces(times.of(labels.frames), places, camera_id(2), files.folder))
+    return label_annotations(labels, LabelPlaces(times.of(labels.frames), places, camera_id(2), folder))

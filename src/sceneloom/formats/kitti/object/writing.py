@@ -149,23 +149,16 @@ def _write_labels(
     rectified_from_lidar: list[RigidTransform],
     folder: Path,
 ) -> list[Loss]:
-    reference = choice.reference
-    if reference is None:
-        count = len(choice.scene.annotations)
-        what = "left out: boxes are told in the frame of a camera, and there is none"
-        return [Loss(field="annotations", what=what, count=count)] if count else []
     egos = egos_at(choice, timeline.timestamps_ns)
     world_from_rectified = [
         ego @ choice.ego_from_lidar @ rectified.inverse()
         for ego, rectified in zip(egos, rectified_from_lidar, strict=True)
     ]
     rows = LabelRows(
-        choice.scene,
+        choice,
         timeline,
-        reference,
-        choice.cameras[reference],
         world_from_rectified.__getitem__,
-        lambda k: places.lens(reference, k),
+        lambda k, _: places.lens(choice.reference or 0, k),
         with_tracks=False,
     )
     labels = rows.labels()

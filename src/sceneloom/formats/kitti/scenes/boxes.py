@@ -119,12 +119,14 @@ def _cuboid(
     identifier: Identifier, labels: KittiLabels, rows: Int64Array, values: Float64Array, places: LabelPlaces
 ) -> CuboidAnnotation:
     stamps = places.timestamps_ns[rows]
+    shown = rows[labels.have_outline[rows]]
+    seen = Projection(places.camera_id, places.timestamps_ns[shown], _boxes(labels, shown))
     return CuboidAnnotation(
         identifier,
         CuboidPath(stamps, values[rows]),
         label=labels.types[int(rows[0])],
         attributes=_attributes(labels, rows, places),
-        projections=(Projection(places.camera_id, stamps, _boxes(labels, rows)),),
+        projections=(seen,) if len(shown) else (),
     )
 
 
@@ -159,8 +161,9 @@ def _attributes(labels: KittiLabels, rows: Int64Array, places: LabelPlaces) -> t
     types = [labels.types[k] for k in rows.tolist()]
     if len(set(types)) > 1:
         told["type"] = types
+    camera_id = places.camera_id if labels.have_outline[rows].any() else None
     return tuple(
-        AttributePath(name, tuple(values), stamps, places.camera_id)
+        AttributePath(name, tuple(values), stamps, camera_id)
         for name, values in told.items()
         if name not in UNTOLD or any(value != UNTOLD[name] for value in values)
     )

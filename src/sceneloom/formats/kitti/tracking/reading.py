@@ -84,7 +84,7 @@ def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
         sensors.append(lidar_sensor(sweeps, times[sweeps.numbers], ego_from_lidar, path, ledger))
     for number, found in pictures.items():
         files = frames_within(found, len(times), folder / "times" / f"{name}.txt", ledger)
-        if len(files) or (number == CAMERA and labels is not None and len(labels)):
+        if len(files) or (number == CAMERA and labels is not None and labels.have_outline.any()):
             sensors.append(
                 _camera(number, files, times, (folder, name), calibration, ego_from_lidar, path, ledger)
             )

@@ -13,7 +13,7 @@ from sceneloom.formats.kitti.written.oxts_lines import oxts_lines
 from sceneloom.formats.kitti.written.places import egos_at, is_lidar, mounted_of
 from sceneloom.formats.kitti.written.target import check_replaceable, kept_calibration, kept_of
 from sceneloom.formats.kitti.written.timeline import timeline_of
-from sceneloom.formats.loss import Loss, LossReport
+from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.scene import (
@@ -87,24 +87,16 @@ def write_tracking(
             (folder / "oxts").mkdir()
             text = "".join(f"{line}\n" for line in lines.texts())
             (folder / "oxts" / f"{name}.txt").write_text(text, "utf-8", newline="\n")
-        if choice.reference is not None:
-            egos = egos_at(choice, timeline.timestamps_ns)
-            ego_from_rectified = choice.ego_from_lidar @ rectified_from_lidar.inverse()
-            camera = choice.cameras[choice.reference]
-            rows = LabelRows(
-                choice.scene,
-                timeline,
-                choice.reference,
-                camera,
-                lambda frame: egos[frame] @ ego_from_rectified,
-                lambda _: camera.camera,
-                with_tracks=True,
-            )
-            text = "".join(f"{line}\n" for line in format_labels(rows.labels(), path))
-            losses += rows.losses
-        else:
-            text, lost = "", len(scene.annotations)
-            what = "left out: boxes are told in the frame of a camera, and there is none"
-            losses += [Loss(field="annotations", what=what, count=lost)] if lost else []
+        egos = egos_at(choice, timeline.timestamps_ns)
+        ego_from_rectified = choice.ego_from_lidar @ rectified_from_lidar.inverse()
+        rows = LabelRows(
+            choice,
+            timeline,
+            lambda frame: egos[frame] @ ego_from_rectified,
+            lambda _, camera: camera.camera,
+            with_tracks=True,
+        )
+        text = "".join(f"{line}\n" for line in format_labels(rows.labels(), path))
+        losses += rows.losses
         (folder / "label_02" / f"{name}.txt").write_text(text, "utf-8", newline="\n")
     return LossReport.of(losses)

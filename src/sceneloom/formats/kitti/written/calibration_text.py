@@ -49,10 +49,18 @@ class Mounted:
 
     @property
     def rectified_from_lidar(self) -> RigidTransform:
-        """Takes the lidar's frame into the one that labels are in, where no file says otherwise."""
+        """Takes the lidar's frame into the one that labels are in, where no file says otherwise.
+
+        Without cameras that is the frame of one that would look ahead from where the lidar is: labels stand upright in
+        it.
+        """
         if self.reference is None:
-            return RigidTransform.identity()
+            return _AHEAD_FROM_LIDAR
         return self.camera_from_lidar[self.reference]
+
+
+_AHEAD_FROM_LIDAR = RigidTransform(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.zeros(3))
+"""x right, y down, z forward, out of x forward, y left, z up."""
 
 
 def write_calibration(

@@ -8,9 +8,10 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, observation_angles
-from sceneloom.formats.kitti.labels import DONT_CARE, NO_TRACK, KittiLabels
+from sceneloom.formats.kitti.labels import DONT_CARE, NO_OUTLINE, NO_TRACK, KittiLabels
 from sceneloom.formats.kitti.number_lines import LATEST
 from sceneloom.formats.kitti.scenes.boxes import UNTOLD
+from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.kitti.written.timeline import NONE, Timeline, nearest_frames
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.geometry.boxes import box_corners
@@ -23,7 +24,6 @@ from sceneloom.scene import (
     CuboidAnnotation,
     Identifier,
     Projection,
-    Scene,
 )
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.at import attribute_at, box_2d_at, cuboid_poses
@@ -35,6 +35,7 @@ _UPRIGHT_WITHIN = 1e-6
 _TOLD = ("truncated", "occluded", "alpha", "score", "type")
 _NO_SPACE = (-1.0, -1.0, -1.0, -1000.0, -1000.0, -1000.0, -10.0)
 """What rows of boxes in pictures have for size, place and heading."""
+_NO_OUTLINE = np.full(4, NO_OUTLINE)
 _PICTURE_ONLY = " (picture)"
 
 
@@ -57,41 +58,40 @@ class LabelRows:
 
     def __init__(
         self,
-        scene: Scene,
+        choice: Choice,
         timeline: Timeline,
-        number: int,
-        camera: CameraSensor,
         reference_at: Callable[[int], RigidTransform],
-        lens_at: Callable[[int], Camera],
+        lens_at: Callable[[int, CameraSensor], Camera],
         *,
         with_tracks: bool,
     ) -> None:
         """Begin.
 
         Args:
-            scene: whose annotations are written.
+            choice: whose annotations are written; its reference is the camera in whose pictures boxes are. Without
+                one, every box is a row in each of its frames, and where a picture shows it is not told.
             timeline: the frames.
-            number: KITTI's of the camera in whose pictures boxes are.
-            camera: it.
             reference_at: `world_from_rectified` of a frame.
-            lens_at: of a frame's picture.
+            lens_at: of a frame's picture of the camera.
             with_tracks: whether rows have tracks.
         """
         self.losses: list[Loss] = []
-        self._scene, self._timeline, self._camera = scene, timeline, camera
+        scene = choice.scene
+        self._scene, self._timeline = scene, timeline
+        self._camera = None if choice.reference is None else choice.cameras[choice.reference]
         self._reference_at, self._lens_at = reference_at, lens_at
         self._with_tracks = with_tracks
-        self._stamps_ns = self._picture_times(number)
+        self._stamps_ns = self._picture_times(choice.reference)
         self._angles = CuboidAngles.of(scene)
         self._rows = _Rows()
         self._tilt, self._tilted = 0.0, 0
         self._tracks = self._track_ids()
 
-    def _picture_times(self, number: int) -> Int64Array:
+    def _picture_times(self, number: int | None) -> Int64Array:
         """When each frame's picture was; the frame's own time where it has none."""
-        chosen = self._timeline.pictures.get(number)
+        chosen = None if number is None else self._timeline.pictures.get(number)
         stamps = self._timeline.timestamps_ns.copy()
-        if chosen is not None and len(self._camera.pictures):
+        if chosen is not None and self._camera is not None and len(self._camera.pictures):
             there = chosen != NONE
             stamps[there] = self._camera.pictures.timestamps_ns[chosen[there]]
         return stamps
@@ -167,6 +167,8 @@ class LabelRows:
             self.losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=frames - rows))
 
     def _projection(self, annotation: CuboidAnnotation) -> Projection | None:
+        if self._camera is None:
+            return None
         wanted = key_of(self._camera.id)
         return next((p for p in annotation.projections if key_of(p.sensor_id) == wanted), None)
 
@@ -213,10 +215,12 @@ class LabelRows:
         """The box around what a picture shows of a box in space, corner convention; None where it shows nothing."""
         from sceneloom.visibility.outlines import box_extents
 
+        if self._camera is None:
+            return _NO_OUTLINE
         corners = box_corners(center, size_lwh, turn)
         if corners[:, 2].max() <= _NEAR:
             return None
-        extents, _ = box_extents(self._lens_at(frame), corners[None])
+        extents, _ = box_extents(self._lens_at(frame, self._camera), corners[None])
         left, top, right, bottom = extents[0].tolist()
         return extents[0] if np.isfinite(extents).all() and right > left and bottom > top else None
 
@@ -244,7 +248,7 @@ class LabelRows:
             )
 
     def _add_box(self, annotation: Box2DAnnotation) -> None:
-        if key_of(annotation.sensor_id) != key_of(self._camera.id):
+        if self._camera is None or key_of(annotation.sensor_id) != key_of(self._camera.id):
             what = "left out: drawn into pictures of another camera"
             self.losses.append(Loss(field="annotations.box_2d", what=what))
             return
@@ -284,12 +288,12 @@ class LabelRows:
         rows.frames.append(frame)
         rows.tracks.append(self._tracks[key_of(annotation.id)])
         rows.types.append(self._word(kinds[0] if isinstance(kinds[0], str) else annotation.label))
-        rows.corners.append(corners - CENTRE_TO_CORNER)
+        rows.corners.append(corners if corners is _NO_OUTLINE else corners - CENTRE_TO_CORNER)
         rows.space.append(space)
         alpha = told["alpha"]
         if alpha is None:
             alpha = UNTOLD["alpha"]
-            if space[0] > 0:
+            if space[0] > 0 and corners is not _NO_OUTLINE:
                 alpha = float(observation_angles(np.array([space[3:6]]), np.array([space[6]]))[0])
         truncated, occluded, score = told["truncated"], told["occluded"], told["score"]
         rows.told.append(

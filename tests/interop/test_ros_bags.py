@@ -1,5 +1,6 @@
 """Bags that rosbags writes, read by us; and ours, read by rosbags."""
 
+import subprocess
 from functools import cache
 
 import numpy as np
@@ -10,9 +11,11 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from tests.peers import python_with
 from tests.properties.planted import planted_scene
 
 import sceneloom
+from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ros.definitions import DEFINITIONS
 from sceneloom.formats.table import find_format
@@ -23,8 +26,13 @@ from sceneloom.scene import (
     DepthCameraSensor,
     GnssSensor,
     ImuSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
     LidarSensor,
+    Picture,
     RadarSensor,
+    Scene,
 )
 
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -445,6 +453,100 @@ def test_what_we_write_rosbags_reads(name, options, tmp_path):
         "Odometry",
     }
     assert find_format(path).name == ("ros1" if name.endswith(".bag") else "ros2")
+
+
+COMMON_FIELDS = {"x": "f4", "y": "f4", "z": "f4", "intensity": "f4", "ring": "u2", "t": "u4"}
+"""Names and types of what a lidar measured, as drivers write them and other programs look for them."""
+
+
+def swept(tmp_path, *, earlier_ns=0):
+    """A bag of ours: two sweeps of points with intensities, lasers and times, and two pictures of one camera."""
+    stamps = EPOCH_NS + PERIOD_NS * np.arange(2)
+    times = np.linspace(0, 99_000_000, len(POINTS)).astype(np.int64) - earlier_ns
+    measured = {
+        "intensities": np.arange(len(POINTS), dtype=np.uint32).astype(np.uint8),
+        "rings": (np.arange(len(POINTS)) % 16).astype(np.uint16),
+    }
+    sweeps = [LidarFrame(int(t), LidarPoints(POINTS, timestamps_ns=t + times, **measured)) for t in stamps]
+    lens = Camera("pinhole", 12, 8, 10.0, 10.0, 5.5, 3.5)
+    pictures = [Picture.of(int(t), lens, RGB) for t in stamps + 30_000_000]
+    scene = Scene(
+        (
+            LidarSensor("top", LazyFrames.of(sweeps, stamps.tolist())),
+            CameraSensor("front", lens, LazyFrames.of(pictures, (stamps + 30_000_000).tolist())),
+        )
+    )
+    sceneloom.write(scene, tmp_path / "drive.bag")
+    return tmp_path / "drive.bag", stamps, times, measured
+
+
+def fields_of(message):
+    """The columns of a cloud by their names."""
+    dtypes = {number: dtype for dtype, number in DATATYPES.items()}
+    layout = {
+        "names": [f.name for f in message.fields],
+        "formats": ["<" + dtypes[f.datatype] for f in message.fields],
+        "offsets": [f.offset for f in message.fields],
+        "itemsize": message.point_step,
+    }
+    return np.frombuffer(message.data.tobytes(), layout)
+
+
+def test_clouds_have_the_fields_that_other_programs_look_for(tmp_path):
+    path, stamps, times, measured = swept(tmp_path)
+    clouds = [message for topic, _, message in read_by_rosbags(path) if topic == "/top/points"]
+    assert len(clouds) == len(stamps)
+    for message in clouds:
+        table = fields_of(message)
+        assert {name: dtype.str[1:] for name, (dtype, _) in table.dtype.fields.items()} == COMMON_FIELDS
+        np.testing.assert_array_equal(table["t"], times)
+        np.testing.assert_array_equal(table["intensity"], measured["intensities"])
+        np.testing.assert_array_equal(table["ring"], measured["rings"])
+
+
+@pytest.mark.parametrize("earlier_ns", [0, 50_000_000])
+def test_times_and_intensities_of_points_come_back_exactly(tmp_path, earlier_ns):
+    path, stamps, times, measured = swept(tmp_path, earlier_ns=earlier_ns)
+    with sceneloom.open(path) as scene:
+        for frame, stamp in zip(scene.lidars[0].frames, stamps.tolist(), strict=True):
+            assert frame.timestamp_ns == stamp
+            np.testing.assert_array_equal(frame.points.timestamps_ns, stamp + times)
+            np.testing.assert_array_equal(frame.points.intensities, measured["intensities"])
+        sceneloom.write(scene, tmp_path / "copy.bag")
+    first, again = (
+        [bytes(m.data) for topic, _, m in read_by_rosbags(one) if topic == "/top/points"]
+        for one in (path, tmp_path / "copy.bag")
+    )
+    assert first == again
+
+
+def test_points_earlier_than_their_sweep_have_seconds_with_a_sign(tmp_path):
+    path, _, times, _ = swept(tmp_path, earlier_ns=50_000_000)
+    message = next(message for topic, _, message in read_by_rosbags(path) if topic == "/top/points")
+    np.testing.assert_allclose(fields_of(message)["time"], times / 1e9, atol=1e-12)
+
+
+def test_each_picture_comes_with_a_camera_info_of_its_time(tmp_path):
+    path, *_ = swept(tmp_path)
+    stamps = {"front/camera_info": [], "front/image/compressed": []}
+    for topic, _, message in read_by_rosbags(path):
+        if topic[1:] in stamps:
+            stamps[topic[1:]].append((message.header.stamp.sec, message.header.stamp.nanosec))
+    assert len(stamps["front/camera_info"]) == 2
+    assert stamps["front/camera_info"] == stamps["front/image/compressed"]
+
+
+def test_kiss_icp_finds_the_times_that_it_deskews_by(tmp_path):
+    python = python_with("kiss-icp", "SCENELOOM_KISS_PYTHON")
+    path, _, times, _ = swept(tmp_path)
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom kiss_icp.datasets import dataset_factory\n"
+        "bag = dataset_factory(dataloader='rosbag', data_dir=Path(sys.argv[1]), topic='')\n"
+        "print(*(bag[0][1].astype(int).tolist()))"
+    )
+    run = subprocess.run([python, "-c", program, path], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1].split() == [str(time) for time in times]
 
 
 def test_a_bag_in_mcap_is_ros_own_and_no_file_of_foxglove(tmp_path):

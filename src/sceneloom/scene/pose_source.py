@@ -1,6 +1,6 @@
 """Where a sensor was at any time: a path, and how the sensor is mounted on what moves along it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,6 +39,20 @@ class PoseSource:
             multiply_quaternions(body.quaternions_xyzw, self.mount.quaternion_xyzw),
             body.coverage,
         )
+
+
+def placed_along(
+    path: PosePath | None, mounts: Sequence[RigidTransform | None], timestamps_ns: Int64Array
+) -> PosePath | None:
+    """As `poses_along`, with the mounting at each of the times, (N,) of them, None where it is not known."""
+    numbers: dict[bytes, int] = {}
+    known: dict[int, RigidTransform] = {}
+    chosen = np.full(len(mounts), -1, np.int64)
+    for k, mount in enumerate(mounts):
+        if mount is not None:
+            chosen[k] = number = numbers.setdefault(mount.matrix.tobytes(), len(numbers))
+            known[number] = mount
+    return poses_along(path, known, chosen, timestamps_ns) if len(timestamps_ns) else None
 
 
 def poses_along(

@@ -3,6 +3,9 @@
 from dataclasses import replace
 from typing import Any, TypeVar
 
+import numpy as np
+
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
 from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
 from sceneloom.scene.frames import LazyFrames
@@ -18,6 +21,18 @@ Shooting = TypeVar("Shooting", CameraSensor, DepthCameraSensor)
 def shots_of(sensor: ShootingSensor) -> LazyFrames[Any]:
     """The pictures of a camera, or the images of one that measures depth."""
     return sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
+
+
+def mounts_of_shots(sensor: ShootingSensor) -> list[RigidTransform | None] | None:
+    """`ego_from_camera` of each picture, its own or else the camera's; None where they are all the camera's."""
+    own = [shot.mount for shot in shots_of(sensor)]
+    if all(mount is None or _equal(mount, sensor.mount) for mount in own):
+        return None
+    return [sensor.mount if mount is None else mount for mount in own]
+
+
+def _equal(a: RigidTransform, b: RigidTransform | None) -> bool:
+    return a is b or (b is not None and np.array_equal(a.matrix, b.matrix))
 
 
 def with_shots(sensor: Shooting, shots: LazyFrames[Any], video: VideoContent | None) -> Shooting:

@@ -178,7 +178,7 @@ def _unique(names: Sequence[str]) -> list[str]:
 
 
 def _mount(sensor: Any, way: PosePath | None, losses: list[Loss]) -> RigidTransform:
-    mount, lost = mounting(sensor, way)
+    mount, lost = mounting(sensor, way, each=True)
     losses += lost
     if mount is not None:
         return mount

@@ -25,6 +25,7 @@ from sceneloom.scene import (
     Scene,
     Sensor,
 )
+from sceneloom.scene.shooting import mounts_of_shots
 from sceneloom.scene.span import frame_times
 
 STREAM_TYPES: Mapping[type[Any], str] = {
@@ -46,11 +47,13 @@ class Streams:
         names: of the streams, by the ids of sensors.
         sensors: by the names.
         way: `world_from_ego`, or None.
+        moving: ids of the cameras whose pictures have mountings of their own: only their poses tell where they were.
     """
 
     names: Mapping[Identifier, str]
     sensors: Mapping[str, Sensor]
     way: PosePath | None
+    moving: frozenset[Identifier] = frozenset()
 
     @classmethod
     def of(cls, scene: Scene) -> "Streams":
@@ -65,7 +68,18 @@ class Streams:
             while name in sensors or name in {WORLD, EGO}:
                 name += "_"
             names[sensor.id], sensors[name] = name, sensor
-        return cls(names, sensors, way_of(scene))
+        moving = frozenset(
+            one.id
+            for one in scene.cameras
+            if mounts_of_shots(one) is not None and one.coordinates is Coordinates.WORLD
+        )
+        return cls(names, sensors, way_of(scene), moving)
+
+    def _parent_and_pose(self, sensor: Any) -> tuple[str, RigidTransform | None] | None:
+        """The system that a sensor is placed in, its pose there, None where it moves; None where nothing is known."""
+        if type(sensor) is CameraSensor and sensor.id in self.moving:
+            return None if sensor.poses is None else (WORLD, None)
+        return _parent_and_pose(sensor)
 
     def members(self) -> dict[str, Any]:
         """The member `streams`."""
@@ -75,7 +89,7 @@ class Streams:
         """The member `coordinate_systems`; the ego is the root where nothing stands in the world."""
         found: dict[str, Any] = {}
         for name, sensor in self.sensors.items():
-            placed = _parent_and_pose(sensor)
+            placed = self._parent_and_pose(sensor)
             if placed is not None:
                 parent, pose = placed
                 found[name] = {"type": "sensor_cs", "parent": parent, **({} if pose is None else _pose(pose))}
@@ -94,7 +108,7 @@ class Streams:
         """The transforms of the frame of a time: of the ego, and of sensors with ways of their own."""
         moving = {} if self.way is None else {EGO: self.way}
         for name, sensor in self.sensors.items():
-            placed, poses = _parent_and_pose(sensor), getattr(sensor, "poses", None)
+            placed, poses = self._parent_and_pose(sensor), getattr(sensor, "poses", None)
             if placed is not None and placed[1] is None and poses is not None:
                 moving[name] = poses
         found = {}
@@ -121,8 +135,12 @@ class Streams:
             k = int(np.argmin(np.abs(times - time_ns)))
             reach = float(np.median(np.diff(times))) * _WITHIN if len(times) > 1 else 0.0
             if abs(int(times[k]) - time_ns) <= reach:
-                sync = {"frame_stream": k, "timestamp": seconds_text(int(times[k]))}
-                found[name] = {"stream_properties": {"sync": sync}}
+                properties: dict[str, Any] = {
+                    "sync": {"frame_stream": k, "timestamp": seconds_text(int(times[k]))}
+                }
+                if isinstance(sensor, CameraSensor) and (lens := sensor.pictures[k].camera) != sensor.camera:
+                    properties |= {key: value for key, value in lens_properties(lens).items() if key != OURS}
+                found[name] = {"stream_properties": properties}
         return found
 
 

@@ -1,5 +1,6 @@
 """The cameras of a recording: lens, mounting, pictures and poses brought together."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -39,8 +40,12 @@ from sceneloom.formats.recording.picture_files import (
 from sceneloom.formats.recording.picture_table import PictureTable, build_table, further_fields
 from sceneloom.formats.video import VideoReader, open_video
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene import CameraSensor, DepthCameraSensor, LazyFrames, NoticeKind, PosePath, VideoContent
 from sceneloom.scene.pose_source import poses_along
+
+_SAME_M, _SAME_DEG = 1e-6, 1e-4
+"""Mountings no further apart than this say the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,7 +243,8 @@ def _lens_reader(
 def _sensor(
     sources: CameraSources, table: PictureTable, calibration: CameraCalibration, files: PictureFiles | None
 ) -> CameraSensor:
-    ego_from_camera = _own_mount(sources, table, calibration)
+    camera, ego_from_camera = _lens_in_use(table), _own_mount(sources, table, calibration)
+    _note_unused_rig(sources, table, calibration, camera, ego_from_camera)
     entry = entry_after(calibration, sources.camera_shift)
     mounts = table.mounts if ego_from_camera is None else {table.OWN: ego_from_camera, **table.mounts}
     if table.missing:
@@ -247,7 +253,7 @@ def _sensor(
         sources.ledger.note(NoticeKind.SKIPPED, "missing-bitmaps", place, message, count=table.missing)
     return CameraSensor(
         id=f"camera{table.camera_index}",
-        camera=table.camera,
+        camera=camera,
         pictures=LazyFrames(table.timestamps_ns, partial(table.picture, files=files)),
         poses=poses_along(sources.ego_path, mounts, table.mount_texts, table.timestamps_ns),
         mount=ego_from_camera,
@@ -257,10 +263,19 @@ def _sensor(
     )
 
 
+def _lens_in_use(table: PictureTable) -> Camera:
+    """The lens of the calibration; that of the first picture where each picture has its own, so that none uses it."""
+    if len(table.lens_texts) and (table.lens_texts != table.OWN).all():
+        return table.lenses[int(table.lens_texts[0])]
+    return table.camera
+
+
 def _own_mount(
     sources: CameraSources, table: PictureTable, calibration: CameraCalibration
 ) -> RigidTransform | None:
-    """The mounting of the calibration, else the first that a line brings along."""
+    """The mounting of the calibration; that of the first picture where each picture has its own."""
+    if len(table.mount_texts) and (table.mount_texts != table.OWN).all():
+        return table.mounts[int(table.mount_texts[0])]
     if calibration.camera_from_imu is not None:
         return calibration.camera_from_imu.inverse()
     first = next(iter(table.mounts.values()), None)
@@ -268,6 +283,35 @@ def _own_mount(
         message = "imuToCamera is missing, so it is not known where the camera is on the vehicle"
         sources.ledger.note(NoticeKind.SKIPPED, "mounts-missing", calibration.place, message)
     return first
+
+
+def _note_unused_rig(
+    sources: CameraSources,
+    table: PictureTable,
+    calibration: CameraCalibration,
+    camera: Camera,
+    ego_from_camera: RigidTransform | None,
+) -> None:
+    """Say which values of calibration.json no picture uses, where those of the pictures are others."""
+    place, name = calibration.place, sources.data_path.name
+    if camera != table.camera:
+        message = (
+            f"every picture has cameraParameters of its own in {name}, and they differ from these "
+            f"(focalLengthX {camera.fx:.6g} px in place of {table.camera.fx:.6g}); the pictures' are used"
+        )
+        sources.ledger.note(NoticeKind.SKIPPED, "calibration-not-used", place, message)
+    told = calibration.camera_from_imu
+    if told is None or ego_from_camera is None:
+        return
+    moved = told @ ego_from_camera
+    turned = math.degrees(float(angle_between(moved.quaternion_xyzw, np.array([0.0, 0.0, 0.0, 1.0]))))
+    metres = float(np.linalg.norm(moved.inverse().translation))
+    if metres > _SAME_M or turned > _SAME_DEG:
+        message = (
+            f"every picture has an imuToCamera of its own in {name}, {metres:.3g} m and {turned:.3g} degrees from this "
+            "one; the pictures' are used"
+        )
+        sources.ledger.note(NoticeKind.SKIPPED, "calibration-not-used", place, message)
 
 
 def _video(files: PictureFiles | None, indices: Int64Array) -> VideoContent | None:

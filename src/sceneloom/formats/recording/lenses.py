@@ -49,8 +49,12 @@ class CameraParameters(Struct, frozen=True):
     def over(self, base: "CameraParameters") -> "CameraParameters":
         """These parameters, and those of `base` where they say nothing.
 
-        The coefficients of the base hold for a lens of its own model only.
+        The coefficients of the base hold for a lens of its own model only, and its picture size for focal lengths and
+        a principal point of its own only: whole parameters without a size are those of the pictures as they are.
         """
+        own = (self.focalLengthX, self.focalLengthY, self.principalPointX, self.principalPointY)
+        if all(value is not None for value in own):
+            base = structs.replace(base, imageWidth=None, imageHeight=None)
         said = {name: value for name, value in structs.asdict(self).items() if value is not None}
         if self.lens_model is not None:
             same = base.lens_model is not None and _plain(base.lens_model) == _plain(self.lens_model)

@@ -173,7 +173,7 @@ def _ego_path(scene: Scene) -> PosePath | None:
 def _mount(
     sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None, losses: list[Loss]
 ) -> RigidTransform:
-    mount, lost = mounting(sensor, ego_path)
+    mount, lost = mounting(sensor, ego_path, each=True)
     losses.extend(lost)
     if mount is not None:
         return mount

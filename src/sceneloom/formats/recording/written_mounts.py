@@ -1,17 +1,18 @@
 """Where a sensor sits on the vehicle, as one transform: what it says itself, or what its poses tell."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import degrees
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray
+from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.mounts import rigid_transform
+from sceneloom.formats.recording.written_shots import field_of
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
     angle_between,
@@ -19,23 +20,39 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
-from sceneloom.scene import Coordinates, LidarSensor, PosePath
-from sceneloom.scene.shooting import ShootingSensor
+from sceneloom.scene import CameraSensor, Coordinates, DepthCameraSensor, LidarSensor, PosePath
+from sceneloom.scene.shooting import ShootingSensor, mounts_of_shots
 
 RIGID_WITHIN = 0.01
 """Metres that a sensor may move on the vehicle before it is said that one mounting does not describe it."""
 _TURNED_WITHIN_DEG = 0.1
 """The same for its turning [deg]."""
+_REFUSED_M, _REFUSED_DEG = 0.1, 1.0
+"""Mountings of single pictures that are further apart than this are not replaced by one for all."""
 
 
 def mounting(
-    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None
+    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None, *, each: bool = False
 ) -> tuple[RigidTransform | None, list[Loss]]:
     """Find `ego_from_sensor`: what the sensor says, else where its poses put it against the ego.
 
+    Args:
+        sensor: a camera or lidar.
+        ego_path: `world_from_ego`, or None.
+        each: whether the target holds the mounting of each picture, so that one for all need not say it.
+
     Returns:
         The mounting, None where neither tells it; and what one mounting cannot say.
+
+    Raises:
+        CalibrationError: pictures have mountings of their own, too far from one another for a target that holds one.
     """
+    own = mounts_of_shots(sensor) if isinstance(sensor, CameraSensor | DepthCameraSensor) else None
+    if own is not None:
+        known = [mount for mount in own if mount is not None]
+        return (sensor.mount or known[0]), (
+            [] if each else _one_for_all(sensor, sensor.mount or known[0], known)
+        )
     relative, outside = _ego_from_sensor(sensor, ego_path)
     field, losses = f"sensors[{sensor.id}].poses", list[Loss]()
     if outside:
@@ -46,14 +63,42 @@ def mounting(
         mount = RigidTransform.from_quaternion(relative.positions[0], relative.quaternions_xyzw[0])
     if mount is None or relative is None:
         return mount, losses
-    moved = float(np.linalg.norm(relative.positions - mount.translation, axis=1).max())
-    turned = degrees(float(angle_between(relative.quaternions_xyzw, mount.quaternion_xyzw).max()))
+    moved, turned = _moved(mount, relative.positions, relative.quaternions_xyzw)
     if moved > RIGID_WITHIN or turned > _TURNED_WITHIN_DEG:
         held = "as its mounting says" if sensor.mount is not None else "as at its first pose"
         found = f"up to {round(moved, 3):g} m and {round(turned, 3):g} degrees"
         what = f"taken to be mounted {held}, from which it moves {found} on the vehicle"
         losses.append(Loss(field=field, what=what, fate=Fate.APPROXIMATED))
     return mount, losses
+
+
+def _moved(
+    mount: RigidTransform, positions: Float64Array, quaternions_xyzw: Float64Array
+) -> tuple[float, float]:
+    """How far poses on the ego are from a mounting, at most [m, deg]."""
+    moved = float(np.linalg.norm(positions - mount.translation, axis=1).max())
+    return moved, degrees(float(angle_between(quaternions_xyzw, mount.quaternion_xyzw).max()))
+
+
+def _one_for_all(sensor: Any, mount: RigidTransform, own: Sequence[RigidTransform]) -> list[Loss]:
+    """What is lost where one mounting stands for those of all pictures.
+
+    Raises:
+        CalibrationError: they are too far apart.
+    """
+    moved, turned = _moved(
+        mount, np.array([one.translation for one in own]), np.array([one.quaternion_xyzw for one in own])
+    )
+    found = f"{round(moved, 3):g} m and {round(turned, 3):g} degrees"
+    if moved > _REFUSED_M or turned > _REFUSED_DEG:
+        raise CalibrationError(
+            f"camera {sensor.id!r}: its pictures have mountings of their own, up to {found} apart, and the target "
+            "holds one for all of them; write to a format that holds each (sfs, recording, mcap, ros1, ros2, "
+            "nuscenes, kitti-object), or leave the camera out"
+        )
+    what = f"one mounting stands for those of the pictures, which are up to {found} apart"
+    field = f"{field_of(sensor)}[].mount"
+    return [Loss(field=field, what=what, count=len(own), fate=Fate.APPROXIMATED)]
 
 
 def _ego_from_sensor(

@@ -43,6 +43,8 @@ def _dialect(*, videos: bool) -> Dialect:
         ),
         videos=videos,
         covariances=True,
+        each_lens=True,
+        intensity="f4",
     )
 
 

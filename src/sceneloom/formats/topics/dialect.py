@@ -19,6 +19,8 @@ class Dialect:
         sample_topics: last part of the topic of each stream of an IMU; "" for all that have none of their own.
         videos: whether there are messages for videos.
         covariances: whether poses have covariances.
+        each_lens: whether each picture comes with a message of its lens, as synchronisers of pairs expect.
+        intensity: dtype of intensities.
     """
 
     name: str
@@ -30,6 +32,8 @@ class Dialect:
     sample_topics: Mapping[str, str]
     videos: bool
     covariances: bool
+    each_lens: bool = False
+    intensity: str = "u1"
 
 
 class Losses:

@@ -36,7 +36,9 @@ def _seeing(kind: str, frames: str) -> dict[str, Holding]:
         f"{kind}.camera": converted(
             "lenses that other programs do not know are written as only we read them"
         ),
-        f"{kind}.{frames}.mount": dropped(_NO_MESSAGE),
+        f"{kind}.{frames}.mount": converted(
+            "transforms, at the times of pictures where they are not all the same"
+        ),
         f"{kind}.{frames}.extras": dropped(_NO_MESSAGE),
     }
 

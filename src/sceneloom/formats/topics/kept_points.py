@@ -46,7 +46,7 @@ def can_be_kept(record: CloudRecord) -> bool:
     return (
         (record.frame_from_points is None or np.array_equal(record.frame_from_points.matrix, np.eye(4)))
         and record.row_bytes is None
-        and (intensity is None or intensity.dtype == np.uint8)
+        and (intensity is None or intensity.dtype.str[1:] in ("u1", "f4"))
     )
 
 

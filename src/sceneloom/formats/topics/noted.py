@@ -1,6 +1,7 @@
 """Sensors, ways and free fields of messages that our own writer wrote, with what it noted beside them."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +16,8 @@ from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import FixRecord, Kind, PoseRecord, SampleRecord
 from sceneloom.formats.topics.survey import Survey
 from sceneloom.formats.topics.sweeps_from_topics import CloudDraft
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import normalise_quaternion
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
@@ -31,8 +34,26 @@ from sceneloom.scene import (
     Sensor,
     Trajectory,
 )
+from sceneloom.scene.pose_source import placed_along
 
 Note = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnMounts:
+    """Makes the pictures of a camera with a mounting of its own for each.
+
+    Attributes:
+        frames: the pictures or depth images without.
+        mounts: `ego_from_camera` of each, or None.
+    """
+
+    frames: LazyFrames[Any]
+    mounts: Sequence[RigidTransform | None]
+
+    def __call__(self, k: int) -> Any:
+        """Make picture `k` without reading it."""
+        return replace(self.frames[k], mount=self.mounts[k])
 
 
 class _Noted:
@@ -62,12 +83,18 @@ class _Noted:
     def posed(self, note: Note, times_ns: Any) -> dict[str, Any]:
         """Fields of sensors that are somewhere."""
         mount = self.places.mount(note["frame"]) if note.get("mount") else None
+        if "own_mount" in note:
+            numbers = np.array(note["own_mount"], np.float64)
+            mount = RigidTransform.from_quaternion(numbers[:3], normalise_quaternion(numbers[3:7]))
         fields = self.common(note) | {
             "mount": mount,
             "coordinates": Coordinates(note.get("coordinates", "world")),
         }
         told = note.get("poses")
-        if told == "derived":
+        if told == "derived" and note.get("mounts") == "each":
+            mounts = self.places.mounts_at(note["frame"], times_ns)
+            fields["poses"] = placed_along(self.places.way, mounts, times_ns)
+        elif told == "derived":
             fields["poses"] = self.places.poses(note["frame"], mount, times_ns)
         elif told is not None:
             rows = self.rows(told)
@@ -105,7 +132,11 @@ class _Noted:
             further = self.posed(note, nothing.timestamps_ns) | {"fps": note.get("fps")}
             made: Sensor = kind(note["id"], lens_from_text(note["lens"]), nothing, **further)
             return made
-        return draft.sensor(note["id"], fps=note.get("fps"), **self.posed(note, draft.frames.timestamps_ns))
+        times = draft.frames.timestamps_ns
+        if note.get("mounts") == "each":
+            own = OwnMounts(draft.frames, self.places.mounts_at(note["frame"], times))
+            draft = replace(draft, frames=LazyFrames(times, own))
+        return draft.sensor(note["id"], fps=note.get("fps"), **self.posed(note, times))
 
     def gnss(self, note: Note) -> Sensor:
         mount = self.places.mount(note["frame"]) if note.get("mount") else None

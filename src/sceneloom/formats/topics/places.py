@@ -37,6 +37,18 @@ class Places:
         ego = self.roles.ego
         return None if ego is None else self.tree.mount(ego, frame_id)
 
+    def mounts_at(self, frame_id: str, times_ns: Int64Array) -> list[RigidTransform | None]:
+        """`ego_from_sensor` at each of some times, for a sensor that moves on the ego; None beyond what is known."""
+        ego = self.roles.ego
+        path = None if ego is None else self.tree.path(ego, frame_id)
+        if path is None:
+            return [self.mount(frame_id)] * len(times_ns)
+        samples = path.interpolate(times_ns)
+        return [
+            RigidTransform.from_quaternion(position, quaternion) if np.isfinite(position).all() else None
+            for position, quaternion in zip(samples.positions, samples.quaternions_xyzw, strict=True)
+        ]
+
     def poses(self, frame_id: str, mount: RigidTransform | None, times_ns: Int64Array) -> PosePath | None:
         """`world_from_sensor` at some times: along the way of the ego, else by the sensor's own frames."""
         if len(times_ns) == 0:

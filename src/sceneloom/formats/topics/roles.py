@@ -82,7 +82,8 @@ def _ego(tree: FrameTree, sensor_frames: list[str]) -> str | None:
         body = movers.most_common(1)[0][0]
     candidates = [name for name in EGO_NAMES if name in tree.frames]
     if body is not None:
-        near = [name for name in candidates if tree.mount(body, name) is not None]
+        above = tree.ancestors(body)[1:]
+        near = [name for name in candidates if name in above or tree.mount(body, name) is not None]
         return near[0] if near else body
     if candidates:
         return candidates[0]

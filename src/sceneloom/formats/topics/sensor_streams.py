@@ -1,6 +1,6 @@
 """The sensors of a scene as streams of records, each with a note of what messages do not say."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -30,7 +30,8 @@ from sceneloom.scene import (
     RadarSensor,
     Sensor,
 )
-from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.pose_source import placed_along
+from sceneloom.scene.shooting import mounts_of_shots
 from sceneloom.scene.span import frame_times
 
 _SAME_M, _SAME_TURN = 1e-9, 1e-9
@@ -86,19 +87,24 @@ class SensorStreams:
         """Say where a sensor is: mounted on the ego, along the ego's way, or on poses of its own."""
         frame = note["frame"]
         note["coordinates"] = str(sensor.coordinates)
-        if sensor.mount is not None:
+        own = mounts_of_shots(sensor) if isinstance(sensor, CameraSensor | DepthCameraSensor) else None
+        if own is not None:
+            self._mounted_each(sensor, own, note)
+        elif sensor.mount is not None:
             note["mount"] = True
             self.mounts[frame] = (self.dialect.ego, sensor.mount)
         poses: PosePath | None = sensor.poses
         if poses is None:
             return
-        if self._is_derived(sensor, poses):
+        if self._is_derived(sensor, poses, own):
             note["poses"] = "derived"
             return
         parent = self.dialect.ego if sensor.coordinates is Coordinates.EGO else self.dialect.world
         note["poses"] = f"/{note['part']}/pose"
         note["endless"] = poses.endless
         self.streams.append(path_stream(poses, note["poses"], parent, frame))
+        if own is not None:
+            return
         if sensor.mount is None and poses.endless:
             self.mounts[frame] = (
                 parent,
@@ -107,16 +113,41 @@ class SensorStreams:
         elif sensor.mount is None:
             self.paths[frame] = (parent, poses)
 
-    def _is_derived(self, sensor: Any, poses: PosePath) -> bool:
+    def _mounted_each(self, sensor: Any, own: Sequence[RigidTransform | None], note: Note) -> None:
+        """Say where each picture of a camera was on the ego: for good if that is the same for all, else at its time."""
+        kind, frame = f"sensors.{sensor.type}", note["frame"]
+        first = own[0]
+        if first is not None and all(
+            mount is not None and np.array_equal(mount.matrix, first.matrix) for mount in own
+        ):
+            note["mount"] = True
+            self.mounts[frame] = (self.dialect.ego, first)
+            what = "the camera's own mounting, which no picture has"
+            self.losses.dropped(f"{kind}.mount", what, count=sensor.mount is not None)
+            return
+        stamps = frame_times(sensor)
+        known = [k for k, mount in enumerate(own) if mount is not None]
+        times, rows = np.unique(stamps[known], return_index=True)
+        chosen = [own[known[row]] for row in rows.tolist()]
+        positions = np.array([mount.translation for mount in chosen if mount is not None])
+        quaternions = np.array([mount.quaternion_xyzw for mount in chosen if mount is not None])
+        self.paths[frame] = (self.dialect.ego, PosePath(times, positions, quaternions))
+        note["mounts"] = "each"
+        if sensor.mount is not None:
+            note["own_mount"] = [*sensor.mount.translation.tolist(), *sensor.mount.quaternion_xyzw.tolist()]
+        what = "mountings of single pictures, written as transforms at their times"
+        name = "pictures" if isinstance(sensor, CameraSensor) else "frames"
+        self.losses.converted(f"{kind}.{name}.mount", what, count=len(known))
+
+    def _is_derived(
+        self, sensor: Any, poses: PosePath, own: Sequence[RigidTransform | None] | None = None
+    ) -> bool:
         """Whether poses are no more than what the mounting and the ego's way say."""
-        if sensor.mount is None or sensor.coordinates is not Coordinates.WORLD or poses.endless:
+        if sensor.coordinates is not Coordinates.WORLD or poses.endless:
             return False
         times = frame_times(sensor)
-        along = (
-            poses_along(self.way, {0: sensor.mount}, np.zeros(len(times), np.int64), times)
-            if len(times)
-            else None
-        )
+        mounts = [sensor.mount] * len(times) if own is None else own
+        along = placed_along(self.way, mounts, times)
         return (
             along is not None
             and np.array_equal(along.timestamps_ns, poses.timestamps_ns)
@@ -139,7 +170,11 @@ class SensorStreams:
             note["model"] = sensor.model
         note["topic"] = f"/{note['part']}/points"
         writer = CloudWriter(
-            note["topic"], self._points_frame(sensor, note), "sensors.lidar.frames", self.losses
+            note["topic"],
+            self._points_frame(sensor, note),
+            "sensors.lidar.frames",
+            self.losses,
+            self.dialect.intensity,
         )
         self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.lidar(sensor, k)))
 
@@ -173,7 +208,7 @@ class SensorStreams:
         frames = "pictures" if isinstance(sensor, CameraSensor) else "frames"
         return ShotWriter(
             note["topic"], note["lens_topic"], note["frame"], f"{place}.{frames}", self.losses, self.dialect.fisheye,
-            self.pictures,
+            self.pictures, each_lens=self.dialect.each_lens,
         )  # fmt: skip
 
     def add_camera(self, sensor: CameraSensor, note: Note) -> None:
@@ -182,7 +217,8 @@ class SensorStreams:
         if packets is not None:
             writer = self._shots(sensor, note, "video")
             writer.packets, writer.codec = iter(packets), packets.codec
-            writer.each_lens = packets.reordered and any(
+            # packets come in another order than they are shown in, so that no lens holds until the next one
+            writer.each_lens |= packets.reordered and any(
                 picture.camera != sensor.camera for picture in sensor.pictures
             )
             order, times = packets.order, sensor.pictures.timestamps_ns

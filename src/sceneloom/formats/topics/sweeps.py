@@ -27,10 +27,19 @@ SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler
 DIRECTION_COLUMNS = ("direction_x", "direction_y", "direction_z")
 """Names of the direction that a speed is measured along, in messages of ours."""
 
-TIME_COLUMN = "offset_ns"
-"""Name of the times of points from their sweep's stamp, in messages of ours."""
+OLD_TIME_COLUMN = "offset_ns"
+"""Name of the times of points in messages that we wrote before `t`."""
 
-_OURS = PointMapping(scale=IntensityScale(255.0), times=PointTimes("nanoseconds", "stamp", TIME_COLUMN))
+TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType(
+    {("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"}
+)
+"""Names and dtypes of the times of points from their sweep's stamp, in messages of ours, and their units.
+
+Source: `t` as the drivers of Ouster write it, `time` as those of Velodyne do, but with 64 bits; programs that read
+clouds of others (KISS-ICP, LIO-SAM) know both by their names.
+"""
+
+_OURS = PointMapping(scale=IntensityScale(255.0))
 
 _LOOKED_AT = 10
 
@@ -84,7 +93,7 @@ class CloudReader:
         """Take the points of message `k` apart, and count what was left out of them."""
         cloud = unpack(record, self.log.name, self.place(k))
         clock = SweepClock(int(self.stamps_ns[k]), int(self.starts_ns[k]), 0)
-        mapping = self.mapping
+        mapping = _ours(cloud) if self.whole else self.mapping
         if mapping.times is not None and mapping.times.field not in cloud.columns:
             mapping = replace(mapping, times=None)
         try:
@@ -107,6 +116,16 @@ class CloudReader:
         if index is not None and index.dtype == np.uint8:
             points = replace(points, camera_index=further.pop("camera_index"))
         return replace(points, extras=MappingProxyType(further))
+
+
+def _ours(cloud: Cloud) -> PointMapping:
+    """What the columns of a message of ours mean."""
+    if OLD_TIME_COLUMN in cloud.columns:
+        return replace(_OURS, times=PointTimes("nanoseconds", "stamp", OLD_TIME_COLUMN))
+    for (name, dtype), unit in TIME_COLUMNS.items():
+        if name in cloud.columns and cloud.columns[name].dtype.str[1:] == dtype:
+            return replace(_OURS, times=PointTimes(unit, "stamp", name))
+    return _OURS
 
 
 def _placed(points: LidarPoints, frame_from_points: RigidTransform | None) -> LidarPoints:

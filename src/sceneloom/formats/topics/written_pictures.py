@@ -51,7 +51,7 @@ class ShotWriter:
         packets: of its video, where that is handed on.
         codec: of the video.
         lens: that was said last.
-        each_lens: whether each picture says its lens: packets come in another order than they are shown in.
+        each_lens: whether each picture says its lens, and not only those whose lens is another than before.
     """
 
     topic: str
@@ -120,9 +120,6 @@ class ShotWriter:
 
     def _note_shot(self, shot: Any) -> None:
         self.losses.dropped(f"{self.field}.extras", "further fields of a picture", count=bool(shot.extras))
-        self.losses.dropped(
-            f"{self.field}.mount", "a mounting of the picture's own", count=shot.mount is not None
-        )
 
     def _file(self, timestamp_ns: int, form: str, content: bytes) -> PictureRecord:
         return PictureRecord(timestamp_ns, self.frame_id, form, memoryview(content))

@@ -11,14 +11,19 @@ from sceneloom.formats.topics.kept_points import kept_record
 from sceneloom.formats.topics.packed_points import pack
 from sceneloom.formats.topics.records import CloudRecord
 from sceneloom.formats.topics.streams import Said
-from sceneloom.formats.topics.sweeps import DIRECTION_COLUMNS, SPEED_COLUMNS, TIME_COLUMN
+from sceneloom.formats.topics.sweeps import (
+    DIRECTION_COLUMNS,
+    OLD_TIME_COLUMN,
+    SPEED_COLUMNS,
+    TIME_COLUMNS,
+)
 from sceneloom.scene import LidarSensor, PointsSensor, RadarSensor
 
 Columns = dict[tuple[str, ...], AnyArray]
 """Columns on their way into a message, (N,), or (N, k) by their k names."""
 
 _HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
-_INT32 = 2**31 - 1
+_MOST_NS = 2**32 - 1
 
 
 @dataclass(slots=True)
@@ -30,29 +35,31 @@ class CloudWriter:
         frame_id: of the points.
         field: what the model calls the sensor's frames, for losses.
         losses: takes what is lost.
+        intensity: dtype of intensities.
     """
 
     topic: str
     frame_id: str
     field: str
     losses: Losses
+    intensity: str = "u1"
 
     def lidar(self, sensor: LidarSensor, k: int) -> Iterator[Said]:
         """Make the record of sweep `k`."""
         frame = sensor.frames[k]
         points = frame.points
         kept = kept_record(points, frame.timestamp_ns)
-        if kept is not None:
+        if kept is not None and self._is_as_written(kept):
             self._note_frame(frame.extras)
             yield self.topic, replace(kept, frame_id=self.frame_id)
             return
         columns = _positions(points.positions)
         if points.intensities is not None:
-            columns["intensity",] = points.intensities
+            columns["intensity",] = points.intensities.astype(self.intensity, copy=False)
         if points.rings is not None:
             columns["ring",] = points.rings
         if points.timestamps_ns is not None:
-            columns[TIME_COLUMN,] = _offsets(points.timestamps_ns, frame.timestamp_ns)
+            columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
         if points.colors is not None:
             columns |= _colours(points.colors)
         if points.camera_index is not None:
@@ -71,7 +78,7 @@ class CloudWriter:
         if points.lengths is not None:
             columns[SPEED_COLUMNS[0],] = points.lengths
         if points.timestamps_ns is not None:
-            columns[TIME_COLUMN,] = _offsets(points.timestamps_ns, frame.timestamp_ns)
+            columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
         self._add_extras(columns, points.extras)
         self._note_frame(frame.extras)
         yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
@@ -83,6 +90,11 @@ class CloudWriter:
             columns |= _colours(sensor.colors)
         yield self.topic, self._record(columns, len(sensor.positions), timestamp_ns)
 
+    def _is_as_written(self, record: CloudRecord) -> bool:
+        """Whether a message of ours has the types that this one would have."""
+        dtypes = {field.name: field.dtype.str[1:] for field in record.fields}
+        return dtypes.get("intensity", self.intensity) == self.intensity and OLD_TIME_COLUMN not in dtypes
+
     def _record(self, columns: Columns, count: int, timestamp_ns: int) -> CloudRecord:
         packed = pack(columns, count)
         return CloudRecord(
@@ -93,7 +105,14 @@ class CloudWriter:
         taken = {name for names in columns for name in names}
         for name, column in extras.items():
             place = f"{self.field}.points.extras.{name}"
-            if column.ndim != 1 or name in taken or name.lower() in _TAKEN or name.startswith("_"):
+            said = (name.lower(), column.dtype.str[1:])
+            if (
+                column.ndim != 1
+                or name in taken
+                or name.lower() in _TAKEN
+                or said in TIME_COLUMNS
+                or name.startswith("_")
+            ):
                 self.losses.dropped(
                     place, "not one number for each point, or of a name that means something else"
                 )
@@ -116,7 +135,20 @@ class CloudWriter:
 
 
 _TAKEN = frozenset(
-    {"x", "y", "z", "positions", "intensity", "ring", "red", "green", "blue", "rgb", "colors", TIME_COLUMN}
+    {
+        "x",
+        "y",
+        "z",
+        "positions",
+        "intensity",
+        "ring",
+        "red",
+        "green",
+        "blue",
+        "rgb",
+        "colors",
+        OLD_TIME_COLUMN,
+    }
 )
 
 
@@ -129,13 +161,17 @@ def _colours(colors: AnyArray) -> Columns:
     return {("red", "green", "blue"): colors, ("alpha",): np.full(len(colors), 255, np.uint8)}
 
 
-def _offsets(timestamps_ns: AnyArray, stamp_ns: int) -> AnyArray:
-    """Times of points from their sweep's stamp; too far for 32 bits, they go into floats, exact to 104 days."""
+def _offsets(timestamps_ns: AnyArray, stamp_ns: int) -> Columns:
+    """Times of points from their sweep's stamp, in the names and units that other programs look for.
+
+    `t` in whole nanoseconds; `time` in seconds where some are earlier than the stamp or later than 32 bits tell, exact
+    to the nanosecond over 52 days.
+    """
     span_ns = (
         (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (stamp_ns, stamp_ns)
     )
-    if span_ns[0] < stamp_ns - _INT32 or span_ns[1] > stamp_ns + _INT32:
-        return (timestamps_ns - stamp_ns).astype(np.float64)
-    offsets = np.empty(len(timestamps_ns), np.int32)
+    if span_ns[0] < stamp_ns or span_ns[1] > stamp_ns + _MOST_NS:
+        return {("time",): (timestamps_ns - stamp_ns).astype(np.float64) / 1e9}
+    offsets = np.empty(len(timestamps_ns), np.uint32)
     np.subtract(timestamps_ns, stamp_ns, out=offsets, casting="unsafe")
-    return offsets
+    return {("t",): offsets}

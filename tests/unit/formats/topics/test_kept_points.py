@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats import open_scene, write_scene
+from sceneloom.formats.topics import written_points
 from sceneloom.formats.topics.kept_points import kept_record
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 
@@ -74,3 +75,22 @@ def test_a_sweep_without_points_is_written_with_all_its_fields(tmp_path):
         first, second = (frame.points for frame in scene.lidars[0].frames)
         assert (len(first), first.rings.shape, first.intensities.shape) == (0, (0,), (0,))
         np.testing.assert_array_equal(second.positions, points(1).positions)
+
+
+def test_logs_that_say_times_in_their_older_column_are_read(tmp_path, monkeypatch):
+    def old(times, stamp):
+        return {("offset_ns",): (times - stamp).astype(np.int32)}
+
+    monkeypatch.setattr(written_points, "_offsets", old)
+    scene = Scene(
+        (LidarSensor("top", LazyFrames.of([LidarFrame(int(STAMPS[0]), points(0))], [int(STAMPS[0])])),)
+    )
+    write_scene(scene, tmp_path / "old.mcap")
+    monkeypatch.undo()
+    with open_scene(tmp_path / "old.mcap") as read:
+        np.testing.assert_array_equal(read.lidars[0].frames[0].points.timestamps_ns, points(0).timestamps_ns)
+        write_scene(read, tmp_path / "new.mcap")
+    with open_scene(tmp_path / "new.mcap") as read:
+        found = read.lidars[0].frames[0].points
+        np.testing.assert_array_equal(found.timestamps_ns, points(0).timestamps_ns)
+        assert "offset_ns" not in found.extras

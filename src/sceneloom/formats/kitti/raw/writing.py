@@ -100,7 +100,9 @@ def _kind_of(scene: Scene) -> str:
     if kept.get("benchmark") == "raw":
         return "sync" if kept.get("rectified", True) else "extract"
     path = ego_way(scene)
-    mounts = [mount for camera in scene.cameras if (mount := mounting(camera, path)[0]) is not None]
+    mounts = [
+        mount for camera in scene.cameras if (mount := mounting(camera, path, each=True)[0]) is not None
+    ]
     if any(camera.camera.model == "brown_conrady" for camera in scene.cameras):
         return "extract"
     if any(

@@ -66,7 +66,7 @@ def choose(
     named = _numbered(scene, slots, losses)
     mounts: dict[int, RigidTransform] = {}
     for number, camera in list(named.items()):
-        mount, lost = mounting(camera, path)
+        mount, lost = mounting(camera, path, each=not rigid)
         losses += lost if rigid else []
         if mount is None:
             _drop(camera, "left out: neither its mounting nor its poses against the ego are known", losses)

@@ -1,0 +1,180 @@
+"""Pictures that bring lens and mounting along: whatever the target, both are of one rig, that of the picture.
+
+The numbers are those of the examples in the recording format's description, whose `data.jsonl` and `calibration.json`
+are of different rigs: by the calibration the first camera looks the other way.
+"""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom.errors import CalibrationError
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.formats.loss import Fate
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import Coordinates
+from sceneloom.scene.pose_source import PoseSource
+
+SIZE = (83, 80)
+CALIBRATED = [
+    [-0.004028958399374893, -0.9999835791608805, 0.0040754021655989925, 0.00026667580381220524],
+    [-0.9999788711605716, 0.004049663285094152, 0.0050850230782564345, 0.03338442163595494],
+    [-0.005101443584432566, -0.004054828710638873, -0.9999787665933124, 0.0011383544698017876],
+    [0.0, 0.0, 0.0, 1.0],
+]
+OF_LINES = [
+    [0.01486, 0.9995, -0.02577, 0.06522],
+    [-0.9998, 0.01496, 0.003756, -0.0207],
+    [0.00414, 0.02571, 0.9996, -0.008054],
+    [0, 0, 0, 1],
+]
+COUNT = 3
+CALIBRATION = {
+    "model": "pinhole", "focalLengthX": 54.7, "focalLengthY": 54.7, "principalPointX": 67.2, "principalPointY": 49.0,
+    "imageWidth": 134, "imageHeight": 97, "imuToCamera": CALIBRATED,
+}  # fmt: skip
+LENS = {
+    "focalLengthX": 28.49, "focalLengthY": 28.52, "principalPointX": 41.6, "principalPointY": 39.6,
+    "distortionModel": "pinhole",
+}  # fmt: skip
+
+
+def turned(k):
+    """The mounting of the lines, turned by k times 10 degrees around the camera's axis."""
+    c, s = np.cos(np.radians(10 * k)), np.sin(np.radians(10 * k))
+    return (np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]) @ np.array(OF_LINES)).tolist()
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """Make a recording whose lines bring lenses and mountings along, equal or different ones."""
+
+    def make(*, different):
+        folder = tmp_path / "recording"
+        (folder / "frames1").mkdir(parents=True)
+        (folder / "calibration.json").write_text(json.dumps({"cameras": [CALIBRATION]}))
+        lines = []
+        for k in range(10):
+            turn = {"w": np.cos(0.02 * k), "x": 0.0, "y": 0.0, "z": np.sin(0.02 * k)}
+            pose = {"position": {"x": 0.1 * k, "y": 0.0, "z": 0.0}, "orientation": turn}
+            lines.append({"groundTruth": pose, "time": 0.1 * k})
+        for k in range(COUNT):
+            Image.new("RGB", SIZE, (10 * k, 0, 0)).save(folder / "frames1" / f"{k:08d}.png")
+            lens = LENS | {"focalLengthX": LENS["focalLengthX"] + (k if different else 0)}
+            entry = {"cameraInd": 0, "cameraParameters": lens, "imuToCamera": turned(k if different else 0)}
+            lines.append({"frames": [entry], "number": k, "time": 0.25 + 0.2 * k})
+        lines.sort(key=lambda line: line["time"])
+        (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+        return folder
+
+    return make
+
+
+def expected(different):
+    """`ego_from_camera` and focal length of each picture, straight from the numbers of the lines."""
+    for k in range(COUNT):
+        rotation, _ = RigidTransform.nearest(np.array(turned(k if different else 0)))
+        yield rotation.inverse(), LENS["focalLengthX"] + (k if different else 0)
+
+
+def world_from_pictures(scene):
+    """Where each picture was taken from, as whoever computes with the scene finds it."""
+    (camera,), way = scene.cameras, next(iter(scene.trajectories.values())).poses
+    assert camera.coordinates is Coordinates.WORLD
+    for picture in camera.pictures:
+        own = picture.mount or camera.mount
+        samples = PoseSource(way, own).at(np.array([picture.timestamp_ns]))
+        along = camera.poses.interpolate(np.array([picture.timestamp_ns]))
+        np.testing.assert_allclose(samples.positions, along.positions, atol=1e-6)
+        yield own, picture.camera
+
+
+@pytest.mark.parametrize("different", [False, True], ids=["equal", "different"])
+@pytest.mark.parametrize("name", ["drive.mcap", "drive.bag", "drive.ros2", "drive.sfs", "copy"])
+def test_a_target_has_lens_and_mounting_of_each_picture(recording, tmp_path, name, different):
+    if name in ("drive.bag", "drive.ros2"):
+        pytest.importorskip("rosbags")
+    with open_scene(recording(different=different)) as scene:
+        report = write_scene(scene, tmp_path / name)
+    assert not [loss for loss in report.losses if loss.field.endswith("mount") and loss.fate is Fate.DROPPED]
+    with open_scene(tmp_path / name) as read:
+        found = list(world_from_pictures(read))
+    assert len(found) == COUNT
+    for (mount, lens), (ego_from_camera, focal_length) in zip(found, expected(different), strict=True):
+        np.testing.assert_allclose(mount.matrix, ego_from_camera.matrix, atol=1e-9)
+        assert lens.fx == pytest.approx(focal_length)
+
+
+def transforms_of(path):
+    """The transforms of a bag by topic and child, as another program reads them."""
+    highlevel = pytest.importorskip("rosbags.highlevel")
+    with highlevel.AnyReader([path]) as bag:
+        for connection, _, raw in bag.messages():
+            if connection.topic in ("/tf", "/tf_static"):
+                for one in bag.deserialize(raw, connection.msgtype).transforms:
+                    time = one.header.stamp.sec + one.header.stamp.nanosec * 1e-9
+                    yield connection.topic, one.child_frame_id, time, one.transform.rotation
+
+
+def test_other_programs_find_one_fixed_transform_for_equal_mountings(recording, tmp_path):
+    with open_scene(recording(different=False)) as scene:
+        write_scene(scene, tmp_path / "drive.bag")
+    ((topic, _, _, rotation),) = [row for row in transforms_of(tmp_path / "drive.bag") if row[1] == "camera0"]
+    assert topic == "/tf_static"
+    ((ego_from_camera, _), *_) = expected(different=False)
+    found = [rotation.x, rotation.y, rotation.z, rotation.w]
+    assert abs(np.dot(found, ego_from_camera.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_other_programs_find_a_transform_at_the_time_of_each_picture(recording, tmp_path):
+    with open_scene(recording(different=True)) as scene:
+        write_scene(scene, tmp_path / "drive.bag")
+    rows = [row for row in transforms_of(tmp_path / "drive.bag") if row[1] == "camera0"]
+    assert [(row[0], round(row[2], 6)) for row in rows] == [("/tf", 0.25), ("/tf", 0.45), ("/tf", 0.65)]
+    for (_, _, _, rotation), (ego_from_camera, _) in zip(rows, expected(different=True), strict=True):
+        found = [rotation.x, rotation.y, rotation.z, rotation.w]
+        assert abs(np.dot(found, ego_from_camera.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_openlabel_says_where_the_camera_was_at_each_picture(recording, tmp_path):
+    with open_scene(recording(different=True)) as scene:
+        write_scene(scene, tmp_path / "drive.json", format="openlabel")
+        poses = {picture.timestamp_ns: picture for picture in scene.cameras[0].pictures}
+        told = json.loads((tmp_path / "drive.json").read_text())["openlabel"]
+        assert "pose_wrt_parent" not in told["coordinate_systems"]["camera0"]
+        frames = list(told["frames"].values())
+        assert len(frames) == len(poses)
+        for frame, picture in zip(frames, poses.values(), strict=True):
+            properties = frame["frame_properties"]
+            matrix = properties["transforms"]["camera0_to_world"]["transform_src_to_dst"]["matrix4x4"]
+            pose = scene.cameras[0].poses.interpolate(np.array([picture.timestamp_ns]))
+            np.testing.assert_allclose(np.reshape(matrix, (4, 4))[:3, 3], pose.positions[0], atol=1e-9)
+            lens = properties["streams"]["camera0"]["stream_properties"].get("intrinsics_pinhole")
+            fx = scene.cameras[0].camera.fx if lens is None else lens["camera_matrix_3x4"][0]
+            assert fx == pytest.approx(picture.camera.fx)
+
+
+@pytest.mark.parametrize("name", ["kitti-raw", "kitti-tracking", "kitti-odometry"])
+def test_a_target_with_one_mounting_for_all_pictures_refuses_different_ones(recording, tmp_path, name):
+    with (
+        open_scene(recording(different=True)) as scene,
+        pytest.raises(CalibrationError, match="pictures have mountings of their own"),
+    ):
+        write_scene(scene, tmp_path / "out", format=name)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_calibration_that_no_picture_uses_is_reported(recording):
+    with open_scene(recording(different=False)) as scene:
+        messages = [notice.message for notice in scene.notices if notice.code == "calibration-not-used"]
+    assert len(messages) == 2
+    assert "179 degrees" in messages[1]
+
+
+def test_whole_parameters_without_a_size_are_those_of_the_pictures_as_they_are(recording):
+    with open_scene(recording(different=False)) as scene:
+        camera = scene.cameras[0].camera
+    assert (camera.width, camera.height) == SIZE
+    assert (camera.fx, camera.cx) == (LENS["focalLengthX"], LENS["principalPointX"])

@@ -66,6 +66,7 @@ def _examined(examination: Examination, path: str | Path) -> Subject:
         examination.annotation_paths,
         examination.notices,
         fetch=examination.fetch,
+        frame_numbers=examination.frame_numbers,
     )
 
 

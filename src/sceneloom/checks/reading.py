@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
+from sceneloom.formats.faults import PlacedFault
 from sceneloom.scene import NoticeKind, Scene, Severity
 
 _TOLD_BY_RULES_OF_RECORDINGS = frozenset(
@@ -37,9 +38,14 @@ def faults_of(code: str) -> Find:
     """Tell the faults of a code that the reader found."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        return (Hit(f.where, f.problem, f.count) for f in subject.faults if f.code == code)
+        return (Hit(f.where, _with_cost(f), f.count) for f in subject.faults if f.code == code)
 
     return find
+
+
+def _with_cost(fault: PlacedFault) -> str:
+    """What is wrong, and what cannot be read because of it."""
+    return f"{fault.problem}; left out: {fault.costs}" if fault.costs else fault.problem
 
 
 def _notices_of(kind: NoticeKind) -> Find:
@@ -109,7 +115,7 @@ FAULT_RULES: tuple[Rule, ...] = (
         "fields-valid",
         "malformed",
         "Every field has the kind, dtype, shape and length that the format says, and required fields are there.",
-        "Correct the field where the file is made; `--fix` leaves the sensor or annotation out.",
+        "Correct the field where the file is made; `--fix` leaves it out, or what needs it.",
     ),
     _rule(
         "arrays-whole",

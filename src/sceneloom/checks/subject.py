@@ -1,5 +1,6 @@
 """What rules look at: a scene, and a frame of it that is in memory."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
@@ -22,6 +23,8 @@ from sceneloom.scene import (
 from sceneloom.scene.types import key_of
 
 Table = TypeVar("Table")
+
+_FRAME = re.compile(r"(.*?sensors\[\d+\])\.(frames|pictures)\[(\d+)\](.*)", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,8 @@ class Subject:
         notices: what the reader assumed, repaired or left out this time; None: all that the scene tells of.
         fetch: gives arrays of the header with their values, which those of a file behind a URL may lack.
         recording: what the files of a recording say, lines in the order of the file; None for other formats.
+        frame_numbers: the numbers in the file of the frames and images of a sensor, by the path of their list, where
+            some were left out.
         cache: what `table` keeps.
     """
 
@@ -73,6 +78,7 @@ class Subject:
     notices: Sequence[Notice] | None = None
     fetch: Callable[[Any], Any] | None = None
     recording: RecordingContents | None = None
+    frame_numbers: Mapping[str, Sequence[int]] = field(default_factory=dict)
     cache: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -105,6 +111,17 @@ class Subject:
         if name not in self.cache:
             self.cache[name] = make(self)
         return cast("Table", self.cache[name])
+
+    def path_in_file(self, path: str) -> str:
+        """A path whose frames are counted in the scene, as the file counts them."""
+        found = _FRAME.match(path) if self.frame_numbers else None
+        if found is None:
+            return path
+        owner, name, number, rest = found.groups()
+        numbers = self.frame_numbers.get(f"{owner}.{'images' if name == 'pictures' else name}")
+        if numbers is None or int(number) >= len(numbers):
+            return path
+        return f"{owner}.{name}[{numbers[int(number)]}]{rest}"
 
     def sensors(self) -> Iterator[tuple[str, Sensor]]:
         """All sensors with their paths."""

@@ -48,7 +48,16 @@ class _Terms:
         if subject.faults and subject.holds_nothing:
             told = {rule.id for rule in (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)}
             return find_all(subject, [rule for rule in self.rules if rule.id in told], frames=False)
-        return find_all(subject, self.rules, frames=self.frames, progress=self.progress)
+        hits = find_all(subject, self.rules, frames=self.frames, progress=self.progress)
+        if not subject.frame_numbers:
+            return hits
+        of_file = {rule.id for rule in FAULT_RULES}
+        return {
+            rule: found
+            if rule in of_file
+            else [replace(hit, path=subject.path_in_file(hit.path)) for hit in found]
+            for rule, found in hits.items()
+        }
 
     def report(self, subject: Subject, hits: Hits) -> ValidationReport:
         """Put what was found into a report."""

@@ -27,6 +27,7 @@ class PlacedFault:
         vital: whether no scene can do without the part that is at fault.
         item: number of the item that fills the place, where it is an array of a scene file.
         count: how many faults it stands for.
+        costs: what cannot be read because of it, for people (`frame 12 of lidar 'top'`); empty where that is not known.
     """
 
     path: str
@@ -36,6 +37,7 @@ class PlacedFault:
     vital: bool = False
     item: int | None = None
     count: int = 1
+    costs: str = ""
 
     @property
     def where(self) -> str:

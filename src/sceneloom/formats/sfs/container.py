@@ -184,10 +184,15 @@ class Container:
         """Give an entry of `$items` as the file has it."""
         return self._items[number]
 
-    def item_number(self, place: str) -> int | None:
-        """Find the item that fills a place such as `sensors[0].frames[3].points.positions`."""
+    def item_number(self, place: str, header: dict[str, Any] | None = None) -> int | None:
+        """Find the item that fills a place such as `sensors[0].frames[3].points.positions`.
+
+        Args:
+            place: where.
+            header: as it was when the file was opened, where parts have been taken out of `self.header` since.
+        """
         if self._numbers is None:
-            self._numbers = item_places(self.header, self._items)
+            self._numbers = item_places(self.header if header is None else header, self._items)
         return self._numbers.get(place)
 
 

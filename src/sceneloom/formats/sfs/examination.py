@@ -18,6 +18,6 @@ def examine(path: Path | str, options: ReadingOptions | None = None) -> Examinat
         options: what the file does not say itself; `lenient` plays no part.
     """
     try:
-        return read_all(path, replace(options or ReadingOptions(), lenient=False))
+        return read_all(path, replace(options or ReadingOptions(), lenient=False), whole=True)
     except DataError as error:
         return Examination(None, (PlacedFault(error.place, error.problem, "unreadable", vital=True),))

@@ -1,7 +1,7 @@
 """The faults of a whole file, each with its place, and the error that tells of them."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from sceneloom.errors import DataError
@@ -12,6 +12,23 @@ from sceneloom.scene import Notice, Scene
 
 _TOLD = 4
 """So many places of further faults stand in an error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A part of a file that is at fault and not in the scene.
+
+    Attributes:
+        keys: where it is in the file.
+        words: what it is, for people (`frame 12 of lidar 'top'`).
+        problem: what is wrong.
+        lost_bytes: how much of an array is not there, where it is known.
+    """
+
+    keys: Place
+    words: str
+    problem: str
+    lost_bytes: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,6 +43,9 @@ class Examination:
         annotation_places: where each annotation of the scene stands in the file.
         notices: what was assumed, repaired or left out this time; the scene has those that the file had kept, too.
         fetch: gives arrays of the header with their values, which those of a file behind a URL may lack.
+        losses: what is not in the scene; only where what is whole was asked for.
+        frame_numbers: the numbers in the file of the frames and images that stay, by the path of their list, where some
+            of a list were left out.
     """
 
     scene: Scene | None
@@ -35,6 +55,8 @@ class Examination:
     annotation_places: tuple[Place, ...] = ()
     notices: tuple[Notice, ...] = ()
     fetch: Callable[[Any], Any] | None = None
+    losses: tuple[Loss, ...] = ()
+    frame_numbers: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
     @property
     def sensor_paths(self) -> tuple[str, ...]:

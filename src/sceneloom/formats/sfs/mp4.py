@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 from sceneloom.formats.byte_stream import Bytes
 
@@ -64,3 +65,22 @@ def _box(content: Bytes, wanted: bytes) -> bytes:
             break
         place = stop
     return b""
+
+
+def declared_length(content: Any) -> int:
+    """How long an mp4 video has to be by the sizes of its boxes [bytes].
+
+    Args:
+        content: its bytes, by slices.
+
+    Source: ISO/IEC 14496-12, 4.2.
+    """
+    place, available = 0, len(content)
+    while place + 8 <= available:
+        head = bytes(content[place : place + 16])
+        size = int.from_bytes(head[:4], "big")
+        size = int.from_bytes(head[8:16], "big") if size == 1 else size
+        if size < 8:  # up to the end, or no box
+            return available
+        place += size
+    return max(place, available)

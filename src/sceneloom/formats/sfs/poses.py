@@ -63,7 +63,8 @@ def mended_path_of(record: Mapping[str, Any], faults: Faults) -> PosePath | None
     """Make the PosePath of a `poses` record, brought into order where that leaves nothing to choose.
 
     Quaternions of another length than 1 are normalised, poses out of order are sorted, and poses that stand there
-    twice are taken once; each is a mended fault. None where the record is empty, or has further faults.
+    twice are taken once; each is a mended fault. None where the record is empty, or has further faults: poses with
+    numbers that are none, without a direction, or that differ at one time, each at its row.
     """
     try:
         timestamps_ns, rows = times_of(record["timestamps"]), rows_of(record["values"], 7)
@@ -73,6 +74,10 @@ def mended_path_of(record: Mapping[str, Any], faults: Faults) -> PosePath | None
                 faults.add(("poses", "values", k), problem, code="not-finite")
             return None
         if len(timestamps_ns) == len(rows) > 0:
+            before = len(faults)
+            _note_useless_rows(timestamps_ns, rows, faults)
+            if len(faults) > before:
+                return None
             timestamps_ns, rows = _in_order(timestamps_ns, rows, faults)
             rows = _normalised(rows, faults)
         return path_of({"timestamps": timestamps_ns, "values": rows})
@@ -81,18 +86,31 @@ def mended_path_of(record: Mapping[str, Any], faults: Faults) -> PosePath | None
         return None
 
 
+def _note_useless_rows(timestamps_ns: Int64Array, rows: Float64Array, faults: Faults) -> None:
+    """Note each pose that must be left out: without a direction, or of one time with another pose that differs."""
+    with np.errstate(over="ignore"):
+        norms = np.linalg.norm(rows[:, 3:], axis=1)
+    for k in np.flatnonzero(~((norms > _LEAST_NORM) & np.isfinite(norms))).tolist():
+        problem = f"a quaternion of norm {norms[k]:.6g}; expected 1 within {NORM_TOLERANCE}"
+        faults.add(("poses", "values", k), problem)
+    order = np.argsort(timestamps_ns, kind="stable")
+    twice = np.flatnonzero(np.diff(timestamps_ns[order]) == 0)
+    differ = [k for k in twice.tolist() if (rows[order[k]] != rows[order[k + 1]]).any()]
+    for k in sorted({int(order[n]) for first in differ for n in (first, first + 1)}):
+        problem = f"another pose than the other one at {timestamps_ns[k]} ns; expected one pose for each time"
+        faults.add(("poses", "values", k), problem)
+
+
 def _in_order(
     timestamps_ns: Int64Array, rows: Float64Array, faults: Faults
 ) -> tuple[Int64Array, Float64Array]:
-    """Sort poses by time and drop those that stand there twice, if no two of one time differ."""
+    """Sort poses by time and drop those that are there twice; no two of one time differ."""
     backwards = np.flatnonzero(timestamps_ns[1:] <= timestamps_ns[:-1])
     if not len(backwards):
         return timestamps_ns, rows
     order = np.argsort(timestamps_ns, kind="stable")
     times_ns, sorted_rows = timestamps_ns[order], rows[order]
     twice = np.diff(times_ns) == 0
-    if (sorted_rows[1:][twice] != sorted_rows[:-1][twice]).any():
-        return timestamps_ns, rows
     for k in backwards.tolist():
         problem = f"{timestamps_ns[k + 1]} ns after {timestamps_ns[k]} ns; expected strictly increasing times"
         faults.add(("poses", "timestamps", k + 1), problem, code="pose-times-increasing", mended=True)
@@ -101,11 +119,10 @@ def _in_order(
 
 
 def _normalised(rows: Float64Array, faults: Faults) -> Float64Array:
-    """Bring quaternions to length 1 where they are off by more than rounding but tell a direction."""
-    with np.errstate(over="ignore"):
-        norms = np.linalg.norm(rows[:, 3:], axis=1)
+    """Bring quaternions to length 1 where they are off by more than rounding."""
+    norms = np.linalg.norm(rows[:, 3:], axis=1)
     off = np.abs(norms - 1.0) > NORM_TOLERANCE
-    if not off.any() or not ((norms > _LEAST_NORM) & np.isfinite(norms)).all():
+    if not off.any():
         return rows
     for k in np.flatnonzero(off).tolist():
         problem = f"a quaternion of norm {norms[k]:.6g}; expected 1 within {NORM_TOLERANCE}"

@@ -1,15 +1,18 @@
 """Reading a file into a scene, with all that is wrong in it."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.sfs.annotation_parts import read_attributes
 from sceneloom.formats.sfs.container import Container, ItemFault, format_keys
 from sceneloom.formats.sfs.exactness import restore_exact_attributes
-from sceneloom.formats.sfs.faults import Examination, error_of
+from sceneloom.formats.sfs.faults import Examination, Loss, error_of
 from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.garbage import collector_paused
 from sceneloom.formats.sfs.lens_readings import lens_records, with_lens_readings
@@ -17,6 +20,16 @@ from sceneloom.formats.sfs.read_annotations import read_annotations
 from sceneloom.formats.sfs.read_motion import read_trajectories
 from sceneloom.formats.sfs.read_sensors import read_sensors
 from sceneloom.formats.sfs.records import Faults, Place
+from sceneloom.formats.sfs.removal import (
+    Numbering,
+    copied,
+    in_words,
+    is_listed_thing,
+    outermost,
+    parse_path,
+    take_out,
+    what_goes_with,
+)
 from sceneloom.formats.sfs.root import (
     DEFAULT_TICK_NS,
     OURS,
@@ -27,7 +40,18 @@ from sceneloom.formats.sfs.root import (
 )
 from sceneloom.formats.sfs.source import ReadingOptions, Source
 from sceneloom.formats.sfs.times import FileClock
-from sceneloom.scene import Annotation, AttributePath, CuboidAnnotation, Identifier, NoticeKind, Scene, Sensor
+from sceneloom.formats.sfs.video_rescue import damaged_videos, rescue_videos
+from sceneloom.formats.urls import is_url
+from sceneloom.scene import (
+    Annotation,
+    AttributePath,
+    CuboidAnnotation,
+    Identifier,
+    Notice,
+    NoticeKind,
+    Scene,
+    Sensor,
+)
 from sceneloom.scene.types import key_of
 
 DEFAULT_EULER = {"euler_unit": "degrees", "euler_order": "xyz"}
@@ -62,7 +86,7 @@ def read_scene(path: Path | str, options: ReadingOptions) -> Scene:
 
 
 def _sound_scene(path: Path | str, options: ReadingOptions) -> Scene:
-    examination = read_all(path, options)
+    examination = read_all(path, options, whole=options.lenient)
     refused = [fault for fault in examination.faults if fault.vital or not options.lenient]
     if refused or examination.scene is None:
         raise error_of(str(path), refused)
@@ -71,8 +95,14 @@ def _sound_scene(path: Path | str, options: ReadingOptions) -> Scene:
     return examination.scene
 
 
-def read_all(path: Path | str, options: ReadingOptions) -> Examination:
-    """Read all of a file, or of a URL, that is sound, and note every fault.
+def read_all(path: Path | str, options: ReadingOptions, *, whole: bool) -> Examination:
+    """Read a file, or a URL, and note every fault.
+
+    Args:
+        path: the file.
+        options: what the file does not say itself.
+        whole: take what is at fault out of sensors and annotations, so that the rest of them is in the scene; without,
+            a sensor or annotation with a fault is left out.
 
     Raises:
         DataError: not even the header can be read.
@@ -83,23 +113,33 @@ def read_all(path: Path | str, options: ReadingOptions) -> Examination:
             container = _opened(path, options, items)
     except RecursionError:
         raise DataError(path, "header", "nested too deeply") from None
-    return read_container(container, items, options)
+    return read_container(container, items, options, whole=whole)
 
 
-def read_container(container: Container, items: list[ItemFault], options: ReadingOptions) -> Examination:
-    """Read all of an open file that is sound, and note every fault.
+def read_container(
+    container: Container,
+    items: list[ItemFault],
+    options: ReadingOptions,
+    *,
+    whole: bool,
+    vital: bool = False,
+) -> Examination:
+    """Read an open file, and note every fault.
 
     Args:
-        container: the file.
+        container: the file; what is at fault is not in its header afterwards.
         items: what is wrong with its arrays.
         options: what the file does not say itself.
+        whole: take what is at fault out of sensors and annotations, as in `read_all`.
+        vital: take out what no scene can do without, too, and read the rest as if the file had never said it.
 
     Raises:
         DataError: it nests too deeply.
     """
     try:
         with collector_paused():
-            return _examination(container, items, options)
+            examination = _examination(container, items, options)
+            return _whole_parts(container, items, options, examination, vital=vital) if whole else examination
     except RecursionError:
         raise DataError(container.file, "header", "nested too deeply") from None
     except OptionError as error:
@@ -107,21 +147,138 @@ def read_container(container: Container, items: list[ItemFault], options: Readin
         raise DataError(container.file, "", problem) from None
 
 
+@dataclass(frozen=True, slots=True)
+class _Removed:
+    """What was taken out of a header, so that another process can do the same.
+
+    Attributes:
+        videos: whether videos that were cut got what is left of them.
+        rounds: the places that were taken out together, one round after the other.
+    """
+
+    videos: bool = False
+    rounds: tuple[tuple[Place, ...], ...] = ()
+
+
+_ROUNDS = 4
+"""What is taken out can bring to light what else is at fault, but not often."""
+
+
+def _whole_parts(
+    container: Container,
+    items: list[ItemFault],
+    options: ReadingOptions,
+    first: Examination,
+    *,
+    vital: bool,
+) -> Examination:
+    """Take what is at fault out of the header, the least that has to go, and read the rest."""
+    is_local = not is_url(container.file)
+    if not (any(not fault.mended for fault in first.faults) or (is_local and damaged_videos(container))):
+        return first
+    original, numbering = container.header, Numbering()
+    container.header = copied(original)
+    videos = rescue_videos(container, items) if is_local else {}
+    cut = {keys: video for keys, video in videos.items() if video.is_rescued}
+    removed, examination = _Removed(videos=bool(cut)), first
+    faults = {(fault.path, fault.problem): fault for fault in first.faults}
+    losses: dict[Place, Loss] = {
+        keys: Loss(keys, in_words(original, keys), video.problem, video.lost_bytes)
+        for keys, video in cut.items()
+    }
+    named = {fault.path for fault in first.faults}
+    of_videos = [
+        PlacedFault(path, video.problem, item=container.item_number(path, original))
+        for keys, video in videos.items()
+        if (path := format_keys(keys)) not in named
+    ]
+    for _ in range(_ROUNDS):
+        told = [fault for fault in examination.faults if not fault.mended and (vital or not fault.vital)]
+        told += of_videos
+        of_videos = []
+        places = {fault: parse_path(fault.path) for fault in told}
+        goes = what_goes_with(container.header, [keys for keys in places.values() if keys not in cut])
+        victims = outermost(goes.values())
+        for fault, keys in places.items():
+            lost = next((victim for victim in victims if victim == goes.get(keys, ())[: len(victim)]), None)
+            place = numbering.before(keys)
+            path = format_keys(place)
+            placed = replace(fault, path=path, item=container.item_number(path, original))
+            if lost is not None:
+                words = in_words(original, numbering.before(lost))
+                loss = Loss(numbering.before(lost), words, _problem(lost, keys, fault))
+                losses.setdefault(loss.keys, loss)
+                placed = replace(placed, costs=words)
+            elif keys in cut:
+                placed = replace(placed, costs=f"part of {losses[keys].words}")
+            elif vital:
+                losses.setdefault(place, Loss(place, fault.path, fault.problem))
+            faults[placed.path, placed.problem] = placed
+        inner = tuple(victim for victim in victims if not is_listed_thing(victim))
+        if not inner and not (cut and examination is first):
+            break
+        numbering.follow(take_out(container.header, inner))
+        removed = replace(removed, rounds=(*removed.rounds, inner))
+        examination = _examination(container, [], options, removed)
+    scene = examination.scene
+    notices = _loss_notices(losses.values(), faults.values()) if options.lenient else ()
+    if scene is not None and notices:
+        scene = replace(scene, notices=(*scene.notices, *notices))
+    return replace(
+        examination,
+        scene=scene,
+        faults=tuple(faults.values()),
+        header=original,
+        notices=(*examination.notices, *notices),
+        losses=tuple(losses.values()),
+        frame_numbers={format_keys(keys): numbers for keys, numbers in numbering.frames().items()},
+    )
+
+
+def _problem(lost: Place, keys: Place, fault: PlacedFault) -> str:
+    inner = format_keys(keys[len(lost) :])
+    return f"{inner}: {fault.problem}" if inner else fault.problem
+
+
+def _loss_notices(losses: Iterable[Loss], faults: Iterable[PlacedFault]) -> tuple[Notice, ...]:
+    """One notice for each part that was taken out of a sensor or annotation; whole ones have theirs already."""
+    counts = Counter(fault.costs for fault in faults)
+    return tuple(
+        Notice(
+            kind=NoticeKind.SKIPPED,
+            code="at-fault",
+            place=format_keys(loss.keys),
+            message=f"left out: {loss.words}: {loss.problem}",
+            count=max(1, counts[loss.words]),
+        )
+        for loss in losses
+        if not is_listed_thing(loss.keys)
+    )
+
+
 def _opened(path: Path | str, options: ReadingOptions, items: list[ItemFault]) -> Container:
     return Container(path, faults=items, storage_options=options.storage_options)
 
 
-def _parts_again(options: ReadingOptions, path: Path | str) -> FileParts:
+def _parts_again(options: ReadingOptions, removed: _Removed, path: Path | str) -> FileParts:
     """Open a file again for what a scene of it reads; annotations and the like are in the scene already."""
     with collector_paused():
-        source, ours, _ = _source(_opened(path, options, []), options)
+        items: list[ItemFault] = []
+        container = _opened(path, options, items)
+        if removed.videos:
+            rescue_videos(container, items)
+        for victims in removed.rounds:
+            take_out(container.header, victims)
+        source, ours, _ = _source(container, options, removed)
         _all_sensors(source, ours)
     return source.parts
 
 
-def _source(container: Container, options: ReadingOptions) -> tuple[Source, dict[str, Any], dict[str, Any]]:
+def _source(
+    container: Container, options: ReadingOptions, removed: _Removed
+) -> tuple[Source, dict[str, Any], dict[str, Any]]:
     """Begin with a file: what its readers share, our metadata and the free ones."""
-    parts = FileParts(container, partial(_parts_again, options))
+    parts = FileParts(container, partial(_parts_again, options, removed))
     source = Source(container, parts, FileClock(DEFAULT_TICK_NS, 0), options)
     check_version(source)
     metadata, raw = part_metadata(source)
@@ -143,9 +300,11 @@ def _all_sensors(source: Source, ours: dict[str, Any]) -> tuple[Sensor, ...]:
     )
 
 
-def _examination(container: Container, items: list[ItemFault], options: ReadingOptions) -> Examination:
+def _examination(
+    container: Container, items: list[ItemFault], options: ReadingOptions, removed: _Removed = _Removed()
+) -> Examination:
     header = container.header
-    source, ours, metadata = _source(container, options)
+    source, ours, metadata = _source(container, options, removed)
     source.collect_items(items)
     sensors, sensor_places = _unique(source, _all_sensors(source, ours), "sensors", ours)
     annotations, annotation_places = _unique(source, _all_annotations(source, ours), "annotations", ours)
@@ -214,7 +373,7 @@ def _attributes(source: Source, raw: Any) -> tuple[AttributePath, ...]:
     faults = Faults()
     records = source.reader().read({"version": "", "attributes": raw}, "scene", faults).get("attributes")
     attributes = () if faults else read_attributes(records, faults)
-    source.collect(faults, ())
+    source.settle(faults, ())
     return attributes
 
 

@@ -2,9 +2,12 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.fields import RECORDS, Field, Kind, annotation_record, sensor_record
 
 Keys = tuple[str | int, ...]
@@ -22,6 +25,18 @@ _TYPED_LISTS = {"sensors": sensor_record, "annotations": annotation_record}
 _OF_FRAMES = {"frames": ("lengths",), "images": ("camera_of_picture", "mounts", "extras")}
 _ANY, _MAP = "any of ", "map of "
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
+_TIMED_ROWS = frozenset({"poses", "path", "point_path"})
+_NEEDED_ALL_THE_SAME = {
+    "attribute": {"timestamps", "values", "static", "sensor_id", "point_index"},
+    "activation": {"durations"},
+    "labeled_points_of_frame": {"sensor_frame"},
+    "intrinsics": {"distortion"},
+    "distortion": {"model", "params"},
+    **{f"sensor {name}": {"coordinates", "parent_id"} for name in ("lidar", "radar", "camera")},
+    **{f"annotation {name}": {"sensor_id"} for name in ("polygon", "polygon_topdown", "polyline", "points")},
+    "annotation camera_calibration": {"poses", "intrinsics", "time_offset"},
+}
+"""Fields that a record can be read without, but would mean something else then."""
 
 
 def parse_path(path: str) -> Keys:
@@ -33,8 +48,8 @@ def what_goes(header: Mapping[str, Any], keys: Keys) -> Keys | None:
     """Say what has to be taken out where the value at `keys` is lost: it, or the record that needs it.
 
     Returns:
-        The path of a field that may be absent, or of an entry of a list of records; None where there is no such place,
-        or the scene cannot be without it.
+        The path of a field that may be absent, of an entry of a list of records, or of a row of `values` that goes with
+        its timestamp; None where there is no such place, or the scene cannot be without it.
     """
     removable: Keys | None = None
     node: Any = header
@@ -48,8 +63,10 @@ def what_goes(header: Mapping[str, Any], keys: Keys) -> Keys | None:
                 record, removable, node = record.removeprefix(_MAP), keys[: depth + 1], node[key]
                 continue
             field = _field_of(record, key)
-            if field is None or not field.required:
+            if field is None or not (field.required or key in _NEEDED_ALL_THE_SAME.get(record or "", ())):
                 removable = keys[: depth + 1]
+            if record in _TIMED_ROWS and _is_timed_row(node, keys[depth:]):
+                return keys[: depth + 2]
             record = _record_below(record, str(key), field, keys[:depth])
         elif isinstance(node, list) and isinstance(key, int) and key < len(node):
             if record is not None:
@@ -87,9 +104,116 @@ def _record_of_entry(record: str, entry: Any) -> str | None:
     return _TYPED_LISTS[record.removeprefix(_ANY)](type_name if isinstance(type_name, str) else "")
 
 
-def take_out(header: dict[str, Any], victims: Iterable[Keys]) -> None:
-    """Remove fields and entries; what counts the frames or pictures of a sensor is brought into step."""
+def _is_timed_row(record: Mapping[str, Any], keys: Keys) -> bool:
+    """Whether keys lead to one of several rows of `values`, each of which has its timestamp."""
+    times, rows = record.get("timestamps"), record.get("values")
+    return (
+        len(keys) > 1
+        and keys[0] == "values"
+        and isinstance(times, list | np.ndarray)
+        and isinstance(rows, list | np.ndarray)
+        and len(times) == len(rows) > 1
+        and isinstance(keys[1], int)
+        and keys[1] < len(rows)
+    )
+
+
+def what_goes_with(header: Mapping[str, Any], places: Iterable[Keys]) -> dict[Keys, Keys]:
+    """Say of places whose values are lost what has to be taken out; those that nothing can be taken out for lack.
+
+    Where all rows of a path are lost, what needs the path goes in their place.
+    """
+    goes = {keys: victim for keys in places if (victim := what_goes(header, keys)) is not None}
+    rows: dict[Keys, set[Keys]] = defaultdict(set)
+    for victim in goes.values():
+        if is_timed_row(victim):
+            rows[victim[:-1]].add(victim)
+    for parent, lost in rows.items():
+        if len(lost) == len(_at(header, parent)):
+            instead = what_goes(header, parent)
+            for keys, victim in list(goes.items()):
+                if victim in lost and instead is not None:
+                    goes[keys] = instead
+    return goes
+
+
+def is_timed_row(keys: Keys) -> bool:
+    """Whether a victim is a row of a path, which goes with its timestamp."""
+    return len(keys) > 2 and keys[-2] == "values" and isinstance(keys[-1], int)
+
+
+def outermost(places: Iterable[Keys]) -> list[Keys]:
+    """Those that are not inside another, in their order."""
+    wanted = dict.fromkeys(places)
+    return [keys for keys in wanted if not any(keys[:depth] in wanted for depth in range(1, len(keys)))]
+
+
+def copied(node: Any) -> Any:
+    """Copy the objects and lists of a header; arrays stay the same."""
+    if isinstance(node, dict):
+        return {name: copied(value) for name, value in node.items()}
+    return [copied(value) for value in node] if isinstance(node, list) else node
+
+
+def is_listed_thing(keys: Keys) -> bool:
+    """Whether keys lead to a whole sensor or annotation."""
+    return len(keys) > 1 and keys[:-2] in ((), _OURS) and keys[-2] in _TYPED_LISTS
+
+
+_SINGULAR = {"frames": "frame", "images": "image"}
+
+
+def in_words(header: Mapping[str, Any], keys: Keys) -> str:
+    """Name a part of a header for people: "colors of frame 12 of lidar 'top'"."""
+    depth = 4 if keys[:2] == _OURS else 2
+    if not is_listed_thing(keys[:depth]):
+        return format_keys(keys)
+    thing = _at(header, keys[:depth])
+    named = isinstance(thing, dict) and isinstance(thing.get("type"), str)
+    owner = f"{thing['type']} {thing.get('id')!r}" if named else format_keys(keys[:depth])
+    inner = keys[depth:]
+    if len(inner) > 1 and inner[0] in _SINGULAR:
+        owner, inner = f"{_SINGULAR[str(inner[0])]} {inner[1]} of {owner}", inner[2:]
+    inner = inner[1:] if len(inner) > 1 and inner[0] == "points" else inner
+    return f"{format_keys(inner)} of {owner}" if inner else owner
+
+
+class Numbering:
+    """Where the entries of a header's lists were before some were taken out."""
+
+    def __init__(self) -> None:
+        """Begin with a whole header."""
+        self._before: dict[Keys, Sequence[int]] = {}
+
+    def before(self, keys: Keys) -> Keys:
+        """Where something was that is now at `keys`."""
+        found: Keys = ()
+        for key in keys:
+            numbers = self._before.get(found)
+            known = numbers is not None and isinstance(key, int) and key < len(numbers)
+            found = (*found, numbers[int(key)] if numbers is not None and known else key)
+        return found
+
+    def frames(self) -> Mapping[Keys, Sequence[int]]:
+        """The numbers that the frames and images that stay had, by the keys of their list."""
+        return {keys: numbers for keys, numbers in self._before.items() if keys[-1] in _OF_FRAMES}
+
+    def follow(self, kept: Mapping[Keys, Sequence[int]]) -> None:
+        """Follow a removal: which entries stay, by the keys of their list as it was when they were taken out."""
+        found = {self.before(keys): (keys, numbers) for keys, numbers in kept.items()}
+        for before, (_, numbers) in found.items():
+            known = self._before.get(before)
+            self._before[before] = [known[k] for k in numbers] if known is not None else numbers
+
+
+def take_out(header: dict[str, Any], victims: Iterable[Keys]) -> Mapping[Keys, Sequence[int]]:
+    """Remove fields and entries; what counts the frames or pictures of a sensor is brought into step.
+
+    Returns:
+        Which entries stay, by the keys of each list that some were taken out of.
+    """
     parents: dict[Keys, list[str | int]] = defaultdict(list)
+    stay: dict[Keys, Sequence[int]] = {}
     for keys in victims:
         parents[keys[:-1]].append(keys[-1])
     counted: list[tuple[Any, str, list[int], int]] = []
@@ -103,11 +227,37 @@ def take_out(header: dict[str, Any], victims: Iterable[Keys]) -> None:
             continue
         gone = set(names)
         kept = [k for k in range(len(node)) if k not in gone]
+        stay[parent] = kept
+        holder = _at(header, parent[:-1])
         if parent[-1] in _OF_FRAMES:
-            counted.append((_at(header, parent[:-1]).get("id"), str(parent[-1]), kept, len(node)))
-        node[:] = [node[k] for k in kept]
+            counted.append((holder.get("id"), str(parent[-1]), kept, len(node)))
+        elif parent[-1] == "values":
+            times = holder["timestamps"]
+            holder["timestamps"] = times[kept] if isinstance(times, np.ndarray) else [times[k] for k in kept]
+        elif parent[-1] == "paths":
+            _keep_points_in_step(holder, kept, len(node))
+        holder_of_list: Any = holder
+        holder_of_list[parent[-1]] = node[kept] if isinstance(node, np.ndarray) else [node[k] for k in kept]
     for sensor_id, name, kept, count in counted:
         keep_in_step(header, sensor_id, name, kept, count)
+    return stay
+
+
+def _keep_points_in_step(annotation: dict[str, Any], kept: list[int], count: int) -> None:
+    """Follow points that were taken out of a points annotation in its labels, projections and attributes."""
+    _choose(annotation, ("labels", "projections"), kept, count)
+    places = {old: new for new, old in enumerate(kept)}
+    attributes = annotation.get("attributes")
+    if isinstance(attributes, list):
+        annotation["attributes"] = [
+            {**entry, "point_index": places[entry["point_index"]]} if _is_of_point(entry) else entry
+            for entry in attributes
+            if not _is_of_point(entry) or entry["point_index"] in places
+        ]
+
+
+def _is_of_point(attribute: Any) -> bool:
+    return isinstance(attribute, dict) and type(attribute.get("point_index")) is int
 
 
 def keep_in_step(header: dict[str, Any], sensor_id: Any, name: str, kept: list[int], count: int) -> None:
@@ -135,7 +285,7 @@ def _count_of(values: Any) -> int:
     return len(values) if isinstance(values, list) else 0
 
 
-def _at(header: dict[str, Any], keys: Keys) -> Any:
+def _at(header: Mapping[str, Any], keys: Keys) -> Any:
     node: Any = header
     for key in keys:
         node = node[key]

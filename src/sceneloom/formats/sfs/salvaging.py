@@ -12,13 +12,11 @@ import numpy as np
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.output import check_output
 from sceneloom.formats.sfs.container import Container, ItemFault, format_keys
-from sceneloom.formats.sfs.faults import Examination
 from sceneloom.formats.sfs.header_recovery import recover_header
-from sceneloom.formats.sfs.items import step
 from sceneloom.formats.sfs.reading import read_container
-from sceneloom.formats.sfs.removal import Keys, keep_in_step, parse_path, take_out, what_goes
+from sceneloom.formats.sfs.removal import Keys
 from sceneloom.formats.sfs.source import ReadingOptions
-from sceneloom.formats.sfs.video_rescue import rescue_video, video_problem
+from sceneloom.formats.sfs.video_rescue import as_keys, video_problem
 from sceneloom.formats.sfs.write_annotations import annotation_record
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.formats.urls import is_url
@@ -35,7 +33,6 @@ from sceneloom.scene import (
 from sceneloom.scene.types import key_of
 
 _COUNTED = ("frames", "images")
-_ROUNDS = 4
 
 
 class LostPart(msgspec.Struct, frozen=True):
@@ -145,15 +142,12 @@ class _Rescue:
         self._sizes = self._item_sizes()
 
     def scene(self) -> Scene:
-        """Take out what is at fault until the rest is sound, and read it."""
-        self._rescue_videos()
-        items, options = self._items, ReadingOptions()
-        for _ in range(_ROUNDS):
-            examined = read_container(self.container, items, options)
-            if not self._take_out_faults(examined):
-                break
-            items = []
-        examined = read_container(self.container, [], replace(options, lenient=True))
+        """Read what is sound, and list what is not."""
+        examined = read_container(self.container, self._items, ReadingOptions(), whole=True, vital=True)
+        bytes_of = self._bytes_below(loss.keys for loss in examined.losses)
+        for loss in examined.losses:
+            lost_bytes = bytes_of[loss.keys] if loss.lost_bytes is None else loss.lost_bytes
+            self.lost.append(LostPart(format_keys(loss.keys), loss.problem, lost_bytes))
         if examined.scene is None:
             raise DataError(self.container.file, "", "nothing of it can be read")
         scene = self._without_unwritable(self._without_unreadable(examined.scene))
@@ -186,78 +180,18 @@ class _Rescue:
             keys = item.get("keys") if isinstance(item, dict) else None
             length = item.get("length") if isinstance(item, dict) else None
             if isinstance(keys, list):
-                sizes.append((_as_keys(self.container.header, keys), length if type(length) is int else 0))
+                sizes.append((as_keys(self.container.header, keys), length if type(length) is int else 0))
         return sizes
 
-    def _take_out_faults(self, examined: Examination) -> bool:
-        """Remove all that is at fault from the header; say whether there was anything."""
-        problems: dict[Keys, str] = {}
-        header = self.container.header
-        for fault in examined.faults:
-            if fault.mended:
-                continue
-            keys = parse_path(fault.path)
-            victim = what_goes(header, keys)
-            if victim is not None:
-                inner = format_keys(keys[len(victim) :])
-                problems.setdefault(victim, f"{inner}: {fault.problem}" if inner else fault.problem)
-            elif LostPart(fault.path, fault.problem, 0) not in self.lost:
-                self.lost.append(LostPart(fault.path, fault.problem, self._bytes_at(keys)))
-        victims = _outermost(problems)
-        bytes_of = self._bytes_below(victims)
-        self.lost += [LostPart(format_keys(keys), problems[keys], bytes_of[keys]) for keys in victims]
-        take_out(header, victims)
-        if victims:
-            self._sizes = []  # the places of what stays have moved
-        return bool(victims)
-
-    def _bytes_at(self, keys: Keys) -> int:
-        return next((size for place, size in self._sizes if place == keys), 0)
-
-    def _bytes_below(self, victims: Iterable[Keys]) -> Mapping[Keys, int]:
+    def _bytes_below(self, lost: Iterable[Keys]) -> Mapping[Keys, int]:
         found: dict[Keys, int] = defaultdict(int)
-        wanted = set(victims)
+        wanted = set(lost)
         for keys, size in self._sizes:
             for depth in range(1, len(keys) + 1):
                 if keys[:depth] in wanted:
                     found[keys[:depth]] += size
                     break
         return found
-
-    def _rescue_videos(self) -> None:
-        """Put the beginnings of videos that were cut into their places."""
-        for fault in list(self._items):
-            keys = _as_keys(self.container.header, list(fault.keys or ()))
-            if keys[-2:] == ("video", "content") and self._rescue_video(fault, keys):
-                self._items.remove(fault)
-
-    def _rescue_video(self, fault: ItemFault, keys: Keys) -> bool:
-        item, header = self.container.item(fault.number), self.container.header
-        offset, length = item.get("offset"), item.get("length")
-        if type(offset) is not int or type(length) is not int or offset < 0:
-            return False
-        there = self.container.bytes_between(offset, offset + length)
-        video: Any = header
-        for key in keys[:-1]:
-            video = video[key]
-        stamps = video.get("timestamps")
-        if not isinstance(stamps, list) or not 0 < len(there) < length:
-            return False
-        try:
-            content, kept, count = rescue_video(there, length)
-        except DataError:
-            return False
-        if count != len(stamps):
-            return False
-        video["content"] = np.frombuffer(content, np.uint8)
-        video["timestamps"] = [stamps[k] for k in kept]
-        sensor: Any = header
-        for key in keys[:-2]:
-            sensor = sensor[key]
-        keep_in_step(header, sensor.get("id"), "images", kept, count)
-        problem = f"the video was cut: {len(kept)} of its {count} pictures are whole"
-        self.lost.append(LostPart(format_keys(keys), problem, length - len(there)))
-        return True
 
     def _without_unreadable(self, scene: Scene) -> Scene:
         """Leave out frames that the header lists soundly and that cannot be made all the same."""
@@ -303,24 +237,6 @@ class _Rescue:
             return camera
         self.lost.append(LostPart(f"sensors[{camera.id}].video", problem, 0))
         return replace(camera, pictures=LazyFrames.of([], []), video=None, fps=None)
-
-
-def _as_keys(header: dict[str, Any], keys: list[Any]) -> Keys:
-    """The path that an item names, with numbers where a list is: writers may say them as text."""
-    node: Any = header
-    found: list[str | int] = []
-    for key in keys:
-        is_index = isinstance(node, list) and str(key).isdigit()
-        found.append(int(key) if is_index else str(key))
-        node = step(node, key)
-    return tuple(found)
-
-
-def _outermost(places: Iterable[Keys]) -> list[Keys]:
-    """Those that do not stand inside another, in the order of the file."""
-    wanted = set(places)
-    inside = {keys for keys in wanted if any(keys[:depth] in wanted for depth in range(1, len(keys)))}
-    return [keys for keys in places if keys not in inside]
 
 
 def _frame_counts(header: Mapping[str, Any]) -> dict[tuple[type, Any], int]:

@@ -1,16 +1,130 @@
 """What is left of videos in damaged files: the pictures whose packets are whole, and why others cannot be written."""
 
 import io
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.mp4 import UNKNOWN_CODEC
+from sceneloom.formats.sfs.container import Container
+from sceneloom.formats.sfs.items import ItemFault, step
+from sceneloom.formats.sfs.mp4 import UNKNOWN_CODEC, declared_length, is_mp4
+from sceneloom.formats.sfs.removal import Keys, keep_in_step
 from sceneloom.scene import CameraSensor
 
 if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
     from sceneloom.formats.video.source import OpenVideo
+
+
+@dataclass(frozen=True, slots=True)
+class DamagedVideo:
+    """A video that was cut, or cannot be read.
+
+    Attributes:
+        problem: what is wrong, and how many pictures are whole.
+        lost_bytes: how many bytes are not there; 0 where that is not known.
+        is_rescued: whether its first pictures are in the header in its place.
+    """
+
+    problem: str
+    lost_bytes: int
+    is_rescued: bool
+
+
+def damaged_videos(container: Container) -> dict[Keys, tuple[Any, int, str]]:
+    """Look at the tables of all videos of a file: which have bytes that end before their last picture.
+
+    Returns:
+        Content, declared length and problem of each video that is cut or no video, by the place of its content.
+    """
+    found: dict[Keys, tuple[Any, int, str]] = {}
+    sensors = container.header.get("sensors")
+    for number, sensor in enumerate(sensors if isinstance(sensors, list) else []):
+        video = sensor.get("video") if isinstance(sensor, dict) else None
+        content = video.get("content") if isinstance(video, dict) else None
+        if isinstance(content, np.ndarray) and content.dtype == np.uint8 and content.size:
+            there = np.ascontiguousarray(content).reshape(-1).data.cast("B")
+            length = declared_length(there) if is_mp4(there) else len(there)
+            problem = _cut(there, length) if length > len(there) else _problem_of_tables(there)
+            if problem is not None:
+                found["sensors", number, "video", "content"] = there, length, problem
+    return found
+
+
+def _cut(there: memoryview, length: int) -> str:
+    return f"{len(there)} bytes of a video of {length}: it was cut"
+
+
+def _problem_of_tables(there: memoryview) -> str | None:
+    from sceneloom.formats.video.index import read_index
+    from sceneloom.formats.video.table_index import read_table_index
+
+    try:
+        index = read_table_index(there, "video") if is_mp4(there) else read_index(there, "video")
+    except DataError as error:
+        return error.problem
+    return None if len(index) else "a video without pictures"
+
+
+def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Keys, DamagedVideo]:
+    """Put what is left of videos that were cut into their places of the header.
+
+    Args:
+        container: the file, on disk; its header is changed.
+        items: what is wrong with its arrays.
+
+    Returns:
+        The videos that are damaged, by the place of their content; those that nothing is left of stay as they are.
+    """
+    damaged = damaged_videos(container)
+    for fault in items:
+        keys = as_keys(container.header, list(fault.keys or ()))
+        if keys[-2:] == ("video", "content"):
+            item = container.item(fault.number)
+            offset, length = item.get("offset"), item.get("length")
+            if type(offset) is int and type(length) is int and offset >= 0:
+                there = container.bytes_between(offset, offset + length)
+                if 0 < len(there) < length:
+                    damaged[keys] = there, length, _cut(there, length)
+    return {keys: _rescued(container.header, keys, *content) for keys, content in damaged.items()}
+
+
+def _rescued(header: dict[str, Any], keys: Keys, there: memoryview, length: int, why: str) -> DamagedVideo:
+    sensor: Any = header
+    for key in keys[:-2]:
+        sensor = sensor[key]
+    video = sensor["video"]
+    stamps = video.get("timestamps")
+    missing = length - len(there)
+    lost = DamagedVideo(why, missing, is_rescued=False)
+    if not isinstance(stamps, list) or not missing:
+        return lost
+    try:
+        content, kept, count = rescue_video(there, length)
+    except DataError:
+        return lost
+    if count != len(stamps):
+        return lost
+    video["content"] = np.frombuffer(content, np.uint8)
+    video["timestamps"] = [stamps[k] for k in kept]
+    keep_in_step(header, sensor.get("id"), "images", kept, count)
+    problem = f"the video was cut: {len(kept)} of its {count} pictures are whole"
+    return DamagedVideo(problem, missing, is_rescued=True)
+
+
+def as_keys(header: dict[str, Any], keys: list[Any]) -> Keys:
+    """The path that an item names, with numbers where a list is: writers may say them as text."""
+    node: Any = header
+    found: list[str | int] = []
+    for key in keys:
+        is_index = isinstance(node, list) and str(key).isdigit()
+        found.append(int(key) if is_index else str(key))
+        node = step(node, key)
+    return tuple(found)
 
 
 class CutBytes:

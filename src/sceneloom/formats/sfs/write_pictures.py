@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,10 @@ import numpy as np
 
 from sceneloom.arrays import UInt8Array
 from sceneloom.errors import ArrayError, DataError, OptionError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.loss import Fate
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
-from sceneloom.formats.sfs.mp4 import is_mp4
+from sceneloom.formats.sfs.mp4 import declared_length, is_mp4
 from sceneloom.formats.sfs.picture_notes import PictureNotesWriter, exposure_ns
 from sceneloom.formats.sfs.spool import Blob, Spool
 from sceneloom.scene import CameraSensor, Picture, VideoContent
@@ -96,6 +98,7 @@ class PictureWriter:
         """Spool a camera's video as mp4; None where its pictures have to go one by one."""
         draft_file = self.folder / "video.mp4"
         if video.frame_indices is None and _copy_mp4(video, draft_file):
+            _check_whole(draft_file, f"{draft.place}.video")
             return self._spooled(draft_file)
         return self._remuxed(draft, sensor, video, draft_file)
 
@@ -160,6 +163,19 @@ def _copy_mp4(video: VideoContent, target: Path) -> bool:
                 file.write(start)
                 start = source.read(_PIECE)
     return True
+
+
+def _check_whole(file: Path, place: str) -> None:
+    """Refuse a copy of a video that ends before its last picture.
+
+    Raises:
+        DataError: it does.
+    """
+    with open_file(file) as opened, mmap(opened.fileno(), 0, access=ACCESS_READ) as content:
+        length = declared_length(content)
+        if length > len(content):
+            problem = f"{len(content)} bytes; its boxes say {length}: the video was cut"
+            raise DataError(place, "", problem)
 
 
 def _fps(nominal: float | None, starts_ns: list[int]) -> float:

@@ -77,6 +77,16 @@ def test_faults_of_every_part_are_found_at_once(examined, make):
     assert [fault.vital for fault in examination.faults[:3]] == [True, True, False]
     assert [sensor.id for sensor in examination.scene.sensors] == ["top"]
     assert [annotation.id for annotation in examination.scene.annotations] == [1]
+    assert [fault.costs for fault in examination.faults[2:]] == [
+        "lidar 'second'",
+        "lidar 'second'",
+        "lidar 'second'",
+        "lidar 'second'",
+        "",
+        "sensors[2]",
+        "cuboid 2",
+        "link 3",
+    ]
 
 
 def test_counts_of_all_frames_are_compared(examined, make):
@@ -132,8 +142,8 @@ def test_quaternions_are_normalised_and_each_is_told(examined, make):
 def test_quaternions_that_tell_no_direction_are_not_mended(examined, make, quaternion):
     poses = {"timestamps": [0], "values": [[0, 0, 0, *quaternion]]}
     examination = examined(make.scene(make.lidar(poses=poses)))
-    assert [fault.mended for fault in examination.faults] == [False]
-    assert examination.scene.sensors == ()
+    assert placed(examination) == [("sensors[0].poses.values[0]", "malformed")]
+    assert [(sensor.id, sensor.poses) for sensor in examination.scene.sensors] == [("top", None)]
 
 
 def test_poses_are_sorted_and_those_that_stand_there_twice_taken_once(examined, make):
@@ -149,10 +159,13 @@ def test_poses_are_sorted_and_those_that_stand_there_twice_taken_once(examined, 
 
 
 def test_two_poses_of_one_time_that_differ_are_left_to_a_person(examined, make):
-    poses = {"timestamps": [0, 0], "values": [POSE, [1, *POSE[1:]]]}
-    examination = examined(make.scene(make.lidar(poses=poses)))
-    assert [fault.mended for fault in examination.faults] == [False]
-    assert examination.scene.sensors == ()
+    rows = [POSE, POSE, [1, *POSE[1:]], POSE]
+    examination = examined(make.scene(make.lidar(poses={"timestamps": [0, 7, 7, 9], "values": rows})))
+    assert [(fault.path, fault.mended) for fault in examination.faults] == [
+        ("sensors[0].poses.values[1]", False),
+        ("sensors[0].poses.values[2]", False),
+    ]
+    assert examination.scene.sensors[0].poses.timestamps_ns.tolist() == [0, 9_000]
 
 
 def test_poses_that_are_no_numbers_are_told_one_by_one(tmp_path, make):
@@ -174,7 +187,11 @@ def test_arrays_at_fault_are_all_told_and_once(tmp_path, encode_sfs, make):
         ("sensors[1].frames[0].points.positions ($items[1])", "item"),
         ("sensors[2].frames[0].points.positions ($items[2])", "item"),
     ]
-    assert [sensor.id for sensor in examination.scene.sensors] == ["top"]
+    assert [(sensor.id, len(sensor.frames)) for sensor in examination.scene.sensors] == [
+        ("top", 1),
+        ("b", 0),
+        ("c", 0),
+    ]
 
 
 def test_a_file_without_a_header_is_one_fault(tmp_path):

@@ -451,8 +451,8 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
         ),
         (
             faulty(poses={"timestamps": [1, 1], "values": [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]}),
-            "sensors[0].poses",
-            "timestamps_ns[1]: 1000; expected strictly increasing",
+            "sensors[0].poses.values[0]",
+            "another pose than the other one at 1000 ns; expected one pose for each time",
         ),
         (
             faulty(poses={"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}),

@@ -1,6 +1,7 @@
 """Damaged scene files: what is whole comes back as a valid scene, what is not is told."""
 
 import json
+import pickle
 
 import av
 import numpy as np
@@ -256,6 +257,33 @@ def test_a_video_of_our_own_that_was_cut_keeps_its_whole_pictures(salvaged, enco
     for picture in pictures:
         np.testing.assert_array_equal(picture.rgb, ours[times.index(picture.timestamp_ns)].rgb)
     assert f"{len(pictures)} of its 29 pictures" in report.lost[0].problem
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_pictures_before_the_cut_of_a_video_are_read_leniently(encode_sfs, tmp_path, inside):
+    content = encoded(tmp_path / "video.mp4", pictures=30, flags="faststart")
+    path, fixed = tmp_path / "cut.sfs", tmp_path / "fixed.sfs"
+    path.write_bytes(video_scene(encode_sfs, content, 30))
+    with sceneloom.open(path) as scene:
+        expected = [picture.rgb for picture in scene.cameras[0].pictures]
+    whole = path.read_bytes()
+    cut = content[: len(content) * 2 // 3]
+    path.write_bytes(video_scene(encode_sfs, cut, 30) if inside else whole[: len(whole) * 2 // 3])
+    with pytest.raises(DataError, match=r"cut|after its header"):
+        sceneloom.convert(path, tmp_path / "copy.sfs")
+    with sceneloom.open(path, lenient=True) as opened:
+        scene = pickle.loads(pickle.dumps(opened))
+        pictures = scene.cameras[0].pictures
+        assert 10 < len(pictures) < 30
+        for picture in pictures:
+            number = round((picture.timestamp_ns / 1e6) ** 0.5)
+            np.testing.assert_array_equal(picture.rgb, expected[number])
+        (notice,) = [notice for notice in scene.notices if notice.code == "at-fault"]
+        assert f"{len(pictures)} of its 30 pictures are whole" in notice.message
+    report = sceneloom.validate(path, fix=fixed)
+    assert report.left_out[0].path.startswith("sensors[0].video.content")
+    with sceneloom.open(fixed) as scene:
+        assert len(scene.cameras[0].pictures) == len(pictures)
 
 
 @pytest.mark.parametrize("flags", ["", "frag_keyframe+empty_moov"])

@@ -22,6 +22,36 @@ from sceneloom.scene.poses import PosePath
 from sceneloom.scene.stored import Parcel, packed, unpacked
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, PointsFrame, SensorType
 
+UNSEEN = 255
+"""In `camera_index`: no camera saw the point."""
+
+_WHITE, _GREY = 255, 128
+
+
+def grey_where_unseen(colors: UInt8Array, camera_index: UInt8Array | None) -> UInt8Array:
+    """Give (N, 3) colours as clouds are written: what no camera saw is 128, 128, 128 and not white, as in the model.
+
+    Source: DB34/T 4101-2022, table 9, as read in docs/CONVENTIONS.md.
+    """
+    return _recoloured(colors, camera_index, _WHITE, _GREY)
+
+
+def white_where_unseen(colors: UInt8Array, camera_index: UInt8Array | None) -> UInt8Array:
+    """Give (N, 3) colours of a cloud that was written by `grey_where_unseen` as the model has them."""
+    return _recoloured(colors, camera_index, _GREY, _WHITE)
+
+
+def _recoloured(colors: UInt8Array, camera_index: UInt8Array | None, old: int, new: int) -> UInt8Array:
+    """Replace one level of grey where no camera saw the point; another colour there comes from elsewhere."""
+    if camera_index is None:
+        return colors
+    unseen = (camera_index == UNSEEN) & (colors == old).all(axis=1)
+    if not unseen.any():
+        return colors
+    replaced = colors.copy()
+    replaced[unseen] = new
+    return replaced
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarPoints(UnpackedWhenAsked):
@@ -32,7 +62,7 @@ class LidarPoints(UnpackedWhenAsked):
     Attributes:
         positions: (N, 3) float32 [m], in the sensor's `points_frame`.
         intensities: (N,) uint8, or None where the sensor gives none.
-        colors: (N, 3) uint8, red green blue, or None.
+        colors: (N, 3) uint8, red green blue, or None; 255, 255, 255 for a point that no camera saw.
         timestamps_ns: (N,) int64 [ns], time of each return on the scene's clock, or None.
         rings: (N,) uint16, index of the laser, or None.
         camera_index: (N,) uint8, which camera coloured the point (index among the scene's cameras), 255 for none.

@@ -10,6 +10,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float32Array
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.scene import LidarFrame
+from sceneloom.scene.clouds import grey_where_unseen
 
 OFFSET = "offset_ns"
 """Times of points from the frame's time on [ns]: 32 bits hold two seconds either way."""
@@ -69,7 +70,8 @@ def frame_columns(frame: LidarFrame, intensity_max: float | None) -> FrameColumn
             plain += "_further"
         taken.add(plain)
         further[plain] = values
-    return FrameColumns(points.positions, points.colors, intensities, brightest, further)
+    colors = None if points.colors is None else grey_where_unseen(points.colors, points.camera_index)
+    return FrameColumns(points.positions, colors, intensities, brightest, further)
 
 
 def _is_column(values: AnyArray, count: int) -> bool:

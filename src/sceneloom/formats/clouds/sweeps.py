@@ -24,6 +24,7 @@ from sceneloom.formats.clouds.points import (
 from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.scene import LidarFrame
+from sceneloom.scene.clouds import white_where_unseen
 
 _LOOKED_AT = 10
 """Files that are looked through for one that is bright enough to tell the scale of brightness."""
@@ -80,7 +81,13 @@ class CloudFrames:
         cameras = read.points.extras.get("camera_index")
         if cameras is not None and (cameras.dtype != np.uint8 or cameras.ndim != 1):
             extras["camera_index"], cameras = cameras, None
-        points = replace(read.points, camera_index=cameras, extras=MappingProxyType({**extras, **kept}))
+        colors = read.points.colors
+        points = replace(
+            read.points,
+            colors=None if colors is None else white_where_unseen(colors, cameras),
+            camera_index=cameras,
+            extras=MappingProxyType({**extras, **kept}),
+        )
         told: dict[str, Any] = {
             "file": self.files[k].name,
             **({"head": dict(cloud.head)} if cloud.head else {}),

@@ -12,6 +12,7 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.posed_pictures.views import PosedScene
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene import LidarPoints, LidarSensor, PointsSensor
+from sceneloom.scene.clouds import grey_where_unseen
 from sceneloom.scene.sensor_sources import points_source
 from sceneloom.scene.span import scene_period_ns
 
@@ -107,7 +108,7 @@ def _of_lidar(posed: PosedScene, lidar: LidarSensor, origin: Float64Array) -> It
 
 def _colors(points: LidarPoints) -> UInt8Array:
     if points.colors is not None:
-        return points.colors
+        return grey_where_unseen(points.colors, points.camera_index)
     if points.intensities is not None:
         return np.repeat(points.intensities[:, None], 3, axis=1)
     return _all_grey(len(points))

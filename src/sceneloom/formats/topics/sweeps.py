@@ -20,6 +20,7 @@ from sceneloom.formats.topics.point_times import find_point_times
 from sceneloom.formats.topics.records import CloudRecord
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, LidarPoints, NoticeKind, RadarFrame, RadarPoints
+from sceneloom.scene.clouds import white_where_unseen
 
 SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler_mps", "speed_radial")
 """Names of the speed along the line of sight."""
@@ -114,7 +115,8 @@ class CloudReader:
             further.pop("alpha", None)  # which viewers ask for, and says nothing
         index = points.extras.get("camera_index")
         if index is not None and index.dtype == np.uint8:
-            points = replace(points, camera_index=further.pop("camera_index"))
+            colors = None if points.colors is None else white_where_unseen(points.colors, index)
+            points = replace(points, colors=colors, camera_index=further.pop("camera_index"))
         return replace(points, extras=MappingProxyType(further))
 
 

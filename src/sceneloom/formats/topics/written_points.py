@@ -18,6 +18,7 @@ from sceneloom.formats.topics.sweeps import (
     TIME_COLUMNS,
 )
 from sceneloom.scene import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.clouds import grey_where_unseen
 
 Columns = dict[tuple[str, ...], AnyArray]
 """Columns on their way into a message, (N,), or (N, k) by their k names."""
@@ -61,7 +62,7 @@ class CloudWriter:
         if points.timestamps_ns is not None:
             columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
         if points.colors is not None:
-            columns |= _colours(points.colors)
+            columns |= _colours(grey_where_unseen(points.colors, points.camera_index))
         if points.camera_index is not None:
             columns["camera_index",] = points.camera_index
         self._add_extras(columns, points.extras)

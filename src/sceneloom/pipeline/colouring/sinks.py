@@ -21,6 +21,7 @@ from sceneloom.scene import (
     LidarPoints,
     PosePath,
 )
+from sceneloom.scene.clouds import grey_where_unseen
 
 
 class ColourSink(Protocol):
@@ -54,7 +55,7 @@ class Columns:
             extras["weight"] = np.ascontiguousarray(points["weight"])
         return WrittenPoints(
             points["position"] + np.array(self.origin_world),
-            np.rint(np.clip(points["color"], 0, 255)).astype(np.uint8),
+            grey_where_unseen(np.rint(np.clip(points["color"], 0, 255)).astype(np.uint8), points["camera"]),
             np.rint(np.clip(points["intensity"], 0, 255)).astype(np.uint8),
             np.ascontiguousarray(points["time_ns"]),
             np.ascontiguousarray(points["label"]) if self.labels else None,

@@ -1,30 +1,12 @@
 """A word to people before the first run is silent for a minute, since it compiles the inner loops."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec
-from types import ModuleType
 
 import click
 
-from sceneloom.kernels.cache import will_compile
-
-
-class _Watch(MetaPathFinder):
-    """Finds no module, but sees which ones are asked for."""
-
-    def find_spec(
-        self,
-        fullname: str,
-        path: Sequence[str] | None,  # noqa: ARG002 - as importlib calls it
-        target: ModuleType | None = None,  # noqa: ARG002
-    ) -> ModuleSpec | None:
-        if will_compile(fullname):
-            sys.meta_path.remove(self)
-            click.echo("compiling the inner loops for this machine; they are kept …", err=True)
-        return None
+from sceneloom.kernels.cache import reporting_compiling
 
 
 @contextmanager
@@ -33,10 +15,12 @@ def telling_of_compiling() -> Iterator[None]:
     if not sys.stderr.isatty():
         yield
         return
-    watch = _Watch()
-    sys.meta_path.insert(0, watch)
-    try:
+    compiled: list[str] = []
+
+    def say(module: str) -> None:
+        if not compiled:
+            click.echo("compiling the inner loops for this machine; they are kept …", err=True)
+        compiled.append(module)
+
+    with reporting_compiling(say):
         yield
-    finally:
-        if watch in sys.meta_path:
-            sys.meta_path.remove(watch)

@@ -63,20 +63,34 @@ def serve(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Serve the fusion interface of DB34/T 4101-2022 over gRPC, until it is told to end."""
-    from sceneloom.service.running import configured, serve_until_ended
-    from sceneloom.service.security import Security, read_token
-    from sceneloom.service.server import ServerSettings
+    """Serve the fusion interface of DB34/T 4101-2022 over gRPC, until it is told to end.
 
-    limits, configure = configured(config, **said(most_sessions=max_sessions, idle_minutes=idle_minutes))
-    security = Security(
-        tls_certificate=tls_cert,
-        tls_key=tls_key,
-        tls_client_authority=tls_client_ca,
-        token=None if token_file is None else read_token(token_file),
-    )
-    security.check_host(host)
+    The first start on a machine compiles for minutes, and logs what; the port is closed until then.
+    """
+    from sceneloom.kernels.cache import reporting_compiling
+    from sceneloom.service.listening import check_port
+    from sceneloom.service.logs import log_to_standard_error
+
+    check_port(host, port)
+    logger = log_to_standard_error(quiet=quiet, verbose=verbose)
+
+    def report(module: str) -> None:
+        logger.info("compiling for this machine; it is kept", extra={"fields": {"module": module}})
+
     with ExitStack() as stack:
+        stack.enter_context(reporting_compiling(report))
+        from sceneloom.service.running import configured, serve_until_ended
+        from sceneloom.service.security import Security, read_token
+        from sceneloom.service.server import ServerSettings
+
+        limits, configure = configured(config, **said(most_sessions=max_sessions, idle_minutes=idle_minutes))
+        security = Security(
+            tls_certificate=tls_cert,
+            tls_key=tls_key,
+            tls_client_authority=tls_client_ca,
+            token=None if token_file is None else read_token(token_file),
+        )
+        security.check_host(host)
         observe: Any = None
         if log is not None:
             from sceneloom.service.black_box import BlackBox

@@ -3,8 +3,13 @@
 import os
 import re
 import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 
 _DECORATED = re.compile(r"cache=True|\*\*_?(KERNEL|COMPILED)\b")
 _PACKAGE = Path(__file__).parents[1]
@@ -57,6 +62,34 @@ def will_compile(module: str) -> bool:
         return False
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     return not _is_compiled(source, Path(elsewhere) if elsewhere else None)
+
+
+@contextmanager
+def reporting_compiling(report: Callable[[str], None]) -> Iterator[None]:
+    """Report each module whose kernels are compiled meanwhile, by its name, before it is imported."""
+    watch = _Watch(report)
+    sys.meta_path.insert(0, watch)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(watch)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Watch(MetaPathFinder):
+    """Finds no module, but sees which ones are asked for."""
+
+    report: Callable[[str], None]
+
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None,  # noqa: ARG002 - as importlib calls it
+        target: ModuleType | None = None,  # noqa: ARG002
+    ) -> ModuleSpec | None:
+        if will_compile(fullname):
+            self.report(fullname)
+        return None
 
 
 def _holds_kernels(source: Path) -> bool:

@@ -13,9 +13,11 @@ from typing import Any
 from sceneloom.fusion.configuration_file import read_configuration_file
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.service.limits import ServiceLimits
-from sceneloom.service.logs import JsonLines
+from sceneloom.service.logs import log_to_standard_error
 from sceneloom.service.server import FusionServer, ServerSettings
 from sceneloom.service.warming import warm_up
+
+LOG = logging.getLogger(__name__)
 
 _ENDING = (signal.SIGTERM, signal.SIGINT)
 
@@ -58,7 +60,7 @@ def serve_until_ended(
     Returns:
         the sessions whose threads hang: Python waits for these for ever, so the process has to be left by `os._exit`.
     """
-    _log_to_standard_error(logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO)
+    log_to_standard_error(quiet=quiet, verbose=verbose)
     return asyncio.run(_serve(settings, started))
 
 
@@ -93,6 +95,7 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
         loop.add_signal_handler(number, ended.set)
     server = FusionServer(settings)
     server.check_ports()  # before the seconds that warming takes
+    LOG.info("loading what requests need; the port is closed until then")
     await loop.run_in_executor(None, warm_up)
     gc.freeze()  # what is there now stays: looking through it again and again would stop all sessions
     await server.start()
@@ -101,12 +104,3 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
     for number in _ENDING:
         loop.remove_signal_handler(number)
     return await server.drain()
-
-
-def _log_to_standard_error(level: int) -> None:
-    handler = logging.StreamHandler()
-    handler.setFormatter(JsonLines())
-    logger = logging.getLogger("sceneloom.service")
-    logger.handlers[:] = [handler]
-    logger.setLevel(level)
-    logger.propagate = False

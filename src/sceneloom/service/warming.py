@@ -1,9 +1,16 @@
-"""Loads what the first results need before anybody waits for them."""
+"""Compiles and loads all that requests can need before a server listens: the first one waits as long as the last."""
 
+import logging
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
+from sceneloom.cameras.table import MODELS
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import (
     Boxes2d,
@@ -14,13 +21,24 @@ from sceneloom.fusion.messages import (
     SentRecord,
     Timestamp,
 )
+from sceneloom.kernels.cache import find_kernel_cache, will_compile
+
+LOG = logging.getLogger(__name__)
 
 _FORWARD = (0.0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 _WIDTH, _HEIGHT = 64, 48
 
 
 def warm_up() -> int:
-    """Fuse a small pair of each type, so that kernels are compiled and loaded; gives how many results came."""
+    """Compile and load all kernels that requests can reach; gives how many results a small pair of each type gave.
+
+    Every kernel has its types written down, so it is compiled when its module is imported. Modules are imported with
+    the interface, but for those of camera models, which properties choose.
+    """
+    models = list(dict.fromkeys(model.module for model in MODELS.values()))
+    _compile_apart([name for name in models if will_compile(name)])
+    for name in models:
+        import_module(name)
     with FusionInterface(inline=True) as fusion:
         fusion.set_calibration(
             CalibrationData(
@@ -34,6 +52,23 @@ def warm_up() -> int:
             fusion.send(record)
         fusion.flush()
         return fusion.waiting_results
+
+
+def _compile_apart(modules: list[str]) -> None:
+    """Compile modules in processes side by side, as the compiler takes one thread; they find it done in the cache."""
+    processes = min(os.cpu_count() or 1, len(modules))
+    if processes < 2 or not find_kernel_cache().writable:
+        return
+    with ThreadPoolExecutor(processes) as pool:
+        list(pool.map(_compile, modules))
+
+
+def _compile(module: str) -> None:
+    """Import a module in a process of its own; what fails there fails again, and is told, when it is imported here."""
+    LOG.info("compiling for this machine; it is kept", extra={"fields": {"module": module}})
+    code = "import importlib, sys; importlib.import_module(sys.argv[1])"
+    command = [sys.executable, "-c", code, module]
+    subprocess.run(command, check=False, capture_output=True)  # noqa: S603 - our own program
 
 
 def _records() -> list[SentRecord]:

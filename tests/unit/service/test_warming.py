@@ -1,9 +1,85 @@
 """What serving needs: kernels that are loaded before the first result, and the extra of the package."""
 
+import json
+import logging
+import os
+import signal
+import socket
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
+import pytest
+
+from sceneloom.cameras.table import MODELS
+from sceneloom.kernels.cache import reporting_compiling
+from sceneloom.service import running, warming
+from sceneloom.service.server import ServerSettings
 from sceneloom.service.warming import warm_up
+
+REACHING = Path(__file__).with_name("reach_kernels.py")
+
+
+def reached(*arguments):
+    done = subprocess.run(
+        [sys.executable, REACHING, *arguments], capture_output=True, text=True, check=False, timeout=1200
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_requests_reach_no_kernel_that_was_not_there_after_warming_up():
+    assert reached() == {"events": 0, "later": []}
+
+
+@pytest.mark.slow
+def test_the_whole_conformance_kit_reaches_none_either():
+    assert reached("all") == {"events": 0, "later": []}
+
+
+def test_missing_camera_models_are_compiled_side_by_side_and_told(monkeypatch, caplog):
+    modules = sorted({model.module for model in MODELS.values()})
+    missing, asked = modules[:3], []
+    monkeypatch.setattr(warming, "will_compile", lambda name: name in missing)
+    monkeypatch.setattr(warming, "find_kernel_cache", lambda: SimpleNamespace(writable=True))
+    monkeypatch.setattr(warming.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(warming.subprocess, "run", lambda command, **_: asked.append(command[-1]))
+    with caplog.at_level(logging.INFO, "sceneloom.service"):
+        assert warm_up() == 2
+    assert sorted(asked) == missing
+    assert sorted(record.fields["module"] for record in caplog.records) == missing
+
+
+def test_modules_that_are_compiled_are_reported_before_they_are_imported(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    told, names = [], ("sceneloom.kernels.voxels", "sceneloom.kernels.cache", "sceneloom.kernels.spacing")
+    before = list(sys.meta_path)
+    with reporting_compiling(told.append):
+        for finder in sys.meta_path[:1]:
+            assert [finder.find_spec(name, None) for name in names] == [None] * 3
+    assert told == [names[0], names[2]]
+    assert sys.meta_path == before
+
+
+def test_a_server_listens_only_when_it_is_warm(monkeypatch):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    seen = []
+
+    def look(name):
+        with socket.socket() as client:
+            seen.append((name, client.connect_ex(("127.0.0.1", port)) == 0))
+
+    def started(server):
+        look("started")
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(running, "warm_up", lambda: look("warming up"))
+    monkeypatch.setattr(running.gc, "freeze", lambda: None)
+    assert running.serve_until_ended(ServerSettings(port=port), started=started, quiet=True) == ()
+    assert seen == [("warming up", False), ("started", True)]
 
 
 def test_both_fusions_give_a_result():

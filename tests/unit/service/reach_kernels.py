@@ -1,0 +1,164 @@
+"""A program of its own: which kernels a server compiles or loads after it was warmed up. Prints them as JSON.
+
+With the argument "all" it is asked by the whole conformance kit over the network, too.
+"""
+
+import json
+import sys
+
+import numpy as np
+from numba.core import event
+from numba.core.dispatcher import Dispatcher
+
+from sceneloom.cameras.table import MODELS
+from sceneloom.fusion.interface import FusionInterface
+from sceneloom.fusion.messages import (
+    Box2d,
+    Box3d,
+    CalibrationData,
+    ImageData,
+    PointCloudData,
+    Timestamp,
+)
+from sceneloom.fusion.tracked import TrackedResults
+from sceneloom.scene.poses import PosePath
+from sceneloom.service.running import running_server
+from sceneloom.service.warming import warm_up
+
+WIDTH, HEIGHT = 64, 48
+FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
+PIXELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}
+SHUTTER = json.dumps({"0": {"kind": "lidar"}, "1": {"kind": "camera", "shutter_roll_s": 0.03}})
+
+
+def compiled():
+    """How many versions there are of each kernel that was imported."""
+    return {
+        f"{value.__module__}.{value.__name__}": len(value.signatures)
+        for name, module in list(sys.modules.items())
+        if name.startswith("sceneloom")
+        for value in list(vars(module).values())
+        if isinstance(value, Dispatcher) and value.signatures
+    }
+
+
+def lenses():
+    """The property `lenses` for every model that there is."""
+    for name, model in MODELS.items():
+        coefficients = [0.01] * min(2, len(model.coefficient_names))
+        yield json.dumps(
+            {
+                "1": {
+                    "model": name,
+                    "image_size": [WIDTH, HEIGHT],
+                    "coefficients": coefficients,
+                    "fx": 50.0,
+                    "fy": 50.0,
+                    "cx": 31.5,
+                    "cy": 23.5,
+                }
+            }
+        )
+
+
+def stamp(milliseconds):
+    return Timestamp.of(10**18 + milliseconds * 1_000_000)
+
+
+def path():
+    times = np.array([stamp(k).nanoseconds for k in range(-1000, 2000, 50)])
+    positions = np.column_stack([np.arange(len(times)) * 0.1, np.zeros((len(times), 2))])
+    return PosePath(times, positions, np.tile([0.0, 0, 0, 1], (len(times), 1)))
+
+
+def session(properties=(), *, lens=None, cameras=(1,), moves=False, encoding="rgb8"):
+    """Send all kinds of records, and follow the objects of the results."""
+    channels = PIXELS[encoding]
+    with FusionInterface() as fusion:
+        if lens is not None:
+            assert fusion.add_property("lenses", "", "string")
+            properties = (*properties, ("lenses", lens))
+        for name, value in properties:
+            assert fusion.set_property(name, value)
+        for camera_id in cameras:
+            data = CalibrationData(
+                image_size=(WIDTH, HEIGHT),
+                intrinsic_matrix=(50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
+                distortion_coeffs=(0.01, 0, 0, 0, 0),
+                reference_frame=0,
+                extrinsic_matrix=FORWARD,
+            )
+            assert fusion.set_calibration(data, camera_id=camera_id)
+        assert not moves or fusion.send_motion(path())
+        for seq in range(3):
+            now = stamp(100 * seq)
+            common = {"id": 1, "class_name": "Car", "confidence": 0.9, "timestamp": now}
+            for camera_id in cameras:
+                assert fusion.send(
+                    ImageData(
+                        sensor_id=camera_id,
+                        timestamp=now,
+                        seq=seq,
+                        encoding=encoding,
+                        height=HEIGHT,
+                        width=WIDTH,
+                        channel=channels,
+                        data=np.zeros(HEIGHT * WIDTH * channels, np.uint8),
+                    )
+                )
+                box = Box2d(**common, image_seq=seq, x1=25 - 9 * seq, y1=18, x2=38, y2=30)
+                assert fusion.send(box.alone(camera_id))
+            rng = np.random.default_rng(seq)
+            rows = np.hstack([rng.normal(0, 9, (300, 3)), rng.random((300, 2)) * 0.1]).astype(np.float32)
+            cloud = {"fields": ("x", "y", "z", "time", "reflectivity"), "fields_number": 5, "number": 300}
+            assert fusion.send(PointCloudData(sensor_id=0, timestamp=now, seq=seq, data=rows, **cloud))
+            box = Box3d(
+                **common,
+                points_seq=seq,
+                X=20.0,
+                Y=0.0,
+                Z=0.0,
+                length=4.0,
+                width=2.0,
+                height=1.5,
+                direction=(1.0, 0.0, 0.0),
+                velocity=5.0,
+            )
+            assert fusion.send(box.alone(0))
+        fusion.flush()
+        tracked = TrackedResults()
+        assert list(fusion.results(0))
+        assert [told for result in fusion.results(1) for told in tracked.take(result)]
+        assert not [name for name in fusion.counters.counts() if name.startswith(("failed", "errors"))]
+
+
+def sessions():
+    session(cameras=(1, 2))
+    session([("fusion_algorithm", "blending")], cameras=(1, 2), moves=True)
+    session([("depth_kind", "range"), ("reference_frame", 0)], moves=True)
+    session([("sensors", SHUTTER)], moves=True)
+    for encoding in PIXELS:
+        session(encoding=encoding)
+    for lens in lenses():
+        session(lens=lens, moves=True)
+
+
+def conformance():
+    from sceneloom.service.conformance.examination import examine
+    from sceneloom.service.conformance.transport import Doors, GrpcTransport
+
+    with running_server() as server, GrpcTransport.connected(server.address, Doors()) as transport:
+        assert examine(transport, address=server.address).failed_ids == ()
+
+
+if __name__ == "__main__":
+    warm_up()
+    before = compiled()
+    with event.install_recorder("numba:compile") as recorder:
+        sessions()
+        if "all" in sys.argv:
+            conformance()
+        events = len(recorder.buffer)
+    after = compiled()
+    later = [name for name in after if after[name] != before.get(name)]
+    sys.stdout.write(json.dumps({"events": events, "later": later}))

@@ -109,7 +109,7 @@ def read_drive(place: str, output: Path, options: Mapping[str, Any]) -> int:
     where, reading = path_or_url(place), options["reading"]
     with open_scene(where, **reading) as scene:
         tables = scene_rows(
-            scene,
+            scene.corrected(),
             path=place,
             options=reading,
             fingerprint=options["stamp"],

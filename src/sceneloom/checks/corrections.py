@@ -15,7 +15,9 @@ from sceneloom.scene import (
     RadarSensor,
     Severity,
 )
+from sceneloom.scene.annotations.corrections import effect_of
 from sceneloom.scene.span import scene_period_ns, time_span
+from sceneloom.scene.types import key_of
 
 
 def _adjustments(subject: Subject) -> list[tuple[str, LocalizationAdjustment]]:
@@ -26,6 +28,14 @@ def _calibrations(subject: Subject) -> Iterator[tuple[str, CameraCalibration]]:
     for path, annotation in subject.annotations():
         if isinstance(annotation, CameraCalibration):
             yield path, annotation
+
+
+def _not_applied(subject: Subject) -> Iterator[Hit]:
+    pending = {key_of(correction.id): correction for correction in subject.scene.pending_corrections}
+    for path, annotation in subject.annotations():
+        correction = pending.get(key_of(annotation.id))
+        if correction is not None:
+            yield Hit(path, f"{correction.type}: {effect_of(correction)}")
 
 
 def _several_adjustments(subject: Subject) -> Iterator[Hit]:
@@ -80,6 +90,14 @@ def _other_picture_size(subject: Subject) -> Iterator[Hit]:
 
 
 RULES: tuple[Rule, ...] = (
+    Rule(
+        "corrections-not-applied",
+        Severity.HINT,
+        "Corrections of cameras and of the localization are applied.",
+        "Nothing has to be done: what computes applies them. Other programs may not: `sceneloom edit apply` does it "
+        "for good.",
+        find=_not_applied,
+    ),
     Rule(
         "localization-adjustments-several",
         Severity.WARNING,

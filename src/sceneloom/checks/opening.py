@@ -12,9 +12,9 @@ from sceneloom.formats.recording.examination import RecordingExamination
 from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.sfs import SfsFormat
 from sceneloom.formats.sfs.faults import Examination
-from sceneloom.formats.table import Format, format_and_place, part_of
+from sceneloom.formats.table import Format, chosen_corrections, format_and_place, part_of
 from sceneloom.redaction import redacted
-from sceneloom.scene import Scene
+from sceneloom.scene import Corrections, Scene
 
 
 def open_subject(
@@ -23,6 +23,7 @@ def open_subject(
     format: str | None = None,
     start: float | None = None,
     stop: float | None = None,
+    corrections: str = Corrections.APPLY,
     **reading: Any,
 ) -> Subject:
     """Open a file or folder; what cannot be read is a fault of the subject, not an error.
@@ -32,13 +33,17 @@ def open_subject(
         format: the format's name, where the content should not decide.
         start, stop: seconds after the first time stamp: the part between them is a scene of its own, without the texts
             of its file, with the faults of all of it.
+        corrections: as of `open_scene`.
         reading: reading options of the format; `lenient` plays no part.
 
     Raises:
         UnknownFormatError: no format fits the path.
         OptionError: an option or its value is not known, or there is nothing between `start` and `stop`.
     """
+    chosen = chosen_corrections(corrections)
     subject = _whole_subject(path, format, reading)
+    if chosen is not subject.scene.corrections:
+        subject = replace(subject, scene=replace(subject.scene, corrections=chosen))
     if start is None and stop is None:
         return subject
     part = part_of(subject.scene, start=start, stop=stop)

@@ -9,7 +9,7 @@ import click
 
 from sceneloom.cli import detection_options, options
 from sceneloom.cli.identifiers import known_id_or_none
-from sceneloom.cli.printing import print_json, print_table, several
+from sceneloom.cli.printing import print_corrections, print_json, print_table, several
 
 if TYPE_CHECKING:
     from sceneloom.calibrate.health.check import CalibrationHealth
@@ -90,6 +90,7 @@ def check_health(
         print_json(found.health)
     else:
         _print_health(found.health, verbose=verbose)
+        print_corrections(found.health.corrections)
         if pictures is not None:
             click.echo(f"pictures: {pictures}")
     return EXIT_CODES[found.health.verdict]

@@ -8,7 +8,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.identifiers import known_id_or_none
-from sceneloom.cli.printing import print_json, print_table, progress_bar
+from sceneloom.cli.printing import print_corrections, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from sceneloom.calibrate.conventions.report import ConventionsReport, ExtrinsicFound
@@ -55,6 +55,7 @@ def check_conventions(
     if as_json:
         print_json(report)
     else:
+        print_corrections(report.corrections)
         _print(report, judged_by_drive=drive is not None or _is_drive(path))
     return WRONG if report.wrong else 0
 

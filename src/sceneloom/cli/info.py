@@ -89,6 +89,8 @@ def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> No
     )
     for kind, count in summary.annotations.items():
         click.echo(f"annotations: {count} {kind}")
+    for correction in summary.corrections:
+        click.echo(f"{correction.type}, applied by what computes: {correction.effect}")
 
 
 def _trajectories_title(summary: SceneSummary) -> str:

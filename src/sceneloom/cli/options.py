@@ -161,6 +161,15 @@ reading = _stacked(
         help="Which drive of a data set that has several.",
     ),
     click.option("--keyframes", is_flag=True, help="Of nuScenes, only what was taken at the samples."),
+    click.option(
+        "--no-corrections",
+        "corrections",
+        is_flag=True,
+        flag_value="ignore",
+        default=None,
+        help="Compute without the drive's camera calibrations and localization adjustments, which stay in what is "
+        "written. [default: apply them]",
+    ),
 )
 """On every verb that reads a drive."""
 
@@ -301,7 +310,11 @@ def _as_read(values: Mapping[str, Any]) -> Iterator[str]:
         said = told.get(str(option.name))
         if said and option.name != "lenient":
             for value in said if isinstance(said, tuple) else (said,):
-                yield from option.opts[:1] if value is True else (option.opts[0], str(value))
+                yield from (
+                    option.opts[:1]
+                    if isinstance(option, click.Option) and option.is_flag
+                    else (option.opts[0], str(value))
+                )
 
 
 printing = _stacked(

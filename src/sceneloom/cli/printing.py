@@ -30,7 +30,8 @@ def print_json(result: Any, *, stages: Mapping[str, float] | None = None) -> Non
 
 
 def print_notices(notices: "Sequence[Notice]", *, verbose: bool) -> None:
-    """Print what was assumed, repaired or left out."""
+    """Print what was assumed, repaired or left out; what was made of corrections first."""
+    notices = sorted(notices, key=lambda notice: not notice.code.startswith("correction-"))
     print_lines(
         [
             ": ".join(filter(None, (notice.kind, notice.place, notice.message)))
@@ -39,6 +40,11 @@ def print_notices(notices: "Sequence[Notice]", *, verbose: bool) -> None:
         ],
         verbose=verbose,
     )
+
+
+def print_corrections(notices: "Sequence[Notice]") -> None:
+    """Print only what was made of a drive's corrections, for verbs whose results hold the other notices."""
+    print_notices([notice for notice in notices if notice.code.startswith("correction-")], verbose=True)
 
 
 _HAPPENED = {

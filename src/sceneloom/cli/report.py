@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, progress_bar, several
+from sceneloom.cli.printing import print_corrections, print_json, progress_bar, several
 
 if TYPE_CHECKING:
     from sceneloom.report import DriveReport
@@ -105,6 +105,8 @@ def report(
     if as_json:
         print_json(found, stages=stages)
         return
+    if not quiet:
+        print_corrections(found.notices)
     _print_verdict(found, verbose=verbose)
     for name, written in (("page", page), ("numbers", numbers)):
         if written is not None:

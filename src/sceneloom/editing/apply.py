@@ -21,6 +21,8 @@ from sceneloom.scene import (
     Identifier,
     LidarSensor,
     LocalizationAdjustment,
+    Notice,
+    NoticeKind,
     OdometrySensor,
     PointsAnnotation,
     PointsFrame,
@@ -29,6 +31,7 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
+from sceneloom.scene.annotations.corrections import effect_of
 from sceneloom.scene.annotations_frame import ANNOTATIONS_FRAME
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.span import scene_period_ns
@@ -75,6 +78,25 @@ def apply_corrections(
         if isinstance(correction, LocalizationAdjustment):
             changed = _adjusted(changed, correction, annotations_in)
     return changed
+
+
+def corrected_scene(scene: Scene) -> Scene:
+    """Give the scene with all that is to be applied applied, and a notice for each; what `Scene.corrected` calls.
+
+    Raises:
+        OptionError, DataError: as of `apply_corrections`.
+    """
+    pending = scene.pending_corrections
+    told = [
+        Notice(
+            kind=NoticeKind.REPAIRED,
+            code="correction-applied",
+            place=f"annotations[{correction.id}]",
+            message=f"{correction.type} applied: {effect_of(correction)}",
+        )
+        for correction in pending
+    ]
+    return with_notices(apply_corrections(scene, corrections=[c.id for c in pending]), told)
 
 
 def _chosen(scene: Scene, wanted: Iterable[Identifier] | None) -> list[Correction]:

@@ -19,7 +19,7 @@ from sceneloom.editing.region import FrameChoice, Placed, Region, held_at
 from sceneloom.editing.sensor_frames import points_change
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.motion.ego_motion import ego_motion_as_given
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
@@ -132,7 +132,7 @@ def _ego(
     asked = any(region.frame is PointsFrame.EGO for region in regions)
     if trajectory is None and not asked and not (on_ego and scene.trajectories):
         return None
-    return find_ego_motion(scene, name=trajectory, heading=heading)
+    return ego_motion_as_given(scene, name=trajectory, heading=heading)
 
 
 @dataclass(slots=True, eq=False)
@@ -213,7 +213,7 @@ class _Crop:
             return None
         if sensor is not None and frame is PointsFrame.SENSOR:
             return sensor_source(self.scene, sensor, self.ego, reach_ns=reach_ns)
-        ego = find_ego_motion(self.scene) if self.ego is None else self.ego
+        ego = ego_motion_as_given(self.scene) if self.ego is None else self.ego
         return PoseSource(ego.path, RigidTransform.identity(), reach_ns)
 
     def _held_once(self, positions: Float32Array) -> BoolArray:

@@ -13,7 +13,7 @@ from sceneloom.editing.record import assumed, ours_of, with_notices, with_ours
 from sceneloom.editing.sensor_frames import points_change, poses_in_world, poses_on_ego
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
+from sceneloom.motion.ego_motion import ego_motion_as_given, is_computed, with_way_found
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
@@ -143,7 +143,7 @@ def _rides_on_ego(scene: Scene) -> bool:
 
 
 def _found(scene: Scene, trajectory: str | None, heading: str | None, progress: Progress | None) -> EgoMotion:
-    return find_ego_motion(scene, name=trajectory, heading=heading, progress=progress)
+    return ego_motion_as_given(scene, name=trajectory, heading=heading, progress=progress)
 
 
 def _with_way(scene: Scene, ego: EgoMotion | None) -> Scene:

@@ -26,6 +26,8 @@ def convert_lenses(
 ) -> Scene:
     """Give the scene with lenses of another model, each fitted to the one that stood there.
 
+    Corrections are applied first.
+
     How far the two put what the pictures show apart, at most, stands in a notice for each camera, and with the
     lens that it was in the metadata, as `sceneloom.lenses`.
 
@@ -44,6 +46,7 @@ def convert_lenses(
         raise OptionError(f"camera model {model!r}; expected one of {', '.join(MODELS)}")
     if not limit_px >= 0 or not 0 <= share <= 1:
         raise OptionError(f"limit {limit_px} px, share {share}; expected 0 px or more and a share of 0 to 1")
+    scene = scene.corrected()
     sensors: list[Any] = list(scene.sensors)
     entries, notices = list(ours_of(scene).get("lenses") or ()), list[Notice]()
     for index, sensor in chosen_cameras(scene, cameras, unless=model):

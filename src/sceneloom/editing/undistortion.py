@@ -29,7 +29,8 @@ def undistort_scene(
 ) -> Scene:
     """Give the scene with pinholes for lenses; pictures are resampled when they are decoded.
 
-    Poses and mountings stay. What is drawn into the pictures follows. The lenses that took the pictures stand in
+    Corrections are applied first. Poses and mountings stay.
+    What is drawn into the pictures follows. The lenses that took the pictures stand in
     the metadata, as `sceneloom.undistorted`.
 
     Args:
@@ -42,6 +43,7 @@ def undistort_scene(
         OptionError: a camera is not there, or a value cannot be followed.
         CalibrationError: a lens cannot be computed with, or is none that a pinhole can stand for.
     """
+    scene = scene.corrected()
     sensors: list[Any] = list(scene.sensors)
     changes: dict[Key, LensChange] = {}
     entries = list(ours_of(scene).get("undistorted") or ())

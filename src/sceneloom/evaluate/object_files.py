@@ -174,7 +174,11 @@ def _read_scenes(
     if len(sequences) > 1:
         raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; say one sequence")
     chosen = {"sequence": sequences[0]} if sequences else {}
-    with open_scenes((results, truth), {"lenient": ledger.lenient, **chosen}) as (found, true):
+    with open_scenes((results, truth), {"lenient": ledger.lenient, **chosen}) as opened:
+        found, true = (scene.corrected() for scene in opened)
+        for scene in (found, true):
+            for notice in scene.correction_notices:
+                ledger.note(notice.kind, notice.code, f"{scene.source}: {notice.place}", notice.message)
         times_ns = labelled_times(true)
         return {OBJECTS: scene_objects(found, times_ns)}, {OBJECTS: scene_objects(true, times_ns)}
 

@@ -10,11 +10,12 @@ from typing import Any, Protocol, cast
 from urllib.parse import urlsplit
 
 from sceneloom.errors import OptionError, SceneloomError, UnknownFormatError
-from sceneloom.formats.loss import Holding, LossReport
+from sceneloom.formats.loss import Holding, Loss, LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.redaction import redacted
-from sceneloom.scene import Notice, NoticeKind, Scene
+from sceneloom.scene import Corrections, Notice, NoticeKind, Scene
+from sceneloom.scene.types import key_of
 from sceneloom.stages import stage
 
 FORMATS: Mapping[str, str] = MappingProxyType(
@@ -54,7 +55,8 @@ class Format(Protocol):
 
     Further attributes are optional: `reads` and `writes`, false where it is only written or only read; `reads_urls`;
     `near_miss(path)`, what a path that nearly is one lacks; `drives`, as of `FolderFormat`; `check_place(path)`, which
-    refuses harmful outputs; `along_trajectory`, true where `write` takes the name of the ego's way as `trajectory`.
+    refuses harmful outputs; `holds_corrections`, true where corrections are written as annotations;
+    `along_trajectory`, true where `write` takes the name of the ego's way as `trajectory`.
     """
 
     name: str
@@ -220,6 +222,7 @@ def open_scene(
     format: str | None = None,
     start: float | None = None,
     stop: float | None = None,
+    corrections: str = Corrections.APPLY,
     **options: Any,
 ) -> Scene:
     """Open a recording or a scene file lazily.
@@ -231,14 +234,57 @@ def open_scene(
         format: the format's name, where the content should not decide.
         start, stop: seconds after the scene's first time stamp between which it counts, as of `editing.crop_scene`;
             None for the beginning and the end.
+        corrections: "apply" or "ignore": what is done with the scene's camera calibrations and localization adjustments
+            by everything that computes with it (`Scene.corrected`). Here they stay as they are.
         options: reading options of the format.
 
     Raises:
         UnknownFormatError: no format fits the path.
         DataError: the content is wrong.
-        OptionError: there is nothing between `start` and `stop`.
+        OptionError: there is nothing between `start` and `stop`, or `corrections` is none of these.
     """
-    return part_of(_whole_scene(path, format, options), start=start, stop=stop)
+    chosen = chosen_corrections(corrections)
+    scene = part_of(_whole_scene(path, format, options), start=start, stop=stop)
+    return scene if scene.corrections is chosen else replace(scene, corrections=chosen)
+
+
+def chosen_corrections(said: str) -> Corrections:
+    """What is done with corrections, by its name.
+
+    Raises:
+        OptionError: there is no such choice.
+    """
+    try:
+        return Corrections(said)
+    except ValueError as error:
+        raise OptionError(f"corrections {said!r}; expected one of {', '.join(Corrections)}") from error
+
+
+def scene_for(form: Format, scene: Scene) -> Scene:
+    """Give the scene that a format is to write: with its corrections applied where the format has no place for them."""
+    return scene if getattr(form, "holds_corrections", False) else scene.corrected()
+
+
+def write_in(form: Format, scene: Scene, path: Path, **options: Any) -> LossReport:
+    """Write a scene in a format; corrections that it cannot hold are applied, or lost where they are to be left off.
+
+    Raises:
+        OutputError: the output exists, or cannot be written.
+    """
+    written = scene_for(form, scene)
+    lost = () if getattr(form, "holds_corrections", False) else written.pending_corrections
+    if not lost:
+        return form.write(written, path, **options)
+    keys = {key_of(annotation.id) for annotation in lost}
+    left = tuple(annotation for annotation in written.annotations if key_of(annotation.id) not in keys)
+    losses = [
+        Loss(
+            field=f"annotations.{correction.type}",
+            what="left out: not applied, and the format has no place for it",
+        )
+        for correction in lost
+    ]
+    return LossReport.of([*form.write(replace(written, annotations=left), path, **options), *losses])
 
 
 def part_of(scene: Scene, *, start: float | None = None, stop: float | None = None) -> Scene:
@@ -379,6 +425,8 @@ def write_scene(
 ) -> LossReport:
     """Write a scene in the format that the path's suffix, or `format`, names; a URL of a store may stand for the path.
 
+    Where the format has no place for corrections, they are applied (`Scene.corrected`).
+
     Raises:
         OutputError: the output exists, or cannot be written.
         OptionError: no format has that suffix or name.
@@ -390,4 +438,4 @@ def write_scene(
             return write_scene(scene, draft, format=format, **options)
     where = Path(path)
     form = format_for_output(where) if format is None else format_named(format)
-    return form.write(scene, where, overwrite=overwrite, **options)
+    return write_in(form, scene, where, overwrite=overwrite, **options)

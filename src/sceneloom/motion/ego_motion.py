@@ -27,7 +27,25 @@ def find_ego_motion(
     lenient: bool = False,
     odometry: "OdometryRun | None" = None,
 ) -> EgoMotion:
-    """Take a recorded way of the ego, or find it from satellite fixes, IMU and lidar.
+    """Take a recorded way of the ego, or find it from satellite fixes, IMU and lidar; corrections are applied first.
+
+    The arguments and errors are those of `ego_motion_as_given`.
+    """
+    return ego_motion_as_given(
+        scene.corrected(), name=name, heading=heading, progress=progress, lenient=lenient, odometry=odometry
+    )
+
+
+def ego_motion_as_given(
+    scene: Scene,
+    *,
+    name: str | None = None,
+    heading: str | None = None,
+    progress: Progress | None = None,
+    lenient: bool = False,
+    odometry: "OdometryRun | None" = None,
+) -> EgoMotion:
+    """Take a recorded way of the ego, or find it, in the world of a scene whose corrections stay as they are.
 
     Args:
         name: a name out of `scene.trajectories`; "identity" for an ego that stands still; "gnss" to find the way from

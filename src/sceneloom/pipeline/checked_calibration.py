@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array
@@ -96,6 +97,7 @@ def check_drive(
             f"{scene.source}: boxes of {'sweeps' if boxes_3d else 'pictures'} alone; a calibration is judged by boxes "
             "of both, --boxes3d and --boxes2d"
         )
+    scene = scene.corrected()
     part = cut_scene(scene, start=start, stop=stop)
     frames = calibration_frames(part, camera_id, lidar_id, most)
     camera, lidar = frames[0].camera_id, frames[0].lidar_id
@@ -111,6 +113,7 @@ def check_drive(
         health = with_coarse(health, _judged_motion(part, camera, lidar))
     if planes:
         health = with_coarse(health, _judged_planes(part, camera, lidar))
+    health = msgspec.structs.replace(health, corrections=scene.correction_notices)
     return CheckedCalibration(health, frames)
 
 

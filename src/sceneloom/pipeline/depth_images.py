@@ -189,6 +189,7 @@ def write_depth_images(
     begun = time.perf_counter()
     place, drawn = Path(folder), None if pictures is None else Path(pictures)
     _check_choices(method, form, place, drawn, overwrite=overwrite)
+    scene = scene.corrected()
     skips = Skips() if lenient else None
     woven = weave(
         _with_cameras(scene, cameras),

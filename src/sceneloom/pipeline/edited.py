@@ -11,7 +11,7 @@ import msgspec
 from sceneloom.editing.chosen_points import OnPoints
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.shared_options import open_scenes
-from sceneloom.formats.table import check_scene_output, write_scene
+from sceneloom.formats.table import check_scene_output, format_for_output, scene_for, write_scene
 from sceneloom.scene import (
     CameraSensor,
     DepthCameraSensor,
@@ -102,7 +102,7 @@ def edit_files(
     check_scene_output(Path(output), overwrite=overwrite)
     tally = _Tally(progress)
     with open_scenes(sources, reading or {}) as scenes:
-        changed = change(scenes, tally.add_before)
+        changed = scene_for(format_for_output(Path(output)), change(scenes, tally.add_before))
         tally.total = sum(len(s.frames) for s in changed.sensors if isinstance(s, LidarSensor | RadarSensor))
         losses = write_scene(watched(changed, tally.add_after), output, overwrite=overwrite, **writing)
     return EditReport(

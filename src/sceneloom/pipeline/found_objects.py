@@ -203,7 +203,8 @@ def _with_lists(
     if wanted.sequences:
         options["sequence"] = wanted.sequences[0]
     part = {name: options.pop(name) for name in PART if name in options}
-    with open_scene(path, **options) as scene:
+    with open_scene(path, **options) as opened:
+        scene = opened.corrected()
         files = with_known_ids(scene, wanted.files)
         yield (crop_scene(scene, **part), replace(files, whole=scene)) if part else (scene, files)
 

@@ -135,6 +135,7 @@ def sync(
         raise OptionError(f"an antenna {lever_sigma:g} m off; expected 0 or more")
     if output is not None:
         check_scene_output(Path(output), overwrite=overwrite)
+    scene = scene.corrected()
     found = {stream.name: stream for stream in streams_of(scene)}
     chosen = _chosen(scene, found, reference, streams)
     comparisons = _compared(chosen, found, reach_ns, lever_sigma, progress)

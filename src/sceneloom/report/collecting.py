@@ -41,7 +41,7 @@ MOST_SWEEPS_FOR_A_WAY = 200
 """The way of the ego is found from the sweeps of longer drives only where that is asked for: it takes a while."""
 MOST_FRAMES_VALIDATED = 6000
 """Frames and pictures of drives with more are not read by the rules: `sceneloom validate` does that."""
-STEPS = 9
+STEPS = 10
 
 Part = TypeVar("Part")
 
@@ -122,6 +122,7 @@ class _Collector:
 
     def collect(self, losses: tuple[Loss, ...]) -> Collected:
         validation = self.part("findings", self._validation, None)
+        self.scene = self.part("corrections", self.scene.corrected, self.scene)
         found = self._find_way()
         summary = self.part("contents", self._summary, None) or _no_summary(self.scene)
         start_ns = summary.start_ns or 0

@@ -46,7 +46,7 @@ from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
 from sceneloom.scene.sample import Sample
 from sceneloom.scene.sample_boxes import Boxes
 from sceneloom.scene.samples import Samples
-from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.scene import Corrections, Scene, Sensor
 from sceneloom.scene.tracks import Support, Track, TrackedObjects, Tracks
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
 
@@ -62,6 +62,7 @@ __all__ = [
     "CameraCalibration",
     "CameraSensor",
     "Coordinates",
+    "Corrections",
     "CuboidAnnotation",
     "CuboidPath",
     "DepthCameraSensor",

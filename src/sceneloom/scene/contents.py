@@ -62,7 +62,7 @@ KINDS: Mapping[type[Any], str] = MappingProxyType(
 IMU_STREAMS = ("accelerometer", "gyroscope", "magnetometer")
 """Streams of an IMU that have names of their own in the table; all further ones are `other`."""
 
-NO_DATA = frozenset({"source", "format", "notices", "on_close"})
+NO_DATA = frozenset({"source", "format", "notices", "on_close", "corrections"})
 """Fields of the scene that say where it comes from and how it was read."""
 
 _SENSOR = {

@@ -1,18 +1,20 @@
 """The scene: every sensor of a drive on one clock and in one frame tree."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from importlib import import_module
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from sceneloom.arrays import hold_timestamp
 from sceneloom.errors import OptionError, SceneloomError
-from sceneloom.scene.annotations import Annotation, AttributePath
+from sceneloom.scene.annotations import Annotation, AttributePath, CameraCalibration, LocalizationAdjustment
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.plain import PlainSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS, Identifier, key_of
@@ -38,6 +40,19 @@ def _nothing() -> None:
     pass
 
 
+class Corrections(StrEnum):
+    """What everything that computes with a scene does with its corrections."""
+
+    APPLY = "apply"
+    """Apply them first: the default."""
+    IGNORE = "ignore"
+    """Leave them off, and keep the annotations."""
+
+
+_APPLYING = "sceneloom.editing.apply"
+"""The module that applies corrections; it is built upon this one, and imported when a scene has any."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """A drive. Usable bare and in `with`; it owns the files behind it.
@@ -53,6 +68,8 @@ class Scene:
         format: name of the format that it was read from, or "simulated", ….
         notices: what was assumed, repaired or left out.
         extras: further root fields of the file, by name.
+        corrections: what everything that computes with the scene does with its camera calibrations and localization
+            adjustments; see `corrected`.
 
     Raises:
         OptionError: two sensors or two annotations share an id.
@@ -69,6 +86,7 @@ class Scene:
     notices: tuple[Notice, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
     on_close: Callable[[], None] = _nothing
+    corrections: Corrections = Corrections.APPLY
 
     def __post_init__(self) -> None:
         hold_timestamp(self, "time_offset_ns")
@@ -124,6 +142,8 @@ class Scene:
         Frames belong to the moment of a sweep (its reference time) or of a picture: the nearest one in time of each
         sensor, the earlier one of two equally near.
 
+        Corrections are applied first, see `corrected`.
+
         Args:
             reference: the lidar or camera whose frames are counted, by its id; "lidar" and "camera" are the first ones.
             cameras: whose pictures a sample holds: "all", an id, or several; () for none.
@@ -141,7 +161,7 @@ class Scene:
         from sceneloom.scene.samples import samples_of
 
         return samples_of(
-            self,
+            self.corrected(),
             reference=reference,
             cameras=cameras,
             depth_cameras=depth_cameras,
@@ -150,6 +170,53 @@ class Scene:
             trajectory=trajectory,
             tolerance_ns=tolerance_ns,
         )
+
+    @property
+    def pending_corrections(self) -> tuple[CameraCalibration | LocalizationAdjustment, ...]:
+        """The camera calibrations of its cameras and the localization adjustments, which are not applied yet."""
+        cameras = {key_of(sensor.id) for sensor in self.sensors if isinstance(sensor, CameraSensor)}
+        return tuple(
+            annotation
+            for annotation in self.annotations
+            if isinstance(annotation, LocalizationAdjustment)
+            or (isinstance(annotation, CameraCalibration) and key_of(annotation.sensor_id) in cameras)
+        )
+
+    def corrected(self) -> Self:
+        """Give the scene that is computed with: corrections applied, each with a notice, and their annotations gone.
+
+        Frames are still read when they are asked for. Everything that computes calls this; a scene without corrections
+        is given as it is. Of one whose `corrections` are to be ignored, notices say so, and the annotations stay.
+
+        Raises:
+            OptionError: some sensors are in the world and some on the ego, so that it is not clear what is adjusted.
+            DataError: a frame that this needs cannot be read.
+
+        Source: READINGS of "camera_calibration" and "localization_adjustment" in docs/CONVENTIONS.md.
+        """
+        pending = self.pending_corrections
+        if not pending:
+            return self
+        if self.corrections is Corrections.APPLY:
+            corrected: Self = import_module(_APPLYING).corrected_scene(self)
+            return corrected
+        known = {(notice.code, notice.place) for notice in self.notices}
+        told = [
+            Notice(
+                kind=NoticeKind.SKIPPED,
+                code="correction-not-applied",
+                place=f"annotations[{annotation.id}]",
+                message=f"{annotation.type} left off, as was asked for",
+            )
+            for annotation in pending
+        ]
+        new = [notice for notice in told if (notice.code, notice.place) not in known]
+        return replace(self, notices=(*self.notices, *new)) if new else self
+
+    @property
+    def correction_notices(self) -> tuple[Notice, ...]:
+        """Of the notices those about corrections that were applied or left off."""
+        return tuple(notice for notice in self.notices if notice.code.startswith("correction-"))
 
     @property
     def lidars(self) -> tuple[LidarSensor, ...]:

@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.scene.annotations.corrections import effect_of
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
 from sceneloom.scene.depth import DepthCameraSensor
@@ -70,6 +71,14 @@ class TrajectorySummary(msgspec.Struct, frozen=True, kw_only=True):
     oriented: bool
 
 
+class CorrectionSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """A correction of the scene that is applied by everything that computes with it: which one, and what it changes."""
+
+    id: Identifier
+    type: str
+    effect: str
+
+
 class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
     """A scene.
 
@@ -83,6 +92,7 @@ class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
         trajectories: all of them, the default one first.
         annotations: how many of each type.
         notices: what was assumed, repaired or left out.
+        corrections: what is not applied yet.
     """
 
     source: str
@@ -94,6 +104,7 @@ class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
     trajectories: tuple[TrajectorySummary, ...]
     annotations: dict[str, int]
     notices: tuple[Notice, ...]
+    corrections: tuple[CorrectionSummary, ...] = ()
 
 
 def _span_of_ways(scene: Scene) -> tuple[int, int] | None:
@@ -131,6 +142,10 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
         ),
         annotations={kind: types.count(kind) for kind in sorted(set(types))},
         notices=scene.notices,
+        corrections=tuple(
+            CorrectionSummary(id=correction.id, type=correction.type, effect=effect_of(correction))
+            for correction in scene.pending_corrections
+        ),
     )
 
 

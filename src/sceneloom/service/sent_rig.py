@@ -82,6 +82,7 @@ def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None
         DataError: there are no lidars or no cameras, or too many sensors.
         PoseError: it is not known where a sensor is.
     """
+    scene = scene.corrected()
     at_once = frozenset(lidar.id for lidar in scene.lidars if lidar.points_frame is PointsFrame.WORLD)
     if at_once:
         scene = to_sensor(scene, trajectory=trajectory, heading=heading)

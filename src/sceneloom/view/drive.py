@@ -94,6 +94,7 @@ def prepare_drive(
         PoseError: the named trajectory cannot be used.
     """
     told = Told()
+    scene = scene.corrected()
     reference_ns = _reference_ns(scene)
     chosen = _with_sensors(scene, settings.sensors)
     part = cut_scene(chosen, start=settings.start, stop=settings.stop)

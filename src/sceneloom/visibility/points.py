@@ -109,6 +109,7 @@ def count_points(
         raise OptionError(f"moment {str(moment)!r}; expected one of {', '.join(Moment)}")
     if not 0.0 <= margin < _FARTHEST:
         raise OptionError(f"margin {margin} m; expected a number from 0 on")
+    scene = scene.corrected()
     chosen = chosen_sensors(scene, "lidar", scene.lidars, lidars)
     if not scene.lidars:
         raise OptionError(f"{scene.source}: has no lidar whose points could be counted")

@@ -104,6 +104,7 @@ def project_cuboids(
         PoseError: it is not known where a chosen camera was, or any.
         DataError: a picture cannot be read.
     """
+    scene = scene.corrected()
     chosen = chosen_sensors(scene, "camera", scene.cameras, cameras)
     if not scene.cameras:
         raise OptionError(f"{scene.source}: has no camera that could see the cuboids")

@@ -9,6 +9,7 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.fusion.messages.json_form import parse_json
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import (
     CameraSpec,
     Faults,
@@ -66,6 +67,29 @@ def test_a_turned_camera_is_refined_and_written_as_table_3(call, turned, tmp_pat
     assert np.linalg.norm(turn) == pytest.approx(np.linalg.norm([0.5, 0.6, 0.4]), abs=0.15)
     written = np.reshape(parse_json(out.read_bytes()).extrinsic_matrix, (4, 4)).T
     np.testing.assert_allclose(written, report["transform"], atol=1e-9)
+
+
+def test_what_computes_with_a_refined_scene_uses_the_refined_calibration(call, turned, tmp_path):
+    refined, fused = tmp_path / "refined.sfs", tmp_path / "fused.sfs"
+    outcome = call("calibrate", turned, "--refine", "--parameters", "rotation", "-o", refined, "--json")
+    camera_from_lidar = np.array(json.loads(outcome.out)["transform"])
+    judged = json.loads(call("calibrate", refined, "--check", "--most", "2", "--json").out)
+    assert [notice["code"] for notice in judged["corrections"]] == ["correction-applied"]
+    told = call("fuse", refined, "-o", fused)
+    assert (told.code, "camera_calibration applied: camera 'camera0'" in told.err) == (0, True)
+    for path, expected in ((refined, camera_from_lidar), (fused, camera_from_lidar)):
+        with sceneloom.open(path) as scene:
+            lidar, camera = scene.corrected().sensor("lidar"), scene.corrected().sensor("camera0")
+            at_ns = camera.pictures.timestamps_ns[1:2]
+            camera_pose, lidar_pose = (path.interpolate(at_ns) for path in (camera.poses, lidar.poses))
+        found = pose_of(camera_pose).inverse() @ pose_of(lidar_pose)
+        np.testing.assert_allclose(
+            found.matrix, expected, atol=2e-3
+        )  # poses are written within 0.01 deg and 1 mm
+
+
+def pose_of(samples):
+    return RigidTransform.from_quaternion(samples.positions[0], samples.quaternions_xyzw[0])
 
 
 def test_what_cannot_be_refined_is_told_and_not_written(call, recording, tmp_path):

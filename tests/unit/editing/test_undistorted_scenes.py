@@ -16,6 +16,7 @@ from sceneloom.scene import (
     BoxPath,
     CameraCalibration,
     CameraSensor,
+    Corrections,
     CuboidAnnotation,
     CuboidPath,
     LazyFrames,
@@ -213,12 +214,16 @@ def test_only_cameras_can_be_undistorted(distorted):
         undistort_scene(Scene(()))
 
 
-def test_a_lens_that_an_annotation_replaces_is_to_be_applied_first():
-    calibration = CameraCalibration("better", "front", intrinsics=PINHOLE)
+def test_a_lens_that_an_annotation_replaces_is_applied_first_and_not_left_off():
+    calibration = CameraCalibration("better", "front", intrinsics=BARREL)
+    straight = undistort_scene(scene_of(PINHOLE, calibration))
+    assert (straight.annotations, straight.cameras[0].camera.model) == ((), "pinhole")
+    assert straight.metadata["sceneloom"]["undistorted"][0]["camera"]["model"] == BARREL.model
     with pytest.raises(
         OptionError, match=r"annotations\[better\] gives camera 'front' another lens; apply it first"
     ):
-        undistort_scene(scene_of(BARREL, calibration))
+        undistort_scene(replace(scene_of(BARREL, calibration), corrections=Corrections.IGNORE))
     of_another = CameraCalibration("better", "rear", intrinsics=PINHOLE)
     moved_only = CameraCalibration("moved", "front", time_offset_ns=5)
-    assert undistort_scene(scene_of(BARREL, of_another, moved_only)).annotations == (of_another, moved_only)
+    left_off = replace(scene_of(BARREL, of_another, moved_only), corrections=Corrections.IGNORE)
+    assert undistort_scene(left_off).annotations == (of_another, moved_only)

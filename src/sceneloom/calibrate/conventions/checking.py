@@ -65,13 +65,15 @@ def check_file(
         PoseError: the scene's points cannot be brought to the time of its pictures.
     """
     extrinsics = read_extrinsics(path)
+    scene = None if scene is None else scene.corrected()
     frames = () if scene is None else calibration_frames(scene, camera_id, lidar_id, MOST_FRAMES)
     found = []
     for number, extrinsic in enumerate(extrinsics, start=1):
         found.append(_judged(extrinsic, frames))
         if progress is not None:
             progress(number, len(extrinsics))
-    return ConventionsReport(source=str(path), extrinsics=tuple(found))
+    told = () if scene is None else scene.correction_notices
+    return ConventionsReport(source=str(path), extrinsics=tuple(found), corrections=told)
 
 
 def check_drive(scene: Scene, *, progress: Progress | None = None) -> ConventionsReport:
@@ -80,6 +82,7 @@ def check_drive(scene: Scene, *, progress: Progress | None = None) -> Convention
     Raises:
         DataError: a picture or a sweep cannot be read.
     """
+    scene = scene.corrected()
     lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
     cameras = [camera for camera in scene.cameras if len(camera.pictures)]
     pairs = [(camera, lidar) for lidar in lidars[:1] for camera in cameras]
@@ -100,6 +103,7 @@ def check_drive(scene: Scene, *, progress: Progress | None = None) -> Convention
             for lidar in lidars
         ),
         times=tuple(_times(scene)),
+        corrections=scene.correction_notices,
     )
 
 

@@ -3,6 +3,7 @@
 import msgspec
 
 from sceneloom.calibrate.conventions.deciding import Decision
+from sceneloom.scene import Notice
 
 
 class ExtrinsicFound(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,12 +66,14 @@ class ConventionsReport(msgspec.Struct, frozen=True, kw_only=True):
         extrinsics: what each one means.
         points: the frames of the points, of a drive.
         times: the units of the stamps, of a drive.
+        corrections: what was made of the drive's corrections before.
     """
 
     source: str
     extrinsics: tuple[ExtrinsicFound, ...]
     points: tuple[PointsFound, ...] = ()
     times: tuple[TimesFound, ...] = ()
+    corrections: tuple[Notice, ...] = ()
 
     @property
     def wrong(self) -> bool:

@@ -15,7 +15,7 @@ from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
 from sceneloom.calibrate.measures.agreement import MEASURES, Agreement
 from sceneloom.calibrate.measures.candidate import COUNT, Change
 from sceneloom.calibrate.measures.features import FrameFeatures
-from sceneloom.scene import Identifier, Scene
+from sceneloom.scene import Identifier, Notice, Scene
 
 DISTINCT = 4.5
 """Deviations above chance from which on pictures and sweeps agree; the best of some hundred chances reaches 3.3."""
@@ -52,6 +52,7 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
         measures: how far each measure stands above chance, under the stated calibration and under the best one.
         change: what leads from the stated calibration to the best one, as `Change.numbers`; zeros where that cannot be
             told.
+        corrections: what was made of the drive's corrections before; what is judged is what they leave.
     """
 
     source: str
@@ -65,6 +66,7 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
     stated_distinctness: float
     measures: dict[str, tuple[float, float]]
     change: tuple[float, ...] = (0.0,) * COUNT
+    corrections: tuple[Notice, ...] = ()
 
     def item(self, name: str) -> Item:
         """The part of that name."""
@@ -90,7 +92,9 @@ def check_calibration(
         PoseError: it is not known how the camera lies to the lidar.
         DataError: a picture or a sweep cannot be read.
     """
-    return check_frames(calibration_frames(scene, camera_id, lidar_id, most), source=scene.source)
+    scene = scene.corrected()
+    health = check_frames(calibration_frames(scene, camera_id, lidar_id, most), source=scene.source)
+    return msgspec.structs.replace(health, corrections=scene.correction_notices)
 
 
 def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") -> CalibrationHealth:

@@ -54,16 +54,17 @@ def count(
     details: dict[str, Any] = {}
 
     def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
+        scene = scenes[0].corrected()
         counts = count_points(
-            scenes[0],
-            lidars=known_ids(scenes[0], lidars) or "all",
+            scene,
+            lidars=known_ids(scene, lidars) or "all",
             moment=at,
-            trajectory=chosen_way(scenes[0], trajectory, heading),
+            trajectory=chosen_way(scene, trajectory, heading),
             listed=labeled_points,
             margin=margin,
         )
         details.update(_told(counts))
-        counted = with_counts(scenes[0], counts)
+        counted = with_counts(scene, counts)
         counted = with_activations(counted, counts) if activations else counted
         return with_labeled_points(counted, counts) if labeled_points else counted
 

@@ -24,6 +24,7 @@ class SfsFormat:
     reads_urls = True
     looks_like = "a file that begins with the JSON header of a scene"
     holds = HOLDS
+    holds_corrections = True
 
     def recognises(self, path: Path) -> bool:
         """Say whether a file begins with the header of a scene."""

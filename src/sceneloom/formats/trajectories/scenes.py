@@ -8,12 +8,12 @@ import numpy as np
 
 from sceneloom.arrays import read_only
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.formats.table import Format
+from sceneloom.formats.table import Format, chosen_corrections
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile
 from sceneloom.formats.trajectories.gnss import of_fixes
 from sceneloom.motion.gnss_receivers import usable_fixes
 from sceneloom.motion.trajectories import GNSS, RESERVED
-from sceneloom.scene import GnssSensor, Notice, NoticeKind, Scene, Trajectory
+from sceneloom.scene import Corrections, GnssSensor, Notice, NoticeKind, Scene, Trajectory
 from sceneloom.scene.types import Progress
 
 FIXES = "fixes"
@@ -44,7 +44,10 @@ def read_scene_trajectory(
         OptionError: there is none of that name.
         PoseError: there is none at all, or it cannot be found.
     """
-    with form.open(place, **options) as scene:
+    further = dict(options)
+    chosen = chosen_corrections(further.pop("corrections", Corrections.APPLY))
+    with form.open(place, **further) as opened:
+        scene = replace(opened, corrections=chosen).corrected()
         found = _named(scene, reading, progress)
     return TrajectoryFile(
         found.trajectory,

@@ -40,6 +40,7 @@ def save_annotation_pictures(
         OutputError: the folder has something in it and `overwrite` is not said, or it cannot be written.
         DataError: a sweep or picture cannot be read.
     """
+    scene = scene.corrected()
     with filling(folder, overwrite=overwrite) as drafts:
         drawings = list(_drawings(scene, at))
         for name, draw in drawings:

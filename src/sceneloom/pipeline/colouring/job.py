@@ -81,6 +81,7 @@ def colour(
     wanted = wanted if output is None else replace(wanted, map=Path(output))
     wanted.check()
     check_has_lidar(scene, "colouring needs")
+    scene = scene.corrected()
     woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
     job = _Job(woven, scene, chosen, Skips() if lenient else None, progress)
     with telling(job.skips), ExitStack() as stack:

@@ -21,6 +21,8 @@ from sceneloom.formats.table import (
     format_named,
     format_names,
     open_scene,
+    scene_for,
+    write_in,
     writes,
     written_formats,
 )
@@ -199,6 +201,7 @@ def _refuse_part(place: str | Path, reading: Mapping[str, Any]) -> None:
 def _write_scene(
     source: str | Path, scene: Scene, writer: Format, target: _Target, progress: Progress | None
 ) -> ConversionReport:
+    scene = scene_for(writer, scene)
     counting = Counting(_telling(scene, progress))
     holds: Holds = getattr(writer, "holds", {})
     blank = ConversionReport(
@@ -223,7 +226,7 @@ def _write_scene(
 
 
 def _written_scene(writer: Format, scene: Scene, place: Path, **writing: Any) -> LossReport:
-    return writer.write(scene, place, **writing)
+    return write_in(writer, scene, place, **writing)
 
 
 def _written(

@@ -23,7 +23,7 @@ from sceneloom.scene.counting import contents_of
 from sceneloom.scene.types import Progress
 
 _WRITING = ("optical", "origin_lla")
-_OF_FILES = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical")
+_OF_FILES = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical", "corrections")
 """Reading options that are about trajectories, not about scenes."""
 
 

@@ -136,6 +136,7 @@ def plan_deskew(
     """
     if at not in MOMENTS:
         raise OptionError(f"at {at!r}; expected one of {', '.join(MOMENTS)}")
+    scene = scene.corrected()
     _chosen_lidars(scene, lidar)
     part = cut_scene(scene, start=start, stop=stop)
     if skips is not None:

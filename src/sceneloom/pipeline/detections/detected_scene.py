@@ -72,6 +72,7 @@ def scene_drive(
     """
     if not files.boxes_3d and not files.boxes_2d:
         raise OptionError(f"{scene.source}: no boxes; name files of them with --boxes3d, --boxes2d or both")
+    scene = scene.corrected()
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         lidar = _chosen(scene, files.lidar)

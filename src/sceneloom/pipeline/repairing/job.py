@@ -81,6 +81,7 @@ def refine_drive(
         OutputError: the target exists, or cannot be written.
     """
     _check_target(target, form, overwrite=overwrite)
+    scene = scene.corrected()
     frames = calibration_frames(scene, camera, lidar, most)
     found = refine(frames, parameters=parameters, progress=progress)
     if pictures is not None:
@@ -115,6 +116,7 @@ def mount_lidar(
         OutputError: the target exists, or cannot be written.
     """
     _check_target(target, form, overwrite=overwrite)
+    scene = scene.corrected()
     result = lidar_to_ego(scene, lidar, trajectory=trajectory, progress=progress)
     mounting = result.found.mounting
     stated = result.stated or RigidTransform.identity()
@@ -152,6 +154,7 @@ def align_lidars(
         OutputError: the target exists, or cannot be written.
     """
     _check_target(target, form, overwrite=overwrite)
+    scene = scene.corrected()
     result = lidar_to_lidar(scene, onto, lidar, most=most, progress=progress)
     ids = str(result.first_id), str(result.second_id)
     stated = result.stated or RigidTransform.identity()
@@ -190,6 +193,7 @@ def calibrate_by_target(
         OutputError: the target exists, or cannot be written.
     """
     _check_target(target, form, overwrite=overwrite)
+    scene = scene.corrected()
     wanted = Board.parse(board)
     views = list(board_views(scene, wanted, camera, lidar, most=most, progress=progress))
     mounting = start_from_target(views, wanted)
@@ -274,6 +278,8 @@ def _written(
     *,
     overwrite: bool,
 ) -> RepairReport:
+    told = tuple(notice.message for notice in scene.correction_notices)
+    report = msgspec.structs.replace(report, remarks=(*report.remarks, *told))
     if target is None or report.verdict != RefinementVerdict.REFINED:
         return report
     chosen = write_calibration(scene, repair, target, form=form, overwrite=overwrite)

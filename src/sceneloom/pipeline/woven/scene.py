@@ -78,6 +78,7 @@ def weave(
         OptionError: the trajectory is not known, the sensors carry their own poses, or the part is empty.
         DataError: the frames or pictures of a sensor do not stand in the order of their times.
     """
+    scene = scene.corrected()
     _check_order(scene)
     check_lenses(scene, [camera for camera in scene.cameras if len(camera.pictures)])
     scene = annotations_to_world(scene, trajectory=trajectory, heading=heading)

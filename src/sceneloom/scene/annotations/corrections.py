@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from sceneloom.cameras.camera import Camera
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import NO_FIELDS, Identifier
@@ -68,6 +70,26 @@ class CameraCalibration:
     def type(self) -> str:
         """`camera_calibration`."""
         return "camera_calibration"
+
+
+def effect_of(correction: LocalizationAdjustment | CameraCalibration) -> str:
+    """Say what a correction changes, in figures."""
+    if isinstance(correction, LocalizationAdjustment):
+        return f"all poses and points in the world change, {_size(correction.poses)}"
+    parts = []
+    if correction.poses is not None:
+        parts.append(f"extrinsics change, {_size(correction.poses)}")
+    if correction.intrinsics is not None:
+        parts.append("intrinsics are replaced")
+    if correction.time_offset_ns:
+        parts.append(f"timestamps change by {correction.time_offset_ns / 1e6:+g} ms")
+    return f"camera {correction.sensor_id!r}: {'; '.join(parts) or 'nothing changes'}"
+
+
+def _size(poses: PosePath) -> str:
+    farthest = float(np.linalg.norm(poses.positions, axis=1).max())
+    cosine = np.clip(np.abs(poses.quaternions_xyzw[:, 3]), 0.0, 1.0)
+    return f"by at most {farthest:.3g} m and {float(np.degrees(2.0 * np.arccos(cosine)).max()):.3g} deg"
 
 
 def _held(poses: PosePath) -> PosePath:

@@ -1,0 +1,423 @@
+"""Corrections of a scene, through every verb: what computes applies them, other edits keep them, nothing does twice."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.catalog.drafts import read_draft
+from sceneloom.catalog.drives import read_drive
+from sceneloom.cli.main import sceneloom as command_line
+from sceneloom.formats.trajectories import read_trajectory
+from sceneloom.fusion.messages.json_form import format_json
+from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pipeline.checked_calibration import check_drive
+from sceneloom.scene import CameraCalibration, CuboidAnnotation, LocalizationAdjustment, PosePath, Scene
+from sceneloom.service.sent_rig import sent_rig
+from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
+from sceneloom.view.drive import prepare_drive
+from sceneloom.view.settings import ViewSettings
+
+LENS = Camera("brown_conrady", 160, 96, 90.0, 90.0, 79.5, 47.5, (-0.1, 0.02, 0.0, 0.0, 0.0))
+WRONG_LENS = replace(LENS, fx=97.0, fy=97.0)
+TURNED = RigidTransform.from_quaternion(np.array([0.3, 0.1, -0.2]), np.array([0.0, 0.05, 0.0, 0.9987492178]))
+MOVED = RigidTransform.from_quaternion(np.array([40.0, -7.0, 1.5]), np.array([0.0, 0.0, 0.6, 0.8]))
+LATER_NS = 3_000_000
+
+
+def constant(transform: RigidTransform) -> PosePath:
+    """The same at all times."""
+    return PosePath(np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None])
+
+
+def with_corrections(
+    scene: Scene, turned: RigidTransform, lens: Camera, later_ns: int, moved: RigidTransform
+) -> Scene:
+    camera = CameraCalibration("mounted", "camera0", constant(turned), lens, later_ns)
+    world = LocalizationAdjustment("placed", constant(moved))
+    return replace(scene, annotations=(*scene.annotations, camera, world))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive that is right, the same wrong by known corrections, and that with the annotations that mend it."""
+    folder = tmp_path_factory.mktemp("corrected")
+    lidar = LidarSpec(beams=16, steps=240)
+    drive = simulate_street(1, frames=3, lidar=lidar, cameras=(CameraSpec(LENS),))
+    labels = [annotation for annotation in drive.scene.annotations if annotation.label == "car"]
+    sceneloom.write(replace(drive.scene, annotations=tuple(labels[:6])), folder / "right.sfs")
+    with sceneloom.open(folder / "right.sfs") as right:
+        opposite = with_corrections(right, TURNED.inverse(), WRONG_LENS, -LATER_NS, MOVED.inverse())
+        wrong = replace(sceneloom.apply_corrections(opposite), metadata=right.metadata, notices=())
+        sceneloom.write(wrong, folder / "wrong.sfs")
+    with sceneloom.open(folder / "wrong.sfs") as wrong:
+        mended = with_corrections(wrong, TURNED, LENS, LATER_NS, MOVED)
+        sceneloom.write(mended, folder / "mended.sfs")
+    for name, reports, record in (
+        ("boxes3d.jsonl", detect_3d(drive), boxes_3d_record),
+        ("boxes2d.jsonl", detect_2d(drive), boxes_2d_record),
+    ):
+        lines = [format_json(record(report.boxes, sensor_id=0, seq=k)) for k, report in enumerate(reports)]
+        (folder / name).write_text("\n".join(lines))
+    sceneloom.convert(folder / "right.sfs", folder / "right.tum")
+    return folder
+
+
+def numbers_of(value: Any) -> Iterator[float]:
+    """All numbers of something read from JSON, in order."""
+    if isinstance(value, dict):
+        for key in sorted(value):
+            if key not in {"seconds", "stages", "size_bytes", "notices"}:
+                yield from numbers_of(value[key])
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from numbers_of(item)
+    elif isinstance(value, int | float):
+        yield float(value)
+
+
+def figures_of_scene(path: Path | Scene) -> np.ndarray:
+    """Where the camera and the cuboids are, what the camera is, when its pictures were taken; colours of points."""
+    scene = path if isinstance(path, Scene) else sceneloom.open(path)
+    found: list[Any] = []
+    with scene:
+        assert not scene.pending_corrections
+        (camera,) = scene.cameras
+        shift = np.array(scene.metadata.get("sceneloom", {}).get("world_from_file", np.eye(4)))[:3, 3]
+        found += [camera.camera.fx, *(1e-6 * camera.pictures.timestamps_ns)]
+        samples = scene.samples(reference=camera.id)
+        for sample in samples:
+            pose = sample.poses.world_from_sensor[camera.id]
+            found += [*pose.matrix[:3, :3].ravel(), *(pose.translation + shift)]
+        for annotation in scene.annotations:
+            if isinstance(annotation, CuboidAnnotation):
+                found += (annotation.path.values[:, 3:6] + shift).ravel().tolist()
+                found += [np.nansum(part.boxes) for part in annotation.projections]
+    return np.array(found, np.float64)
+
+
+def colours_of(path: Path) -> np.ndarray:
+    with sceneloom.open(path) as scene:
+        frames = [frame.points for frame in scene.lidars[0].frames]
+        return np.array([float(points.colors.mean()) for points in frames])
+
+
+Figures = Callable[[Callable[..., Any], Path, Path, tuple[str, ...]], Any]
+"""Runs a verb of a drive, with further options, and gives numbers of what came of it."""
+
+
+def ran(call: Callable[..., Any], *words: object, codes: tuple[int, ...] = (0,)) -> Any:
+    outcome = call(*words)
+    assert outcome.code in codes, outcome.err
+    told = "applied: " if "--no-corrections" not in words else "left off"
+    assert told in outcome.err + outcome.out, "it says nothing of the corrections"
+    return outcome
+
+
+def scene_verb(*words: str, reads: Callable[[Path], Any] = figures_of_scene) -> Figures:
+    def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+        ran(call, *words, drive, "-o", out / "out.sfs", *further)
+        with sceneloom.open(out / "out.sfs") as scene:
+            kept = {annotation.id for annotation in scene.annotations} & {"mounted", "placed"}
+        assert kept == ({"mounted", "placed"} if further else set())
+        return reads(without_corrections(out / "out.sfs", out))
+
+    return run
+
+
+def without_corrections(path: Path, folder: Path) -> Path:
+    """The scene with the annotations of corrections taken out, as it lies."""
+    with sceneloom.open(path) as scene:
+        left = tuple(a for a in scene.annotations if a.id not in {"mounted", "placed"})
+        sceneloom.write(replace(scene, annotations=left), folder / "bare.sfs", overwrite=True)
+    return folder / "bare.sfs"
+
+
+def converted(target: str, *words: str) -> Figures:
+    def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+        ran(call, "convert", drive, out / target, *words, *further)
+        return figures_of_scene(out / target)
+
+    return run
+
+
+def converted_text(target: str, *words: str, text: str) -> Figures:
+    def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+        ran(call, "convert", drive, out / target, *words, *further)
+        content = (out / target / text if text else out / target).read_text()
+        if (text or target).endswith(".json"):
+            return list(numbers_of(json.loads(content)))
+        rows = (line.split() for line in content.splitlines() if line and not line.startswith("#"))
+        return [float(word) for row in rows for word in row if word.replace(".", "").lstrip("-").isdigit()]
+
+    return run
+
+
+def told_json(*words: str, key: str | None = None, codes: tuple[int, ...] = (0,)) -> Figures:
+    def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+        del out
+        told = json.loads(ran(call, *words, drive, "--json", *further, codes=codes).out)
+        return list(numbers_of(told if key is None else told[key]))
+
+    return run
+
+
+def fused_detections(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    lists = ("--boxes3d", drive.parent / "boxes3d.jsonl", "--boxes2d", drive.parent / "boxes2d.jsonl")
+    told = ran(
+        call, "fuse", drive, "--type", "detection", *lists, "-o", out / "o.jsonl", "--json", *further
+    ).out
+    return [json.loads(told)["drives"][0]["both"]]
+
+
+def tracked(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    lists = ("--boxes3d", drive.parent / "boxes3d.jsonl", "--boxes2d", drive.parent / "boxes2d.jsonl")
+    ran(call, "track", drive, *lists, "--format", "sfs", "-o", out / "out.sfs", *further)
+    return figures_of_scene(without_corrections(out / "out.sfs", out))
+
+
+def synced(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    ran(call, "sync", drive, "--streams", "groundTruth", "--apply", out / "out.sfs", *further)
+    return figures_of_scene(without_corrections(out / "out.sfs", out))
+
+
+def depths(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    ran(call, "depth", drive, "-o", out / "depth", "--form", "npz", "--method", "sparse", *further)
+    files = sorted((out / "depth").rglob("*.npz"))
+    return [float(sum(np.nansum(array) for array in np.load(file).values())) for file in files]
+
+
+def map_colours(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    ran(call, "colour", drive, "-o", out / "map.sfs", "--only-coloured", *further)
+    with sceneloom.open(out / "map.sfs") as scene:
+        (points,) = (sensor for sensor in scene.sensors if sensor.type == "points")
+        return [len(points.positions) / 100, *points.colors.mean(axis=0).tolist()]
+
+
+def drawn(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    call("info", drive, "--pictures", out / "drawn", *further)
+    from PIL import Image
+
+    return [float(np.asarray(Image.open(out / "drawn" / "camera_camera0.png"), np.float64).mean())]
+
+
+def catalogued(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    del call
+    reading = {"corrections": "ignore"} if further else {}
+    read_drive(str(drive), out, {"scene": "x", "stamp": "", "checks": "none", "reading": reading})
+    table = read_draft(out, "annotations")
+    return list(numbers_of(table.to_pydict()))
+
+
+def trajectory(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    ran(call, "convert", drive, out / "way.tum", *further)
+    return read_trajectory(out / "way.tum").positions
+
+
+def compared_trajectory(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    del out
+    words = ("eval", "trajectory", drive, drive.parent / "right.tum", "--align", "none", "--json", *further)
+    return [json.loads(ran(call, *words).out)["absolute"]["translation"]["rms"]]
+
+
+def sent(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    del call, out
+    with sceneloom.open(drive, **({"corrections": "ignore"} if further else {})) as scene:
+        (entry,) = sent_rig(scene).calibrations
+        return [*entry.data.extrinsic_matrix, *entry.data.intrinsic_matrix]
+
+
+def checked(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    del call, out
+    with sceneloom.open(drive, **({"corrections": "ignore"} if further else {})) as scene:
+        found = check_drive(scene, most=1)
+    assert len(found.health.corrections) == 2 * (drive.name == "mended.sfs")
+    return found.frames[0].camera_from_lidar.matrix
+
+
+def viewed(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+    del call, out
+    with sceneloom.open(drive, **({"corrections": "ignore"} if further else {})) as scene:
+        return figures_of_scene(
+            replace(prepare_drive(scene, "x", ViewSettings()).scene, annotations=(), on_close=lambda: None)
+        )
+
+
+COMPUTING: dict[str, Figures] = {
+    "fuse": scene_verb("fuse"),
+    "fuse, colours": scene_verb("fuse", reads=colours_of),
+    "fuse, detections": fused_detections,
+    "colour": map_colours,
+    "depth": depths,
+    "track": tracked,
+    "sync": synced,
+    "edit count": scene_verb("edit", "count"),
+    "edit project": scene_verb("edit", "project"),
+    "edit deskew": scene_verb("edit", "deskew"),
+    "calibrate --check": checked,
+    "calibrate --refine": told_json("calibrate", "--refine", key="transform", codes=(0, 3, 5)),
+    "report": told_json("report", "--quick", "--pictures", "0", key="fusion"),
+    "info --pictures": drawn,
+    "eval trajectory": compared_trajectory,
+    "send": sent,
+    "view": viewed,
+    "catalog build": catalogued,
+    "convert to a trajectory": trajectory,
+    "convert to recording": converted("out"),
+    "convert to mcap": converted("out.mcap"),
+    "convert to ros2": converted("out", "--to", "ros2"),
+    "convert to nuscenes": converted("out", "--to", "nuscenes"),
+    "convert to openlabel": converted_text("out.json", "--to", "openlabel", text=""),
+    "convert to kitti-tracking": converted("out", "--to", "kitti-tracking"),
+    "convert to colmap": converted_text("out", "--to", "colmap", text="sparse/0/images.txt"),
+    "convert to nerfstudio": converted_text("out", "--to", "nerfstudio", text="transforms.json"),
+}
+"""What everything that computes makes of a drive, in figures that depend on its corrections."""
+
+
+@pytest.mark.parametrize("verb", COMPUTING)
+def test_a_verb_that_computes_gives_for_a_corrected_drive_what_it_gives_for_the_right_one(
+    verb: str, call: Callable[..., Any], files: Path, tmp_path: Path
+) -> None:
+    def figures(name: str, *further: str) -> np.ndarray:
+        out = tmp_path / f"{name}{len(further)}"
+        out.mkdir()
+
+        def quiet(*words: object) -> Any:
+            outcome = call(*words)
+            if name != "mended.sfs":  # has nothing to say
+                return replace_err(outcome)
+            return outcome
+
+        return np.asarray(COMPUTING[verb](quiet, files / name, out, further), np.float64)
+
+    right, wrong = figures("right.sfs"), figures("wrong.sfs")
+    assert right.shape != wrong.shape or np.nanmax(np.abs(right - wrong)) > 1e-2, "the figures tell nothing"
+    np.testing.assert_allclose(figures("mended.sfs"), right, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(figures("mended.sfs", "--no-corrections"), wrong, rtol=2e-3, atol=2e-3)
+
+
+def replace_err(outcome: Any) -> Any:
+    return type(outcome)(outcome.code, outcome.out, outcome.err + "applied: left off")
+
+
+KEEPING = frozenset(
+    {
+        *("info", "validate", "diff", "edit apply", "edit blur", "edit crop", "edit merge", "edit relative"),
+        *("edit simplify", "edit thin", "edit to-ego", "edit to-sensor", "edit to-world"),
+    }
+)
+"""Verbs that read a drive, and do not compute with where its cameras are: corrections stay what they are."""
+FURTHER = frozenset({"edit undistort", "edit lens", "catalog update", "calibrate"})
+"""Verbs that compute and are tested below, or under the name of one of their modes."""
+
+
+def commands(group: click.Group, *names: str) -> Iterator[tuple[str, click.Command]]:
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if isinstance(command, click.Group):
+            yield from commands(command, *names, name)
+        elif command is not None:
+            yield " ".join((*names, name)), command
+
+
+def test_every_verb_that_reads_a_drive_is_known_to_apply_corrections_or_to_keep_them() -> None:
+    computing = {name.split(",")[0].split(" --")[0].split(" to ")[0] for name in COMPUTING} | FURTHER
+    found = {
+        name
+        for name, command in commands(command_line)
+        if any(parameter.name == "corrections" for parameter in command.params)
+        and not name.startswith("batch ")  # the same verbs
+    }
+    assert found - computing - KEEPING == set(), "test them here: do they apply corrections?"
+    assert (computing | KEEPING) - found == set()
+
+
+@pytest.mark.parametrize("edit", ["crop", "thin", "simplify", "to-world"])
+def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_meaning(
+    edit: str, call: Callable[..., Any], files: Path, tmp_path: Path
+) -> None:
+    further = {"crop": ("--start", "0"), "thin": ("--voxel", "1")}.get(edit, ())
+    outcome = call("edit", edit, files / "mended.sfs", "-o", tmp_path / "out.sfs", *further)
+    assert outcome.code == 0, outcome.err
+    with sceneloom.open(tmp_path / "out.sfs") as scene, sceneloom.open(files / "right.sfs") as right:
+        assert {"mounted", "placed"} <= {annotation.id for annotation in scene.annotations}
+        np.testing.assert_allclose(
+            figures_of_scene(scene.corrected())[:40], figures_of_scene(right)[:40], atol=0.02
+        )
+
+
+def test_what_was_corrected_is_not_corrected_again(
+    call: Callable[..., Any], files: Path, tmp_path: Path
+) -> None:
+    first, second = tmp_path / "first.sfs", tmp_path / "second.sfs"
+    assert call("fuse", files / "mended.sfs", "-o", first).code == 0
+    outcome = call("fuse", first, "-o", second)
+    assert (outcome.code, "correction" in outcome.err) == (0, False)
+    np.testing.assert_allclose(figures_of_scene(second), figures_of_scene(first), atol=1e-5)
+    with sceneloom.open(second) as scene:
+        assert [entry["id"] for entry in scene.metadata["sceneloom"]["applied"]] == ["mounted", "placed"]
+
+
+@pytest.mark.parametrize("words", [("lens", "--model", "fisheye", "--limit", "9"), ("undistort",)])
+def test_a_new_lens_stands_for_the_corrected_one(
+    words: tuple[str, ...], call: Callable[..., Any], files: Path, tmp_path: Path
+) -> None:
+    found = []
+    for name in ("right", "mended"):
+        assert call("edit", *words, files / f"{name}.sfs", "-o", tmp_path / f"{name}.sfs").code == 0
+        with sceneloom.open(tmp_path / f"{name}.sfs") as scene:
+            assert not scene.pending_corrections
+            found.append(scene.cameras[0].camera)
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("to", ["recording", "mcap", "kitti-tracking", "nuscenes", "colmap", "openlabel"])
+def test_corrections_that_are_left_off_and_cannot_be_written_are_losses(
+    to: str, call: Callable[..., Any], files: Path, tmp_path: Path
+) -> None:
+    words = ("convert", files / "mended.sfs", tmp_path / "out", "--to", to, "--no-corrections")
+    told = json.loads(call(*words, "--json").out)
+    lost = {row["field"] for row in told["fields"] if row["fate"] == "dropped"}
+    assert {"annotations.camera_calibration", "annotations.localization_adjustment"} <= {
+        name for field in lost for name in (field, field.rpartition(".")[0])
+    }
+
+
+def test_the_library_applies_corrections_or_leaves_them_off(files: Path) -> None:
+    def figures(name: str, corrections: str = "apply") -> np.ndarray:
+        with sceneloom.open(files / name, corrections=corrections) as scene:
+            ego = sceneloom.find_ego_motion(scene)
+            fused = next(iter(sceneloom.iter_fused(scene)))
+            seen = sceneloom.project_cuboids(scene)
+            pose = scene.samples(reference="camera0")[1].poses.world_from_sensor["camera0"]
+            boxes = [
+                np.nansum(part.boxes) for a in seen.annotations for part in getattr(a, "projections", ())
+            ]
+            colours = fused.points.colors
+            return np.array([*ego.path.positions[1], *pose.matrix.ravel(), *boxes, *colours.mean(axis=0)])
+
+    np.testing.assert_allclose(figures("mended.sfs"), figures("right.sfs"), rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(figures("mended.sfs", "ignore"), figures("wrong.sfs"), rtol=2e-3, atol=2e-3)
+    assert np.abs(figures("right.sfs")[:19] - figures("wrong.sfs")[:19]).max() > 1.0
+    with pytest.raises(sceneloom.SceneloomError, match="apply, ignore"):
+        sceneloom.open(files / "mended.sfs", corrections="twice")
+
+
+def test_validate_and_info_list_corrections_and_change_nothing(call: Callable[..., Any], files: Path) -> None:
+    told = json.loads(call("info", files / "mended.sfs", "--json").out)
+    assert [entry["id"] for entry in told["corrections"]] == ["mounted", "placed"]
+    assert "camera 'camera0'" in call("info", files / "mended.sfs").out
+    findings = json.loads(call("validate", files / "mended.sfs", "--json").out)["findings"]
+    listed = [finding for finding in findings if finding["rule"] == "corrections-not-applied"]
+    assert len(listed) == 2
+    assert {finding["severity"] for finding in listed} == {"hint"}

@@ -19,7 +19,7 @@ from sceneloom.editing.references import (
     with_sensor_ids,
     with_sensor_parent,
 )
-from sceneloom.editing.same_world import in_words_of, in_world_of, merged_metadata
+from sceneloom.editing.same_world import different_drives, in_words_of, in_world_of, merged_metadata
 from sceneloom.editing.sameness import contradicting, differing_fields, is_same
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
@@ -47,7 +47,9 @@ _LISTED = ("deskew", "unfused", "extrapolated", "to_ego", "applied")
 """Our entries of the metadata that are lists, of which a merged scene has all."""
 
 
-def merge_scenes(scenes: Sequence[Scene], *, rename: bool = False, join: bool = False) -> Scene:
+def merge_scenes(
+    scenes: Sequence[Scene], *, rename: bool = False, join: bool = False, force: bool = False
+) -> Scene:
     """Make one scene of several of one drive on one clock.
 
     Scenes whose metadata say which world they were moved from are brought into the first one's. References follow the
@@ -57,18 +59,29 @@ def merge_scenes(scenes: Sequence[Scene], *, rename: bool = False, join: bool = 
     Args:
         scenes: two or more; what differs and can stand once only is the first one's, with a notice.
         rename: give new ids to sensors and annotations whose ids stand in an earlier scene, in place of refusing them.
+        force: merge scenes, too, that are of different drives by their cities, times, fixes or ego poses; each reason
+            is a notice then.
         join: take sensors and annotations of equal ids for consecutive parts of one: frames, poses and paths go on;
             frames with equal stamps and points are taken once.
 
     Raises:
-        OptionError: there are fewer than two, or ids, worlds or parts do not go together.
+        OptionError: there are fewer than two, they are of different drives, or ids, worlds or parts do not go together.
         DataError: a frame that this needs cannot be read.
     """
     if len(scenes) < 2:
         raise OptionError(f"{len(scenes)} scene to merge; expected two or more")
     merged = scenes[0]
     for scene in scenes[1:]:
-        placed = in_words_of(in_world_of(scene, merged), merged)
+        placed = in_world_of(scene, merged)
+        reasons = different_drives(merged, placed)
+        if reasons and not force:
+            raise OptionError(
+                f"{scene.source}: of another drive than {merged.source}: {'; '.join(reasons)}; expected parts of one "
+                "drive in one world; say `--force` to merge them all the same"
+            )
+        placed = in_words_of(placed, merged)
+        forced = [assumed("different-drives", scene.source, f"merged all the same: {why}") for why in reasons]
+        placed = with_notices(placed, forced)
         merged = _Merger(merged, rename=rename, join=join).with_scene(placed)
     return replace(
         merged,

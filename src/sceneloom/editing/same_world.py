@@ -1,4 +1,4 @@
-"""Scenes brought into the world and the words of another one, before they are merged with it."""
+"""Whether scenes are of one drive; and scenes in the world and the words of another one, before they are merged."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,16 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.frame_change import FrameChange
 from sceneloom.editing.moved_world import moved_world
 from sceneloom.editing.record import assumed, ours_of, with_notices, with_ours
 from sceneloom.editing.sameness import is_same
 from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.geometry.geodesy import ecef_from_geodetic
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Annotation, CuboidAnnotation, CuboidPath, Scene
+from sceneloom.scene import Annotation, CuboidAnnotation, CuboidPath, GnssSensor, Scene
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.span import frame_times
 
 WORLD_FROM_FILE = "world_from_file"
 """Our entry of the metadata with the transform that an earlier edit took off all places in the world."""
@@ -45,6 +47,102 @@ def in_world_of(scene: Scene, first: Scene) -> Scene:
         told = moved_world(told, FrameChange.constant(first_from_here))
     entry = ours_of(first).get(WORLD_FROM_FILE)
     return with_ours(told, **{WORLD_FROM_FILE: entry})
+
+
+_CITY_WORDS = frozenset({"city", "city_name", "location", "map_name"})
+"""Names of metadata that say where a drive was."""
+_LONGEST_GAP_S = 3600.0
+"""Parts of one drive are not further apart in time."""
+_FASTEST = 100.0
+"""No vehicle is faster [m/s]."""
+_SAME_PLACE = 100.0
+"""How far apart fixes or poses of one ego may be at one time [m]: receivers and their antennas differ."""
+
+
+def different_drives(first: Scene, second: Scene) -> list[str]:
+    """Say why two scenes in one world are not of one drive; empty where nothing speaks against it."""
+    reasons = []
+    here, there = _cities(first.metadata), _cities(second.metadata)
+    if here and there and here.isdisjoint(there):
+        reasons.append(f"it was in {', '.join(sorted(there))}, the other in {', '.join(sorted(here))}")
+    spans = _span_ns(first), _span_ns(second)
+    if None not in spans:
+        gap_s = (max(span[0] for span in spans if span) - min(span[1] for span in spans if span)) / 1e9
+        if gap_s > _LONGEST_GAP_S:
+            reasons.append(f"{_duration(gap_s)} are between them")
+    apart = _apart(_fixes(first), _fixes(second))
+    if apart is not None:
+        reasons.append(f"their satellite fixes are {apart / 1000:,.1f} km apart")
+    apart = _apart(_ego(first), _ego(second))
+    if apart is not None:
+        reasons.append(f"their egos are {apart:,.0f} m apart at one time")
+    return reasons
+
+
+def _cities(metadata: Mapping[str, Any], depth: int = 0) -> set[str]:
+    """What metadata call the place, in words without case."""
+    found: set[str] = set()
+    for name, value in metadata.items():
+        if isinstance(value, str) and value.strip() and name.lower() in _CITY_WORDS:
+            found.add(value.strip().casefold())
+        elif isinstance(value, Mapping) and depth < 3:
+            found |= _cities(value, depth + 1)
+    return found
+
+
+def _span_ns(scene: Scene) -> tuple[int, int] | None:
+    times = [stamps for sensor in scene.sensors if len(stamps := frame_times(sensor))]
+    times += [way.timestamps_ns for way in scene.trajectories.values() if len(way.timestamps_ns)]
+    if not times:
+        return None
+    return min(int(stamps.min()) for stamps in times), max(int(stamps.max()) for stamps in times)
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600:,.1f} h" if seconds < 172_800 else f"{seconds / 86_400:,.0f} days"
+
+
+Track = tuple[Int64Array, Float64Array] | None
+"""Times (N,) and places (N, 3) [m]."""
+
+
+def _fixes(scene: Scene) -> Track:
+    """The fixes of the first receiver on the ellipsoid, earth-centred."""
+    for sensor in scene.sensors:
+        if isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns):
+            lla = sensor.positions_lla
+            known = np.isfinite(lla).all(axis=1) & (np.abs(lla[:, 0]) <= 90) & (np.abs(lla[:, 2]) < 1e5)
+            if known.any():
+                return sensor.timestamps_ns[known], ecef_from_geodetic(lla[known])
+    return None
+
+
+def _ego(scene: Scene) -> Track:
+    way = next(iter(scene.trajectories.values()), None)
+    if way is None or not len(way.timestamps_ns) or not np.isfinite(way.positions).all():
+        return None
+    return way.timestamps_ns, way.positions
+
+
+def _apart(first: Track, second: Track) -> float | None:
+    """How far apart two ways are where an ego cannot be on both [m]; None where it can."""
+    if first is None or second is None:
+        return None
+    (times, places), (other_times, other_places) = first, second
+    inside = (other_times >= times[0]) & (other_times <= times[-1])
+    if inside.any():
+        with np.errstate(over="ignore", invalid="ignore"):
+            at = other_times[inside]
+            expected = np.column_stack([np.interp(at, times, places[:, axis]) for axis in range(3)])
+            apart = float(np.median(np.linalg.norm(other_places[inside] - expected, axis=1)))
+        return apart if apart > _SAME_PLACE else None
+    early, late = ((times, places), (other_times, other_places))
+    if other_times[-1] < times[0]:
+        early, late = late, early
+    with np.errstate(over="ignore"):
+        apart = float(np.linalg.norm(late[1][0] - early[1][-1]))
+    gap_s = (int(late[0][0]) - int(early[0][-1])) / 1e9
+    return apart if gap_s >= 0 and apart > _SAME_PLACE + _FASTEST * gap_s else None
 
 
 def world_from_file(scene: Scene) -> RigidTransform | None:

@@ -208,7 +208,7 @@ def whole_drive(drive, box):
     mend = LocalizationAdjustment("mend", drive.path(hz=10))
     scene = drive.scene(annotations=[car, labelled, body, shape, event, drawn, mend])
     imu = ImuSensor("imu", {"gyroscope": VectorSamples(times, np.arange(15.0).reshape(5, 3))})
-    gnss = GnssSensor("gnss", times, np.arange(15.0).reshape(5, 3), np.ones(5), np.ones(5))
+    gnss = GnssSensor("gnss", times, np.arange(15.0).reshape(5, 3) * 1e-6, np.ones(5), np.ones(5))
     return replace(to_world(scene), sensors=(*to_world(scene).sensors, imu, gnss), attributes=(attribute,))
 
 
@@ -354,14 +354,17 @@ def test_closing_the_merged_scene_closes_all(drive):
 
 def test_metadata_of_both_are_kept_and_differences_told(drive):
     first = only(
-        drive.scene(), "lidar", metadata={"city": "A", "sceneloom": {"applied": [{"id": 1}], "x": 1}}
+        drive.scene(), "lidar", metadata={"weather": "A", "sceneloom": {"applied": [{"id": 1}], "x": 1}}
     )
     second = only(
-        drive.scene(), "radar", metadata={"city": "B", "sceneloom": {"applied": [{"id": 2}], "y": 2}}
+        drive.scene(), "radar", metadata={"weather": "B", "sceneloom": {"applied": [{"id": 2}], "y": 2}}
     )
     merged = merge_scenes([first, second])
-    assert merged.metadata == {"city": "A", "sceneloom": {"applied": [{"id": 1}, {"id": 2}], "x": 1, "y": 2}}
-    assert [(n.code, n.place) for n in merged.notices] == [("metadata-differ", "metadata.city")]
+    assert merged.metadata == {
+        "weather": "A",
+        "sceneloom": {"applied": [{"id": 1}, {"id": 2}], "x": 1, "y": 2},
+    }
+    assert [(n.code, n.place) for n in merged.notices] == [("metadata-differ", "metadata.weather")]
 
 
 @pytest.mark.parametrize(
@@ -377,3 +380,81 @@ def test_an_event_lasts_until_its_last_part_ends_though_that_is_a_moment(parts, 
     one, other = (Scene((), (EventAnnotation("turn", start, lasts),)) for start, lasts in parts)
     (event,) = merge_scenes([one, other], join=True).annotations
     assert (event.start_ns, event.duration_ns) == joined
+
+
+def fixes(times, lla):
+    count = len(times)
+    return GnssSensor(
+        "gnss", times, np.tile(np.array(lla, np.float64), (count, 1)), np.ones(count), np.ones(count)
+    )
+
+
+def moved_away(scene, metres):
+    ways = {
+        n: replace(way, positions=way.positions + np.array([metres, 0, 0]))
+        for n, way in scene.trajectories.items()
+    }
+    return replace(scene, trajectories=ways)
+
+
+def later(scene, seconds):
+    """Another part, `seconds` after the first: of a lidar that its own file has."""
+    lidar = scene.sensor("lidar")
+    times = lidar.frames.timestamps_ns + int(seconds * 1e9)
+    frames = [replace(f, timestamp_ns=int(t)) for f, t in zip(lidar.frames, times, strict=True)]
+    return replace(
+        scene, sensors=(replace(lidar, id="other", frames=LazyFrames.of(frames, times)),), trajectories={}
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (
+            lambda s, t: (s | {"metadata": {"city": "Pittsburgh"}}, t | {"metadata": {"city": "Miami"}}),
+            "it was in miami",
+        ),
+        (
+            lambda s, t: (
+                s | {"metadata": {"nuscenes": {"log": {"location": "boston-seaport"}}}},
+                t | {"metadata": {"sceneloom": {"location": "singapore-onenorth"}}},
+            ),
+            "singapore-onenorth, the other in boston-seaport",
+        ),
+        (
+            lambda s, t: (
+                s | {"sensors": (*s["sensors"], fixes(STAMPS, [48.0, 11.0, 500.0]))},
+                t | {"sensors": (*t["sensors"], replace(fixes(STAMPS, [52.5, 13.4, 30.0]), id="gnss2"))},
+            ),
+            r"satellite fixes are 5\d\d\.\d km apart",
+        ),
+    ],
+)
+def test_scenes_of_two_cities_are_refused_unless_they_are_forced(drive, change, reason):
+    scene = drive.scene()
+    one = {"sensors": (scene.sensor("lidar"),), "metadata": {}}
+    two = {"sensors": (scene.sensor("radar"),), "metadata": {}}
+    parts = [replace(scene, **fields) for fields in change(one, two)]
+    with pytest.raises(OptionError, match=reason):
+        merge_scenes(parts)
+    merged = merge_scenes(parts, force=True)
+    assert [n.message for n in merged.notices if n.code == "different-drives"]
+    assert {"lidar", "radar"} <= {sensor.id for sensor in merged.sensors}
+
+
+def test_egos_that_are_far_apart_at_one_time_are_of_two_drives(drive):
+    scene = drive.scene()
+    lidar, radar = only(scene, "lidar"), only(scene, "radar")
+    assert merge_scenes([lidar, moved_away(radar, 20)], rename=True)
+    with pytest.raises(OptionError, match="their egos are 5,000 m apart at one time"):
+        merge_scenes([lidar, moved_away(radar, 5000)], rename=True)
+
+
+def test_parts_that_are_days_apart_are_of_two_drives(drive):
+    scene = drive.scene()
+    assert merge_scenes([only(scene, "radar"), later(scene, 600)])
+    with pytest.raises(OptionError, match="10 days are between them"):
+        merge_scenes([only(scene, "radar"), later(scene, 864_001)])
+
+
+STAMPS = np.array([0, 10**8], np.int64)

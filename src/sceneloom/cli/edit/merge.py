@@ -21,13 +21,20 @@ if TYPE_CHECKING:
 @click.option(
     "--join", is_flag=True, help="Take sensors and annotations of equal ids for consecutive parts of one."
 )
+@click.option(
+    "--force",
+    is_flag=True,
+    help="Merge scenes, too, that are of different drives by city, time, fixes or ego poses.",
+)
 @common
-def merge(paths: tuple[Path | str, ...], output: Path, rename: bool, join: bool, **common: Any) -> None:
+def merge(
+    paths: tuple[Path | str, ...], output: Path, rename: bool, join: bool, force: bool, **common: Any
+) -> None:
     """Make one scene of several scenes of one drive on one clock."""
     from sceneloom.editing import merge_scenes
 
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         del on_points
-        return merge_scenes(scenes, rename=rename, join=join)
+        return merge_scenes(scenes, rename=rename, join=join, force=force)
 
     run_edit("merge", paths, output, change, **common)

@@ -16,6 +16,8 @@ ALLOWED = {
     ("sceneloom.formats.files", "os.open"): "the one place where files are opened",
     ("sceneloom.formats.files", "open"): "the one place where files are opened",
     ("sceneloom.formats.files", "path.open"): "files of remote folders open in their own way",
+    ("sceneloom.formats.output", "os.open"): "the lock in a folder of our own",
+    ("sceneloom.formats.output", "read_bytes"): "of the running system",
     ("sceneloom.formats.remote.mirrored_path", "open"): "of files that were fetched into a folder of our own",
     ("sceneloom.formats.remote.mirrored_path", "read_bytes"): "the listing in a folder of our own",
     (

@@ -12,7 +12,7 @@ from sceneloom.formats.recording.examination import RecordingExamination
 from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.sfs import SfsFormat
 from sceneloom.formats.sfs.faults import Examination
-from sceneloom.formats.table import Format, chosen_corrections, format_and_place, part_of
+from sceneloom.formats.table import Format, chosen_corrections, format_and_place, opened_by, part_of
 from sceneloom.redaction import redacted
 from sceneloom.scene import Corrections, Scene
 
@@ -87,11 +87,11 @@ def _examined_recording(examination: RecordingExamination, path: Path) -> Subjec
 def _opened(form: Format, path: Path, options: dict[str, Any]) -> Subject:
     """Open what another format holds: whole, or without what is broken, or not at all."""
     try:
-        return Subject(form.open(path, **options))
+        return Subject(opened_by(form, path, **options))
     except DataError as error:
         fault = _unreadable(path, error)
     try:
-        return Subject(form.open(path, **options, lenient=True), faults=(fault,))
+        return Subject(opened_by(form, path, **options, lenient=True), faults=(fault,))
     except DataError as error:
         return Subject(_nothing(path, form.name), faults=(_unreadable(path, error),))
 

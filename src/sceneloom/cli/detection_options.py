@@ -1,7 +1,6 @@
 """Options of the verbs that take what detectors found, and what a path with detections is."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,14 +14,14 @@ FILES = (
     click.option(
         "--boxes3d",
         multiple=True,
-        type=click.Path(path_type=Path),
+        type=options.source(),
         metavar="FILE",
         help="Boxes found in the sweeps: JSON lines of table 7, nuScenes' JSON, KITTI's text; may be repeated.",
     ),
     click.option(
         "--boxes2d",
         multiple=True,
-        type=click.Path(path_type=Path),
+        type=options.source(),
         metavar="FILE",
         help="Boxes found in pictures: JSON lines of table 8, KITTI's text; may be repeated.",
     ),

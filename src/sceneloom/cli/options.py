@@ -1,5 +1,6 @@
 """The options that many verbs share."""
 
+import os
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import reduce, wraps
@@ -25,7 +26,30 @@ def place(text: str) -> "Path | str":
     """Take an argument as a path, or as the URL of a scene file, whose double slashes a path would lose."""
     from sceneloom.formats.urls import path_or_url
 
-    return path_or_url(text)
+    found = path_or_url(text)
+    return found if isinstance(found, str) else _noted(found)
+
+
+def _noted(path: Path) -> Path:
+    """Take note of an input, so that no output of this run replaces it."""
+    from sceneloom.formats.output import Source
+
+    context = click.get_current_context(silent=True)
+    if context is not None and path.exists():
+        context.find_root().meta.setdefault(__name__, []).append(Source(path))
+    return path
+
+
+class _Input(click.Path):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if "{name}" in str(value):  # of `batch`, where each drive has its own
+            return Path(value)
+        return _noted(Path(os.fsdecode(super().convert(value, param, ctx))))
+
+
+def source(*, file_okay: bool = True, dir_okay: bool = True) -> click.Path:
+    """The type of an option that names a further input: one that is there, and is not written to."""
+    return _Input(exists=True, path_type=Path, file_okay=file_okay, dir_okay=dir_okay)
 
 
 def positive(number: str | float) -> float:
@@ -81,7 +105,7 @@ def lists(words: str) -> Callable[[Any], Any]:
     return click.option(
         "--list",
         "lists",
-        type=click.Path(path_type=Path, exists=True, dir_okay=False),
+        type=source(dir_okay=False),
         multiple=True,
         metavar="FILE",
         help=f"Drives by lines: {words}; may be said again.",
@@ -352,7 +376,7 @@ def trajectories(side: str, path: str) -> Callable[[Command], Command]:
         ),
         click.option(
             f"--{side}-times",
-            type=click.Path(path_type=Path),
+            type=source(dir_okay=False),
             metavar="FILE",
             help=f"Times of the poses of {path}, one per line, for KITTI files.",
         ),

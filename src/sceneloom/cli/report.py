@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @options.way()
 @click.option(
     "--truth",
-    type=click.Path(path_type=Path),
+    type=options.source(),
     metavar="FILE",
     help="What the drive is held against: a trajectory, a scene, or KITTI's text.",
 )
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--losses",
-    type=click.Path(path_type=Path),
+    type=options.source(),
     metavar="FILE",
     help="What writing the drive lost, as JSON of `sceneloom convert`, to be told with it.",
 )

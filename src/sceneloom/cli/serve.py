@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from sceneloom.cli import options
 from sceneloom.cli.options import positive, said
 from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
     from sceneloom.service.server import FusionServer
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+_FILE = options.source(dir_okay=False)
 _PORT = click.IntRange(0, 65535)
 
 

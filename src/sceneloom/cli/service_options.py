@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from sceneloom.cli import options
+
 if TYPE_CHECKING:
     from sceneloom.service.client import FusionClient
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 _ADDRESS = re.compile(r"unix:.+|(dns:.*)?([^:\s]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+_FILE = options.source(dir_okay=False)
 
 _DOORS = (
     click.option("--token-file", type=_FILE, help="File with the token that the service asks for."),

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 from sceneloom.errors import OptionError, SceneloomError, UnknownFormatError
 from sceneloom.formats.loss import Holding, Loss, LossReport
-from sceneloom.formats.output import check_output
+from sceneloom.formats.output import Source, check_output
 from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.redaction import redacted
 from sceneloom.scene import Corrections, Notice, NoticeKind, Scene
@@ -310,7 +310,15 @@ def _whole_scene(path: str | Path, format: str | None, options: dict[str, Any]) 
         return _fetched_scene(where, format, options)
     with stage("opening"):
         form, place = format_and_place(path, format=format)
-        return form.open(place, **options)
+        return opened_by(form, place, **options)
+
+
+def opened_by(form: Format, place: Path | str, **options: Any) -> Scene:
+    """Open a scene with its format; until it is closed, no output replaces what it is read from."""
+    scene = form.open(place, **options)
+    if isinstance(place, str):
+        return scene
+    return replace(scene, on_close=partial(_close_both, scene.on_close, Source(place).release))
 
 
 def _read_by_ranges(url: str, format: str | None) -> bool:
@@ -347,11 +355,11 @@ def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Sce
         scene,
         source=redacted(url),
         notices=(*scene.notices, told),
-        on_close=partial(_close_fetched, scene.on_close, fetched.remove),
+        on_close=partial(_close_both, scene.on_close, fetched.remove),
     )
 
 
-def _close_fetched(close: Callable[[], None], remove: Callable[[], None]) -> None:
+def _close_both(close: Callable[[], None], remove: Callable[[], None]) -> None:
     close()
     remove()
 

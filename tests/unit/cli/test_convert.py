@@ -4,8 +4,15 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
+from sceneloom import convert
+from sceneloom.formats.table import format_named, written_formats
+
 if TYPE_CHECKING:
     from tests.unit.cli.conftest import Call
+
+FILES_OF_ONE_DRIVE = ("sfs", "mcap", "ros1", "openlabel")
 
 
 def test_a_short_table_says_what_is_not_simply_kept(call: "Call", recording: Path, tmp_path: Path) -> None:
@@ -74,3 +81,65 @@ def test_what_the_verb_itself_takes_is_no_option_of_a_format(
     for name in ("start", "path", "format"):
         told = call("info", recording, "--read-with", f"{name}=1")
         assert (told.code, f"--read-with {name}: no format has this option" in told.err) == (2, True)
+
+
+def _tree(folder: Path) -> dict[str, bytes | None]:
+    found = {path: path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+    return {str(path.relative_to(folder)): content for path, content in found.items()}
+
+
+@pytest.mark.parametrize("name", written_formats())
+def test_a_folder_is_replaced_only_by_its_like_and_never_with_the_source_in_it(
+    call: "Call", recording: Path, tmp_path: Path, name: str
+) -> None:
+    drive, own = tmp_path / "drive.sfs", tmp_path / "own"
+    convert(recording, drive)
+    suffixes = format_named(name).suffixes
+    if name in FILES_OF_ONE_DRIVE:
+        own = own.with_suffix(suffixes[0])
+    for _ in range(2):
+        outcome = call("convert", drive, own, "--to", name, "--overwrite", "--quiet")
+        assert outcome.code == 0, outcome.err
+    assert own.is_dir() is (name not in FILES_OF_ONE_DRIVE)
+    if own.is_file():
+        outcome = call("convert", own, own, "--to", name, "--overwrite")
+        assert (outcome.code, "is read by this very run" in outcome.err) == (1, True)
+        return
+    (own / "thesis.odt").write_text("mine")
+    before = _tree(own)
+    outcome = call("convert", drive, own, "--to", name, "--overwrite")
+    assert (outcome.code, "thesis.odt" in outcome.err) == (1, True)
+    assert _tree(own) == before
+    home = tmp_path / "home"
+    home.mkdir()
+    drive = drive.rename(home / "drive.sfs")
+    before = _tree(home)
+    outcome = call("convert", drive, home, "--to", name, "--overwrite")
+    assert (outcome.code, _tree(home)) == (1, before)
+    assert "choose another name" in outcome.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("edit", "crop", "{0}", "--start", "0.1", "-o", "{0}"),
+        ("fuse", "{0}", "-o", "{0}"),
+        ("convert", "{0}", "{0}"),
+        ("convert", "{0}", "{1}", "--loss", "{0}"),
+        ("report", "{0}", "-o", "{1}", "--numbers", "{0}"),
+        ("salvage", "{0}", "-o", "{0}"),
+        ("validate", "{0}", "--fix", "{0}"),
+        ("edit", "merge", "{0}", "{0}", "-o", "{0}"),
+    ],
+    ids=lambda arguments: " ".join(arguments[:2]),
+)
+def test_no_verb_replaces_the_file_that_it_reads(
+    call: "Call", recording: Path, tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
+    drive = tmp_path / ("drive.json" if {"--numbers", "--loss"} & {*arguments} else "drive.sfs")
+    convert(recording, tmp_path / "first.sfs")
+    (tmp_path / "first.sfs").rename(drive)
+    before = drive.read_bytes()
+    outcome = call(*(text.format(drive, tmp_path / "out.html") for text in arguments), "--overwrite")
+    assert (outcome.code, "is read by this very run" in outcome.err) == (1, True), outcome.err
+    assert drive.read_bytes() == before

@@ -1,12 +1,18 @@
 """An output is there whole, or not at all."""
 
+import errno
 import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from sceneloom.errors import DataError, OutputError
-from sceneloom.formats.output import filling, replacing
+from sceneloom.formats.output import FolderKind, Source, check_output, filling, replacing
+
+KIND = FolderKind("folder of ours", (r"data\.jsonl", r"images/\d+\.png"), r"data\.jsonl")
 
 
 def test_a_file_takes_its_place_when_it_is_whole(tmp_path: Path) -> None:
@@ -66,7 +72,7 @@ def test_what_another_program_made_meanwhile_is_not_replaced(tmp_path: Path, fol
     target = tmp_path / "drive"
     with (
         pytest.raises(OutputError, match="meanwhile"),
-        replacing(target, overwrite=False, folder=folder) as draft,
+        replacing(target, overwrite=False, folder=KIND if folder else None) as draft,
     ):
         (draft / "data.jsonl" if folder else draft).write_text("ours")
         target.write_text("theirs")
@@ -121,3 +127,261 @@ def test_what_is_neither_a_file_nor_a_folder_is_left_alone(tmp_path: Path) -> No
     with pytest.raises(OutputError, match="left alone"), replacing(pipe, overwrite=True):
         pytest.fail("must not be entered")
     assert pipe.is_fifo()
+
+
+def _tree(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("there", "named"),
+    [
+        ({"data.jsonl": "", "mine.txt": ""}, "mine.txt"),
+        ({"data.jsonl": "", "images/0.png": "", "images/a.png": ""}, "images/a.png"),
+        ({"data.jsonl": "", "images/deep/0.png": ""}, "images/deep"),
+        ({"data.jsonl/0.png": ""}, "data.jsonl"),
+        ({"data.jsonl": "", "empty/": ""}, "empty"),
+        ({"images/0.png": ""}, "holds no data"),
+    ],
+)
+def test_a_folder_with_anything_foreign_in_it_is_left_alone(
+    tmp_path: Path, there: dict[str, str], named: str
+) -> None:
+    target = tmp_path / "home"
+    for name, text in there.items():
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        (target / name).mkdir() if name.endswith("/") else (target / name).write_text(text)
+    before = _tree(tmp_path)
+    with (
+        pytest.raises(OutputError, match=f"{named}.* choose another name"),
+        replacing(target, overwrite=True, folder=KIND),
+    ):
+        pytest.fail("must not be entered")
+    assert _tree(tmp_path) == before
+
+
+def test_a_link_in_a_folder_is_foreign(tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    (tmp_path / "real").write_text("mine")
+    (tmp_path / "home" / "data.jsonl").symlink_to(tmp_path / "real")
+    with (
+        pytest.raises(OutputError, match=r"data\.jsonl"),
+        replacing(tmp_path / "home", overwrite=True, folder=KIND),
+    ):
+        pytest.fail("must not be entered")
+
+
+def test_what_appears_in_a_folder_while_its_successor_is_written_is_not_lost(tmp_path: Path) -> None:
+    target = tmp_path / "home"
+    target.mkdir()
+    (target / "data.jsonl").write_text("old")
+    with (
+        pytest.raises(OutputError, match=r"mine\.txt"),
+        replacing(target, overwrite=True, folder=KIND) as draft,
+    ):
+        (draft / "data.jsonl").write_text("new")
+        (target / "mine.txt").write_text("mine")
+    assert _tree(tmp_path) == {"home/data.jsonl": "old", "home/mine.txt": "mine"}
+
+
+@pytest.mark.parametrize("read", ["home", "home/images/0.png", "."])
+def test_a_folder_that_holds_or_lies_in_what_is_read_is_left_alone(tmp_path: Path, read: str) -> None:
+    target = tmp_path / "home"
+    (target / "images").mkdir(parents=True)
+    (target / "data.jsonl").write_text("old")
+    (target / "images" / "0.png").write_text("old")
+    source = Source(tmp_path / read)
+    with pytest.raises(OutputError, match="is read"), replacing(target, overwrite=True, folder=KIND):
+        pytest.fail("must not be entered")
+    assert source.path.exists()
+    del source
+    with replacing(target, overwrite=True, folder=KIND) as draft:
+        (draft / "data.jsonl").write_text("new")
+    assert _tree(tmp_path) == {"home/data.jsonl": "new"}
+
+
+def test_a_file_that_is_read_is_not_replaced_by_any_name_of_it(tmp_path: Path) -> None:
+    (tmp_path / "drive.sfs").write_text("old")
+    (tmp_path / "link").symlink_to(tmp_path / "drive.sfs")
+    source = Source(tmp_path / "link")
+    with pytest.raises(OutputError, match="is read"):
+        check_output(tmp_path / "drive.sfs", overwrite=True)
+    with (
+        pytest.raises(OutputError, match="is read"),
+        filling(tmp_path, overwrite=True) as draft,
+    ):
+        (draft / "drive.sfs").write_text("new")
+    assert source.path.read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.sfs", "link"]
+
+
+_KILLED = r"""
+import os, sys
+from contextlib import suppress
+from pathlib import Path
+from sceneloom.errors import OutputError
+from sceneloom.formats import output
+from sceneloom.formats.output import FolderKind, check_output, filling, on_trial, replacing, replacing_together
+
+job, top, exchanges = sys.argv[1], Path(sys.argv[2]), sys.argv[3] == "exchange"
+kind = FolderKind("folder", (r"\w",))
+names = "abc"
+if not exchanges:
+    output._renameat2 = lambda *_: 38
+
+def write(folder, text):
+    for name in names:
+        (folder / name).write_text(text)
+
+def run(target, text, overwrite):
+    if job == "file":
+        with replacing(target, overwrite=overwrite) as draft:
+            draft.write_text(text)
+    elif job == "folder":
+        with replacing(target, overwrite=overwrite, folder=kind) as draft:
+            write(draft, text)
+    elif job == "filling":
+        with filling(target, overwrite=overwrite) as draft:
+            write(draft, text)
+            (draft / "inner").mkdir()
+            write(draft / "inner", text)
+    elif job == "trial":
+        with on_trial(target / "a", overwrite=overwrite) as (draft, accept):
+            write(draft.parent, text)
+            assert accept()
+    elif job == "together":
+        with replacing_together([target / name for name in names], overwrite=overwrite) as drafts:
+            for draft in drafts:
+                draft.write_text(text)
+
+def found(target):
+    "The texts of what is at a target; None where a file of it is not there."
+    if job == "file":
+        return [target.read_text() if target.exists() else None]
+    files = [path for path in target.rglob("*") if path.is_file() and ".sceneloom" not in str(path.relative_to(target))]
+    length = len(names) * (2 if job == "filling" else 1)
+    return [path.read_text() for path in files] + [None] * (length - len(files))
+
+def dies_at(k, target, overwrite):
+    "Whether a process that runs the job is dead before its k-th change to the file system."
+    child = os.fork()
+    if child == 0:
+        left = [k]
+        def counted(function):
+            def call(*args, **named):
+                left[0] -= 1
+                if left[0] < 0:
+                    os.kill(os.getpid(), 9)
+                return function(*args, **named)
+            return call
+        for name in ("mkdir", "rename", "replace", "unlink", "rmdir", "open", "write"):
+            setattr(os, name, counted(getattr(os, name)))
+        output._renameat2 = counted(output._renameat2)
+        run(target, "new", overwrite)
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -9
+
+deaths = 0
+for overwrite in (False, True):
+    for k in range(500):
+        place = top / f"{overwrite}-{k}"
+        target = place / "target"
+        place.mkdir()
+        if job in ("trial", "together"):
+            target.mkdir()
+        if overwrite:
+            run(target, "old", False)
+        died = dies_at(k, target, overwrite)
+        deaths += died
+        hidden = place / ".target.sceneloom"
+        here = found(target)
+        whole = {"old", "new"} if overwrite else {None, "new"}
+        assert set(here) <= whole or (None in here and {*found(hidden / "replaced")} == {"old"}), (k, here)
+        check = target / "a" if job in ("trial", "together") else target
+        with suppress(OutputError):
+            check_output(check, overwrite=True)
+        here = found(target)
+        assert here in [[word] * len(here) for word in whole], (k, here)
+        assert [path for path in place.rglob(".*")] == [], (k, [*place.rglob("*")])
+        run(target, "next", True)
+        assert set(found(target)) == {"next"}, k
+        assert [path for path in place.rglob(".*")] == [], k
+        if not died:
+            break
+print(deaths)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork to have processes that can be killed")
+@pytest.mark.parametrize("exchange", ["exchange", "two renames"])
+@pytest.mark.parametrize("job", ["file", "folder", "filling", "trial", "together"])
+def test_old_or_new_survives_a_kill_between_any_two_system_calls(
+    tmp_path: Path, job: str, exchange: str
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _KILLED, job, str(tmp_path), exchange],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) >= 20
+
+
+@pytest.mark.parametrize(
+    "fault", [OSError(errno.EIO, "broken"), KeyboardInterrupt()], ids=["fault", "ctrl-c"]
+)
+def test_a_second_rename_that_fails_leaves_the_old_folder(tmp_path: Path, monkeypatch, fault) -> None:
+    target = tmp_path / "home"
+    target.mkdir()
+    (target / "data.jsonl").write_text("old")
+    monkeypatch.setattr("sceneloom.formats.output._renameat2", lambda *_: errno.EINVAL)
+    rename = Path.rename
+
+    def failing(path: Path, to: Path) -> Path:
+        if to == target and "files" in path.parts:
+            raise fault
+        return rename(path, to)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    with (
+        pytest.raises((OutputError, OSError, KeyboardInterrupt)),
+        replacing(target, overwrite=True, folder=KIND) as draft,
+    ):
+        (draft / "data.jsonl").write_text("new")
+    assert _tree(tmp_path) == {"home/data.jsonl": "old"}
+
+
+def test_the_workplace_of_a_living_process_is_left_alone(tmp_path: Path) -> None:
+    target = tmp_path / "drive.sfs"
+    with replacing(target, overwrite=True) as first:
+        first.write_text("first")
+        with replacing(target, overwrite=True) as second:
+            assert first.exists()
+            second.write_text("second")
+        assert target.read_text() == "second"
+    assert target.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize(("idle", "goes"), [(0.0, False), (7200.0, True)])
+def test_the_workplace_of_another_machine_goes_when_nothing_was_written_for_an_hour(
+    tmp_path: Path, idle: float, goes: bool
+) -> None:
+    workplace = tmp_path / ".drive.sfs.sceneloom"
+    (workplace / "files").mkdir(parents=True)
+    (workplace / "lock").write_text("another machine")
+    then = time.time() - idle
+    for path in (workplace / "files", workplace / "lock", workplace):
+        os.utime(path, (then, then))
+    check_output(tmp_path / "drive.sfs", overwrite=False)
+    assert workplace.exists() is not goes
+
+
+def test_a_folder_that_only_has_the_name_of_a_workplace_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / ".drive.sfs.sceneloom").mkdir()
+    (tmp_path / ".drive.sfs.sceneloom" / "mine.txt").write_text("mine")
+    before = _tree(tmp_path)
+    with replacing(tmp_path / "drive.sfs", overwrite=False) as draft:
+        draft.write_text("new")
+    assert _tree(tmp_path) == {**before, "drive.sfs": "new"}

@@ -1,5 +1,6 @@
 """The lidar frames of a scene written as files of points."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +21,7 @@ from sceneloom.formats.clouds.names import name_of_time
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.loss import Fate, Loss, LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.scene import Coordinates, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sensor_sources import sensor_source
@@ -153,7 +154,7 @@ def _write_folder(
         if one not in written
     ]
     losses += _of_names(written, alone=len(written) == 1)
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_folder_kind(kind)) as draft:
         for lidar, stem in zip(written, file_stems(one.id for one in written), strict=True):
             folder = draft if len(written) == 1 else draft / stem
             folder.mkdir(exist_ok=True)
@@ -161,6 +162,15 @@ def _write_folder(
             for k, time_ns in enumerate(times.tolist()):
                 write(lidar, k, folder / f"{name_of_time(time_ns)}{kind.endings[0]}")
             losses += _write_poses(scene, lidar, times, folder)
+
+
+def _folder_kind(kind: CloudKind) -> FolderKind:
+    """What a folder of such files holds that was written here: one for each time, and where their frame was."""
+    names = (rf"-?\d{{19}}{re.escape(kind.endings[0])}", *map(re.escape, (EGO_POSES, SENSOR_POSES)))
+    return FolderKind(
+        f"folder of {kind.endings[0]} files named by their times",
+        (*names, *(rf".+/{name}" for name in names)),
+    )
 
 
 def _of_names(lidars: list[LidarSensor], *, alone: bool) -> list[Loss]:

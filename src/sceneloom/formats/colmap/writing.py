@@ -13,13 +13,19 @@ from sceneloom.formats.colmap.model_files import (
 )
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.posed_pictures.holdings import HOLDS
 from sceneloom.formats.posed_pictures.lenses import told_lens
 from sceneloom.formats.posed_pictures.map_points import map_points
 from sceneloom.formats.posed_pictures.settings import PosedSettings
 from sceneloom.formats.posed_pictures.views import PosedScene, View
 from sceneloom.scene import Scene
+
+_KIND = FolderKind(
+    "folder of COLMAP",
+    (r"sparse/0/(cameras|images|points3D)\.(txt|bin)", r"images/.+/\d{6,}_-?\d+\.\w+"),
+    r"sparse/0/cameras\.(txt|bin)",
+)
 
 
 def write_colmap(
@@ -36,7 +42,7 @@ def write_colmap(
     """
     posed = PosedScene.of(scene, settings)
     lenses = _Lenses(posed)
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / "sparse" / "0"
         folder.mkdir(parents=True)
         images = []

@@ -19,7 +19,7 @@ from sceneloom.formats.clouds.columns import FrameColumns
 from sceneloom.formats.clouds.frame_files import write_ply
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.loss import Loss, LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.posed_pictures.holdings import HOLDS
 from sceneloom.formats.posed_pictures.lenses import Models, ToldLens, coefficients, told_lens
 from sceneloom.formats.posed_pictures.map_points import MapPoints, map_points
@@ -36,6 +36,11 @@ CAMERA_MODELS: Mapping[str, Models] = MappingProxyType(
 _NAMES = ("k1", "k2", "k3", "k4", "p1", "p2")
 _CORNER = 0.5
 POINTS_FILE = "points.ply"
+_KIND = FolderKind(
+    "folder of nerfstudio",
+    (r"transforms\.json", r"points\.ply", r"images/.+/\d{6,}_-?\d+\.\w+"),
+    r"transforms\.json",
+)
 _GL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -53,7 +58,7 @@ def write_nerfstudio(
     """
     posed = PosedScene.of(scene, settings)
     lenses = _Lenses(_camera_model(scene), posed)
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         frames = []
         for view in posed.views():
             posed.save_picture(view, draft / "images")

@@ -11,11 +11,10 @@ import numpy as np
 from sceneloom.arrays import AnyArray
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.formats.kitti.written.target import check_replaceable
 from sceneloom.formats.loss import Fate, LossReport
 from sceneloom.formats.nuscenes.further_fields import OF_FRAMES, told
 from sceneloom.formats.nuscenes.keyframes import microseconds, stamps_of
-from sceneloom.formats.nuscenes.place import table_folders
+from sceneloom.formats.nuscenes.tables import TABLES
 from sceneloom.formats.nuscenes.writing_plan import (
     Channel,
     WritingPlan,
@@ -34,13 +33,23 @@ from sceneloom.formats.nuscenes.written_frames import (
 from sceneloom.formats.nuscenes.written_labels import PointClasses, category_rows
 from sceneloom.formats.nuscenes.written_tables import TableWriter, placed, token_of, write_table
 from sceneloom.formats.option_values import as_positive
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, LidarSensor, Picture, PointsFrame, RadarFrame, Scene
 
 PICTURES = ("copy", "png")
 """How pictures are written."""
 
+_KIND = FolderKind(
+    "data set of nuScenes",
+    (
+        rf"(?P<one>v\d[\w.-]*)/({'|'.join((*TABLES, 'map'))})\.json",
+        r"(samples|sweeps)/.+/.+\.(pcd|bin|jpe?g|png)",
+        r"lidarseg/v\d[\w.-]*/\w+_lidarseg\.bin",
+        r"maps/none\.png",
+    ),
+    r"v\d[\w.-]*/sample_data\.json",
+)
 _MAP = "maps/none.png"
 """A mask without anything on it: the development kit wants one for each log."""
 
@@ -78,9 +87,8 @@ def write_nuscenes(
     if version is not None and not is_version(version):
         raise OptionError(f"version {version!r}; expected a name such as v1.0-mini")
     rate_hz = None if keyframe_rate_hz is None else as_positive("keyframe_rate_hz", keyframe_rate_hz)
-    check_replaceable(path, lambda folder: bool(table_folders(folder)), "data set of nuScenes")
     plan = WritingPlan.of(scene, path, version, rate_hz)
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         losses = _Writer(plan, draft, pictures).write()
     return LossReport.of([*plan.losses, *losses])
 

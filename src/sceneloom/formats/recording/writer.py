@@ -1,6 +1,5 @@
 """A scene as a recording's folder: sorted lines, calibration, videos or PNG pictures, lidar binaries."""
 
-import re
 import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -13,7 +12,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.loss import Fate, Loss, LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.kept_texts import SharedLines, other_lines
 from sceneloom.formats.recording.line_order import FRAMES, OTHER, SHARED
@@ -32,10 +31,19 @@ from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.scene import GnssSensor, Scene
 from sceneloom.scene.assumed_lenses import check_lenses
 
-_RECORDING_FILES = re.compile(
-    r"data\d*\.(jsonl|mkv|mp4|mov|avi|ts)|calibration\.json|vio_config\.yaml|frames\d+|lidar\d*|README(\.\w+)?"
+_KIND = FolderKind(
+    "recording",
+    (
+        r"data\d*\.(jsonl|mkv|mp4|mov|avi|ts)",
+        r"calibration\.json",
+        r"vio_config\.yaml",
+        r"frames\d+/\d{8}\.png",
+        r"lidar\d*/.+",
+        r"README(\.\w+)?",
+    ),
+    r"data\.jsonl",
 )
-"""Names of what a recording's folder holds; a folder with anything else in it is somebody's own."""
+"""What a recording's folder holds; one with anything else in it is somebody's own."""
 
 
 def write_recording(
@@ -64,11 +72,10 @@ def write_recording(
     """
     if pictures not in PICTURES:
         raise OptionError(f"pictures {pictures!r}; expected one of: {', '.join(PICTURES)}")
-    _check_replaceable(path)
     check_outside_recordings(path)
     plan = WritingPlan.of(scene)
     check_lenses(scene, plan.cameras)
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         losses = _RecordingWriter(plan, draft, pictures).write()
         for note in path.glob("README*"):
             if note.is_file():
@@ -85,20 +92,6 @@ def check_outside_recordings(path: Path) -> None:
     for above in path.absolute().parents:
         if (above / DATA_FILE).is_file():
             raise OutputError(f"{path}: lies inside the recording {above}; choose a place beside it")
-
-
-def _check_replaceable(path: Path) -> None:
-    if path.is_file():
-        raise OutputError(f"{path}: is a file; expected a folder or a new name")
-    if not path.is_dir():
-        return
-    names = sorted(entry.name for entry in path.iterdir())
-    strange = [name for name in names if not _RECORDING_FILES.fullmatch(name)]
-    if names and (DATA_FILE not in names or strange):
-        reason = f"holds {strange[0]!r}" if strange else f"holds no {DATA_FILE}"
-        raise OutputError(
-            f"{path}: {reason}, so it is no recording that could be replaced; choose another name"
-        )
 
 
 class _LosingPart(Protocol):

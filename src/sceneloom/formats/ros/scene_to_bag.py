@@ -7,7 +7,7 @@ from typing import Any
 
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.ros.log import NOTES_TOPIC
 from sceneloom.formats.ros.typestores import distro_store
 from sceneloom.formats.ros.writing import Messages
@@ -46,6 +46,9 @@ def _dialect(*, videos: bool) -> Dialect:
         each_lens=True,
         intensity="f4",
     )
+
+
+_KIND = FolderKind("bag of ROS 2", (r"metadata\.yaml", r".+\.(mcap|db3)"), r"metadata\.yaml")
 
 
 def write_ros1(
@@ -99,7 +102,7 @@ def write_ros2(
     if storage not in STORAGES:
         raise OptionError(f"storage {storage!r}; expected one of {', '.join(STORAGES)}")
     plugin = StoragePlugin[storage.upper()]
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         draft.rmdir()
         with Writer(draft, version=9, storage_plugin=plugin) as bag:
             return _write(scene, bag, distro, pictures, ros1=False)

@@ -12,7 +12,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError, PoseError, UnknownFormatError, check_option_names
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import check_output, replacing
+from sceneloom.formats.output import replacing_together
 from sceneloom.formats.table import FORMATS, format_and_place, format_named, format_names
 from sceneloom.formats.trajectories import euroc, gnss, jsonl, kitti, named_columns, tum
 from sceneloom.formats.trajectories.axes import from_optical, to_optical
@@ -155,14 +155,9 @@ def write_trajectory(
     if origin_lla is not None:
         content = replace(content, origin_lla=_origin(origin_lla))
     content = to_optical(content) if optical else content
-    if chosen.beside is not None:
-        check_output(chosen.beside(target), overwrite=overwrite)
-    with replacing(target, overwrite=overwrite) as draft:
-        losses = LossReport.of(chosen.write(content, draft, target))
-        if chosen.beside is not None:
-            with replacing(chosen.beside(target), overwrite=overwrite) as second:
-                chosen.beside(draft).replace(second)
-    return losses
+    targets = [target] if chosen.beside is None else [target, chosen.beside(target)]
+    with replacing_together(targets, overwrite=overwrite) as (draft, *_):
+        return LossReport.of(chosen.write(content, draft, target))
 
 
 def content_of(way: Trajectory | PosePath | TrajectoryFile) -> TrajectoryFile:

@@ -15,7 +15,7 @@ from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.files import file_faults
 from sceneloom.formats.kitti import KittiTracking, write_labels
 from sceneloom.formats.kitti.oxts import PERIOD_NS
-from sceneloom.formats.output import check_output, filling, replacing
+from sceneloom.formats.output import filling, replacing_together
 from sceneloom.formats.rig.csv_files import read_lines
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
@@ -121,12 +121,7 @@ def fuse_drive_detections(
     """
     begun = time.perf_counter()
     output = Path(output)
-    for path in (output, side_file(output)):
-        check_output(path, overwrite=overwrite)
-    with (
-        replacing(output, overwrite=overwrite) as draft,
-        replacing(side_file(output), overwrite=overwrite) as side,
-    ):
+    with replacing_together((output, side_file(output)), overwrite=overwrite) as (draft, side):
         report = _fuse_into(drive, draft, side, output, configuration, settings, progress)
     return _report(drive.name, output, [report], (), begun)
 

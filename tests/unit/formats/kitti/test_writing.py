@@ -218,12 +218,14 @@ def test_other_peoples_folders_are_left_alone(drive, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("dear")
     for name in FORMATS:
-        with pytest.raises(OutputError, match=r"holds something that is no folder of KITTI's"):
+        with pytest.raises(OutputError, match=r"holds 'letter.txt', so it is no folder of KITTI's"):
             write_scene(drive, tmp_path / "mine", format=name, overwrite=True)
     write_scene(drive, tmp_path / "own", format="kitti-object")
     with pytest.raises(OutputError, match=r"exists already"):
         write_scene(drive, tmp_path / "own", format="kitti-object")
-    write_scene(drive, tmp_path / "own", format="kitti-object", overwrite=True)
+    for name in FORMATS:
+        for _ in range(2):
+            write_scene(drive, tmp_path / f"own {name}", format=name, overwrite=True)
 
 
 @pytest.mark.parametrize(

@@ -314,7 +314,7 @@ def test_nobody_elses_folder_is_replaced(tmp_path):
     target = tmp_path / "a"
     target.mkdir()
     (target / "thesis.txt").write_text("mine")
-    with pytest.raises(OutputError, match="holds something that is no data set of nuScenes"):
+    with pytest.raises(OutputError, match=r"holds 'thesis.txt', so it is no data set of nuScenes"):
         sceneloom.write(drive(), target, format="nuscenes", overwrite=True)
     sceneloom.write(drive(), tmp_path / "b", format="nuscenes")
     with pytest.raises(OutputError, match="exists already"):

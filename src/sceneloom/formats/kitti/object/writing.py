@@ -4,22 +4,32 @@ from pathlib import Path
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.kitti.labels import write_object_labels
-from sceneloom.formats.kitti.object.place import PICTURE_FOLDERS, recognises
+from sceneloom.formats.kitti.object.place import PICTURE_FOLDERS
 from sceneloom.formats.kitti.object.reading import FRAME_NS
 from sceneloom.formats.kitti.written.calibration_text import Mounted, write_calibration
 from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.label_rows import LabelRows
 from sceneloom.formats.kitti.written.places import egos_at, is_lidar
-from sceneloom.formats.kitti.written.target import check_replaceable, kept_of
+from sceneloom.formats.kitti.written.target import kept_of
 from sceneloom.formats.kitti.written.timeline import NONE, Timeline, check_files, timeline_of
 from sceneloom.formats.loss import Fate, Loss, LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Box2DAnnotation, CameraSensor, CuboidAnnotation, LidarSensor, Picture, Scene
 
 HELD = frozenset({LidarSensor, CameraSensor, CuboidAnnotation, Box2DAnnotation})
 """Kinds of sensors and annotations that frames have a place for."""
+
+_KIND = FolderKind(
+    "folder of KITTI's object benchmark",
+    (
+        r"training/velodyne/\d{6}\.bin",
+        r"training/(calib|label_2)/\d{6}\.txt",
+        r"training/image_\d/\d{6}\.(png|jpe?g)",
+    ),
+    r"training/calib/\d{6}\.txt",
+)
 
 
 def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossReport:
@@ -37,14 +47,13 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
         OutputError: the path exists, or cannot be written.
         DataError: what the scene is read from is damaged.
     """
-    check_replaceable(path, recognises, "folder of KITTI's object benchmark")
     choice = choose(scene, tuple(PICTURE_FOLDERS), rectified=True, models=frozenset({"pinhole"}), rigid=False)
     losses = [*dropped_parts(scene, HELD), *choice.losses]
     check_files(choice, labels=True)
     timeline = timeline_of(choice, one_time=False)
     numbers = _numbers(scene, timeline)
     losses += [*timeline.losses, *_time_losses(scene, choice, timeline)]
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / "training"
         (folder / "calib").mkdir(parents=True)
         pictures = {number: folder / kind for number, kind in PICTURE_FOLDERS.items()}

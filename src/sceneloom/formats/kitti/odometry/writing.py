@@ -6,17 +6,17 @@ import numpy as np
 
 from sceneloom.arrays import finite_rows
 from sceneloom.errors import OptionError
-from sceneloom.formats.kitti.odometry.place import CAMERAS, OdometrySequence, recognises
+from sceneloom.formats.kitti.odometry.place import CAMERAS, OdometrySequence
 from sceneloom.formats.kitti.odometry.written_labels import PointLabels
 from sceneloom.formats.kitti.written.calibration_text import write_calibration
 from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
 from sceneloom.formats.kitti.written.files import write_point_labels
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.places import egos_at, mounted_of
-from sceneloom.formats.kitti.written.target import check_replaceable, kept_calibration, kept_of
+from sceneloom.formats.kitti.written.target import kept_calibration, kept_of
 from sceneloom.formats.kitti.written.timeline import Timeline, check_files, timeline_of
 from sceneloom.formats.loss import Fate, Loss, LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
@@ -33,6 +33,17 @@ SLOTS = (2, 3, 0, 1)
 
 HELD = frozenset({LidarSensor, CameraSensor, OdometrySensor, LabeledPointsAnnotation})
 """Kinds of sensors and annotations that a sequence has a place for."""
+
+_SEQUENCE = r"sequences/(?P<one>.+)"
+_KIND = FolderKind(
+    "folder of KITTI's odometry benchmark",
+    (
+        rf"{_SEQUENCE}/(calib|times)\.txt",
+        rf"{_SEQUENCE}/(velodyne|labels|image_\d)/\d{{6}}\.(bin|label|png|jpe?g)",
+        r"poses/.+\.txt",
+    ),
+    r"sequences/.+/calib\.txt",
+)
 
 
 def write_odometry(
@@ -55,7 +66,6 @@ def write_odometry(
         DataError: what the scene is read from is damaged.
     """
     place = _place(path, sequence or _kept_name(scene))
-    check_replaceable(path, recognises, "folder of KITTI's odometry benchmark")
     choice = choose(scene, SLOTS, rectified=True, models=frozenset({"pinhole"}))
     losses = [*dropped_parts(scene, HELD), *choice.losses]
     check_files(choice, labels=False)
@@ -63,7 +73,7 @@ def write_odometry(
     losses += timeline.losses
     labels = PointLabels.of(scene, choice.lidar)
     losses += labels.losses
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / "sequences" / place.name
         folder.mkdir(parents=True)
 

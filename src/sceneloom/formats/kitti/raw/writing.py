@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.formats.kitti.raw.place import camera_folders, drives_below
+from sceneloom.formats.kitti.raw.place import camera_folders
 from sceneloom.formats.kitti.raw.stamps import format_stamp
 from sceneloom.formats.kitti.raw.tracklets import FILE as TRACKLETS
 from sceneloom.formats.kitti.raw.tracklets import format_tracklets
@@ -19,10 +19,10 @@ from sceneloom.formats.kitti.written.choice import PARALLEL_WITHIN, Choice, choo
 from sceneloom.formats.kitti.written.files import check_lens, picture_losses, write_picture
 from sceneloom.formats.kitti.written.oxts_lines import oxts_lines
 from sceneloom.formats.kitti.written.places import egos_at, is_lidar, mounted_of
-from sceneloom.formats.kitti.written.target import check_replaceable, kept_of
+from sceneloom.formats.kitti.written.target import kept_of
 from sceneloom.formats.kitti.written.timeline import NONE, Timeline, timeline_of
 from sceneloom.formats.loss import Loss, LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.written_mounts import mounting
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene import (
@@ -43,6 +43,18 @@ HELD = frozenset({LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySens
 
 _MODELS = {"sync": frozenset({"pinhole"}), "extract": frozenset({"pinhole", "brown_conrady"})}
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)")
+
+_DRIVE_PATH = r"\d{4}_\d\d_\d\d/(?P<one>.+)"
+_KIND = FolderKind(
+    "folder of KITTI's raw data",
+    (
+        r"\d{4}_\d\d_\d\d/calib_\w+\.txt",
+        rf"{_DRIVE_PATH}/(velodyne_points|oxts|image_\d\d)/timestamps\w*\.txt",
+        rf"{_DRIVE_PATH}/(velodyne_points|oxts|image_\d\d)/data/\d{{10}}\.(bin|txt|png|jpe?g)",
+        rf"{_DRIVE_PATH}/{re.escape(TRACKLETS)}",
+    ),
+    r"\d{4}_\d\d_\d\d/calib_\w+\.txt",
+)
 
 
 def write_raw(
@@ -69,12 +81,11 @@ def write_raw(
     """
     if kind not in (None, *_MODELS):
         raise OptionError(f"kind {kind!r}; expected one of {', '.join(_MODELS)}")
-    check_replaceable(path, lambda folder: bool(drives_below(folder)), "folder of KITTI's raw data")
     kind = kind or _kind_of(scene)
     choice = choose(scene, SLOTS, rectified=kind == "sync", models=_MODELS[kind])
     losses = [*dropped_parts(scene, HELD), *choice.losses]
     day, drive = _names(scene, choice, kind, sequence)
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / day / drive
         folder.mkdir(parents=True)
         with_imu = choice.ego_path is not None or not is_lidar(choice)

@@ -4,17 +4,17 @@ from pathlib import Path
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.kitti.labels import format_labels
-from sceneloom.formats.kitti.tracking.place import PICTURE_FOLDERS, recognises
+from sceneloom.formats.kitti.tracking.place import PICTURE_FOLDERS
 from sceneloom.formats.kitti.written.calibration_text import write_calibration
 from sceneloom.formats.kitti.written.choice import choose, dropped_parts
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.label_rows import LabelRows
 from sceneloom.formats.kitti.written.oxts_lines import oxts_lines
 from sceneloom.formats.kitti.written.places import egos_at, is_lidar, mounted_of
-from sceneloom.formats.kitti.written.target import check_replaceable, kept_calibration, kept_of
+from sceneloom.formats.kitti.written.target import kept_calibration, kept_of
 from sceneloom.formats.kitti.written.timeline import timeline_of
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import replacing
+from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.scene import (
     Box2DAnnotation,
@@ -31,6 +31,15 @@ HELD = frozenset(
     {LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation, Box2DAnnotation}
 )
 """Kinds of sensors and annotations that a sequence has a place for."""
+
+_KIND = FolderKind(
+    "folder of KITTI's tracking benchmark",
+    (
+        r"training/(velodyne|image_\d\d)/(?P<one>\d{4})/\d{6}\.(bin|png|jpe?g)",
+        r"training/(calib|label_\d\d|times|oxts)/(?P<one>\d{4})\.txt",
+    ),
+    r"training/calib/\d{4}\.txt",
+)
 
 
 def write_tracking(
@@ -56,12 +65,11 @@ def write_tracking(
     name = name if len(name) == 4 else f"{int(name):04d}" if name.isascii() and name.isdigit() else name
     if not (len(name) == 4 and name.isascii() and name.isdigit()):
         raise OptionError(f"sequence {name!r}; expected four digits, as 0000")
-    check_replaceable(path, recognises, "folder of KITTI's tracking benchmark")
     choice = choose(scene, tuple(PICTURE_FOLDERS), rectified=True, models=frozenset({"pinhole"}))
     losses = [*dropped_parts(scene, HELD), *choice.losses]
     timeline = timeline_of(choice)
     losses += timeline.losses
-    with replacing(path, overwrite=overwrite, folder=True) as draft:
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / "training"
         for kind in ("calib", "label_02", "times"):
             (folder / kind).mkdir(parents=True)

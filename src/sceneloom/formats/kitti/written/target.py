@@ -1,25 +1,9 @@
-"""Where KITTI's folders may be written, and what a scene keeps of the one that it was read from."""
+"""What a scene keeps of KITTI's folder that it was read from."""
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
-from sceneloom.errors import OutputError
 from sceneloom.scene import Scene
-
-
-def check_replaceable(path: Path, recognises: Callable[[Path], bool], what: str) -> None:
-    """Refuse a folder that holds anything but what would be written, which overwriting would take away.
-
-    Raises:
-        OutputError: it is a file, or a folder with other things in it.
-    """
-    if path.is_file():
-        raise OutputError(f"{path}: is a file; expected a folder or a new name")
-    if path.is_dir() and any(path.iterdir()) and not recognises(path):
-        raise OutputError(
-            f"{path}: holds something that is no {what}, and is left alone; choose another name"
-        )
 
 
 def kept_of(scene: Scene) -> Mapping[str, Any]:

@@ -128,3 +128,8 @@ class LossError(OutputError):
 
 class MissingExtraError(SceneloomError):
     """An optional part of the package is not installed."""
+
+
+def how_to_install(extra: str) -> str:
+    """Say how an extra of this package is installed, from an index or from a checkout of it."""
+    return f"pip install 'sceneloom[{extra}]' (in a checkout: pip install '.[{extra}]')"

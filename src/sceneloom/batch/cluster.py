@@ -27,7 +27,7 @@ from sceneloom.batch.nursery import Nursery
 from sceneloom.batch.outputs import OUTCOME
 from sceneloom.batch.pool import LOST
 from sceneloom.batch.working import NUMBA, THREADS, run_task
-from sceneloom.errors import MissingExtraError, OptionError
+from sceneloom.errors import MissingExtraError, OptionError, how_to_install
 from sceneloom.formats.urls import is_url
 from sceneloom.version import __version__
 
@@ -36,7 +36,7 @@ try:
     from distributed import Client, Future, KilledWorker, LocalCluster
     from distributed.utils import get_mp_context
 except ImportError as missing:
-    raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[cluster]'") from missing
+    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('cluster')}") from missing
 
 LOCAL = "local"
 _DATA = ["dask", "msgpack"]

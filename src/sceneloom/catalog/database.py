@@ -14,7 +14,7 @@ from typing import Any
 from sceneloom.catalog.layout import Layout
 from sceneloom.catalog.parquet import arrow_type, pyarrow, read_footer, read_part
 from sceneloom.catalog.tables import TABLES
-from sceneloom.errors import DataError, MissingExtraError, OptionError
+from sceneloom.errors import DataError, MissingExtraError, OptionError, how_to_install
 
 _AT_THE_START: dict[str, Any] = {
     "autoinstall_known_extensions": False,
@@ -147,7 +147,7 @@ def opened(catalogue: str | Path) -> Iterator[Database]:
         import duckdb
     except ImportError as error:
         raise MissingExtraError(
-            "queries need duckdb: install it with `pip install 'sceneloom[catalog]'`"
+            f"queries need duckdb: install it with {how_to_install('catalog')}"
         ) from error
     with duckdb.connect(":memory:", config=_AT_THE_START) as connection:
         database = Database(connection, duckdb, layout)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.catalog.tables import Kind
-from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.errors import DataError, MissingExtraError, how_to_install
 
 _ROWS_OF_GROUP = 131_072
 _SCENES = b"sceneloom.scenes"
@@ -93,6 +93,6 @@ def pyarrow() -> tuple[Any, Any]:
         from pyarrow import parquet
     except ImportError as error:
         raise MissingExtraError(
-            "catalogues need pyarrow: install it with `pip install 'sceneloom[catalog]'`"
+            f"catalogues need pyarrow: install it with {how_to_install('catalog')}"
         ) from error
     return pa, parquet

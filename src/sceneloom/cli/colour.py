@@ -31,9 +31,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 )
 @click.option("--only-coloured", is_flag=True, help="Leave out points that no picture shows.")
 @click.option("--provenance", is_flag=True, help="Add camera, picture, pixel and weight of each point.")
-@click.option(
-    "--labels", type=options.source(file_okay=False), metavar="DIR", help="Label images to paint on."
-)
+@click.option("--labels", type=options.source(), metavar="DIR", help="Label images to paint on.")
 @click.option(
     "--project-labels",
     type=options.target,

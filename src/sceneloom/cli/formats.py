@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option(
     "--from",
     "folder",
-    type=options.source(file_okay=False),
+    type=options.source(),
     metavar="FOLDER",
     help="Look into the folder, and write the template for what is in it.",
 )

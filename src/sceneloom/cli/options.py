@@ -47,9 +47,9 @@ class _Input(click.Path):
         return _noted(Path(os.fsdecode(super().convert(value, param, ctx))))
 
 
-def source(*, file_okay: bool = True, dir_okay: bool = True) -> click.Path:
-    """The type of an option that names a further input: one that is there, and is not written to."""
-    return _Input(exists=True, path_type=Path, file_okay=file_okay, dir_okay=dir_okay)
+def source(*, exists: bool = False, file_okay: bool = True, dir_okay: bool = True) -> click.Path:
+    """The type of an option that names a further input, which is not written to; `exists`: usage that is wrong else."""
+    return _Input(exists=exists, path_type=Path, file_okay=file_okay, dir_okay=dir_okay)
 
 
 def positive(number: str | float) -> float:
@@ -105,7 +105,7 @@ def lists(words: str) -> Callable[[Any], Any]:
     return click.option(
         "--list",
         "lists",
-        type=source(dir_okay=False),
+        type=source(exists=True, dir_okay=False),
         multiple=True,
         metavar="FILE",
         help=f"Drives by lines: {words}; may be said again.",
@@ -376,7 +376,7 @@ def trajectories(side: str, path: str) -> Callable[[Command], Command]:
         ),
         click.option(
             f"--{side}-times",
-            type=source(dir_okay=False),
+            type=source(),
             metavar="FILE",
             help=f"Times of the poses of {path}, one per line, for KITTI files.",
         ),

@@ -15,7 +15,7 @@ from sceneloom.cli.printing import print_json
 if TYPE_CHECKING:
     from sceneloom.service.server import FusionServer
 
-_FILE = options.source(dir_okay=False)
+_FILE = options.source(exists=True, dir_okay=False)
 _PORT = click.IntRange(0, 65535)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 _ADDRESS = re.compile(r"unix:.+|(dns:.*)?([^:\s]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
-_FILE = options.source(dir_okay=False)
+_FILE = options.source(exists=True, dir_okay=False)
 
 _DOORS = (
     click.option("--token-file", type=_FILE, help="File with the token that the service asks for."),

@@ -11,8 +11,8 @@ from sceneloom.cli.printing import amount, print_json, print_notices, progress_b
 if TYPE_CHECKING:  # the viewer takes long to import, and `--help` needs none of it
     from sceneloom.view import DrivePart, DriveShown, Viewer, ViewReport
 
-_FILE = options.source(dir_okay=False)
-_FOLDER = options.source(file_okay=False)
+_FILE = options.source(exists=True, dir_okay=False)
+_FOLDER = options.source(exists=True, file_okay=False)
 
 
 @click.command()

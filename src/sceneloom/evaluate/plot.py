@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sceneloom.errors import MissingExtraError, OptionError
+from sceneloom.errors import MissingExtraError, OptionError, how_to_install
 from sceneloom.evaluate.pair_errors import TrajectoryErrors
 from sceneloom.evaluate.report import TrajectoryReport
 from sceneloom.formats.output import check_output, replacing
@@ -30,9 +30,7 @@ def check_plot(path: Path, *, overwrite: bool) -> Any:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise MissingExtraError(
-            f"{path}: drawing needs matplotlib: pip install 'sceneloom[report]'"
-        ) from None
+        raise MissingExtraError(f"{path}: drawing needs matplotlib: {how_to_install('report')}") from None
     return Figure
 
 

@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from sceneloom.errors import MissingExtraError
+from sceneloom.errors import MissingExtraError, how_to_install
 
 EXTRA = "serve"
 """The extra of the package that the service needs."""
@@ -11,6 +11,4 @@ for _name in ("google.protobuf", "grpc", "grpc_health", "grpc_reflection"):
     try:
         import_module(_name)
     except ImportError as missing:
-        raise MissingExtraError(
-            f"{missing}; install the extra: pip install 'sceneloom[{EXTRA}]'"
-        ) from missing
+        raise MissingExtraError(f"{missing}; install the extra: {how_to_install(EXTRA)}") from missing

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sceneloom.errors import MissingExtraError
+from sceneloom.errors import MissingExtraError, how_to_install
 
 _FOLDERS = ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME", "XDG_STATE_HOME")
 """Where programs of a desktop keep what they remember.
@@ -34,7 +34,7 @@ def sdk() -> Any:
     try:
         import rerun
     except ImportError as error:
-        raise MissingExtraError("viewing needs rerun-sdk: pip install 'sceneloom[view]'") from error
+        raise MissingExtraError(f"viewing needs rerun-sdk: {how_to_install('view')}") from error
     return rerun
 
 
@@ -62,7 +62,7 @@ def viewer_command(*options: str) -> list[str]:
     sdk()
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
-        raise MissingExtraError("Rerun's viewer is missing: pip install 'sceneloom[view]'")
+        raise MissingExtraError(f"Rerun's viewer is missing: {how_to_install('view')}")
     name = "rerun.exe" if platform.system() == "Windows" else "rerun"
     return [str(Path(found.origin).with_name(name)), *options]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.option(
     "--boxes",
     "box_file",
-    type=options.source(dir_okay=False),
+    type=options.source(),
     metavar="FILE",
     help="CSV or JSON of what to hide: camera, number or time of the picture, x1, y1, x2, y2, track.",
 )

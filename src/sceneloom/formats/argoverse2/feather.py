@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
-from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.errors import DataError, MissingExtraError, how_to_install
 from sceneloom.formats.files import check_regular, file_faults
 from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.geometry.rotations import normalise_quaternion
@@ -32,7 +32,7 @@ def read_columns(path: Path, columns: Columns) -> dict[str, AnyArray]:
         from pyarrow import feather
     except ImportError as error:
         raise MissingExtraError(
-            "feather files need pyarrow: install it with `pip install 'sceneloom[argoverse]'`"
+            f"feather files need pyarrow: install it with {how_to_install('argoverse')}"
         ) from error
     if not path.exists():
         raise DataError(path, "", "is not there; expected a feather file")

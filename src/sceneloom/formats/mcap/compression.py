@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, cast
 
-from sceneloom.errors import MissingExtraError, OptionError
+from sceneloom.errors import MissingExtraError, OptionError, how_to_install
 
 COMPRESSIONS = ("none", "lz4", "zstd")
 """What chunks can be compressed with."""
@@ -55,7 +55,7 @@ def _zstd() -> Any:
 
 
 def _missing(error: ImportError) -> MissingExtraError:
-    return MissingExtraError(f"{error}; install the extra: pip install 'sceneloom[mcap]'")
+    return MissingExtraError(f"{error}; install the extra: {how_to_install('mcap')}")
 
 
 def _from_lz4(content: bytes, size: int) -> bytes:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sceneloom.errors import MissingExtraError, check_option_names
+from sceneloom.errors import MissingExtraError, check_option_names, how_to_install
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.mcap.holdings import HOLDS
 from sceneloom.formats.mcap.sniffing import is_foxglove_mcap, near_miss
@@ -65,7 +65,7 @@ def _check_extra() -> None:
         import foxglove_schemas_protobuf  # noqa: F401 - only whether it is there
         import google.protobuf  # noqa: F401 - only whether it is there
     except ImportError as missing:
-        raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[mcap]'") from missing
+        raise MissingExtraError(f"{missing}; install the extra: {how_to_install('mcap')}") from missing
 
 
 FORMAT = McapFormat()

@@ -9,12 +9,12 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.message import Message
 
-from sceneloom.errors import MissingExtraError
+from sceneloom.errors import MissingExtraError, how_to_install
 
 try:
     import foxglove_schemas_protobuf
 except ImportError as missing:
-    raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[mcap]'") from missing
+    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('mcap')}") from missing
 
 
 def schema_bytes(message_type: type[Any]) -> bytes:

@@ -4,10 +4,10 @@ import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from sceneloom.errors import DataError, MissingExtraError, SceneloomError
+from sceneloom.errors import DataError, MissingExtraError, SceneloomError, how_to_install
 from sceneloom.redaction import redacted
 
-EXTRA = "files behind URLs need `pip install 'sceneloom[cloud]'`"
+EXTRA = f"files behind URLs need {how_to_install('cloud')}"
 
 _PASSING_STATUS = {408, 425, 429, 500, 502, 503, 504}
 """Source: RFC 9110, clauses 15.5.9 and 15.6; RFC 6585, clause 4; RFC 8470, clause 5.2."""

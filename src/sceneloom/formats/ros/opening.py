@@ -5,7 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.errors import DataError, MissingExtraError, how_to_install
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.ros.bags import Bag
@@ -63,7 +63,7 @@ def _metadata(folder: Path, ledger: Ledger) -> Mapping[str, Any]:
         from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
     except ImportError as missing:
-        raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[ros]'") from missing
+        raise MissingExtraError(f"{missing}; install the extra: {how_to_install('ros')}") from missing
     try:
         root = YAML(typ="safe").load(read_bytes(path).decode())[ROOT_KEY]
         if not isinstance(root, dict):

@@ -3,14 +3,14 @@
 from functools import cache
 from typing import Any
 
-from sceneloom.errors import MissingExtraError, OptionError
+from sceneloom.errors import MissingExtraError, OptionError, how_to_install
 from sceneloom.formats.ros.bags import Connection
 from sceneloom.formats.ros.definitions import DEFINITIONS
 
 try:
     from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 except ImportError as missing:
-    raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[ros]'") from missing
+    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('ros')}") from missing
 
 USUAL_DISTRO = {"ros1": "noetic", "cdr": "humble"}
 """The distribution whose types are taken where nothing is said, by the encoding of messages."""

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sceneloom.arrays import Int64Array
-from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.errors import DataError, MissingExtraError, how_to_install
 from sceneloom.formats.ros.bags import Bag, Connection
 
 _LARGEST = 1 << 31
@@ -38,9 +38,7 @@ class UnpackedBag:
         try:
             import zstandard
         except ImportError as missing:
-            raise MissingExtraError(
-                f"{missing}; install the extra: pip install 'sceneloom[ros]'"
-            ) from missing
+            raise MissingExtraError(f"{missing}; install the extra: {how_to_install('ros')}") from missing
         try:
             with zstandard.ZstdDecompressor().stream_reader(bytes(self.bag.data(number, k))) as reader:
                 return memoryview(reader.read(_LARGEST))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, cast
 
-from sceneloom.errors import DataError, MissingExtraError
+from sceneloom.errors import DataError, MissingExtraError, how_to_install
 from sceneloom.formats.wire_bytes import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
 from sceneloom.fusion.messages.array_bytes import array_within, bytes_view
 from sceneloom.fusion.messages.records import (
@@ -28,7 +28,7 @@ try:
     from sceneloom.fusion.messages.wire import fusion_pb2
     from sceneloom.fusion.messages.wire_lists import list_bytes, read_usual_list
 except ImportError as missing:
-    raise MissingExtraError(f"{missing}; install the extra: pip install 'sceneloom[serve]'") from missing
+    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('serve')}") from missing
 
 _KIND_OF_MESSAGE: Mapping[str, RecordKind] = {kind.message_name: kind for kind in RECORD_KINDS.values()}
 

@@ -6,6 +6,7 @@ from importlib.metadata import PackageNotFoundError
 
 import msgspec
 
+from sceneloom.errors import how_to_install
 from sceneloom.formats.processors import processors
 from sceneloom.kernels.cache import find_kernel_cache
 from sceneloom.pipeline.installation.machine import (
@@ -116,7 +117,7 @@ def _extras(packages: Iterable[Package]) -> Iterator[Finding]:
             name=extra,
             status=Status.MISSING if lacking else Status.GOOD,
             said="; ".join(lacking) if lacking else there,
-            remedy=f"pip install 'sceneloom[{extra}]'" if lacking else None,
+            remedy=how_to_install(extra) if lacking else None,
         )
 
 
@@ -180,5 +181,5 @@ def _programs() -> Iterator[Finding]:
             name=name,
             status=Status.MISSING if place is None else Status.GOOD,
             said=place or "not found",
-            remedy="pip install 'sceneloom[view]'" if place is None and "rerun" in name else None,
+            remedy=how_to_install("view") if place is None and "rerun" in name else None,
         )

@@ -7,7 +7,7 @@ from importlib.resources import files
 from itertools import count
 from typing import Any
 
-from sceneloom.errors import MissingExtraError
+from sceneloom.errors import MissingExtraError, how_to_install
 from sceneloom.report.album import Album, Photo
 from sceneloom.report.drawings.svg import plain
 from sceneloom.report.numbers.drive import DriveReport
@@ -42,7 +42,7 @@ def check_extra() -> Any:
     try:
         import jinja2
     except ImportError:
-        raise MissingExtraError("a report needs jinja2: pip install 'sceneloom[report]'") from None
+        raise MissingExtraError(f"a report needs jinja2: {how_to_install('report')}") from None
     return jinja2
 
 

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from sceneloom.errors import how_to_install
 from sceneloom.kernels import cache
 from sceneloom.pipeline.installation import Status, examine_installation, packages, report
 from sceneloom.pipeline.installation.packages import find_packages
@@ -45,7 +46,7 @@ def test_what_is_needed_and_broken_makes_it_unsound_and_a_missing_extra_does_not
     monkeypatch.setattr(packages, "requires", lambda _: REQUIREMENTS[3:4])
     assert examine_installation().is_sound
     extra = findings("extras")["mcap"]
-    assert (extra.status, extra.remedy) == (Status.MISSING, "pip install 'sceneloom[mcap]'")
+    assert (extra.status, extra.remedy) == (Status.MISSING, how_to_install("mcap"))
     monkeypatch.setattr(packages, "requires", lambda _: REQUIREMENTS[1:2])
     broken = examine_installation()
     assert not broken.is_sound
